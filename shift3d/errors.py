@@ -1,0 +1,27 @@
+"""The one error that a user of shift3d is meant to read."""
+
+from __future__ import annotations
+
+
+class InputError(Exception):
+    """Something the user gave cannot be used.
+
+    Printed by the command line as one line, ``what (where): remedy``, with a non-zero exit code and without a
+    traceback; anything else that escapes is a defect of shift3d.
+
+    Args:
+        what: what is wrong, with the offending value.
+        where: the file, field or row it was found in.
+        remedy: what to do about it.
+    """
+
+    def __init__(self, what: str, where: str = "", remedy: str = "") -> None:
+        self.what = what
+        self.where = where
+        self.remedy = remedy
+        message = f"{where}: {what}" if where else what
+        super().__init__(f"{message}. {remedy}" if remedy else message)
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        # Ray carries exceptions between processes: without this the three parts would be lost on the way.
+        return (InputError, (self.what, self.where, self.remedy))

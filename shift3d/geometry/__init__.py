@@ -1,0 +1,1 @@
+"""SE(3) poses, oriented boxes and their overlap."""

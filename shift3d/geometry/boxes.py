@@ -1,0 +1,81 @@
+"""Oriented boxes (x, y, z, dx, dy, dz, heading): geometric centre, metres, heading counter-clockwise from +x."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+
+Float = NDArray[np.float64]
+
+# Counter-clockwise from front left, seen from above, in units of the half size.
+_CORNER_SIGNS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+
+
+def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
+    """Refuse boxes that are not finite or have no volume.
+
+    Args:
+        boxes: (N, 7).
+        where: named in the error.
+
+    Raises:
+        InputError: naming the first offending row and column.
+    """
+    if boxes.ndim != 2 or boxes.shape[1] != 7:
+        raise InputError(f"boxes must be (N, 7), not {boxes.shape}", where, "Give x, y, z, dx, dy, dz, heading.")
+    names = ("x", "y", "z", "dx", "dy", "dz", "heading")
+    bad = ~np.isfinite(boxes)
+    bad[:, 3:6] |= ~(boxes[:, 3:6] > 0.0)
+    if bad.any():
+        row, column = (int(i) for i in np.argwhere(bad)[0])
+        raise InputError(
+            f"box {row} has {names[column]} = {boxes[row, column]}",
+            where,
+            "Sizes must be positive and everything finite.",
+        )
+
+
+def corners_bev(boxes: NDArray[np.floating]) -> Float:
+    """Footprints of boxes (N, 7) as (N, 4, 2) corners, counter-clockwise from front left."""
+    boxes = np.asarray(boxes, dtype=np.float64).reshape(-1, 7)
+    local = _CORNER_SIGNS * (boxes[:, None, 3:5] / 2.0)
+    cos, sin = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
+    x = cos * local[..., 0] - sin * local[..., 1]
+    y = sin * local[..., 0] + cos * local[..., 1]
+    return np.stack((x, y), axis=-1) + boxes[:, None, :2]
+
+
+def corners_3d(boxes: NDArray[np.floating]) -> Float:
+    """Corners (N, 8, 3) of boxes (N, 7): the footprint at the bottom, then at the top."""
+    boxes = np.asarray(boxes, dtype=np.float64).reshape(-1, 7)
+    footprint = corners_bev(boxes)
+    bottom = np.broadcast_to((boxes[:, 2] - boxes[:, 5] / 2.0)[:, None, None], (len(boxes), 4, 1))
+    top = np.broadcast_to((boxes[:, 2] + boxes[:, 5] / 2.0)[:, None, None], (len(boxes), 4, 1))
+    return np.concatenate(
+        (np.concatenate((footprint, bottom), axis=2), np.concatenate((footprint, top), axis=2)), axis=1
+    )
+
+
+def points_in_boxes(points: NDArray[np.floating], boxes: NDArray[np.floating], margin_m: float = 0.0) -> NDArray[np.bool_]:
+    """Which points lie in which boxes.
+
+    Args:
+        points: (N, 3) in the frame of the boxes.
+        boxes: (M, 7).
+        margin_m: each face is moved outwards by this much.
+
+    Returns:
+        (M, N) bool; points on a face are inside.
+    """
+    points = np.asarray(points)
+    inside = np.zeros((len(boxes), len(points)), dtype=np.bool_)
+    for index, box in enumerate(np.asarray(boxes, dtype=np.float64).reshape(-1, 7)):
+        offset = points[:, :3] - box[:3]
+        cos, sin = np.cos(box[6]), np.sin(box[6])
+        along = cos * offset[:, 0] + sin * offset[:, 1]
+        across = cos * offset[:, 1] - sin * offset[:, 0]
+        half = box[3:6] / 2.0 + margin_m
+        inside[index] = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1]) & (np.abs(offset[:, 2]) <= half[2])
+    return inside
