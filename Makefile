@@ -1,0 +1,51 @@
+# Every target sets up what it needs in .venv: `make sweep` works on a fresh clone with only Python 3.11 and make.
+SHELL := /bin/bash
+PYTHON ?= python3.11
+SWEEP ?= default
+ARGS ?=
+BIN := .venv/bin
+# Workers run one thread each (same bytes on any machine); these keep libraries from starting more on import.
+export HYDRA_FULL_ERROR := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help setup sweep test check ui train pictures clean
+
+help:  ## what there is to run
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
+	@echo '  make sweep SWEEP=kitti ARGS="scenes.root=PATH"   any sweep of sweeps/, any override'
+
+# Two stamps, so that a sweep does not wait for the tools that only developers need.
+.venv/.runtime: pyproject.toml constraints.txt
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || python3 -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
+.venv/.dev: .venv/.runtime
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+setup: .venv/.runtime  ## install shift3d and its libraries in .venv
+
+sweep: .venv/.runtime  ## run sweeps/$(SWEEP).yaml; the same command again resumes
+	$(BIN)/shift3d sweep $(SWEEP) $(ARGS)
+
+test: .venv/.dev  ## every test
+	$(BIN)/python -m pytest $(ARGS)
+
+check: .venv/.dev  ## lint, format, types, layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+ui: .venv/.runtime  ## compare runs in MLflow, on loopback
+	$(BIN)/shift3d ui $(ARGS)
+
+train: .venv/.runtime  ## train shipped weights: ARGS="model=sdf" or ARGS="model=pointpillars"
+	$(BIN)/shift3d train $(ARGS)
+
+pictures: .venv/.runtime  ## draw the README's pictures again
+	$(BIN)/python -m shift3d.report.pictures $(ARGS)
+
+clean:  ## remove .venv and caches (never outputs/)
+	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache
