@@ -1,0 +1,1 @@
+"""What is kept on disk: schemas, atomic writes, and the commit log."""

@@ -1,0 +1,119 @@
+"""Files that are there whole or not at all, whatever is killed or full."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from shift3d.errors import InputError
+
+__all__ = ["put_if_absent", "remove_leftovers", "write_atomic"]
+
+_TEMPORARY = ".tmp-"
+
+
+def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
+    """Write a file under a temporary name, flush it to the disk, and rename it to ``path``.
+
+    Args:
+        path: final name; an existing file is replaced in one step.
+        write: the bytes, or a function that writes the file it is given the name of.
+
+    Raises:
+        InputError: the disk is full or not writable; nothing is left under either name.
+    """
+    temporary = path.with_name(f"{_TEMPORARY}{os.getpid()}-{path.name}")
+    with _clear_disk_errors(path), _removed_on_failure(temporary):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _fill(temporary, write)
+        temporary.replace(path)
+        _flush_folder(path.parent)
+
+
+def put_if_absent(path: Path, content: bytes) -> bool:
+    """Create ``path`` with ``content`` in one step, unless it exists. True when this call created it.
+
+    A hard link from a complete temporary file: unlike O_EXCL, a kill cannot leave a torn file under the name.
+
+    Raises:
+        InputError: the disk is full or not writable; nothing is left under either name.
+    """
+    temporary = path.with_name(f"{_TEMPORARY}{os.getpid()}-{path.name}")
+    with _clear_disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            _fill(temporary, content)
+            try:
+                os.link(temporary, path)
+            except FileExistsError:
+                return False
+            _flush_folder(path.parent)
+            return True
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary files that killed processes of this machine left in ``folder``."""
+    if not folder.is_dir():
+        return
+    for entry in folder.glob(f"{_TEMPORARY}*"):
+        owner = entry.name.removeprefix(_TEMPORARY).split("-", 1)[0]
+        if owner.isdigit() and not Path(f"/proc/{owner}").exists():
+            entry.unlink(missing_ok=True)
+
+
+def _fill(path: Path, write: bytes | Callable[[Path], None]) -> None:
+    if isinstance(write, bytes):
+        path.write_bytes(write)
+    else:
+        write(path)
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _flush_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _removed_on_failure(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+        raise
+
+
+_REMEDIES = {
+    errno.ENOSPC: ("the disk is full", "Free some space and run the same command again: it resumes"),
+    errno.EDQUOT: ("the disk quota is used up", "Free some space and run the same command again: it resumes"),
+    errno.EFBIG: (
+        "the file would pass the size limit",
+        "Raise the limit (ulimit -f) and run the same command again",
+    ),
+    errno.EROFS: ("the file system is read-only", "Choose another folder with out=DIR"),
+    errno.EACCES: ("no permission to write here", "Choose another folder with out=DIR"),
+}
+
+
+@contextlib.contextmanager
+def _clear_disk_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _REMEDIES:
+            raise
+        what, remedy = _REMEDIES[error.errno]
+        raise InputError(what, where=str(path), remedy=remedy) from error

@@ -1,0 +1,179 @@
+"""The commit log: numbered JSON files that are the only truth about what is done.
+
+One driver appends. Entry n is created only if absent, so of two drivers one is stopped at its next commit.
+Each driver opens with a session entry, which stops any earlier driver that is still alive.
+
+Source: our choice (design section 9).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from shift3d.errors import InputError
+from shift3d.store.atomic import put_if_absent, remove_leftovers
+from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.store.tables import write_table
+
+__all__ = ["Commit", "CommitLog", "TakenOverError", "read_log"]
+
+
+class TakenOverError(InputError):
+    """Another driver appended to the log: this one must stop, and has lost nothing that it committed."""
+
+
+@dataclass(frozen=True)
+class Commit:
+    """One entry: the tasks it finished, those it gave up on, and the segment files that hold their rows.
+
+    segments: table name to file name inside ``data/``. rows: table name to number of rows in that file.
+    """
+
+    sequence: int
+    kind: str  # session | commit
+    driver: str
+    spec_hash: str
+    done: tuple[str, ...] = ()
+    quarantined: tuple[str, ...] = ()
+    segments: tuple[tuple[str, str], ...] = ()
+    rows: tuple[tuple[str, int], ...] = ()
+
+
+def read_log(folder: Path) -> list[Commit]:
+    """Every entry in order.
+
+    Raises:
+        InputError: an entry is missing, torn, or of another schema version.
+    """
+    names = sorted(entry.name for entry in (folder / "_log").glob("*.json") if entry.name[0].isdigit())
+    return [_read_entry(folder / "_log" / name, sequence) for sequence, name in enumerate(names)]
+
+
+def _read_entry(path: Path, sequence: int) -> Commit:
+    remedy = "Restore the file from a copy, or remove the output folder and run the sweep again"
+    if path.name != f"{sequence:08d}.json":
+        raise InputError(f"entry {sequence:08d}.json is missing", where=str(path.parent), remedy=remedy)
+    try:
+        values = json.loads(path.read_bytes())
+        version = values["schema_version"]
+        if version == SCHEMA_VERSION:
+            return Commit(
+                sequence=sequence,
+                kind=values["kind"],
+                driver=values["driver"],
+                spec_hash=values["spec_hash"],
+                done=tuple(values["done"]),
+                quarantined=tuple(values["quarantined"]),
+                segments=tuple(values["segments"].items()),
+                rows=tuple(values["rows"].items()),
+            )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError("is not a commit log entry", where=str(path), remedy=remedy) from error
+    raise InputError(
+        f"has schema version {version}, this is version {SCHEMA_VERSION}",
+        where=str(path),
+        remedy="Finish it with the version of shift3d that began it, or choose another folder with out=DIR",
+    )
+
+
+class CommitLog:
+    """The log as its one writer sees it.
+
+    Args:
+        folder: the sweep's output folder.
+        spec_hash: what the sweep is; kept in every entry.
+
+    Raises:
+        InputError: the log cannot be read or written.
+    """
+
+    def __init__(self, folder: Path, spec_hash: str) -> None:
+        self.folder = folder
+        self.spec_hash = spec_hash
+        self.driver = f"{os.getpid()}-{secrets.token_hex(4)}"
+        for part in ("_log", "data", "final"):
+            remove_leftovers(folder / part)
+        self.entries = read_log(folder)
+        self._append("session", (), (), {})
+
+    def commit(
+        self, done: tuple[str, ...], quarantined: tuple[str, ...], tables: dict[str, pa.Table]
+    ) -> Commit:
+        """Write the segments, then the entry that makes them count.
+
+        Args:
+            done, quarantined: task ids. tables: segment tables by name; empty ones are left out.
+
+        Raises:
+            TakenOverError: another driver wrote this entry; these rows are not part of the sweep.
+            InputError: the disk is full; nothing half-written counts.
+        """
+        sequence = len(self.entries)
+        segments: dict[str, tuple[str, int]] = {}
+        for name, table in tables.items():
+            if table.num_rows == 0:
+                continue
+            file_name = f"{sequence:08d}-{self.driver}-{name}.parquet"
+            write_table(self.folder / "data" / file_name, table)
+            segments[name] = (file_name, table.num_rows)
+        return self._append("commit", done, quarantined, segments)
+
+    def _append(
+        self,
+        kind: str,
+        done: tuple[str, ...],
+        quarantined: tuple[str, ...],
+        segments: dict[str, tuple[str, int]],
+    ) -> Commit:
+        sequence = len(self.entries)
+        values: dict[str, Any] = {
+            "schema_version": SCHEMA_VERSION,
+            "kind": kind,
+            "driver": self.driver,
+            "spec_hash": self.spec_hash,
+            "done": list(done),
+            "quarantined": list(quarantined),
+            "segments": {name: file for name, (file, _) in segments.items()},
+            "rows": {name: rows for name, (_, rows) in segments.items()},
+        }
+        path = self.folder / "_log" / f"{sequence:08d}.json"
+        try:
+            created = put_if_absent(path, json.dumps(values, indent=1).encode() + b"\n")
+        except BaseException:
+            self._discard(segments)
+            raise
+        if not created:
+            self._discard(segments)
+            raise TakenOverError(
+                f"another driver took this sweep over ({_driver_of(path)} wrote entry {sequence})",
+                where=str(self.folder),
+                remedy="Let it finish, or stop it and run the same command again: it resumes",
+            )
+        self.entries.append(_read_entry(path, sequence))
+        return self.entries[-1]
+
+    def _discard(self, segments: dict[str, tuple[str, int]]) -> None:
+        for file_name, _ in segments.values():
+            (self.folder / "data" / file_name).unlink(missing_ok=True)
+
+    def done(self) -> set[str]:
+        """Ids of the tasks whose results are committed."""
+        return {task_id for entry in self.entries for task_id in entry.done}
+
+    def quarantined(self) -> set[str]:
+        """Ids of the tasks that were given up on and have not succeeded since."""
+        return {task_id for entry in self.entries for task_id in entry.quarantined} - self.done()
+
+
+def _driver_of(path: Path) -> str:
+    try:
+        return f"driver {json.loads(path.read_bytes())['driver']}"
+    except (OSError, ValueError, KeyError):
+        return "it"

@@ -1,0 +1,177 @@
+"""Arrow schemas of everything a sweep writes (design section 5), with their version in the metadata."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+__all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
+
+SCHEMA_VERSION = 1
+
+# Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
+_SPEC_FIELDS = [
+    ("task_id", pa.string()),
+    ("sweep", pa.string()),
+    ("vehicle", pa.string()),
+    ("scene", pa.string()),
+    ("dataset", pa.string()),
+    ("mode", pa.string()),
+    ("lambda", pa.float64()),
+    ("alpha", pa.float64()),
+    ("detector", pa.string()),
+    ("accuracy", pa.string()),
+]
+SPEC_COLUMNS = tuple(name for name, _ in _SPEC_FIELDS)
+_NULLABLE = {"lambda"}
+
+_POSE = [(name, pa.float64()) for name in ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")]
+
+
+def _schema(name: str, fields: list[tuple[str, pa.DataType]], nullable: set[str]) -> pa.Schema:
+    metadata = {"shift3d.schema": name, "shift3d.schema_version": str(SCHEMA_VERSION)}
+    return pa.schema([pa.field(n, kind, nullable=n in nullable) for n, kind in fields], metadata=metadata)
+
+
+_SCORES = _schema(
+    "scores",
+    [
+        *_SPEC_FIELDS[:9],
+        ("scored_by", pa.string()),
+        ("method", pa.string()),
+        ("replicate", pa.int32()),
+        ("score", pa.float64()),
+        ("adversarial_loss", pa.float64()),
+        ("latent_distance", pa.float64()),
+        *_POSE,
+        ("range_m", pa.float64()),
+        ("object_points", pa.int32()),
+        ("overlap_ok", pa.bool_()),
+        ("contact_ok", pa.bool_()),
+        ("best_step", pa.int32()),
+        ("accuracy", pa.string()),
+        ("effects", pa.list_(pa.string())),
+        ("score_reference", pa.float64()),
+        ("stable", pa.bool_()),
+        ("status", pa.string()),
+        ("max_residual_m", pa.float64()),
+        ("unresolved_beams", pa.int32()),
+    ],
+    # Null where nothing could be placed (status says so), and where the verification at reference accuracy
+    # has not been run.
+    nullable={
+        *_NULLABLE, "score", "adversarial_loss", "latent_distance", *(n for n, _ in _POSE), "range_m",
+        "object_points", "overlap_ok", "contact_ok", "best_step", "score_reference", "stable",
+        "max_residual_m", "unresolved_beams",
+    },
+)  # fmt: skip
+
+_SOLUTIONS = _schema(
+    "solutions",
+    [
+        *_SPEC_FIELDS,
+        ("effects", pa.list_(pa.string())),
+        ("method", pa.string()),
+        ("replicate", pa.int32()),
+        ("latent_code", pa.list_(pa.float32())),
+        *_POSE,
+    ],
+    nullable=_NULLABLE,
+)
+
+_TIMINGS = _schema(
+    "timings",
+    [
+        ("task_id", pa.string()),
+        ("method", pa.string()),
+        ("stage", pa.string()),
+        ("milliseconds", pa.float64()),
+        ("calls", pa.int64()),
+    ],
+    nullable=set(),
+)
+
+_ATTEMPTS = _schema(
+    "attempts",
+    [
+        ("task_id", pa.string()),
+        ("attempt", pa.int32()),
+        ("outcome", pa.string()),  # done | failed | crashed
+        ("error", pa.string()),
+        ("traceback", pa.string()),
+        ("quarantined", pa.bool_()),
+        ("worker", pa.string()),
+        ("started_unix_s", pa.float64()),
+        ("seconds", pa.float64()),
+    ],
+    nullable={"error", "traceback"},
+)
+
+# One group of tasks that a curve, an AUC or a grid is taken over.
+GROUP_FIELDS = [
+    ("sweep", pa.string()),
+    ("dataset", pa.string()),
+    ("vehicle", pa.string()),
+    ("mode", pa.string()),
+    ("lambda", pa.float64()),
+    ("alpha", pa.float64()),
+    ("detector", pa.string()),
+    ("accuracy", pa.string()),
+    ("scored_by", pa.string()),
+    ("method", pa.string()),
+]
+GROUP_COLUMNS = tuple(name for name, _ in GROUP_FIELDS)
+
+_CURVES = _schema(
+    "curves",
+    [*GROUP_FIELDS, ("score_threshold", pa.float64()), ("recall", pa.float64())],
+    nullable=_NULLABLE,
+)
+
+_AUC = _schema(
+    "auc",
+    [
+        *GROUP_FIELDS,
+        ("auc", pa.float64()),
+        ("scores", pa.int64()),  # rows that the mean was taken over
+        ("tasks_scored", pa.int64()),
+        ("tasks_planned", pa.int64()),
+        ("mean_adversarial_loss", pa.float64()),
+        ("mean_latent_distance", pa.float64()),
+        ("selected", pa.bool_()),  # by the paper's rule for lambda, per vehicle
+    ],
+    nullable={*_NULLABLE, "auc", "mean_adversarial_loss", "mean_latent_distance"},
+)
+
+_BEV = _schema(
+    "bev",
+    [
+        *GROUP_FIELDS,
+        ("cell_x_m", pa.float64()),  # lower corner of the cell, scene frame
+        ("cell_y_m", pa.float64()),
+        ("cell_size_m", pa.float64()),
+        ("scores", pa.int64()),
+        ("mean_score_baseline", pa.float64()),
+        ("mean_score", pa.float64()),
+        ("mean_reduction", pa.float64()),
+    ],
+    nullable=_NULLABLE,
+)
+
+# Written by commits, task by task.
+SEGMENTS = ("scores", "solutions", "timings", "attempts")
+# Computed from the scores when a sweep has finished.
+AGGREGATES = ("curves", "auc", "bev")
+SCHEMAS: dict[str, pa.Schema] = {
+    "scores": _SCORES,
+    "solutions": _SOLUTIONS,
+    "timings": _TIMINGS,
+    "attempts": _ATTEMPTS,
+    "curves": _CURVES,
+    "auc": _AUC,
+    "bev": _BEV,
+}
+
+
+def schema_of(name: str) -> pa.Schema:
+    """Schema of one table by name."""
+    return SCHEMAS[name]

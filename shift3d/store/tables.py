@@ -1,0 +1,94 @@
+"""Rows to Arrow tables, and Arrow tables to Parquet files whose bytes depend on their content alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from shift3d.errors import InputError
+from shift3d.store.atomic import write_atomic
+from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
+
+__all__ = ["read_table", "table_from_rows", "write_table"]
+
+_ROW_GROUP = 65_536
+
+
+def table_from_rows(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """Rows of plain Python or NumPy values as a table of the schema ``name``.
+
+    Raises:
+        ValueError: a row has an unknown column, lacks one that may not be null, or holds a value of another
+            type. It is the task's defect, so the message names the column, and no file is touched.
+    """
+    schema = SCHEMAS[name]
+    names = set(schema.names)
+    for row in rows:
+        if not names.issuperset(row):
+            raise ValueError(f"{name} has no column {sorted(set(row) - names)}")
+    columns = [_column(name, field, [_plain(row.get(field.name)) for row in rows]) for field in schema]
+    return pa.Table.from_arrays(columns, schema=schema)
+
+
+def _column(name: str, field: pa.Field, values: list[Any]) -> pa.Array:
+    if not field.nullable and any(value is None for value in values):
+        raise ValueError(f"{name}.{field.name} is missing in row {values.index(None)}")
+    try:
+        array = pa.array(values, type=field.type)
+    except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
+        raise ValueError(f"{name}.{field.name}: {error}") from error
+    if pa.types.is_floating(field.type) and not np.isfinite(array.to_numpy(zero_copy_only=False)).all():
+        bad = [v for v in values if v is not None and not np.isfinite(v)]
+        if bad:
+            raise ValueError(f"{name}.{field.name} is {bad[0]}")
+    return array
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def write_table(path: Path, table: pa.Table) -> None:
+    """Write a Parquet file atomically. The same table content gives the same bytes.
+
+    Raises:
+        InputError: the disk is full or not writable.
+    """
+
+    def write(temporary: Path) -> None:
+        # One chunk, fixed row groups and no threads' choice in them: bytes follow from the content alone.
+        pq.write_table(table.combine_chunks(), temporary, compression="zstd", row_group_size=_ROW_GROUP)
+
+    write_atomic(path, write)
+
+
+def read_table(path: Path, name: str) -> pa.Table:
+    """Read a Parquet file and check that it holds the schema ``name`` of this version.
+
+    Raises:
+        InputError: the file is missing, torn, or of another schema or version.
+    """
+    try:
+        table = pq.read_table(path, partitioning=None)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise InputError(
+            f"cannot be read as Parquet ({type(error).__name__})",
+            where=str(path),
+            remedy="Restore it from a copy, or remove the output folder and run the sweep again",
+        ) from error
+    metadata = table.schema.metadata or {}
+    version = metadata.get(b"shift3d.schema_version", b"none").decode()
+    if metadata.get(b"shift3d.schema", b"").decode() != name or version != str(SCHEMA_VERSION):
+        raise InputError(
+            f"is not a {name} table of schema version {SCHEMA_VERSION} (found version {version})",
+            where=str(path),
+            remedy="Read it with the version of shift3d that wrote it",
+        )
+    return table

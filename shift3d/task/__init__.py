@@ -1,0 +1,1 @@
+"""One task: place a vehicle, attack it, score what was found."""

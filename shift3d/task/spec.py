@@ -1,0 +1,185 @@
+"""What one task is asked to do, and what it hands back.
+
+A :class:`TaskSpec` holds every value that can change a task's result and nothing else: two specs with the
+same id give the same bytes. Where a task runs, where files lie and how many workers there are is not in it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from shift3d.seeding import derive_seed
+
+__all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec"]
+
+# Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
+SPEC_VERSION = 1
+
+Mode = Literal["shape", "pose"]
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class PlacementSpec:
+    """Where the vehicle may be inserted.
+
+    min_range_m, max_range_m: horizontal distance from the sensor, metres. min_object_points: fewest
+    returns on the vehicle. overlap_m: deepest that an original scene point may lie inside the vehicle.
+    contact_m: how near the vehicle's surface some original scene point must lie. sector_centre_rad,
+    sector_half_width_rad: azimuth range about +x (pi: everywhere). attempts: tries before the task reports
+    that nothing fits.
+
+    Source: SHIFT3D section Setup and section Hyper-parameters; sector and attempts are our choice.
+    """
+
+    min_range_m: float = 15.0
+    max_range_m: float = 50.0
+    min_object_points: int = 300
+    overlap_m: float = 0.02
+    contact_m: float = 0.02
+    sector_centre_rad: float = 0.0
+    sector_half_width_rad: float = 3.141592653589793
+    attempts: int = 400
+
+
+@dataclass(frozen=True)
+class AttackSpec:
+    """The search for a hard shape or pose, and the comparisons beside it.
+
+    noise_sigma: standard deviation of the codes of ``adversarial_noise``. max_shift_m: largest |Δxy| of a
+    pose, metres. max_tilt_rad: largest |pitch| and |roll|. sphere_m: radius outside which beams are left
+    alone. detection_radius_m: how near the vehicle's centre the centre of a box that detects it must lie.
+
+    Source: SHIFT3D sections Hyper-parameters, Evaluation Metrics and Adversarial Pose Generation Results.
+    """
+
+    steps: int = 40
+    random_replicates: int = 1
+    noise_replicates: int = 10
+    noise_sigma: float = 0.01
+    max_shift_m: float = 4.0
+    max_tilt_rad: float = 0.1
+    sphere_m: float = 7.0
+    detection_radius_m: float = 5.0
+
+
+@dataclass(frozen=True)
+class TaskSpec:
+    """One vehicle in one scene, attacked once.
+
+    lambda_: weight of the latent distance; None for a pose task, which has no such term (any value given is
+    dropped, so that a sweep over lambda holds each pose task once). alpha: step size. accuracy: a preset's
+    name, with accuracy_settings the values that differ from or refine it. effects: names, in physical order.
+    scene_arguments: what the scene was made from, for the reader of a plan. The hashes are 128-bit
+    BLAKE2b, hex.
+    """
+
+    vehicle: str
+    scene: str
+    dataset: str
+    mode: Mode
+    lambda_: float | None
+    alpha: float
+    detector: str
+    accuracy: str
+    base_seed: int = 0
+    replicate: int = 0
+    effects: tuple[str, ...] = ()
+    accuracy_settings: Mapping[str, Any] = field(default_factory=dict)
+    scene_arguments: Mapping[str, Any] = field(default_factory=dict)
+    attack: AttackSpec = AttackSpec()
+    placement: PlacementSpec = PlacementSpec()
+    scene_hash: str = ""
+    vehicle_hash: str = ""
+    decoder_hash: str = ""
+    detector_hash: str = ""
+
+    def __post_init__(self) -> None:
+        if self.mode == "pose":
+            object.__setattr__(self, "lambda_", None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain nested dictionaries, ready for JSON."""
+        values = {name: getattr(self, name) for name in _FIELD_NAMES}
+        values["effects"] = list(self.effects)
+        values["accuracy_settings"] = dict(self.accuracy_settings)
+        values["scene_arguments"] = dict(self.scene_arguments)
+        values["attack"] = dict(vars(self.attack))
+        values["placement"] = dict(vars(self.placement))
+        values["spec_version"] = SPEC_VERSION
+        return values
+
+    @staticmethod
+    def from_dict(values: Mapping[str, Any]) -> TaskSpec:
+        """The inverse of :meth:`to_dict`. Raises ValueError for another spec version."""
+        values = dict(values)
+        version = values.pop("spec_version")
+        if version != SPEC_VERSION:
+            raise ValueError(f"task spec version {version}, this is version {SPEC_VERSION}")
+        values["effects"] = tuple(values["effects"])
+        values["attack"] = AttackSpec(**values["attack"])
+        values["placement"] = PlacementSpec(**values["placement"])
+        return TaskSpec(**values)
+
+    def canonical_json(self) -> str:
+        """The one spelling of this spec: keys sorted, no spaces, shortest round-trip floats, no NaN."""
+        return json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+    @functools.cached_property
+    def task_id(self) -> str:
+        """128-bit BLAKE2b of :meth:`canonical_json`, hex. Source: our choice (design section 9)."""
+        return hashlib.blake2b(self.canonical_json().encode(), digest_size=16).hexdigest()
+
+    @property
+    def seed(self) -> int:
+        """64-bit seed of everything random that is this task's alone (random codes, noise)."""
+        return derive_seed("task", self.task_id)
+
+    @property
+    def placement_seed(self) -> int:
+        """64-bit seed of where the vehicle is put: shared by the tasks that should be compared in one place.
+
+        Shape and pose attacks, every lambda, step size, accuracy and detector put the same vehicle at the
+        same place of the same scene, so that their differences are paired. Source: our choice: the paper
+        is silent.
+        """
+        what = (self.scene_hash, self.vehicle_hash, self.decoder_hash)
+        where = json.dumps(vars(self.placement), sort_keys=True)
+        return derive_seed("placement", self.base_seed, self.replicate, *what, where)
+
+
+_FIELD_NAMES = tuple(f.name for f in dataclasses.fields(TaskSpec))
+
+
+@dataclass(frozen=True)
+class TaskResult:
+    """What a task hands back: rows of plain Python and NumPy values, in a fixed order.
+
+    scores, solutions, timings: rows whose keys are the columns of design section 5 that the spec does not
+    already determine (the columns of ``store.schemas.SPEC_COLUMNS`` are filled in by the sweep).
+    """
+
+    scores: list[Row]
+    solutions: list[Row]
+    timings: list[Row]
+
+
+@dataclass(frozen=True)
+class AssetsSpec:
+    """What a worker loads once: plain values, no path that a task's id depends on.
+
+    scenes: name of the scene set and its constructor's arguments (``config.build.scene_set`` reads it).
+    detector_weights, decoder_weights: a file, or None for the weights that ship with shift3d.
+    """
+
+    scenes: Mapping[str, Any]
+    detector: str = "pointpillars"
+    detector_weights: str | None = None
+    decoder_weights: str | None = None
+    threads: int = 1
