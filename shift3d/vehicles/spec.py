@@ -1,0 +1,84 @@
+"""What one vehicle of the procedural family is: body type and dimensions, all in metres."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from shift3d.errors import InputError
+
+BODY_TYPES: tuple[str, ...] = (
+    "coupe",
+    "sports_car",
+    "suv",
+    "convertible",
+    "beach_wagon",
+    "sedan",
+    "hatchback",
+    "van",
+    "pickup",
+)
+
+
+@dataclass(frozen=True)
+class VehicleSpec:
+    """One vehicle: lengths in metres; `_s_m` is measured backwards from the nose, `_z_m` up from the ground.
+
+    Frame of the numbers: the vehicle's own side view, so that a nose is at s = 0 and the tail at s = length_m.
+    Source: our choice: the paper takes its vehicles from ShapeNet, whose licence forbids shipping them.
+    """
+
+    body_type: str
+    length_m: float
+    width_m: float
+    height_m: float
+    clearance_m: float
+    wheelbase_m: float
+    front_axle_s_m: float
+    wheel_radius_m: float
+    tyre_width_m: float
+    arch_gap_m: float
+    nose_z_m: float
+    cowl_s_m: float
+    cowl_z_m: float
+    roof_front_s_m: float
+    roof_rear_s_m: float
+    roof_drop_m: float
+    backlight_s_m: float
+    deck_z_m: float
+    tail_z_m: float
+    shoulder_m: float
+    tumblehome_m: float
+    front_bow_m: float
+    rear_bow_m: float
+    plan_taper_m: float
+    edge_radius_m: float
+    spoiler_m: float = 0.0
+
+    def validate(self) -> None:
+        """Raises InputError naming the field when the vehicle cannot be built."""
+        if self.body_type not in BODY_TYPES:
+            raise InputError(
+                f"unknown body type {self.body_type!r}",
+                where="VehicleSpec.body_type",
+                remedy=f"one of {', '.join(BODY_TYPES)}",
+            )
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, float) and not 0.0 <= value < 20.0:
+                raise InputError(
+                    f"{value} m", where=f"VehicleSpec.{field.name}", remedy="a length from 0 to 20 m"
+                )
+        order = [
+            0.0,
+            self.cowl_s_m,
+            self.roof_front_s_m,
+            self.roof_rear_s_m,
+            self.backlight_s_m,
+            self.length_m,
+        ]
+        if any(a >= b for a, b in zip(order, order[1:], strict=False)):
+            raise InputError(
+                "the roof line must run nose, cowl, roof front, roof rear, rear window, tail",
+                where="VehicleSpec.*_s_m",
+            )
