@@ -1,0 +1,102 @@
+"""A box around the zero level set that is checked, not assumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shift3d.render.object_field import ObjectField
+
+SDF_RADIUS = 1.05
+"""Radius of the ball, sdf units, in which a DeepSDF decoder has been trained: shapes lie in the unit ball."""
+_FACE_SPACING_M = 0.2
+_BALL_SPACING_M = 0.45
+_ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class Box:
+    """Axis-aligned box in the object frame: lower and upper corner (3,), float64, metres."""
+
+    lower: Tensor
+    upper: Tensor
+
+    def grown(self, margin_m: float) -> Box:
+        """The box with every face moved out."""
+        return Box(self.lower - margin_m, self.upper + margin_m)
+
+    @property
+    def radius_m(self) -> float:
+        """Distance of the farthest corner from the object's centre."""
+        return float(torch.maximum(self.lower.abs(), self.upper.abs()).norm())
+
+
+def sdf_ball_box(field: ObjectField) -> Box:
+    """The box around the ball in which the decoder was trained: nothing of a shape can lie outside."""
+    centre = -(field.sdf_t_object @ field.sdf_R_object) * field.scale_m
+    radius = SDF_RADIUS * field.scale_m
+    return Box(centre - radius, centre + radius)
+
+
+def checked_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Box:
+    """The vehicle's box grown by a margin and, where the field is inside at a check point, further.
+
+    A shape under attack can outgrow the box of its baseline. Checked are the faces of the grown box, every
+    0.2 m: a connected surface cannot leave the box without crossing a face, so only a part that crosses in
+    a spot smaller than that can hide; and a lattice of 0.45 m in the rest of the decoder's ball, for parts
+    that float free. A field that is inside all over ends at the ball's own box.
+
+    Args:
+        field: metric distance in the object frame.
+        size_m: (3,) size of the baseline's box, centred at the object's origin.
+        margin_m: growth of each face.
+
+    Source: our choice: the paper is silent.
+    """
+    ball = sdf_ball_box(field)
+    half = torch.as_tensor(size_m, dtype=torch.float64) / 2
+    box = Box(torch.maximum(-half - margin_m, ball.lower), torch.minimum(half + margin_m, ball.upper))
+    outside = _ball_lattice(ball)
+    for _ in range(_ROUNDS):
+        beyond = outside[((outside < box.lower) | (outside > box.upper)).any(-1)]
+        check = torch.cat((_face_lattice(box), beyond))
+        inside = check[field(check) <= 0]
+        if len(inside) == 0:
+            return box
+        reach = _FACE_SPACING_M + margin_m
+        box = Box(
+            torch.maximum(torch.minimum(box.lower, inside.amin(0) - reach), ball.lower),
+            torch.minimum(torch.maximum(box.upper, inside.amax(0) + reach), ball.upper),
+        )
+    return ball
+
+
+def _ball_lattice(ball: Box) -> Tensor:
+    count = int(((ball.upper - ball.lower)[0] / _BALL_SPACING_M).ceil()) + 1
+    axes = [
+        torch.linspace(float(a), float(b), count, dtype=torch.float64) for a, b in zip(ball.lower, ball.upper)
+    ]
+    points = torch.cartesian_prod(*axes)
+    centre, radius = (ball.lower + ball.upper) / 2, (ball.upper - ball.lower)[0] / 2
+    return points[(points - centre).norm(dim=-1) <= radius]
+
+
+def _face_lattice(box: Box) -> Tensor:
+    size = box.upper - box.lower
+    faces = []
+    for axis in range(3):
+        u, v = (a for a in range(3) if a != axis)
+        grid = torch.cartesian_prod(_cells(float(size[u])), _cells(float(size[v])))
+        for end in (0.0, 1.0):
+            face = torch.empty(len(grid), 3, dtype=torch.float64)
+            face[:, u], face[:, v], face[:, axis] = grid[:, 0], grid[:, 1], end
+            faces.append(face)
+    return box.lower + torch.cat(faces) * size
+
+
+def _cells(length_m: float) -> Tensor:
+    """Positions 0..1 at most `_FACE_SPACING_M` apart, half a cell from the edges."""
+    count = max(1, int(-(-length_m // _FACE_SPACING_M)))
+    return (torch.arange(count, dtype=torch.float64) + 0.5) / count

@@ -1,0 +1,96 @@
+"""Which beams can meet the object, and on which stretch of their length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shift3d.geometry.se3 import scene_R_object
+from shift3d.render.beams import Beams
+
+SPHERE_RADIUS_M = 7.0
+"""Radius of the sphere around the object outside which beams are left alone. Source: SHIFT3D, Setup."""
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Stretches of beams in the object frame, float64: x = origin + k direction, near_m <= k <= far_m.
+
+    `index` (M,) says which beam of the scene each is.
+    """
+
+    index: Tensor
+    origins: Tensor
+    directions: Tensor
+    near_m: Tensor
+    far_m: Tensor
+
+    def __len__(self) -> int:
+        return int(self.index.shape[0])
+
+    def at(self, k: Tensor, rows: Tensor | None = None) -> Tensor:
+        """Object-frame points at ranges k of all rays or of some rows."""
+        if rows is None:
+            return torch.addcmul(self.origins, k[:, None], self.directions)
+        return torch.addcmul(self.origins[rows], k[:, None], self.directions[rows])
+
+    def select(self, rows: Tensor) -> Rays:
+        """Some of the rays, by row or by mask."""
+        return Rays(
+            *(part[rows] for part in (self.index, self.origins, self.directions, self.near_m, self.far_m))
+        )
+
+
+def beams_near(beams: Beams, centre: Tensor, radius_m: float) -> Tensor:
+    """(M,) indices of the beams that pass within radius_m of centre (3,), between sensor and return.
+
+    Source: SHIFT3D, Setup: a beam that lies completely outside the sphere is ignored.
+    """
+    to_centre = centre.double() - (beams.origins[0] if _one_origin(beams) else beams.origins)
+    along = (beams.directions * to_centre).sum(-1) if to_centre.ndim == 2 else beams.directions @ to_centre
+    closest = torch.minimum(along.clamp_min(0.0), beams.ranges_m)
+    square = to_centre.square().sum(-1) + closest * (closest - 2.0 * along)
+    return torch.nonzero((square <= radius_m**2) & beams.carries).squeeze(1)
+
+
+def _one_origin(beams: Beams) -> bool:
+    return len(beams) > 0 and beams.origins.stride(0) == 0
+
+
+def object_rays(beams: Beams, index: Tensor, theta: Tensor) -> Rays:
+    """Whole beams, sensor to return, in the frame of an object at pose theta (6,)."""
+    theta = theta.detach().double()
+    rotation = scene_R_object(theta)
+    origins = (beams.origins[index] - theta[:3]) @ rotation
+    ranges = beams.ranges_m[index]
+    return Rays(index, origins, beams.directions[index] @ rotation, torch.zeros_like(ranges), ranges)
+
+
+def clip_to_box(rays: Rays, lower: Tensor, upper: Tensor) -> Rays:
+    """The rays that cross an axis-aligned box in the object frame, cut to their stretch inside it.
+
+    A ray parallel to a face never divides by its zero component: it is inside that slab for all k or
+    for none (a ray that runs in the face itself is inside).
+    """
+    parallel = rays.directions.abs() < 1e-12
+    safe = torch.where(parallel, 1.0, rays.directions)
+    first, second = (lower - rays.origins) / safe, (upper - rays.origins) / safe
+    inside = (rays.origins >= lower) & (rays.origins <= upper)
+    everywhere = torch.where(inside, torch.inf, -torch.inf).to(first)
+    enter = torch.where(parallel, -everywhere, torch.minimum(first, second)).amax(-1)
+    leave = torch.where(parallel, everywhere, torch.maximum(first, second)).amin(-1)
+    near, far = torch.maximum(rays.near_m, enter), torch.minimum(rays.far_m, leave)
+    kept = near <= far
+    return Rays(rays.index[kept], rays.origins[kept], rays.directions[kept], near[kept], far[kept])
+
+
+def clip_to_sphere(rays: Rays, radius_m: float) -> Rays:
+    """The rays that cross a sphere around the object's centre, cut to their chord inside it."""
+    along = -(rays.origins * rays.directions).sum(-1)
+    offset = torch.linalg.cross(rays.origins, rays.directions).square().sum(-1)
+    half = (radius_m**2 - offset).clamp_min(0.0).sqrt()
+    near, far = torch.maximum(rays.near_m, along - half), torch.minimum(rays.far_m, along + half)
+    kept = (near <= far) & (offset <= radius_m**2)
+    return Rays(rays.index[kept], rays.origins[kept], rays.directions[kept], near[kept], far[kept])

@@ -1,0 +1,84 @@
+"""The vehicle's field in its own frame and in metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class Field(Protocol):
+    """Signed distance of one shape in the frame the decoder was trained in, negative inside."""
+
+    def __call__(self, x_sdf: Tensor, /) -> Tensor:
+        """(N, 3) sdf-frame points to (N,) distances in sdf units, in the dtype of x_sdf."""
+        ...
+
+
+class VehicleFrame(Protocol):
+    """How a vehicle's sdf frame lies in its object frame: x_sdf = sdf_R_object x_object / scale_m + sdf_t_object."""
+
+    @property
+    def scale_m(self) -> float: ...
+    @property
+    def sdf_R_object(self) -> np.ndarray: ...  # noqa: N802
+    @property
+    def sdf_t_object(self) -> np.ndarray: ...
+    @property
+    def size_m(self) -> tuple[float, float, float] | np.ndarray: ...
+
+
+@dataclass
+class EvaluationCount:
+    """How often a field was evaluated, in points."""
+
+    evaluations: int = 0
+
+
+@dataclass(frozen=True)
+class ObjectField:
+    """Metric signed distance in the object frame: scale_m * g(x_sdf).
+
+    Takes (N, 3) float64 object-frame points, hands the field `dtype`, returns (N,) in `dtype`.
+    Differentiable with respect to the points and to whatever the field depends on.
+
+    Source: SHIFT3D, Pose Transformation; the scale ("we manually scaled each baseline object") is a
+    property of the vehicle.
+    """
+
+    field: Field
+    scale_m: float
+    sdf_R_object: Tensor
+    sdf_t_object: Tensor
+    dtype: torch.dtype
+    batch: int
+    count: EvaluationCount = field(default_factory=EvaluationCount)
+
+    @staticmethod
+    def of(sdf: Field, vehicle: VehicleFrame, dtype: torch.dtype, batch: int) -> ObjectField:
+        """The field of a vehicle, evaluated in `dtype`, `batch` points at a time."""
+        return ObjectField(
+            sdf,
+            float(vehicle.scale_m),
+            torch.as_tensor(np.asarray(vehicle.sdf_R_object, dtype=np.float64)),
+            torch.as_tensor(np.asarray(vehicle.sdf_t_object, dtype=np.float64)),
+            dtype,
+            batch,
+        )
+
+    def __call__(self, x_object: Tensor) -> Tensor:
+        x_sdf = x_object @ (self.sdf_R_object.T / self.scale_m) + self.sdf_t_object
+        x_sdf = x_sdf.to(self.dtype)
+        self.count.evaluations += len(x_sdf)
+        if len(x_sdf) <= self.batch:
+            return self.field(x_sdf) * self.scale_m if len(x_sdf) else x_sdf[:, 0]
+        return torch.cat([self.field(part) for part in x_sdf.split(self.batch)]) * self.scale_m
+
+    def depends_on_code(self) -> bool:
+        """Whether the field carries gradients of its own (a latent code that requires them)."""
+        if not torch.is_grad_enabled():
+            return False
+        return bool(self.field(torch.zeros(1, 3, dtype=self.dtype)).requires_grad)

@@ -1,0 +1,81 @@
+"""Insert an object into a scene: the one entry point of this package."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.errors import InputError
+from shift3d.render import fast, reference
+from shift3d.render.beams import Beams
+from shift3d.render.bounds import checked_box
+from shift3d.render.implicit import surface_points
+from shift3d.render.object_field import Field, ObjectField, VehicleFrame
+from shift3d.render.rendering import FirstHits, Rendering
+from shift3d.render.settings import STANDARD, RenderSettings
+from shift3d.render.warm import WarmStart
+
+
+def render(
+    beams: Beams,
+    field: Field,
+    theta: Tensor,
+    vehicle: VehicleFrame,
+    settings: RenderSettings = STANDARD,
+    warm: WarmStart | None = None,
+) -> Rendering:
+    """Move every return whose beam meets the object to the first crossing of its surface.
+
+    Args:
+        beams: the scene's beams, scene frame.
+        field: signed distance in the vehicle's sdf frame, negative inside, in `settings.dtype`.
+        theta: (6,) x, y, z, yaw, pitch, roll of the object in the scene frame; metres, radians.
+        vehicle: scale and axes of the sdf frame, size of the baseline.
+        settings: every approximation.
+        warm: `Rendering.warm` of an earlier rendering of the same beams and vehicle, nearby in code or pose.
+
+    Returns:
+        Rendering. Its points are differentiable w.r.t. theta and the field's latent code.
+
+    Raises:
+        InputError: a pose that is not six finite numbers.
+
+    Source: SHIFT3D, Object Rendering in LiDAR scene.
+    """
+    if theta.shape != (6,) or not bool(torch.isfinite(theta).all()):
+        raise InputError(
+            "a pose is six finite numbers: x, y, z, yaw, pitch, roll", where=f"pose {theta.tolist()}"
+        )
+    metric = ObjectField.of(field, vehicle, settings.dtype, settings.batch)
+    with torch.no_grad():
+        if settings.solver == "paper":
+            hits = reference.first_hits(beams, metric, theta, settings)
+        else:
+            size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
+            box = checked_box(metric, size, settings.box_margin_m)
+            rays = fast.rays_in_box(beams, theta, box)
+            hits, _ = fast.first_hits(rays, metric, settings)
+    return assemble(beams, hits, metric, theta, settings)
+
+
+def assemble(
+    beams: Beams, hits: FirstHits, field: ObjectField, theta: Tensor, settings: RenderSettings
+) -> Rendering:
+    """The scene with the hit points in place, differentiable where gradients are wanted."""
+    evaluations = field.count.evaluations
+    surface, grazing = surface_points(beams, hits, field, theta, settings.grazing_floor)
+    points = beams.points
+    if len(hits.index):
+        points = points.index_copy(0, hits.index, surface.to(points.dtype))
+    hit_mask = torch.zeros(len(beams), dtype=torch.bool)
+    hit_mask[hits.index] = True
+    return Rendering(
+        points,
+        hit_mask,
+        beams.ranges_m.index_copy(0, hits.index, hits.range_m),
+        float(hits.residual_m.max()) if len(hits.index) else 0.0,
+        len(hits.unresolved),
+        evaluations,
+        grazing,
+    )

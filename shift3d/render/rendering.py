@@ -1,0 +1,82 @@
+"""What a renderer hands back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from shift3d.render.warm import WarmStart
+
+
+@dataclass(frozen=True)
+class FirstHits:
+    """First crossings of g = 0, found by either renderer.
+
+    Attributes:
+        index: (M,) beams that hit, ascending.
+        range_m: (M,) float64 distance of the crossing from the sensor.
+        residual_m: (M,) float64 |metric g| there.
+        unresolved: (U,) beams that could not be decided, ascending: sensor inside the object, or out of
+            iterations. They stay where they are.
+    """
+
+    index: Tensor
+    range_m: Tensor
+    residual_m: Tensor
+    unresolved: Tensor
+
+    @staticmethod
+    def none() -> FirstHits:
+        """No hit and nothing unresolved."""
+        index, value = torch.empty(0, dtype=torch.long), torch.empty(0, dtype=torch.float64)
+        return FirstHits(index, value, value, index)
+
+
+@dataclass
+class GrazingShare:
+    """How much of the last backward pass ran through beams that graze the surface.
+
+    Attributes:
+        beams: hits with |e . grad g| below `grazing_floor`.
+        gradient: share in [0, 1] of sum_i |e_i . dL/dx_i| / max(|e_i . grad g|, floor) that they carry;
+            0 before a backward pass and where no gradient flows.
+    """
+
+    beams: int = 0
+    gradient: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A scene with the object in it.
+
+    Attributes:
+        points: (N, 3) scene frame, metres, dtype and order of the scene's points. Where no beam met the
+            object they are the scene's own, bit for bit. Differentiable w.r.t. the pose and the latent
+            code if these require gradients.
+        hit_mask: (N,) bool, m_i of the paper: points on the object.
+        range_m: (N,) float64 distance from the beam's own sensor, of the returns as they are now.
+        max_residual_m: largest |metric g| at a hit; 0 without hits.
+        unresolved_beams: beams that could not be decided and stay where they were.
+        evaluations: points at which the field was evaluated (the gradient's evaluations not included).
+        grazing: share of the gradient that grazing beams carry, filled in by the backward pass.
+        warm: where the next rendering may start, see `render`.
+    """
+
+    points: Tensor
+    hit_mask: Tensor
+    range_m: Tensor
+    max_residual_m: float
+    unresolved_beams: int
+    evaluations: int
+    grazing: GrazingShare = field(default_factory=GrazingShare)
+    warm: WarmStart | None = None
+
+    @property
+    def object_points(self) -> int:
+        """Number of points on the object."""
+        return int(self.hit_mask.sum())

@@ -1,0 +1,111 @@
+"""Every approximation of the renderer, as a named setting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+
+from shift3d.errors import InputError
+
+Solver = Literal["paper", "hybrid"]
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """What the renderer may trade for time.
+
+    Attributes:
+        solver: `paper` samples every beam through the 7 m sphere and bisects; `hybrid` culls to the
+            vehicle's box, marches by the field's own distance and finds roots with a safeguarded secant.
+        dtype: precision in which the field is evaluated. Beam geometry is float64 whatever this says.
+        step_m: `paper`: largest sample spacing. `hybrid`: the smallest march step, that is the chord
+            that is hard to miss.
+        max_step_m: `hybrid`: the largest march step; a learned field says little about far distances.
+        step_safety: `hybrid`: share of the field's distance that one step may cover. Below 1 because a
+            learned field can be steeper than a true distance.
+        tolerance_m: metric |g| at which a root counts as found (`hybrid`).
+        max_iterations: bisections (`paper`) or root iterations (`hybrid`).
+        box_margin_m: growth of the vehicle's box before beams are culled against it.
+        sphere_chord_only: `paper`: sample only the part of a beam inside the 7 m sphere. The paper
+            samples the whole beam; outside the sphere g is positive, so this changes no hit as long as
+            the field is a distance there. The sample positions are those of the whole beam.
+        warm_start: start from the previous rendering where one is given.
+        warm_refresh: warm renderings in a row before everything is searched afresh.
+        grazing_floor: smallest |e . grad g| by which a gradient is divided, see `implicit`.
+        batch: points handed to the field at once.
+    """
+
+    solver: Solver = "hybrid"
+    dtype: torch.dtype = torch.float32
+    step_m: float = 0.02
+    max_step_m: float = 0.25
+    step_safety: float = 0.8
+    tolerance_m: float = 1e-5
+    max_iterations: int = 40
+    box_margin_m: float = 0.10
+    sphere_chord_only: bool = False
+    warm_start: bool = True
+    warm_refresh: int = 10
+    grazing_floor: float = 0.05
+    batch: int = 4096
+
+    def __post_init__(self) -> None:
+        positive = ("step_m", "max_step_m", "step_safety", "tolerance_m", "max_iterations", "batch")
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise InputError(
+                    f"{name} must be positive", where=f"render settings: {name}={getattr(self, name)}"
+                )
+        if self.box_margin_m < 0 or self.grazing_floor < 0 or self.warm_refresh < 0:
+            raise InputError("margins, floors and counts must not be negative", where="render settings")
+
+    def with_(self, **changes: object) -> RenderSettings:
+        """The same settings with some of them replaced."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+
+PAPER = RenderSettings(
+    solver="paper",
+    step_m=0.1,
+    tolerance_m=1e-6,
+    max_iterations=30,
+    grazing_floor=0.0,
+    warm_start=False,
+    batch=16384,
+)
+STANDARD = RenderSettings()
+DRAFT = RenderSettings(step_m=0.1, step_safety=1.0, tolerance_m=1e-3, warm_refresh=40)
+REFERENCE = RenderSettings(
+    dtype=torch.float64,
+    step_m=0.005,
+    max_step_m=0.05,
+    step_safety=0.5,
+    tolerance_m=1e-9,
+    max_iterations=80,
+    box_margin_m=0.3,
+    warm_start=False,
+    grazing_floor=0.0,
+)
+PRESETS: dict[str, RenderSettings] = {
+    "draft": DRAFT,
+    "standard": STANDARD,
+    "paper": PAPER,
+    "reference": REFERENCE,
+}
+
+
+def preset(name: str) -> RenderSettings:
+    """Settings by name.
+
+    Raises:
+        InputError: unknown name.
+    """
+    if name not in PRESETS:
+        raise InputError(
+            f"unknown accuracy preset {name!r}",
+            where="render settings",
+            remedy=f"one of {', '.join(PRESETS)}",
+        )
+    return PRESETS[name]
