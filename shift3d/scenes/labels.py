@@ -1,0 +1,124 @@
+"""What is known about a scene beside its points: boxes with classes, and the conditions of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.geometry.boxes import validate_boxes
+
+WEATHERS = ("dry", "rain", "fog", "snow")
+
+
+def _no_boxes() -> NDArray[np.float64]:
+    return np.zeros((0, 7), dtype=np.float64)
+
+
+def _no_counts() -> NDArray[np.int32]:
+    return np.zeros(0, dtype=np.int32)
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Labelled objects of one scene.
+
+    Attributes:
+        boxes: (M, 7) float64, scene frame: x, y, z of the geometric centre, dx, dy, dz, heading
+            counter-clockwise from +x; metres and radians.
+        classes: M names of shift3d: "vehicle", "pedestrian", "cyclist", "other".
+        num_points: (M,) int32, points of the scene inside each box.
+        names: M names as the data set itself gives them ("Car", "Van", ...); empty where it gives none.
+    """
+
+    boxes: NDArray[np.float64] = field(default_factory=_no_boxes)
+    classes: tuple[str, ...] = ()
+    num_points: NDArray[np.int32] = field(default_factory=_no_counts)
+    names: tuple[str, ...] = ()
+
+    def of_class(self, name: str) -> NDArray[np.float64]:
+        """Boxes (K, 7) of one class, in label order."""
+        return self.boxes[self.mask(name)]
+
+    def mask(self, name: str) -> NDArray[np.bool_]:
+        """(M,) bool: which labels are of one class."""
+        return np.array([label == name for label in self.classes], dtype=np.bool_)
+
+    def validate(self, where: str) -> None:
+        """Refuse labels that do not fit together.
+
+        Args:
+            where: the scene, named in the error.
+
+        Raises:
+            InputError: naming the field, the row and the remedy.
+        """
+        validate_boxes(self.boxes, f"{where}, labels.boxes")
+        count = len(self.boxes)
+        if len(self.classes) != count:
+            raise InputError(
+                f"{len(self.classes)} classes for {count} boxes",
+                f"{where}, labels.classes",
+                "Give one class a box.",
+            )
+        if self.names and len(self.names) != count:
+            raise InputError(
+                f"{len(self.names)} names for {count} boxes",
+                f"{where}, labels.names",
+                "Give one name a box, or none at all.",
+            )
+        if self.num_points.shape != (count,):
+            raise InputError(
+                f"shape {self.num_points.shape} for {count} boxes",
+                f"{where}, labels.num_points",
+                "Give one count a box.",
+            )
+        if (self.num_points < 0).any():
+            row = int(np.argmax(self.num_points < 0))
+            raise InputError(
+                f"row {row} is {self.num_points[row]}", f"{where}, labels.num_points", "Counts start at 0."
+            )
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What an effect may ask about the recording.
+
+    Attributes:
+        weather: one of :data:`WEATHERS`.
+        rain_mm_h: rain rate; 0 where it does not rain.
+        visibility_m: meteorological optical range; infinite in clear air.
+        ego_velocity_m_s: (vx, vy, vz) of the sensor in the scene frame; None where unknown.
+    """
+
+    weather: str = "dry"
+    rain_mm_h: float = 0.0
+    visibility_m: float = float("inf")
+    ego_velocity_m_s: tuple[float, float, float] | None = None
+
+    def validate(self, where: str) -> None:
+        """Refuse conditions out of range.
+
+        Raises:
+            InputError: naming the field and the remedy.
+        """
+        if self.weather not in WEATHERS:
+            raise InputError(
+                f"unknown weather {self.weather!r}",
+                f"{where}, conditions.weather",
+                f"Choose from {', '.join(WEATHERS)}.",
+            )
+        if not 0.0 <= self.rain_mm_h < float("inf"):
+            raise InputError(
+                f"{self.rain_mm_h} mm/h", f"{where}, conditions.rain_mm_h", "Give a finite rate of at least 0."
+            )
+        if not self.visibility_m > 0.0:
+            raise InputError(
+                f"{self.visibility_m} m", f"{where}, conditions.visibility_m", "Give a positive distance (inf: clear)."
+            )
+        if self.ego_velocity_m_s is not None and not np.isfinite(self.ego_velocity_m_s).all():
+            raise InputError(
+                f"{self.ego_velocity_m_s}", f"{where}, conditions.ego_velocity_m_s", "Give finite numbers, or None."
+            )

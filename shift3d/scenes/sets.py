@@ -1,0 +1,99 @@
+"""Scene sets: names, and the scene behind each name."""
+
+from __future__ import annotations
+
+import re
+from typing import Protocol
+
+import numpy as np
+
+from shift3d.errors import InputError
+from shift3d.scenes.scene import Scene
+
+STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
+STREET_SPLITS = ("train", "val", "test")
+
+
+class SceneSet(Protocol):
+    """What tasks read scenes from.
+
+    Attributes:
+        dataset: name written into result rows.
+        placement_sector_rad: (centre, half width) of the azimuths in which an object may be inserted; scenes are
+            labelled there.
+    """
+
+    @property
+    def dataset(self) -> str: ...
+
+    @property
+    def placement_sector_rad(self) -> tuple[float, float]: ...
+
+    def names(self) -> list[str]:
+        """Scene names, in a fixed order."""
+        ...
+
+    def load(self, name: str) -> Scene:
+        """The validated scene of a name.
+
+        Raises:
+            InputError: for an unknown name or a bad frame.
+        """
+        ...
+
+
+class StreetScenes:
+    """Procedural street scenes, made when they are asked for.
+
+    Args:
+        sensor: "hdl64", "waymo_top", or "mixed" (even indices hdl64, odd ones waymo_top).
+        seed: another seed gives other scenes.
+        count: how many names the set lists, from index ``start`` on.
+        split: "train", "val" or "test": disjoint layouts and vehicles.
+        start: first index.
+
+    Raises:
+        InputError: for an unknown sensor or split, or a count below 1.
+    """
+
+    placement_sector_rad = (0.0, float(np.pi))
+
+    def __init__(
+        self, sensor: str = "hdl64", seed: int = 0, count: int = 1, split: str = "test", start: int = 0
+    ) -> None:
+        for value, field, choices in ((sensor, "sensor", STREET_SENSORS), (split, "split", STREET_SPLITS)):
+            if value not in choices:
+                raise InputError(f"unknown {field} {value!r}", "street scenes", f"Choose from {', '.join(choices)}.")
+        if count < 1 or start < 0 or seed < 0:
+            raise InputError(
+                f"count={count}, start={start}, seed={seed}", "street scenes", "Give count >= 1, start >= 0, seed >= 0."
+            )
+        self.sensor, self.seed, self.count, self.split, self.start = sensor, seed, count, split, start
+
+    @property
+    def dataset(self) -> str:
+        """ "street-" and the sensor."""
+        return f"street-{self.sensor}"
+
+    def names(self) -> list[str]:
+        """Names such as street-test-hdl64-000007; a seed other than 0 is appended as -seed3."""
+        tail = f"-seed{self.seed}" if self.seed else ""
+        return [
+            f"street-{self.split}-{self._sensor_of(index)}-{index:06d}{tail}"
+            for index in range(self.start, self.start + self.count)
+        ]
+
+    def load(self, name: str) -> Scene:
+        """The scene of a name: the same bytes every time."""
+        from shift3d.scenes.street.assemble import street_scene
+
+        match = re.fullmatch(r"street-([a-z]+)-(hdl64|waymo_top)-(\d{6,})(?:-seed(\d+))?", name)
+        if match is None or name not in self.names():
+            names = self.names()
+            raise InputError(f"unknown scene {name!r}", "street scenes", f"Choose from {names[0]} to {names[-1]}.")
+        scene = street_scene(match[1], int(match[4] or 0), int(match[3]), match[2])
+        scene.validate()
+        return scene
+
+    def _sensor_of(self, index: int) -> str:
+        return self.sensor if self.sensor != "mixed" else ("hdl64", "waymo_top")[index % 2]

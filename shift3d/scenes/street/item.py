@@ -1,0 +1,74 @@
+"""Things that stand on the street's ground, and the floor space they take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.geometry.boxes import corners_bev
+
+LABELLED = {"vehicle": "vehicle", "pedestrian": "pedestrian", "cyclist": "cyclist"}
+
+
+@dataclass(frozen=True)
+class Item:
+    """One object.
+
+    Attributes:
+        kind: "vehicle", "pedestrian", "cyclist", "building", "pole", "sign", "tree", "wall", "hedge", "fence",
+            "bush", "dumpster", "container", "cabinet", "barrier".
+        x, y: scene frame, metres; heading_rad counter-clockwise from +x.
+        size_m: length, width, height; of a vehicle, the slot reserved for it.
+        variant: picks the instance and its details.
+    """
+
+    kind: str
+    x: float
+    y: float
+    heading_rad: float
+    size_m: tuple[float, float, float]
+    variant: int = 0
+
+
+class FloorPlan:
+    """Which floor space is taken, by the rectangles of the items placed so far."""
+
+    def __init__(self) -> None:
+        self.items: list[Item] = []
+        self._corners = np.zeros((0, 4, 2))
+
+    def place(self, item: Item, margin_m: float = 0.2) -> bool:
+        """Add an item unless its floor rectangle, grown by the margin, meets another one.
+
+        Returns:
+            Whether it was added.
+        """
+        length, width, height = item.size_m
+        grown = np.array([[item.x, item.y, 0, length + 2 * margin_m, width + 2 * margin_m, height, item.heading_rad]])
+        if _meets(corners_bev(grown)[0], self._corners).any():
+            return False
+        plain = np.array([[item.x, item.y, 0, length, width, height, item.heading_rad]])
+        self._corners = np.concatenate((self._corners, corners_bev(plain)))
+        self.items.append(item)
+        return True
+
+    def reserve(self, x: float, y: float, heading_rad: float, length_m: float, width_m: float) -> None:
+        """Keep a rectangle free of items without putting one there (the sensor's own car, a driveway)."""
+        rectangle = np.array([[x, y, 0, length_m, width_m, 1, heading_rad]])
+        self._corners = np.concatenate((self._corners, corners_bev(rectangle)))
+
+
+def _meets(one: NDArray[np.float64], many: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Separating-axis test of a rectangle (4, 2) against rectangles (N, 4, 2)."""
+    if not len(many):
+        return np.zeros(0, dtype=np.bool_)
+    apart = np.zeros(len(many), dtype=np.bool_)
+    for corners in (np.broadcast_to(one, many.shape), many):
+        for edge in (1, 3):
+            axis = corners[:, edge] - corners[:, 0]
+            a = np.einsum("nij,nj->ni", np.broadcast_to(one, many.shape), axis)
+            b = np.einsum("nij,nj->ni", many, axis)
+            apart |= (a.max(1) <= b.min(1)) | (b.max(1) <= a.min(1))
+    return ~apart

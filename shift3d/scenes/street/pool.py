@@ -1,0 +1,99 @@
+"""The vehicles that drive and park on the street: a pool of meshes a split, built once and kept on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import zipfile
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.scenes.street.raycast import Intersector
+from shift3d.seeding import generator
+
+POOL_SIZES = {"train": 270, "val": 90, "test": 90}
+RESOLUTION_M = 0.05
+
+
+@dataclass(frozen=True)
+class PoolVehicle:
+    """One vehicle ready to be cast at.
+
+    Attributes:
+        body_type: as in shift3d.vehicles.family.
+        size_m: dx, dy, dz of its own axis-aligned box, in whose centre the object frame lies.
+        radius_m: of the smallest sphere about the origin that holds it.
+        intersector: of its mesh, object frame.
+    """
+
+    body_type: str
+    size_m: NDArray[np.float64]
+    radius_m: float
+    intersector: Intersector
+
+
+@lru_cache(maxsize=512)
+def pool_vehicle(split: str, number: int) -> PoolVehicle:
+    """Vehicle ``number`` (modulo the size of the pool) of a split; the splits share no seed.
+
+    Source: our choice.
+    """
+    number %= POOL_SIZES[split]
+    vertices, faces, body_type = _cached_mesh(split, number)
+    low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)
+    vertices = (vertices - (low + high) / 2).astype(np.float32)
+    radius_m = float(np.linalg.norm(vertices, axis=1).max()) + 0.01
+    return PoolVehicle(body_type, high - low, radius_m, Intersector(vertices, faces))
+
+
+def _build(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[np.int32], str]:
+    from shift3d.vehicles.family import BODY_TYPES, build_mesh, sample_spec
+
+    body_type = BODY_TYPES[number % len(BODY_TYPES)]
+    mesh = build_mesh(sample_spec(body_type, generator("street-pool", split, number)), RESOLUTION_M)
+    return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), body_type
+
+
+def _cached_mesh(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[np.int32], str]:
+    """The mesh from the user's cache folder, built and kept there when it is new."""
+    path = cache_folder() / f"{split}-{number:03d}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return stored["vertices"], stored["faces"], str(stored["body_type"])
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        vertices, faces, body_type = _build(split, number)
+        _keep(path, vertices, faces, body_type)
+        return vertices, faces, body_type
+
+
+def _keep(path: Path, vertices: NDArray[np.float32], faces: NDArray[np.int32], body_type: str) -> None:
+    """Write to a temporary name, then rename; a cache that cannot be written is done without."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(file, vertices=vertices, faces=faces, body_type=np.array(body_type))
+            os.replace(name, path)
+        except OSError:
+            Path(name).unlink(missing_ok=True)
+    except OSError:
+        return
+
+
+@lru_cache(maxsize=1)
+def cache_folder() -> Path:
+    """Where pool meshes are kept: XDG_CACHE_HOME/shift3d, keyed by the code that shapes vehicles."""
+    digest = hashlib.blake2b(str(RESOLUTION_M).encode(), digest_size=8)
+    found = find_spec("shift3d.vehicles")
+    for folder in sorted(found.submodule_search_locations or []) if found else []:
+        for source in sorted(Path(folder).glob("*.py")):
+            digest.update(source.name.encode() + source.read_bytes())
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return root / "shift3d" / f"street-pool-{digest.hexdigest()}"
