@@ -1,0 +1,1 @@
+"""Signed distance functions of vehicles: samples, the DeepSDF decoder, meshes from it, codes for new meshes."""

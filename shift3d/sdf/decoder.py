@@ -1,0 +1,223 @@
+"""The DeepSDF decoder g(z, x), its folded form for one latent code, and its file.
+
+Source: SHIFT3D section "Object Representation using DeepSDF Model"; Park et al. 2019 for the architecture: eight
+hidden layers of 512, the input (z, x) fed in again at layer 4, weight norm, ReLU, tanh at the end. The published
+training drops activations with probability 0.2; here there is no dropout: it pays off over thousands of epochs,
+while a short training only sees its noise.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parametrizations
+
+from shift3d.errors import InputError
+
+CODE_LENGTH = 256
+DEFAULT_WEIGHTS = Path(__file__).parent.parent / "weights" / "sdf.safetensors"
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """Layer sizes; the defaults are the published ones."""
+
+    code_length: int = CODE_LENGTH
+    width: int = 512
+    hidden_layers: int = 8
+    skip_layer: int = 4
+
+    def sizes(self) -> list[tuple[int, int]]:
+        """(inputs, outputs) of every linear layer: the one before the skip makes room for (z, x)."""
+        entry = self.code_length + 3
+        sizes = []
+        for layer in range(self.hidden_layers + 1):
+            inputs = entry if layer == 0 else self.width
+            outputs = 1 if layer == self.hidden_layers else self.width
+            sizes.append((inputs, outputs - entry if layer + 1 == self.skip_layer else outputs))
+        return sizes
+
+
+class Field:
+    """g(z, .) of one latent code: weights folded, and everything that depends on z alone computed once.
+
+    Differentiable w.r.t. the points and, through the two biases, w.r.t. z. The dtype is that of the decoder.
+    """
+
+    def __init__(self, weights: list[Tensor], biases: list[Tensor], skip_layer: int) -> None:
+        self.weights, self.biases, self.skip_layer = weights, biases, skip_layer
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """The dtype that points are cast to."""
+        return self.weights[0].dtype
+
+    def __call__(self, x_sdf: Tensor) -> Tensor:
+        """Signed distance in sdf units, negative inside.
+
+        Args:
+            x_sdf: points (N, 3), sdf frame, unit-sphere units; cast to the field's dtype.
+        Returns: (N,), in (-1, 1) because of the tanh.
+        """
+        x = x_sdf.to(self.dtype)
+        hidden = x
+        last = len(self.weights) - 1
+        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            if layer == self.skip_layer:
+                hidden = torch.cat([hidden, x], dim=1)
+            hidden = torch.addmm(bias, hidden, weight.T)
+            if layer < last:
+                hidden = torch.relu(hidden)
+        return torch.tanh(hidden[:, 0])
+
+    def detach(self) -> Field:
+        """The same field without the graph back to z."""
+        return Field([w.detach() for w in self.weights], [b.detach() for b in self.biases], self.skip_layer)
+
+
+class Decoder(nn.Module):
+    """DeepSDF as published, weight norm included; `field` gives the fast form for one code."""
+
+    def __init__(self, architecture: Architecture | None = None) -> None:
+        super().__init__()
+        self.architecture = architecture or Architecture()
+        self.layers = nn.ModuleList(
+            parametrizations.weight_norm(nn.Linear(inputs, outputs))
+            for inputs, outputs in self.architecture.sizes()
+        )
+
+    def forward(self, z: Tensor, x_sdf: Tensor) -> Tensor:
+        """Plain evaluation: codes (N, code) and points (N, 3), sdf frame -> signed distances (N,), sdf units.
+
+        Differentiable w.r.t. z, x_sdf and the parameters. Source: Park et al. 2019, section 4 and its supplement.
+        """
+        entry = torch.cat([z, x_sdf], dim=1)
+        hidden = entry
+        for index, layer in enumerate(self.layers):
+            if index == self.architecture.skip_layer:
+                hidden = torch.cat([hidden, entry], dim=1)
+            hidden = layer(hidden)
+            if index < self.architecture.hidden_layers:
+                hidden = torch.relu(hidden)
+        return torch.tanh(hidden[:, 0])
+
+    def grouped(self, codes: Tensor, points: Tensor, compute_dtype: torch.dtype = torch.float32) -> Tensor:
+        """As forward for codes (S, code) with P points each (S, P, 3), sdf frame -> (S, P) in the codes' dtype.
+
+        The products with z are formed once a shape instead of once a point, and those with the point in the codes'
+        dtype: in bfloat16 a coordinate alone would be off by millimetres. The wide layers use `compute_dtype`.
+        Differentiable w.r.t. codes, points and the parameters.
+        """
+        shapes, count, _ = points.shape
+        x = points.reshape(shapes * count, 3)
+        hidden = x
+        for index, layer in enumerate(self.layers):
+            weight, bias = layer.weight, layer.bias
+            if index in (0, self.architecture.skip_layer):
+                before, at_z, at_x = self._split(index, weight)
+                entry = (codes @ at_z.T + bias)[:, None] + (x @ at_x.T).reshape(shapes, count, -1)
+                mixed = entry.reshape(shapes * count, -1).to(compute_dtype)
+                hidden = mixed if before is None else mixed + hidden @ before.to(compute_dtype).T
+            elif index == self.architecture.hidden_layers:
+                hidden = nn.functional.linear(hidden.to(codes.dtype), weight, bias)
+            else:
+                hidden = nn.functional.linear(hidden, weight.to(compute_dtype), bias.to(compute_dtype))
+            if index < self.architecture.hidden_layers:
+                hidden = torch.relu(hidden)
+        return torch.tanh(hidden[:, 0]).reshape(shapes, count)
+
+    def field(self, z: Tensor) -> Field:
+        """The field of one code (code,), differentiable w.r.t. z; cheap, so call it again after every change of z.
+
+        Raises: InputError for a code of another length or with values that are not finite.
+        """
+        if z.shape != (self.architecture.code_length,):
+            raise InputError(
+                f"shape {tuple(z.shape)}", where="latent code", remedy=f"({self.architecture.code_length},)"
+            )
+        if not bool(torch.isfinite(z).all()):
+            raise InputError("values that are not finite", where="latent code", remedy="a finite code")
+        weights, biases = [], []
+        for index, layer in enumerate(self.layers):
+            weight, bias = layer.weight, layer.bias
+            if index in (0, self.architecture.skip_layer):
+                before, at_z, at_x = self._split(index, weight)
+                bias = bias + at_z @ z.to(weight.dtype)
+                weight = at_x if before is None else torch.cat([before, at_x], dim=1)
+            weights.append(weight.contiguous())
+            biases.append(bias)
+        return Field(weights, biases, self.architecture.skip_layer)
+
+    def _split(self, index: int, weight: Tensor) -> tuple[Tensor | None, Tensor, Tensor]:
+        entry = self.architecture.code_length + 3
+        before = None if index == 0 else weight[:, :-entry]
+        return before, weight[:, -entry:-3], weight[:, -3:]
+
+    def folded(self) -> Decoder:
+        """Itself with weight norm folded into plain weights (in place): faster, and no longer trainable as published."""
+        for layer in self.layers:
+            if hasattr(layer, "parametrizations"):
+                nn.utils.parametrize.remove_parametrizations(layer, "weight")
+        return self
+
+
+def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None = None) -> None:
+    """Write the decoder's folded float32 weights to a safetensors file, atomically."""
+    from safetensors.torch import save_file
+
+    tensors = {}
+    for index, layer in enumerate(decoder.layers):
+        tensors[f"layers.{index}.weight"] = layer.weight.detach().float().contiguous()
+        tensors[f"layers.{index}.bias"] = layer.bias.detach().float().contiguous()
+    architecture = json.dumps(vars(decoder.architecture), sort_keys=True)
+    partial = path.with_name(path.name + ".partial")
+    save_file(tensors, partial, metadata={"architecture": architecture, **(metadata or {})})
+    partial.replace(path)
+
+
+def load_decoder(path: Path | str | None = None) -> Decoder:
+    """A decoder ready for use: eval mode, folded float32 weights, requires_grad False. `.double()` gives the twin.
+
+    Args: path: a safetensors file; default the shipped weights.
+    Raises: InputError naming the file and the tensor when it is missing, unreadable or of another shape.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    source = Path(path) if path is not None else DEFAULT_WEIGHTS
+    if not source.is_file():
+        raise InputError("no such file", where=str(source), remedy='train it: make train ARGS="model=sdf"')
+    try:
+        with safe_open(str(source), framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise InputError(
+            f"not a readable safetensors file ({error})", where=str(source), remedy="copy it again"
+        ) from error
+    try:
+        architecture = Architecture(**json.loads(metadata["architecture"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            "no decoder architecture in its metadata", where=str(source), remedy="a decoder's weights"
+        ) from error
+    return decoder_from_tensors(tensors, architecture, str(source))
+
+
+def decoder_from_tensors(tensors: dict[str, torch.Tensor], architecture: Architecture, where: str) -> Decoder:
+    """A folded decoder from tensors named `layers.<i>.weight|bias`. Raises InputError naming the tensor."""
+    decoder = Decoder(architecture).folded()
+    for name, parameter in decoder.state_dict().items():
+        found = tuple(tensors[name].shape) if name in tensors else None
+        if found != tuple(parameter.shape):
+            what = f"tensor {name} is missing" if found is None else f"tensor {name} has shape {found}"
+            raise InputError(what, where=where, remedy=f"expected {tuple(parameter.shape)}")
+        if not bool(torch.isfinite(tensors[name]).all()):
+            raise InputError(
+                f"tensor {name} holds values that are not finite", where=where, remedy="copy it again"
+            )
+    decoder.load_state_dict({name: tensors[name] for name in decoder.state_dict()})
+    return decoder.eval().requires_grad_(False)

@@ -1,0 +1,41 @@
+"""Checkpoints of a training: written whole or not at all, read back as tensors only."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from shift3d.errors import InputError
+
+
+def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Save nested dicts, lists, numbers, strings and tensors to `path`: a temporary file, fsync, then a rename."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as file:
+        torch.save(state, file)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def read_checkpoint(path: Path) -> dict[str, Any] | None:
+    """The checkpoint at `path`, None where there is none.
+
+    Raises: InputError naming the file when it cannot be read as tensors and plain values.
+    """
+    if not path.is_file():
+        return None
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+        raise InputError(
+            "not a readable checkpoint", where=str(path), remedy="delete it to start over"
+        ) from error
+    if not isinstance(state, dict):
+        raise InputError("not a checkpoint of a training", where=str(path), remedy="delete it to start over")
+    return state

@@ -1,0 +1,69 @@
+"""The shapes that the decoder is trained on: vehicles of the family, sampled once and kept in a file."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from shift3d.sdf.samples import sample_sdf
+from shift3d.seeding import generator
+from shift3d.vehicles.family import VehicleSpec, build_mesh, family
+
+
+@dataclass(frozen=True)
+class ShapeSamples:
+    """Samples of S shapes, P each: points (S, P, 3), distances (S, P), float32, sdf units; scale_m (S,) float64."""
+
+    points: NDArray[np.float32]
+    distances: NDArray[np.float32]
+    scale_m: NDArray[np.float64]
+
+
+def training_specs(shapes: int, seed: int) -> list[VehicleSpec]:
+    """The vehicles that are trained on."""
+    return family(shapes, seed)
+
+
+def unseen_specs(count: int, seed: int) -> list[VehicleSpec]:
+    """Vehicles of the same family that no training with `seed` saw."""
+    return family(count, seed + 1_000_003)
+
+
+def _sampled(
+    task: tuple[VehicleSpec, int, int, int],
+) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
+    spec, samples, seed, index = task
+    result = sample_sdf(build_mesh(spec), samples, generator("sdf samples", seed, index))
+    order = generator("sdf sample order", seed, index).permutation(len(result.points))
+    return result.points[order], result.distances[order], result.scale_m
+
+
+def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: int) -> ShapeSamples:
+    """Sample the training shapes, or read them back from `cache` (a folder) when it holds just these.
+
+    The samples of a shape are in random order, so that consecutive slices are fair batches.
+    """
+    file = cache / f"shapes-{shapes}-{samples}-{seed}.npz"
+    if not file.is_file():
+        specs = training_specs(shapes, seed)
+        tasks = [(spec, samples, seed, index) for index, spec in enumerate(specs)]
+        with ProcessPoolExecutor(processes) as pool:
+            parts = list(
+                tqdm(pool.map(_sampled, tasks), total=shapes, desc="sampling shapes", mininterval=5.0)
+            )
+        cache.mkdir(parents=True, exist_ok=True)
+        partial = file.with_name("partial-" + file.name)
+        np.savez(
+            partial,
+            points=np.stack([part[0] for part in parts]),
+            distances=np.stack([part[1] for part in parts]),
+            scale_m=np.array([part[2] for part in parts]),
+        )
+        partial.replace(file)
+    with np.load(file, allow_pickle=False) as data:
+        return ShapeSamples(data["points"], data["distances"], data["scale_m"])
