@@ -1,0 +1,182 @@
+"""Reading the three files of a KITTI object frame: velodyne, calib, label_2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+
+Float = NDArray[np.float64]
+
+# Waymo's "vehicle" spans what KITTI calls Car, Van and Truck; the KITTI name is kept beside the class.
+CLASSES = {
+    "Car": "vehicle",
+    "Van": "vehicle",
+    "Truck": "vehicle",
+    "Pedestrian": "pedestrian",
+    "Person_sitting": "pedestrian",
+    "Cyclist": "cyclist",
+    "Tram": "other",
+    "Misc": "other",
+}
+_CALIB_SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
+_LABEL_COLUMNS = 15
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Camera 2 of one frame.
+
+    Attributes:
+        image_P_camera: (3, 4) projection of the rectified camera frame (x right, y down, z forward) to pixels.
+        camera_T_lidar: (4, 4) rigid transform of the LiDAR frame to the rectified camera frame.
+    """
+
+    image_P_camera: Float
+    camera_T_lidar: Float
+
+    def lidar_from_camera(self, points: NDArray[np.floating]) -> Float:
+        """Points (N, 3) of the rectified camera frame in the LiDAR frame, metres."""
+        inverse = np.linalg.inv(self.camera_T_lidar)
+        return np.asarray(points, dtype=np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+
+    def pixels(self, points: NDArray[np.floating]) -> tuple[Float, Float]:
+        """Pixel (N, 2) as (column, row) and depth (N,) in metres of points (N, 3) in the LiDAR frame."""
+        camera = np.asarray(points, np.float64) @ self.camera_T_lidar[:3, :3].T + self.camera_T_lidar[:3, 3]
+        image = camera @ self.image_P_camera[:, :3].T + self.image_P_camera[:, 3]
+        depth = image[:, 2]
+        return image[:, :2] / np.where(np.abs(depth) < 1e-9, 1e-9, depth)[:, None], depth
+
+
+@dataclass(frozen=True)
+class KittiLabel:
+    """One row of a label file: KITTI name and box (7,) in the LiDAR frame, geometric centre, heading from +x."""
+
+    name: str
+    box: Float
+
+
+def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Points (N, 3) in the LiDAR frame and reflectance (N,) of a velodyne file, in file order.
+
+    Raises:
+        InputError: where the file is missing, empty, not a whole number of 16-byte records, or holds NaN or infinity.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"cannot read the frame ({error.strerror})", str(path), "Check the root folder and the frame's name."
+        ) from error
+    if not raw or len(raw) % 16:
+        raise InputError(
+            f"{len(raw)} bytes is not a whole number of 16-byte points", str(path), "The file is truncated: copy it again."
+        )
+    values = np.frombuffer(raw, dtype="<f4").reshape(-1, 4).astype(np.float32)
+    bad = ~np.isfinite(values).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(
+            f"{int(bad.sum())} rows with NaN or infinity, first is row {row}", str(path), "Repair or drop those rows."
+        )
+    return np.ascontiguousarray(values[:, :3]), np.clip(values[:, 3], 0.0, 1.0)
+
+
+def read_calibration(path: Path) -> Calibration:
+    """The matrices of camera 2.
+
+    Raises:
+        InputError: where the file is missing, or a needed line is missing or malformed.
+    """
+    found: dict[str, Float] = {}
+    for number, line in enumerate(_read_lines(path, "calibration"), start=1):
+        key, _, rest = line.partition(":")
+        if key not in _CALIB_SHAPES:
+            continue
+        shape = _CALIB_SHAPES[key]
+        values = _numbers(rest.split(), f"{path}, line {number} ({key})")
+        if len(values) != shape[0] * shape[1]:
+            raise InputError(
+                f"{len(values)} numbers for {key}, {shape[0] * shape[1]} expected",
+                f"{path}, line {number}",
+                "Copy the calibration file again.",
+            )
+        found[key] = np.array(values).reshape(shape)
+    missing = [key for key in _CALIB_SHAPES if key not in found]
+    if missing:
+        raise InputError(f"no line {missing[0]}:", str(path), "Copy the calibration file again.")
+    camera_T_lidar = np.eye(4)
+    camera_T_lidar[:3] = found["R0_rect"] @ found["Tr_velo_to_cam"]
+    if abs(np.linalg.det(camera_T_lidar[:3, :3]) - 1.0) > 0.05:
+        raise InputError("R0_rect · Tr_velo_to_cam is no rotation", str(path), "Copy the calibration file again.")
+    return Calibration(found["P2"], camera_T_lidar)
+
+
+def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
+    """Labels in file order, DontCare rows left out.
+
+    Raises:
+        InputError: where the file is missing or a row is malformed.
+    """
+    labels = []
+    for number, line in enumerate(_read_lines(path, "label"), start=1):
+        columns, where = line.split(), f"{path}, line {number}"
+        if not columns or columns[0] == "DontCare":
+            continue
+        if len(columns) not in (_LABEL_COLUMNS, _LABEL_COLUMNS + 1):
+            raise InputError(f"{len(columns)} columns, 15 expected", where, "Repair or remove that line.")
+        if columns[0] not in CLASSES:
+            raise InputError(
+                f"unknown class {columns[0]!r}", where, f"Known are {', '.join(CLASSES)} and DontCare."
+            )
+        values = _numbers(columns[1:], where)
+        if not min(values[7:10]) > 0.0:
+            raise InputError(f"box size {tuple(values[7:10])} (h, w, l)", where, "Sizes must be positive.")
+        labels.append(KittiLabel(columns[0], lidar_box(values[7:10], values[10:13], values[13], calibration)))
+    return labels
+
+
+def lidar_box(
+    size_hwl: list[float], bottom_camera: list[float], rotation_y: float, calibration: Calibration
+) -> Float:
+    """A KITTI camera-frame box as (x, y, z, dx, dy, dz, heading) in the LiDAR frame.
+
+    Args:
+        size_hwl: height, width, length in metres.
+        bottom_camera: centre of the box's BOTTOM in the rectified camera frame (y points down).
+        rotation_y: about the camera's y axis; 0 means the nose points along camera x (to the right).
+
+    Returns:
+        (7,) with the geometric centre; the small roll and pitch between camera and LiDAR is dropped.
+    """
+    height, width, length = size_hwl
+    nose = np.array([np.cos(rotation_y), 0.0, -np.sin(rotation_y)])
+    centre = np.array(bottom_camera) - np.array([0.0, height / 2.0, 0.0])
+    middle, ahead = calibration.lidar_from_camera(np.stack((centre, centre + nose)))
+    heading = np.arctan2(ahead[1] - middle[1], ahead[0] - middle[0])
+    return np.array([*middle, length, width, height, heading])
+
+
+def _read_lines(path: Path, kind: str) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not text"
+        raise InputError(f"cannot read the {kind} file ({reason})", str(path), "Copy it again, or leave the frame out.") from error
+
+
+def _numbers(words: list[str], where: str) -> list[float]:
+    values = []
+    for word in words:
+        try:
+            value = float(word)
+        except ValueError:
+            value = float("nan")
+        if not np.isfinite(value):
+            raise InputError(f"{word!r} is not a finite number", where, "Repair or remove that line.")
+        values.append(value)
+    return values

@@ -1,0 +1,93 @@
+"""Pictures of a scene: from above, and a three-quarter view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.geometry.boxes import corners_3d, corners_bev
+from shift3d.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+BOX_COLOURS = {"vehicle": "tab:red", "pedestrian": "tab:green", "cyclist": "tab:orange"}
+_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
+
+
+def draw_bev(axes: Axes, scene: Scene, reach_m: float = 50.0, point_size: float = 0.15) -> None:
+    """Points from above, coloured by height above the ground, x up the page; labels as rectangles with their nose.
+
+    Args:
+        axes: matplotlib axes to draw on.
+        reach_m: half the side of the square that is shown.
+    """
+    points = scene.points[(np.abs(scene.points[:, :2]) < reach_m).all(axis=1)]
+    height = points[:, 2] - scene.ground_z_m
+    axes.scatter(-points[:, 1], points[:, 0], s=point_size, c=height, cmap="viridis", vmin=-0.3, vmax=3, lw=0)
+    for box, name in zip(scene.labels.boxes, scene.labels.classes, strict=True):
+        corners = corners_bev(box[None])[0]
+        nose = (corners[0] + corners[3]) / 2
+        outline = np.concatenate((corners, corners[:1], [box[:2]], [nose]))
+        axes.plot(-outline[[0, 1, 2, 3, 4], 1], outline[[0, 1, 2, 3, 4], 0], lw=0.8, c=_colour(name))
+        axes.plot(-outline[5:, 1], outline[5:, 0], lw=0.8, c=_colour(name))
+    axes.set(xlim=(-reach_m, reach_m), ylim=(-reach_m, reach_m), aspect="equal", title=scene.scene_id)
+
+
+def draw_view(
+    axes: Axes,
+    scene: Scene,
+    eye_m: tuple[float, float, float] = (-18.0, 10.0, 16.0),
+    look_at_m: tuple[float, float, float] = (14.0, 0.0, -1.5),
+    point_size: float = 0.3,
+) -> None:
+    """Perspective view from a raised eye (scene frame), far points first, labels as wire boxes."""
+    eye, camera = np.array(eye_m), _camera(np.array(eye_m), np.array(look_at_m))
+    image, depth = _project(scene.points.astype(np.float64), eye, camera)
+    front = depth > 1.0
+    order = np.argsort(-depth[front])
+    height = (scene.points[front][:, 2] - scene.ground_z_m)[order]
+    size = point_size * np.clip(25.0 / depth[front][order], 0.3, 3.0) ** 2
+    axes.scatter(*image[front][order].T, s=size, c=height, cmap="viridis", vmin=-0.3, vmax=3, lw=0)
+    for box, name in zip(scene.labels.boxes, scene.labels.classes, strict=True):
+        corners, far = _project(corners_3d(box[None])[0], eye, camera)
+        if (far > 1.0).all():
+            for a, b in _EDGES:
+                axes.plot(*corners[[a, b]].T, lw=0.7, c=_colour(name))
+    axes.set(xlim=(-0.75, 0.75), ylim=(-0.42, 0.42), aspect="equal")
+    axes.set_axis_off()
+
+
+def save_picture(scene: Scene, path: Path, reach_m: float = 50.0) -> None:
+    """Write both views side by side as a PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(19, 7.5), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.6))
+    draw_bev(left, scene, reach_m)
+    draw_view(right, scene)
+    figure.savefig(path)
+
+
+def _colour(name: str) -> str:
+    return BOX_COLOURS.get(name, "tab:gray")
+
+
+def _camera(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows: right, up, forward of a camera at eye that looks at target."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return np.stack((right, np.cross(right, forward), forward))
+
+
+def _project(
+    points: NDArray[np.float64], eye: NDArray[np.float64], camera: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    seen = (points - eye) @ camera.T
+    return seen[:, :2] / np.maximum(seen[:, 2:], 1e-6), seen[:, 2]
