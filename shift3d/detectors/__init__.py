@@ -1,0 +1,1 @@
+"""Vehicle detectors, differentiable from the score to the points."""

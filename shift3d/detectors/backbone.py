@@ -1,0 +1,141 @@
+"""The two-dimensional convolutional part of PointPillars and its 1x1 heads (Waymo configuration)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+__all__ = ["WAYMO_BACKBONE", "Backbone", "BackboneSpec", "HeadOutputs", "Heads"]
+
+
+@dataclass(frozen=True)
+class BackboneSpec:
+    """Blocks of 3x3 convolutions: one strided, then `layers`; each block upsampled back to the input grid."""
+
+    in_channels: int = 64
+    strides: tuple[int, ...] = (1, 2, 2)
+    layers: tuple[int, ...] = (3, 5, 5)
+    channels: tuple[int, ...] = (64, 128, 256)
+    up_channels: int = 128
+    anchors_per_cell: int = 2
+
+    @property
+    def total_strides(self) -> tuple[int, ...]:
+        """Stride of each block's output relative to the input grid."""
+        product, result = 1, []
+        for stride in self.strides:
+            product *= stride
+            result.append(product)
+        return tuple(result)
+
+    @property
+    def margin_cells(self) -> int:
+        """How far, in input cells, an output cell's receptive field reaches to either side (the larger one).
+
+        Followed back layer by layer for every phase of an output cell against the deepest block's stride.
+        """
+        reach = 0
+        for block in range(len(self.strides)):
+            deepest = self.total_strides[block]
+            low = high = 0  # the interval of cells needed, for output cell 0 of this block
+            for index in range(block, -1, -1):
+                low, high = low - self.layers[index], high + self.layers[index]
+                low, high = low * self.strides[index] - 1, high * self.strides[index] + 1
+            reach = max(reach, deepest - 1 - low, high)
+        return reach
+
+
+WAYMO_BACKBONE = BackboneSpec()
+
+
+def _norm(channels: int) -> nn.BatchNorm2d:
+    return nn.BatchNorm2d(channels, eps=1e-3, momentum=0.01)
+
+
+def _block(in_channels: int, channels: int, stride: int, layers: int) -> nn.Sequential:
+    modules: list[nn.Module] = []
+    for index in range(layers + 1):
+        source, step = (in_channels, stride) if index == 0 else (channels, 1)
+        modules += [
+            nn.Conv2d(source, channels, 3, step, padding=1, bias=False),
+            _norm(channels),
+            nn.ReLU(inplace=True),
+        ]
+    return nn.Sequential(*modules)
+
+
+def _upsampling(in_channels: int, channels: int, stride: int) -> nn.Sequential:
+    layer = nn.ConvTranspose2d(in_channels, channels, stride, stride, bias=False)
+    return nn.Sequential(layer, _norm(channels), nn.ReLU(inplace=True))
+
+
+class Backbone(nn.Module):
+    """Dense pillar map (B, 64, H, W) -> features (B, 384, h, w) of the core, one per input cell."""
+
+    def __init__(self, spec: BackboneSpec = WAYMO_BACKBONE) -> None:
+        super().__init__()
+        self.spec = spec
+        sources = (spec.in_channels, *spec.channels[:-1])
+        self.blocks = nn.ModuleList(
+            _block(*sizes) for sizes in zip(sources, spec.channels, spec.strides, spec.layers, strict=True)
+        )
+        self.ups = nn.ModuleList(
+            _upsampling(channels, spec.up_channels, stride)
+            for channels, stride in zip(spec.channels, spec.total_strides, strict=True)
+        )
+
+    def forward(self, canvas: Tensor, core: tuple[int, int, int, int] | None = None) -> Tensor:
+        """canvas: (B, C, H, W), H along y. core: (y0, x0, height, width), cells, aligned to the stride.
+
+        Differentiable w.r.t. canvas.
+        """
+        y0, x0, height, width = core or (0, 0, canvas.shape[2], canvas.shape[3])
+        outputs = []
+        features = canvas
+        for block, up, stride in zip(self.blocks, self.ups, self.spec.total_strides, strict=True):
+            features = block(features)
+            rows = slice(y0 // stride, (y0 + height) // stride)
+            columns = slice(x0 // stride, (x0 + width) // stride)
+            outputs.append(up(features[:, :, rows, columns]))
+        return torch.cat(outputs, dim=1)
+
+
+@dataclass(frozen=True)
+class HeadOutputs:
+    """logits (B, A), codes (B, A, 7) and direction logits (B, A, 2); A runs over y, then x, then rotation."""
+
+    logits: Tensor
+    codes: Tensor
+    directions: Tensor
+
+
+class Heads(nn.Module):
+    """1x1 convolutions for class, box and direction."""
+
+    def __init__(self, spec: BackboneSpec = WAYMO_BACKBONE) -> None:
+        super().__init__()
+        channels, anchors = spec.up_channels * len(spec.strides), spec.anchors_per_cell
+        self.classes = nn.Conv2d(channels, anchors, 1)
+        self.boxes = nn.Conv2d(channels, anchors * 7, 1)
+        self.directions = nn.Conv2d(channels, anchors * 2, 1)
+        # An empty scene starts at a score of 0.01: Source: focal loss (Lin et al. 2017), section 4.1.
+        nn.init.constant_(self.classes.bias, -4.595)  # type: ignore[arg-type]
+        nn.init.normal_(self.boxes.weight, std=0.001)
+
+    @staticmethod
+    def _flat(output: Tensor, width: int) -> Tensor:
+        return output.permute(0, 2, 3, 1).reshape(output.shape[0], -1, width)
+
+    def logits(self, features: Tensor) -> Tensor:
+        """(B, A) class logits alone, for a backward pass that needs nothing else."""
+        return self._flat(self.classes(features), 1).squeeze(2)
+
+    def forward(self, features: Tensor) -> HeadOutputs:
+        """features: (B, 384, h, w). Differentiable w.r.t. features."""
+        return HeadOutputs(
+            self.logits(features),
+            self._flat(self.boxes(features), 7),
+            self._flat(self.directions(features), 2),
+        )

@@ -1,0 +1,60 @@
+"""PointNet of PointPillars: points of a pillar -> one 64-channel feature.
+
+Source: PointPillars (Lang et al. 2019), section 2.1, without reflectance, as SHIFT3D feeds xyz alone.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from shift3d.detectors.grid import Grid, Pillars
+
+__all__ = ["DECORATED_CHANNELS", "FEATURE_SCALE", "PillarNet", "decorate", "segment_mean"]
+
+DECORATED_CHANNELS = 8
+FEATURE_SCALE = (0.03, 0.03, 1.0, 6.0, 6.0, 3.0, 6.0, 6.0)
+"""Constant gains that bring the eight inputs to like magnitude (our choice: the published net feeds metres).
+They only precondition training: a linear layer follows, into which they are folded for inference."""
+
+
+def segment_mean(values: Tensor, pillars: Pillars) -> Tensor:
+    """Mean of each pillar's rows: (K, C) -> (P, C), summed in sorted order. Differentiable w.r.t. values."""
+    total = torch.segment_reduce(values, "sum", lengths=pillars.counts, axis=0, unsafe=True)
+    return total / pillars.counts.to(values.dtype).unsqueeze(1)
+
+
+def decorate(points: Tensor, pillars: Pillars, grid: Grid) -> Tensor:
+    """(x, y, z), offset to the pillar's mean point, offset (x, y) to the pillar's centre: (K, 8).
+
+    points: (N, 3), network frame, metres. Differentiable w.r.t. points.
+    Source: PointPillars 2.1 (without reflectance).
+    """
+    xyz = points.index_select(0, pillars.order)
+    mean = segment_mean(xyz, pillars)
+    centre_x = grid.x_min_m + (pillars.cell_x.to(torch.float64) + 0.5) * grid.cell_m
+    centre_y = grid.y_min_m + (pillars.cell_y.to(torch.float64) + 0.5) * grid.cell_m
+    centre = torch.stack((centre_x, centre_y), dim=1).to(xyz.dtype)
+    to_mean = xyz - mean.index_select(0, pillars.pillar)
+    to_centre = xyz[:, :2] - centre.index_select(0, pillars.pillar)
+    return torch.cat((xyz, to_mean, to_centre), dim=1)
+
+
+class PillarNet(nn.Module):
+    """Linear, batch norm, maximum over the pillar, ReLU (which commutes with the maximum)."""
+
+    def __init__(self, channels: int = 64) -> None:
+        super().__init__()
+        self.linear = nn.Linear(DECORATED_CHANNELS, channels, bias=False)
+        self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.01)
+        self.register_buffer("feature_scale", torch.tensor(FEATURE_SCALE), persistent=False)
+
+    def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
+        """(K, 8) decorated points, metres -> (P, 64) pillar features. Differentiable w.r.t. decorated.
+
+        Of points that tie for a maximum, each gets an equal share of the gradient.
+        """
+        scale: Tensor = self.feature_scale  # type: ignore[assignment]
+        per_point = self.norm(self.linear(decorated * scale))
+        highest = torch.segment_reduce(per_point, "max", lengths=pillars.counts, axis=0, unsafe=True)
+        return torch.relu(highest)

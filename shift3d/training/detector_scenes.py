@@ -1,0 +1,65 @@
+"""Training scenes on disk: points in the network frame and vehicle boxes, one small .npz each."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from shift3d.scenes.scene import Scene
+
+__all__ = ["TrainingScene", "cache_scenes", "from_scene", "load_cached", "network_points"]
+
+KEPT_RADIUS_M = 80.0
+
+
+@dataclass(frozen=True)
+class TrainingScene:
+    """points: (N, 3) float32 and vehicle boxes (M, 7) float32, network frame (ground at 0), metres.
+
+    sensor_height_m: the sensor sits at (0, 0, sensor_height_m).
+    """
+
+    points: npt.NDArray[np.float32]
+    boxes: npt.NDArray[np.float32]
+    sensor_height_m: float
+
+
+def network_points(scene: Scene) -> npt.NDArray[np.float32]:
+    """The scene's points in the detector's network frame: (N, 3) float32, z from the nominal ground."""
+    return scene.points - np.array((0.0, 0.0, scene.ground_z_m), dtype=np.float32)
+
+
+def from_scene(scene: Scene) -> TrainingScene:
+    """Keep what training needs: points with a beam within 80 m and the boxes of class vehicle."""
+    points = network_points(scene)[scene.has_beam]
+    points = points[np.abs(points[:, :2]).max(axis=1) < KEPT_RADIUS_M]
+    boxes = scene.labels.of_class("vehicle").astype(np.float32).reshape(-1, 7)
+    boxes[:, 2] -= np.float32(scene.ground_z_m)
+    return TrainingScene(points, boxes, -float(scene.ground_z_m))
+
+
+def cache_scenes(folder: Path, names: Iterable[str], build: Callable[[str], TrainingScene]) -> list[Path]:
+    """Files of the named scenes in `folder`; those that are missing are built and written atomically."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name in names:
+        file = folder / f"{name.replace('/', '_')}.npz"
+        if not file.exists():
+            scene = build(name)
+            temporary = file.with_suffix(f".{os.getpid()}.tmp")
+            with temporary.open("wb") as stream:
+                np.savez(stream, points=scene.points, boxes=scene.boxes, height=scene.sensor_height_m)
+            temporary.replace(file)
+        files.append(file)
+    return files
+
+
+def load_cached(file: Path) -> TrainingScene:
+    """Read one cached scene."""
+    with np.load(file, allow_pickle=False) as data:
+        return TrainingScene(data["points"], data["boxes"], float(data["height"]))

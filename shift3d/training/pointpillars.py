@@ -1,0 +1,185 @@
+"""Training of PointPillars: a fixed number of steps, resumable to the same weights."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from math import cos, pi
+from pathlib import Path
+
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+from tqdm import tqdm
+
+from shift3d.detectors.anchors import WAYMO_ANCHORS, anchor_boxes
+from shift3d.detectors.backbone import WAYMO_BACKBONE, BackboneSpec
+from shift3d.detectors.network import PointPillarsNet
+from shift3d.errors import InputError
+from shift3d.seeding import generator
+from shift3d.training.detector_augmentation import Crop, random_crop
+from shift3d.training.detector_losses import detection_loss
+from shift3d.training.detector_scenes import load_cached
+from shift3d.training.detector_targets import Targets, assign_targets
+
+__all__ = ["Recipe", "export_weights", "one_cycle", "train_on_scenes"]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that decides the trained weights, beside the scenes. Threads are not part of it.
+
+    steps: optimiser steps; the first `mesh_only_steps` use mesh scenes alone, after which each crop comes
+    from a scene with rendered insertions with probability `inserted_share`. crop_cells: side of the square
+    crops; batch: crops a step; rim_cells: anchors so close to a crop's edge are not trained.
+    """
+
+    steps: int = 8000
+    mesh_only_steps: int = 4000
+    inserted_share: float = 0.5
+    crop_cells: int = 112
+    batch: int = 2
+    rim_cells: int = 6
+    peak_rate: float = 2e-3
+    weight_decay: float = 0.01
+    warm_up_share: float = 0.3
+    clip_norm: float = 10.0
+    seed: int = 0
+    backbone: BackboneSpec = WAYMO_BACKBONE
+
+
+def one_cycle(step: int, recipe: Recipe) -> tuple[float, float]:
+    """(learning rate, first momentum) of a step: cosine up and down again.
+
+    Source: one-cycle as in SECOND's public code (rate from a tenth of the peak, momentum 0.95 to 0.85).
+    """
+    rise = max(1.0, recipe.warm_up_share * recipe.steps)
+    if step < rise:
+        part = 0.5 - 0.5 * cos(pi * step / rise)
+        return recipe.peak_rate * (0.1 + 0.9 * part), 0.95 - 0.10 * part
+    part = 0.5 + 0.5 * cos(pi * min(1.0, (step - rise) / max(1.0, recipe.steps - rise)))
+    return recipe.peak_rate * max(part, 1e-4), 0.95 - 0.10 * part
+
+
+def train_on_scenes(
+    out_dir: Path,
+    recipe: Recipe,
+    mesh_scenes: Sequence[Path],
+    inserted_scenes: Sequence[Path] = (),
+    threads: int = 1,
+    checkpoint_every: int = 250,
+    stop_after: int | None = None,
+) -> PointPillarsNet:
+    """Train, or go on from out_dir's checkpoint, to recipe.steps (or stop_after, to be resumed).
+
+    A resumed training gives the weights of an uninterrupted one: the crops of a step depend on the seed and
+    the step alone. Every `checkpoint_every` steps a checkpoint replaces the last one.
+
+    Raises: InputError if the checkpoint belongs to another recipe.
+    """
+    torch.set_num_threads(threads)
+    torch.manual_seed(recipe.seed)
+    net = PointPillarsNet(recipe.backbone)
+    net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimiser = torch.optim.AdamW(net.parameters(), lr=recipe.peak_rate, weight_decay=recipe.weight_decay)
+    out_dir.mkdir(parents=True, exist_ok=True)
+    done = _resume(out_dir / "checkpoint.pt", recipe, net, optimiser)
+    net.train()
+    end = recipe.steps if stop_after is None else min(recipe.steps, stop_after)
+    smoothed: dict[str, float] = {}
+    for step in tqdm(
+        range(done, end), initial=done, total=recipe.steps, desc="pointpillars", mininterval=5.0
+    ):
+        parts = _train_step(net, optimiser, recipe, step, mesh_scenes, inserted_scenes)
+        for name, value in parts.items():
+            smoothed[name] = value if name not in smoothed else 0.98 * smoothed[name] + 0.02 * value
+        if (step + 1) % checkpoint_every == 0 or step + 1 == end:
+            _save(out_dir / "checkpoint.pt", recipe, net, optimiser, step + 1)
+            report = "  ".join(f"{name} {value:.3f}" for name, value in smoothed.items())
+            tqdm.write(f"step {step + 1}  {report}")
+    net.eval()
+    return net
+
+
+def _train_step(
+    net: PointPillarsNet,
+    optimiser: torch.optim.Optimizer,
+    recipe: Recipe,
+    step: int,
+    mesh_scenes: Sequence[Path],
+    inserted_scenes: Sequence[Path],
+) -> dict[str, float]:
+    crops = [_crop(net, recipe, step, slot, mesh_scenes, inserted_scenes) for slot in range(recipe.batch)]
+    targets = [_targets(net, crop, recipe.rim_cells) for crop in crops]
+    rate, momentum = one_cycle(step, recipe)
+    for group in optimiser.param_groups:
+        group["lr"], group["betas"] = rate, (momentum, 0.99)
+    canvas = net.canvas([torch.from_numpy(crop.points) for crop in crops], [crop.window for crop in crops])
+    with torch.autocast("cpu", torch.bfloat16):
+        outputs = net.heads(net.backbone(canvas))
+    outputs = type(outputs)(outputs.logits.float(), outputs.codes.float(), outputs.directions.float())
+    loss, parts = detection_loss(outputs, targets)
+    optimiser.zero_grad(set_to_none=True)
+    loss.backward()  # type: ignore[no-untyped-call]
+    torch.nn.utils.clip_grad_norm_(net.parameters(), recipe.clip_norm)
+    optimiser.step()
+    return parts
+
+
+def _crop(
+    net: PointPillarsNet, recipe: Recipe, step: int, slot: int, mesh: Sequence[Path], inserted: Sequence[Path]
+) -> Crop:
+    rng = generator("pointpillars crop", recipe.seed, step, slot)
+    use_inserted = step >= recipe.mesh_only_steps and rng.random() < recipe.inserted_share
+    files = inserted if use_inserted and len(inserted) else mesh
+    return random_crop(load_cached(files[int(rng.integers(len(files)))]), net.grid, recipe.crop_cells, rng)
+
+
+def _targets(net: PointPillarsNet, crop: Crop, rim_cells: int) -> Targets:
+    anchors = anchor_boxes(WAYMO_ANCHORS, net.grid, crop.window)
+    per_cell = len(WAYMO_ANCHORS.headings_rad)
+    inner = torch.zeros(crop.window.num_y, crop.window.num_x, per_cell, dtype=torch.bool)
+    inner[rim_cells : crop.window.num_y - rim_cells, rim_cells : crop.window.num_x - rim_cells] = True
+    return assign_targets(
+        anchors, torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable), inner.reshape(-1)
+    )
+
+
+def _recipe_tensor(recipe: Recipe) -> Tensor:
+    """The recipe as bytes, so that a checkpoint holds tensors and numbers alone."""
+    return torch.tensor(list(repr(asdict(recipe)).encode()), dtype=torch.uint8)
+
+
+def _save(
+    file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.optim.Optimizer, steps_done: int
+) -> None:
+    state = {
+        "steps_done": steps_done,
+        "recipe": _recipe_tensor(recipe),
+        "net": net.state_dict(),
+        "optimiser": optimiser.state_dict(),
+    }
+    temporary = file.with_suffix(f".{os.getpid()}.tmp")
+    torch.save(state, temporary)
+    temporary.replace(file)
+
+
+def _resume(file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.optim.Optimizer) -> int:
+    if not file.exists():
+        return 0
+    state = torch.load(file, weights_only=True)
+    if not torch.equal(state["recipe"], _recipe_tensor(recipe)):
+        raise InputError(
+            "the checkpoint was trained by another recipe", where=str(file), remedy="choose another folder"
+        )
+    net.load_state_dict(state["net"])
+    optimiser.load_state_dict(state["optimiser"])
+    return int(state["steps_done"])
+
+
+def export_weights(net: PointPillarsNet, file: Path) -> None:
+    """Write the weights as safetensors, replacing the file in one step."""
+    temporary = file.with_suffix(f".{os.getpid()}.tmp")
+    save_file({name: tensor.contiguous() for name, tensor in net.state_dict().items()}, temporary)
+    temporary.replace(file)

@@ -1,0 +1,186 @@
+"""What the network must hold whatever its weights: exact windows, determinism, true gradients."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from shift3d.detectors.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.grid import full_window
+from shift3d.detectors.network import PointPillarsNet
+from shift3d.detectors.pointpillars import PointPillars
+from shift3d.errors import InputError
+
+SLIM = BackboneSpec(in_channels=8, channels=(8, 8, 8), up_channels=8)
+
+
+def _random_net(spec: BackboneSpec, seed: int = 0) -> PointPillarsNet:
+    """Random weights with lively batch-norm statistics and logits of order one."""
+    torch.manual_seed(seed)
+    net = PointPillarsNet(spec)
+    for module in net.modules():
+        if isinstance(module, torch.nn.BatchNorm1d | torch.nn.BatchNorm2d):
+            torch.nn.init.normal_(module.running_mean, std=0.1)
+            torch.nn.init.uniform_(module.running_var, 0.5, 1.5)
+            torch.nn.init.normal_(module.bias, std=0.1)
+        elif isinstance(module, torch.nn.Conv2d | torch.nn.ConvTranspose2d):
+            torch.nn.init.kaiming_normal_(module.weight, nonlinearity="relu")  # signal in every layer
+    torch.nn.init.normal_(net.heads.classes.weight, std=0.3)
+    torch.nn.init.zeros_(net.heads.classes.bias)
+    return net.eval()
+
+
+def _scene(count: int = 20000, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    points = (torch.rand(count, 3, generator=generator) - 0.5) * torch.tensor([152.0, 152.0, 4.0])
+    return points + torch.tensor([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def slim() -> PointPillars:
+    return PointPillars(_random_net(SLIM))
+
+
+@pytest.fixture(scope="module")
+def full_scene(slim: PointPillars) -> tuple[torch.Tensor, torch.Tensor]:
+    found = slim.proposals(_scene())
+    return found.logits, found.boxes
+
+
+def test_margin_is_the_receptive_field() -> None:
+    """How far the gradient of an output cell reaches in the input, through the real layers."""
+    torch.manual_seed(0)
+    backbone = Backbone(
+        dataclasses.replace(WAYMO_BACKBONE, in_channels=2, channels=(2, 2, 2), up_channels=2)
+    ).eval()
+    for module in backbone.modules():
+        if isinstance(module, torch.nn.Conv2d | torch.nn.ConvTranspose2d):
+            torch.nn.init.constant_(module.weight, 0.1)  # positive: no ReLU hides a path
+    backbone.double()
+    reach = 0
+    for phase in range(4):
+        canvas = torch.ones(1, 2, 128, 128, dtype=torch.float64, requires_grad=True)
+        backbone(canvas)[0, :, 64 + phase, 64 + phase].sum().backward()
+        assert canvas.grad is not None
+        touched = torch.nonzero(canvas.grad[0].abs().sum(dim=0))
+        offsets = (touched - (64 + phase)).abs()
+        reach = max(reach, int(offsets.max()))
+    assert WAYMO_BACKBONE.margin_cells == reach == 40
+
+
+@pytest.mark.parametrize("centre", [(10.0, -7.3), (-73.0, 74.0), (70.0, 20.0), (0.0, -74.5)])
+def test_a_window_gives_the_full_scene_s_proposals(
+    slim: PointPillars, full_scene: tuple[torch.Tensor, torch.Tensor], centre: tuple[float, float]
+) -> None:
+    window = slim.window_for(centre, 8.0)
+    assert window.num_x % 4 == window.num_y % 4 == 0
+    part = slim.proposals(_scene(), window)
+    logits, boxes = full_scene
+    assert logits[part.anchor_index].std() > 0.1
+    assert torch.allclose(part.logits, logits[part.anchor_index], atol=1e-5, rtol=0)
+    assert torch.allclose(part.boxes, boxes[part.anchor_index], atol=1e-4, rtol=1e-5)
+
+
+def test_a_window_reports_every_anchor_in_the_radius(slim: PointPillars) -> None:
+    from shift3d.detectors.anchors import anchor_boxes
+
+    window = slim.window_for((30.1, -12.2), 6.0)
+    everywhere = anchor_boxes(slim.anchors, slim.grid, full_window(slim.grid))
+    distance = torch.hypot(everywhere[:, 0] - 30.1, everywhere[:, 1] + 12.2)
+    wanted = set(torch.nonzero(distance <= 6.0).squeeze(1).tolist())
+    assert wanted <= set(slim.proposals(_scene(), window).anchor_index.tolist())
+
+
+def test_a_window_gives_the_full_scene_s_gradient(slim: PointPillars) -> None:
+    window = slim.window_for((-68.0, 3.0), 5.0)
+    gradients = []
+    for where in (window, None):
+        points = _scene().requires_grad_()
+        found = slim.proposals(points, where)
+        inside = torch.isin(found.anchor_index, slim.proposals(points.detach(), window).anchor_index)
+        torch.nn.functional.softplus(found.logits[inside]).sum().backward()
+        assert points.grad is not None
+        gradients.append(points.grad)
+    assert gradients[0].abs().max() > 1e-3
+    assert torch.allclose(*gradients, atol=1e-5, rtol=0)
+
+
+def test_a_window_beyond_the_grid_is_refused(slim: PointPillars) -> None:
+    with pytest.raises(InputError, match="detector window"):
+        slim.window_for((100.0, 0.0), 5.0)
+
+
+def test_bitwise_equal_over_runs_and_permutations(slim: PointPillars) -> None:
+    window = slim.window_for((5.0, 5.0), 6.0)
+    points = _scene()
+    points[:6000, :2] = points[:6000, :2] * 0.1  # crowded pillars
+    points = torch.cat((points, points[:500]))  # and duplicate points
+    order = torch.randperm(len(points), generator=torch.Generator().manual_seed(3))
+    results = []
+    for cloud, back in ((points, None), (points, None), (points[order], torch.argsort(order))):
+        leaf = cloud.clone().requires_grad_()
+        found = slim.proposals(leaf, window)
+        torch.nn.functional.softplus(found.logits).sum().backward()
+        assert leaf.grad is not None
+        results.append((found.logits, found.boxes, leaf.grad if back is None else leaf.grad[back]))
+    for other in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+def test_folding_changes_nothing() -> None:
+    net = _random_net(SLIM).double()
+    window = BevWindow(200, 200, 64, 48, 200, 200, 64, 48)
+    points = _scene().double()
+    with torch.no_grad():
+        outputs = net([points], [window])
+        folded = PointPillars(net, "float64").proposals(points, window)
+    assert torch.allclose(outputs.logits[0], folded.logits, atol=1e-10, rtol=0)
+
+
+def test_gradient_equals_central_differences_in_float64() -> None:
+    detector = PointPillars(_random_net(SLIM), "float64")
+    window = detector.window_for((3.0, 2.0), 2.0)
+    generator = torch.Generator().manual_seed(5)
+    cloud = torch.rand(400, 3, generator=generator, dtype=torch.float64) * torch.tensor([6.0, 6.0, 1.5])
+
+    def loss(points: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.softplus(detector.proposals(points, window).logits).sum()
+
+    leaf = cloud.clone().requires_grad_()
+    loss(leaf).backward()
+    assert leaf.grad is not None
+    # A step so small that no point leaves its pillar and no maximum or ReLU changes hands along it.
+    step = 1e-7
+    for trial in range(5):
+        direction = torch.randn(
+            cloud.shape, generator=torch.Generator().manual_seed(trial), dtype=torch.float64
+        )
+        difference = (loss(cloud + step * direction) - loss(cloud - step * direction)) / (2 * step)
+        exact = (leaf.grad * direction).sum()
+        assert abs(float(exact)) > 1e-2
+        assert float(difference) == pytest.approx(float(exact), rel=1e-4)
+
+
+@pytest.mark.parametrize("cloud", [torch.zeros(0, 3), torch.full((5, 3), 500.0)])
+def test_a_scene_without_points_in_range_is_valid(slim: PointPillars, cloud: torch.Tensor) -> None:
+    window = slim.window_for((0.0, 0.0), 3.0)
+    points = cloud.clone().requires_grad_()
+    found = slim.proposals(points, window)
+    assert torch.isfinite(found.logits).all() and torch.isfinite(found.boxes).all()
+    detections = slim.detect(cloud, window, score_threshold=1.0)
+    assert detections.boxes.shape == (0, 7) and detections.scores.shape == (0,)
+
+
+def test_bfloat16_stays_near_float32() -> None:
+    net = _random_net(SLIM)
+    exact, rough = PointPillars(net), PointPillars(net, "bfloat16")
+    window = exact.window_for((0.0, 0.0), 4.0)
+    one, two = exact.proposals(_scene(), window), rough.proposals(_scene(), window)
+    assert two.logits.dtype == torch.float32
+    assert (one.logits - two.logits).abs().max() < 0.1 * one.logits.abs().max()
+
+
+def test_wrong_shape_is_refused(slim: PointPillars) -> None:
+    with pytest.raises(InputError, match=r"\(N, 3\)"):
+        slim.proposals(torch.zeros(5, 4))

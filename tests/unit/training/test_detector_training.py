@@ -1,0 +1,175 @@
+"""Targets, losses and the training loop of the detector, on hand-made scenes."""
+
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from shift3d.detectors.anchors import WAYMO_ANCHORS, anchor_boxes
+from shift3d.detectors.backbone import BackboneSpec, HeadOutputs
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.box_coding import decode_boxes
+from shift3d.detectors.grid import WAYMO_GRID
+from shift3d.errors import InputError
+from shift3d.geometry.boxes import points_in_boxes
+from shift3d.training.detector_augmentation import random_crop
+from shift3d.training.detector_losses import detection_loss, focal_loss, sine_code_difference
+from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
+from shift3d.training.detector_targets import IGNORED, NEGATIVE, POSITIVE, assign_targets, nearest_bev_iou
+from shift3d.training.pointpillars import Recipe, one_cycle, train_on_scenes
+
+WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
+ANCHORS = anchor_boxes(WAYMO_ANCHORS, WAYMO_GRID, WINDOW)
+EVERYWHERE = torch.ones(len(ANCHORS), dtype=torch.bool)
+TINY = Recipe(
+    steps=6,
+    mesh_only_steps=3,
+    crop_cells=32,
+    batch=2,
+    rim_cells=2,
+    backbone=BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4),
+)
+
+
+def _scene(name: str) -> TrainingScene:
+    """A flat ground with boxes whose faces carry points."""
+    rng = np.random.default_rng(int(name))
+    ground = rng.uniform((-40, -40, 0), (40, 40, 0.02), (4000, 3))
+    clouds, boxes = [ground], []
+    for _ in range(6):
+        box = np.array([*rng.uniform(-30, 30, 2), 0.8, 4.5, 1.9, 1.6, rng.uniform(-pi, pi)])
+        local = rng.uniform(-0.5, 0.5, (200, 3))
+        faces = rng.integers(0, 3, 200)
+        local[np.arange(200), faces] = np.sign(local[np.arange(200), faces]) * 0.499
+        local *= box[3:6]
+        cos, sin = np.cos(box[6]), np.sin(box[6])
+        local[:, :2] = local[:, :2] @ np.array([[cos, sin], [-sin, cos]])
+        clouds.append(local + box[:3])
+        boxes.append(box)
+    return TrainingScene(np.concatenate(clouds).astype(np.float32), np.array(boxes, dtype=np.float32), 1.73)
+
+
+def test_nearest_iou_of_snapped_boxes() -> None:
+    box = torch.tensor([[0.0, 0, 0, 4, 2, 1, 0]])
+    others = torch.tensor(
+        [[2.0, 0, 0, 4, 2, 1, pi + 0.1], [0, 0, 0, 4, 2, 1, pi / 2 - 0.1], [0, 9, 0, 4, 2, 1, 0]]
+    )
+    assert nearest_bev_iou(box, others)[0].tolist() == pytest.approx([4 / 12, 4 / 12, 0.0])
+
+
+def test_targets_decode_to_the_vehicle() -> None:
+    vehicle = torch.tensor([[0.3, -0.7, 0.8, 4.4, 1.8, 1.5, 2.9]])
+    targets = assign_targets(ANCHORS, vehicle, torch.tensor([True]), EVERYWHERE)
+    assert targets.positives.numel() > 4
+    directions = torch.nn.functional.one_hot(targets.directions, 2).float()
+    decoded = decode_boxes(targets.codes, ANCHORS[targets.positives], directions)
+    assert torch.allclose(decoded, vehicle.expand_as(decoded), atol=1e-4)
+    overlap = nearest_bev_iou(ANCHORS, vehicle)[:, 0]
+    assert (targets.labels[overlap >= 0.55] == POSITIVE).all()
+    assert (targets.labels[(overlap >= 0.40) & (overlap < 0.55)] == IGNORED).all()
+    assert (targets.labels[overlap < 0.40] == NEGATIVE).all()
+
+
+def test_a_vehicle_unlike_any_anchor_still_trains_its_best_one() -> None:
+    truck = torch.tensor([[0.3, -0.7, 1.5, 11.0, 2.6, 3.5, 0.0]])
+    targets = assign_targets(ANCHORS, truck, torch.tensor([True]), EVERYWHERE)
+    best = nearest_bev_iou(ANCHORS, truck)[:, 0]
+    assert best.max() < 0.55
+    assert (targets.labels[best == best.max()] == POSITIVE).all()
+
+
+def test_vehicles_with_few_points_only_ignore() -> None:
+    vehicle = torch.tensor([[0.3, -0.7, 0.8, 4.4, 1.8, 1.5, 0.1]])
+    targets = assign_targets(ANCHORS, vehicle, torch.tensor([False]), EVERYWHERE)
+    assert targets.positives.numel() == 0
+    assert (targets.labels == IGNORED).any() and (targets.labels == NEGATIVE).any()
+
+
+def test_no_vehicles_and_untrained_rim() -> None:
+    targets = assign_targets(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), ~EVERYWHERE)
+    assert (targets.labels == IGNORED).all()
+    assert targets.codes.shape == (0, 7)
+
+
+def test_focal_loss_at_zero_and_at_the_extremes() -> None:
+    logits = torch.tensor([0.0, 100.0, -100.0, 0.0], requires_grad=True)
+    is_positive = torch.tensor([True, False, True, False])
+    loss = focal_loss(logits, is_positive)
+    assert loss[0].item() == pytest.approx(0.25 * 0.25 * np.log(2), rel=1e-5)
+    assert loss[1].item() == pytest.approx(0.75 * 100.0, rel=1e-5)
+    assert loss[2].item() == pytest.approx(0.25 * 100.0, rel=1e-5)
+    assert loss[3].item() == pytest.approx(0.75 * 0.25 * np.log(2), rel=1e-5)
+    loss.sum().backward()
+    assert logits.grad is not None and torch.isfinite(logits.grad).all()
+    assert logits.grad[1] > 0 > logits.grad[2]
+
+
+def test_half_turns_cost_nothing() -> None:
+    codes = torch.zeros(2, 7)
+    codes[:, 6] = torch.tensor([0.3, 0.3 + pi])
+    wanted = torch.zeros(2, 7)
+    wanted[:, 6] = 0.3
+    assert sine_code_difference(codes, wanted).abs().max() < 1e-6
+
+
+def test_loss_without_positives_is_finite() -> None:
+    targets = assign_targets(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), EVERYWHERE)
+    count = len(ANCHORS)
+    outputs = HeadOutputs(
+        torch.full((1, count), 100.0, requires_grad=True), torch.zeros(1, count, 7), torch.zeros(1, count, 2)
+    )
+    loss, parts = detection_loss(outputs, [targets])
+    assert torch.isfinite(loss) and parts["box"] == 0.0
+
+
+def test_a_crop_moves_boxes_with_their_points() -> None:
+    scene = _scene("3")
+    before = points_in_boxes(scene.points, scene.boxes, 0.05).sum(axis=1)
+    seen = 0
+    for seed in range(20):
+        crop = random_crop(scene, WAYMO_GRID, 96, np.random.default_rng(seed))
+        same = random_crop(scene, WAYMO_GRID, 96, np.random.default_rng(seed))
+        assert np.array_equal(crop.points, same.points) and np.array_equal(crop.boxes, same.boxes)
+        inside = points_in_boxes(crop.points, crop.boxes, 0.25).sum(axis=1)
+        assert len(crop.boxes) <= len(before)
+        x0, y0 = (-74.88 + 0.32 * start for start in (crop.window.x0, crop.window.y0))
+        reach = 96 * 0.32
+        in_window = (abs(crop.boxes[:, 0] - x0 - reach / 2) < reach / 2) & (
+            abs(crop.boxes[:, 1] - y0 - reach / 2) < reach / 2
+        )
+        seen += int(in_window.sum())
+        # Vehicles in the crop keep a good part of their 200 points, whatever was dropped.
+        assert np.median(inside[in_window]) > 20 if in_window.any() else True
+    assert seen > 20
+
+
+def test_one_cycle_rises_and_falls() -> None:
+    recipe = Recipe(steps=100, warm_up_share=0.3, peak_rate=1e-3)
+    rates = [one_cycle(step, recipe)[0] for step in range(100)]
+    assert rates[0] == pytest.approx(1e-4) and max(rates) == pytest.approx(1e-3) and rates[-1] < 1e-5
+    assert int(np.argmax(rates)) == 30
+
+
+def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
+    mesh = cache_scenes(tmp_path / "mesh", ["0", "1"], _scene)
+    inserted = cache_scenes(tmp_path / "inserted", ["2"], _scene)
+    straight = train_on_scenes(tmp_path / "a", TINY, mesh, inserted)
+    train_on_scenes(tmp_path / "b", TINY, mesh, inserted, checkpoint_every=2, stop_after=4)
+    resumed = train_on_scenes(tmp_path / "b", TINY, mesh, inserted)
+    start = train_on_scenes(tmp_path / "c", TINY, mesh, inserted, stop_after=0)
+    for name, tensor in straight.state_dict().items():
+        assert torch.equal(tensor, resumed.state_dict()[name]), name
+    assert any(not torch.equal(a, b) for a, b in zip(straight.parameters(), start.parameters(), strict=True))
+    with pytest.raises(InputError, match="another recipe"):
+        train_on_scenes(tmp_path / "b", Recipe(steps=7, backbone=TINY.backbone), mesh, inserted)
+
+
+def test_the_cache_is_written_once_and_read_back(tmp_path: Path) -> None:
+    files = cache_scenes(tmp_path, ["5"], _scene)
+    again = cache_scenes(tmp_path, ["5"], lambda name: pytest.fail("built twice"))
+    assert files == again
+    scene, read = _scene("5"), load_cached(files[0])
+    assert np.array_equal(scene.points, read.points) and np.array_equal(scene.boxes, read.boxes)
+    assert read.sensor_height_m == 1.73
