@@ -1,0 +1,1 @@
+"""Following a detector's gradient to a shape or a pose that it misses."""

@@ -1,0 +1,79 @@
+"""What an attack is compared with: random changes of the same size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.attack.constraints import ConstraintCheck, check
+from shift3d.attack.pose import PoseLimits, settled
+from shift3d.attack.problem import AttackProblem
+from shift3d.render.render import render
+
+
+def random_direction(dimension: int, rng: np.random.Generator) -> np.ndarray:
+    """(dimension,) unit vector, uniform on the sphere."""
+    while True:
+        vector = rng.standard_normal(dimension)
+        length = float(np.linalg.norm(vector))
+        if length > 0:
+            return np.asarray(vector / length)
+
+
+def random_code(baseline_code: Tensor, radius: float, rng: np.random.Generator) -> Tensor:
+    """A code (d,) on the sphere of the adversarial code's radius around z0, in the dtype of z0.
+
+    Source: SHIFT3D, Adversarial Shape Generation Results (random shapes at the same latent distance).
+    """
+    direction = torch.as_tensor(random_direction(len(baseline_code), rng), dtype=torch.float64)
+    return (baseline_code.detach().double() + radius * direction).to(baseline_code.dtype)
+
+
+def noise_codes(code: Tensor, sigma: float, count: int, rng: np.random.Generator) -> Tensor:
+    """(count, d) codes z + N(0, sigma^2 I): is the adversarial shape a region or a needle?
+
+    Source: SHIFT3D, Adversarial Shape Generation Results; 10 codes with sigma 0.01.
+    """
+    noise = torch.as_tensor(rng.standard_normal((count, len(code))) * sigma, dtype=torch.float64)
+    return (code.detach().double() + noise).to(code.dtype)
+
+
+def random_pose(
+    problem: AttackProblem, rng: np.random.Generator, limits: PoseLimits = PoseLimits(), attempts: int = 60
+) -> tuple[Tensor, ConstraintCheck] | None:
+    """A random pose from the attack's own feasible set; None if no draw is valid.
+
+    Shift uniform in the disc, yaw uniform, pitch and roll uniform in the limits, z on the ground, and drawn
+    again until the realism constraints hold.
+
+    Source: SHIFT3D, Adversarial Pose Generation Results ("random pose perturbations with the same constraints").
+    """
+    metric = problem.metric(problem.code0.detach())
+    sdf = problem.field_of(problem.code0.detach())
+    for _ in range(attempts):
+        theta = settled(_draw_pose(problem.theta0, rng, limits), problem, metric, limits)
+        held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.constraints)
+        if not (held.overlap_ok and held.contact_ok):
+            continue
+        with torch.no_grad():
+            rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings)
+        held = replace(
+            held,
+            object_points=rendering.object_points,
+            points_ok=rendering.object_points >= problem.constraints.min_object_points,
+        )
+        if held.valid:
+            return theta, held
+    return None
+
+
+def _draw_pose(theta0: Tensor, rng: np.random.Generator, limits: PoseLimits) -> Tensor:
+    shift = limits.max_shift_m * np.sqrt(rng.random())
+    direction, yaw = 2.0 * np.pi * rng.random(2)
+    pitch, roll = limits.max_tilt_rad * (2.0 * rng.random(2) - 1.0)
+    theta = theta0.detach().double().clone()
+    change = [shift * np.cos(direction), shift * np.sin(direction), 0.0, yaw, pitch, roll]
+    return theta + torch.tensor(change, dtype=torch.float64)

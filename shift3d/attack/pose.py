@@ -1,0 +1,76 @@
+"""Adversarial pose: descend on the six numbers of theta, projected to the ball around the start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shift3d.attack.constraints import settle
+from shift3d.attack.loop import Search, descend
+from shift3d.attack.problem import AttackProblem
+from shift3d.attack.records import AttackResult, StepRecord
+from shift3d.render.object_field import ObjectField
+
+
+@dataclass(frozen=True)
+class PoseLimits:
+    """The set B(theta0).
+
+    max_shift_m: largest Euclidean |dxy|. max_tilt_rad: largest |change| of pitch and of roll. Yaw is free.
+    settle_m: how far z may be moved to the ground under the new place; 0 leaves z to the gradient.
+
+    Source: SHIFT3D, Adversarial Pose Generation Results: displacement under 4 m on the xy-plane, pitch and roll
+    under 0.1 rad, yaw free. z is our choice, the paper is silent: the object has to touch the ground within 2 cm,
+    which no gradient of the detector cares about, so z follows the ground (see `constraints.settle`).
+    """
+
+    max_shift_m: float = 4.0
+    max_tilt_rad: float = 0.1
+    settle_m: float = 0.3
+
+
+def attack_pose(
+    problem: AttackProblem,
+    alpha: float = 0.01,
+    steps: int = 40,
+    limits: PoseLimits = PoseLimits(),
+    on_step: Callable[[StepRecord], None] | None = None,
+) -> AttackResult:
+    """min_theta L_adv(theta) over B(theta0) at a fixed shape. The ground-truth box moves along.
+
+    Source: SHIFT3D eq. loss_theta and Algorithm 1.
+    """
+    metric = problem.metric(problem.code0.detach())
+    search = Search(
+        mode="pose",
+        start=problem.theta0.double(),
+        parameters=lambda theta: (problem.code0.detach(), theta),
+        penalty=lambda theta: theta.new_zeros(()),
+        project=lambda theta: settled(project(theta, problem.theta0, limits), problem, metric, limits),
+    )
+    return descend(problem, search, steps, alpha, on_step)
+
+
+def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
+    """Nearest pose (6,) within the shift and tilt limits; z and yaw untouched.
+
+    Source: SHIFT3D, Proj_B in Algorithm 1.
+    """
+    start = theta0.detach().to(theta.dtype)
+    change = theta.detach() - start
+    shift = change[:2].norm()
+    if float(shift) > limits.max_shift_m:
+        change[:2] *= limits.max_shift_m / shift
+    change[4:] = change[4:].clamp(-limits.max_tilt_rad, limits.max_tilt_rad)
+    return start + change
+
+
+def settled(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: PoseLimits) -> Tensor:
+    """The pose with its height on the ground; unchanged where there is none in reach (the step is then invalid)."""
+    if limits.settle_m == 0 or not bool(torch.isfinite(theta).all()):
+        return theta
+    found = settle(metric, problem.points_near(), theta, problem.size_m, limits.settle_m)
+    return theta if found is None else found

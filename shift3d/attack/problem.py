@@ -1,0 +1,105 @@
+"""One object in one scene before one detector: everything a loss is a function of."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.attack.constraints import ConstraintCheck, Constraints, check, points_near
+from shift3d.attack.objective import (
+    adversarial_loss,
+    object_box,
+    proposal_score,
+    to_network_frame,
+    window_around,
+)
+from shift3d.detectors.base import Detector
+from shift3d.render.beams import Beams
+from shift3d.render.object_field import Field, ObjectField, VehicleFrame
+from shift3d.render.render import render
+from shift3d.render.rendering import Rendering
+from shift3d.render.settings import STANDARD, RenderSettings
+from shift3d.render.warm import WarmStart
+
+
+@dataclass(frozen=True)
+class AttackProblem:
+    """What stays fixed during an attack.
+
+    beams: of the scene without the object. ground_z_m: the scene's. field_of: latent code (d,) -> field, such
+    as `Decoder.field`. vehicle: frame and size. detector: attacked. theta0: (6,) float64 start pose. code0: (d,)
+    start code, dtype of the decoder. constraints, settings: see there. travel_m: how far the object may move.
+    """
+
+    beams: Beams
+    ground_z_m: float
+    field_of: Callable[[Tensor], Field]
+    vehicle: VehicleFrame
+    detector: Detector
+    theta0: Tensor
+    code0: Tensor
+    constraints: Constraints = Constraints()
+    settings: RenderSettings = STANDARD
+    travel_m: float = 4.0
+    _near: list[Tensor] = field(default_factory=list, repr=False)
+
+    @property
+    def size_m(self) -> Tensor:
+        """(3,) float64 size of the baseline's box."""
+        return torch.as_tensor(np.asarray(self.vehicle.size_m, dtype=np.float64))
+
+    def metric(self, code: Tensor) -> ObjectField:
+        """The object's metric field for a code."""
+        return ObjectField.of(self.field_of(code), self.vehicle, self.settings.dtype, self.settings.batch)
+
+    def points_near(self) -> Tensor:
+        """(M, 3) original returns that the object can reach wherever it is moved."""
+        if not self._near:
+            reach = self.travel_m + float(self.size_m.norm()) / 2 + 1.0
+            self._near.append(points_near(self.beams, self.theta0, reach))
+        return self._near[0]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The loss of one code and pose. `adversarial` carries the graph back to both."""
+
+    adversarial: Tensor
+    proposal_score: float
+    rendering: Rendering
+    check: ConstraintCheck
+    milliseconds: dict[str, float]
+
+
+def measure(
+    problem: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart | None = None
+) -> Measurement:
+    """Render, detect, and check the constraints.
+
+    Differentiable w.r.t. code and theta, through `adversarial`. Source: SHIFT3D, Algorithm 1.
+    """
+    start = time.perf_counter()
+    sdf = problem.field_of(code)
+    rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings, warm)
+    rendered = time.perf_counter()
+    points = to_network_frame(rendering.points, problem.ground_z_m)
+    proposals = problem.detector.proposals(points, window_around(problem.detector, theta))
+    box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
+    loss = adversarial_loss(proposals, box)
+    score = proposal_score(proposals, box)
+    detected = time.perf_counter()
+    metric = ObjectField.of(sdf, problem.vehicle, problem.settings.dtype, problem.settings.batch)
+    held = check(
+        metric, problem.points_near(), theta, problem.size_m, rendering.object_points, problem.constraints
+    )
+    spent = {
+        "render": 1e3 * (rendered - start),
+        "detector": 1e3 * (detected - rendered),
+        "constraints": 1e3 * (time.perf_counter() - detected),
+    }
+    return Measurement(loss, score, rendering, held, spent)

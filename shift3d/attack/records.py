@@ -1,0 +1,66 @@
+"""What an attack hands back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from torch import Tensor
+
+from shift3d.attack.constraints import ConstraintCheck
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """One rendering of an attack; step 0 is the start.
+
+    loss: what is descended. adversarial_loss: its first term. proposal_score: best score near the object before
+    suppression. grazing_gradient: share of the gradient that LEAVES this step carried by grazing beams.
+    milliseconds: by stage (render, detector, backward, constraints).
+    """
+
+    step: int
+    loss: float
+    adversarial_loss: float
+    proposal_score: float
+    check: ConstraintCheck
+    unresolved_beams: int
+    max_residual_m: float
+    evaluations: int
+    grazing_gradient: float = 0.0
+    milliseconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def valid(self) -> bool:
+        """All constraints hold."""
+        return self.check.valid
+
+
+@dataclass(frozen=True)
+class AttackResult:
+    """The best valid step, or the start where no step was valid.
+
+    mode: shape or pose. latent_code: (d,). theta: (6,) float64. best_step: 1..steps, or 0 where no step was valid
+    and the baseline is kept. status: "ok"; "no_valid_step"; "diverged" where a step left the finite numbers (the
+    search ended there, earlier steps count). trace: one record per rendering, step 0 first.
+    """
+
+    mode: Literal["shape", "pose"]
+    latent_code: Tensor
+    theta: Tensor
+    best_step: int
+    status: str
+    trace: tuple[StepRecord, ...]
+
+    @property
+    def best(self) -> StepRecord:
+        """The record of the step that is kept."""
+        return self.trace[self.best_step]
+
+    def milliseconds(self) -> dict[str, float]:
+        """Total by stage."""
+        total: dict[str, float] = {}
+        for record in self.trace:
+            for stage, value in record.milliseconds.items():
+                total[stage] = total.get(stage, 0.0) + value
+        return total
