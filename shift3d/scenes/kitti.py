@@ -65,7 +65,9 @@ class KittiScenes:
         for part in ("velodyne", "calib"):
             if not (self.folder / part).is_dir():
                 raise InputError(
-                    f"no folder training/{part}", str(root), "Give the folder that holds KITTI's training/ folder."
+                    f"no folder training/{part}",
+                    str(root),
+                    "Give the folder that holds KITTI's training/ folder.",
                 )
         self._has_labels = (self.folder / "label_2").is_dir()
         found = {path.stem for path in (self.folder / "velodyne").glob("*.bin")}
@@ -78,7 +80,9 @@ class KittiScenes:
                 )
         self._names = sorted(found) if names is None else list(names)
         if not self._names:
-            raise InputError("no frames (*.bin)", str(self.folder / "velodyne"), "Give a folder with KITTI frames.")
+            raise InputError(
+                "no frames (*.bin)", str(self.folder / "velodyne"), "Give a folder with KITTI frames."
+            )
 
     def names(self) -> list[str]:
         """Frame numbers."""
@@ -91,7 +95,9 @@ class KittiScenes:
             InputError: naming the file, the line or row, and the remedy.
         """
         if name not in self._names:
-            raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {_first_few(self._names)}.")
+            raise InputError(
+                f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {_first_few(self._names)}."
+            )
         points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin")
         scene = Scene(
             scene_id=name,

@@ -70,18 +70,24 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         raw = path.read_bytes()
     except OSError as error:
         raise InputError(
-            f"cannot read the frame ({error.strerror})", str(path), "Check the root folder and the frame's name."
+            f"cannot read the frame ({error.strerror})",
+            str(path),
+            "Check the root folder and the frame's name.",
         ) from error
     if not raw or len(raw) % 16:
         raise InputError(
-            f"{len(raw)} bytes is not a whole number of 16-byte points", str(path), "The file is truncated: copy it again."
+            f"{len(raw)} bytes is not a whole number of 16-byte points",
+            str(path),
+            "The file is truncated: copy it again.",
         )
     values = np.frombuffer(raw, dtype="<f4").reshape(-1, 4).astype(np.float32)
     bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
         raise InputError(
-            f"{int(bad.sum())} rows with NaN or infinity, first is row {row}", str(path), "Repair or drop those rows."
+            f"{int(bad.sum())} rows with NaN or infinity, first is row {row}",
+            str(path),
+            "Repair or drop those rows.",
         )
     return np.ascontiguousarray(values[:, :3]), np.clip(values[:, 3], 0.0, 1.0)
 
@@ -112,7 +118,9 @@ def read_calibration(path: Path) -> Calibration:
     camera_T_lidar = np.eye(4)
     camera_T_lidar[:3] = found["R0_rect"] @ found["Tr_velo_to_cam"]
     if abs(np.linalg.det(camera_T_lidar[:3, :3]) - 1.0) > 0.05:
-        raise InputError("R0_rect · Tr_velo_to_cam is no rotation", str(path), "Copy the calibration file again.")
+        raise InputError(
+            "R0_rect · Tr_velo_to_cam is no rotation", str(path), "Copy the calibration file again."
+        )
     return Calibration(found["P2"], camera_T_lidar)
 
 
@@ -166,7 +174,9 @@ def _read_lines(path: Path, kind: str) -> list[str]:
         return path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not text"
-        raise InputError(f"cannot read the {kind} file ({reason})", str(path), "Copy it again, or leave the frame out.") from error
+        raise InputError(
+            f"cannot read the {kind} file ({reason})", str(path), "Copy it again, or leave the frame out."
+        ) from error
 
 
 def _numbers(words: list[str], where: str) -> list[float]:

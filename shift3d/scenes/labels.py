@@ -112,13 +112,19 @@ class Conditions:
             )
         if not 0.0 <= self.rain_mm_h < float("inf"):
             raise InputError(
-                f"{self.rain_mm_h} mm/h", f"{where}, conditions.rain_mm_h", "Give a finite rate of at least 0."
+                f"{self.rain_mm_h} mm/h",
+                f"{where}, conditions.rain_mm_h",
+                "Give a finite rate of at least 0.",
             )
         if not self.visibility_m > 0.0:
             raise InputError(
-                f"{self.visibility_m} m", f"{where}, conditions.visibility_m", "Give a positive distance (inf: clear)."
+                f"{self.visibility_m} m",
+                f"{where}, conditions.visibility_m",
+                "Give a positive distance (inf: clear).",
             )
         if self.ego_velocity_m_s is not None and not np.isfinite(self.ego_velocity_m_s).all():
             raise InputError(
-                f"{self.ego_velocity_m_s}", f"{where}, conditions.ego_velocity_m_s", "Give finite numbers, or None."
+                f"{self.ego_velocity_m_s}",
+                f"{where}, conditions.ego_velocity_m_s",
+                "Give finite numbers, or None.",
             )

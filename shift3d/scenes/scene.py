@@ -112,7 +112,9 @@ class Scene:
             ("time_s", self.time_s, np.float32, None),
             ("range_image_index", self.range_image_index, np.int32, 2),
         ]
-        return [(name, values, dtype, columns) for name, values, dtype, columns in fields if values is not None]
+        return [
+            (name, values, dtype, columns) for name, values, dtype, columns in fields if values is not None
+        ]
 
 
 def _check_field(

@@ -63,10 +63,14 @@ class StreetScenes:
     ) -> None:
         for value, field, choices in ((sensor, "sensor", STREET_SENSORS), (split, "split", STREET_SPLITS)):
             if value not in choices:
-                raise InputError(f"unknown {field} {value!r}", "street scenes", f"Choose from {', '.join(choices)}.")
+                raise InputError(
+                    f"unknown {field} {value!r}", "street scenes", f"Choose from {', '.join(choices)}."
+                )
         if count < 1 or start < 0 or seed < 0:
             raise InputError(
-                f"count={count}, start={start}, seed={seed}", "street scenes", "Give count >= 1, start >= 0, seed >= 0."
+                f"count={count}, start={start}, seed={seed}",
+                "street scenes",
+                "Give count >= 1, start >= 0, seed >= 0.",
             )
         self.sensor, self.seed, self.count, self.split, self.start = sensor, seed, count, split, start
 
@@ -90,7 +94,9 @@ class StreetScenes:
         match = re.fullmatch(r"street-([a-z]+)-(hdl64|waymo_top)-(\d{6,})(?:-seed(\d+))?", name)
         if match is None or name not in self.names():
             names = self.names()
-            raise InputError(f"unknown scene {name!r}", "street scenes", f"Choose from {names[0]} to {names[-1]}.")
+            raise InputError(
+                f"unknown scene {name!r}", "street scenes", f"Choose from {names[0]} to {names[-1]}."
+            )
         scene = street_scene(match[1], int(match[4] or 0), int(match[3]), match[2])
         scene.validate()
         return scene

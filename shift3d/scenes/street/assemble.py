@@ -13,11 +13,14 @@ from shift3d.scenes.street.item import LABELLED, Item
 from shift3d.scenes.street.layout import Layout, sample_layout
 from shift3d.scenes.street.pool import POOL_SIZES, PoolVehicle, pool_vehicle
 from shift3d.scenes.street.raycast import Intersector, Sweep, beam_directions
-from shift3d.scenes.street.returns import finish
+from shift3d.scenes.street.returns import Paint, finish
 from shift3d.scenes.street.sensors import SENSORS
 from shift3d.scenes.street.shapes import Mesh, Part, merge
 from shift3d.scenes.street.things import LOOKS, Leaves
 from shift3d.seeding import generator
+
+# Windows lie between these shares of a vehicle's height; some vehicles lose most of the returns from them.
+GLASS_FROM, GLASS_TO = 0.62, 0.92
 
 
 def street_scene(split: str, seed: int, index: int, sensor_name: str) -> Scene:
@@ -45,8 +48,8 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str) -> Scene:
     parts = ("street-scene", split, seed, index, sensor_name)
     layout = sample_layout(generator(*parts, "layout"), sensor.mount_height_m)
     rng = generator(*parts, "sensing")
-    sweep, boxes, albedo = _cast(layout, split, sensor_name, rng)
-    range_m, reflectance, kept = finish(sweep, albedo, rng)
+    sweep, boxes = _cast(layout, split, sensor_name, rng)
+    range_m, reflectance, kept = finish(sweep, _sample_paint(layout, rng), rng)
     points = (beam_directions(sensor_name)[kept] * range_m[kept][:, None]).astype(np.float32)
     index_image = np.argwhere(kept).astype(np.int32)
     return Scene(
@@ -64,8 +67,8 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str) -> Scene:
 
 def _cast(
     layout: Layout, split: str, sensor_name: str, rng: np.random.Generator
-) -> tuple[Sweep, dict[int, NDArray[np.float64]], dict[int, float]]:
-    """First hits of every beam; the box (7,) of every labelled item and the albedo of vehicles, by item number."""
+) -> tuple[Sweep, dict[int, NDArray[np.float64]]]:
+    """First hits of every beam; the box (7,) of every labelled item, by item number."""
     sweep = Sweep.empty(SENSORS[sensor_name])
     solid: list[tuple[int, Part]] = []
     foliage: list[tuple[int, Leaves]] = []
@@ -74,7 +77,11 @@ def _cast(
         if item.kind == "vehicle":
             continue
         parts, leaves = LOOKS[item.kind](item, generator("street-thing", item.variant))
-        z = _lowest_ground(layout.ground, item) if item.kind != "pedestrian" else _ground_at(layout.ground, item)
+        z = (
+            _lowest_ground(layout.ground, item)
+            if item.kind != "pedestrian"
+            else _ground_at(layout.ground, item)
+        )
         placed = [part.placed(item.x, item.y, z, item.heading_rad) for part in parts]
         solid += [(number, part) for part in placed]
         if item.kind in LABELLED:
@@ -84,14 +91,25 @@ def _cast(
     ground = Mesh(vertices, faces, material, np.full(len(faces), -1, dtype=np.int32))
     mesh = merge(solid, ground)
     sweep.cast_static(Intersector(mesh.vertices, mesh.faces), mesh.material, mesh.item)
-    albedo: dict[int, float] = {}
     for number, item in enumerate(layout.items):
         if item.kind == "vehicle":
-            boxes[number] = _cast_vehicle(sweep, layout.ground, item, number, pool_vehicle(split, item.variant))
-            albedo[number] = float(rng.uniform(0.05, 0.7))
+            boxes[number] = _cast_vehicle(
+                sweep, layout.ground, item, number, pool_vehicle(split, item.variant)
+            )
     for number, leaf in foliage:
         sweep.cast_foliage(leaf.centre, leaf.radii, leaf.free_path_m, number, rng)
-    return sweep, boxes, albedo
+    return sweep, boxes
+
+
+def _sample_paint(layout: Layout, rng: np.random.Generator) -> dict[int, Paint]:
+    """Albedo of each vehicle's body, and how much of what meets its windows comes back."""
+    paint = {}
+    for number, item in enumerate(layout.items):
+        if item.kind == "vehicle":
+            opaque = rng.random() < 0.5
+            through = 0.0 if opaque else float(rng.uniform(0.2, 0.9))
+            paint[number] = Paint(albedo=float(rng.uniform(0.05, 0.7)), glass_loss=through)
+    return paint
 
 
 def _cast_vehicle(
@@ -111,7 +129,8 @@ def _cast_vehicle(
     left /= np.linalg.norm(left)
     scene_R_object = np.stack((forward, left, np.cross(forward, left)), axis=1)
     position = np.array([item.x, item.y, float(z.mean()) + height / 2])
-    sweep.cast_instance(vehicle.intersector, scene_R_object, position, vehicle.radius_m, number)
+    glass_band = (GLASS_FROM * height - height / 2, GLASS_TO * height - height / 2)
+    sweep.cast_instance(vehicle.intersector, scene_R_object, position, vehicle.radius_m, glass_band, number)
     return np.array([*position, length, width, height, item.heading_rad])
 
 
@@ -126,11 +145,13 @@ def _box_of_parts(parts: list[Part], item: Item, z: float) -> NDArray[np.float64
 
 
 def _placed_leaves(leaf: Leaves, item: Item, z: float) -> Leaves:
-    # Radii stay along the scene's axes: nobody can tell a turned blob of leaves from another blob.
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
     x, y, up = leaf.centre
     centre = np.array([item.x + cos * x - sin * y, item.y + sin * x + cos * y, z + up])
-    return Leaves(centre, leaf.radii, leaf.free_path_m)
+    # The blob keeps its reach along the scene's axes but not its tilt: nobody can tell.
+    along = np.hypot(leaf.radii[0] * cos, leaf.radii[1] * sin)
+    across = np.hypot(leaf.radii[0] * sin, leaf.radii[1] * cos)
+    return Leaves(centre, np.array([along, across, leaf.radii[2]]), leaf.free_path_m)
 
 
 def _ground_at(ground: Ground, item: Item) -> float:
@@ -142,7 +163,9 @@ def _lowest_ground(ground: Ground, item: Item) -> float:
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
     along = np.array([0.5, 0.5, -0.5, -0.5, 0.0]) * item.size_m[0]
     across = np.array([0.5, -0.5, -0.5, 0.5, 0.0]) * item.size_m[1]
-    return float(ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across).min())
+    return float(
+        ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across).min()
+    )
 
 
 def _labels(layout: Layout, boxes: dict[int, NDArray[np.float64]], points: NDArray[np.float32]) -> Labels:

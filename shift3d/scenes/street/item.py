@@ -18,7 +18,7 @@ class Item:
 
     Attributes:
         kind: "vehicle", "pedestrian", "cyclist", "building", "pole", "sign", "tree", "wall", "hedge", "fence",
-            "bush", "dumpster", "container", "cabinet", "barrier".
+            "thicket", "bush", "dumpster", "container", "cabinet", "barrier".
         x, y: scene frame, metres; heading_rad counter-clockwise from +x.
         size_m: length, width, height; of a vehicle, the slot reserved for it.
         variant: picks the instance and its details.
@@ -46,7 +46,9 @@ class FloorPlan:
             Whether it was added.
         """
         length, width, height = item.size_m
-        grown = np.array([[item.x, item.y, 0, length + 2 * margin_m, width + 2 * margin_m, height, item.heading_rad]])
+        grown = np.array(
+            [[item.x, item.y, 0, length + 2 * margin_m, width + 2 * margin_m, height, item.heading_rad]]
+        )
         if _meets(corners_bev(grown)[0], self._corners).any():
             return False
         plain = np.array([[item.x, item.y, 0, length, width, height, item.heading_rad]])

@@ -85,10 +85,17 @@ def _sample_ground(kind: str, rng: np.random.Generator, mount_height_m: float) -
         crossing=crossing,
         lot=lot,
         crown=float(rng.uniform(0.0, 0.025)) if kind != "plaza" else 0.0,
-        banks=(float(np.clip(rng.normal(0.0, 0.03), -0.06, 0.1)), float(np.clip(rng.normal(0.0, 0.03), -0.06, 0.1))),
+        banks=(_sample_bank(rng), _sample_bank(rng)),
         waves=sample_waves(rng, float(rng.choice((0.2, 0.6, 1.0, 1.8)))),
         mount_height_m=mount_height_m,
     )
+
+
+def _sample_bank(rng: np.random.Generator) -> float:
+    """Mostly level with the road, now and then a steep embankment."""
+    if rng.random() < 0.12:
+        return float(rng.uniform(0.1, 0.3))
+    return float(np.clip(rng.normal(0.0, 0.03), -0.06, 0.1))
 
 
 def _thin_out(plan: FloorPlan, rng: np.random.Generator, target: int) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 import tempfile
 import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from shift3d.scenes.street.raycast import Intersector
 from shift3d.seeding import generator
 
 POOL_SIZES = {"train": 270, "val": 90, "test": 90}
-RESOLUTION_M = 0.05
+RESOLUTION_M = 0.07
 
 
 @dataclass(frozen=True)
@@ -90,10 +91,21 @@ def _keep(path: Path, vertices: NDArray[np.float32], faces: NDArray[np.int32], b
 @lru_cache(maxsize=1)
 def cache_folder() -> Path:
     """Where pool meshes are kept: XDG_CACHE_HOME/shift3d, keyed by the code that shapes vehicles."""
+    from shift3d.vehicles import family
+
     digest = hashlib.blake2b(str(RESOLUTION_M).encode(), digest_size=8)
-    found = find_spec("shift3d.vehicles")
-    for folder in sorted(found.submodule_search_locations or []) if found else []:
-        for source in sorted(Path(folder).glob("*.py")):
-            digest.update(source.name.encode() + source.read_bytes())
+    for module in sorted(_modules_behind(family, set()), key=lambda module: module.__name__):
+        digest.update(module.__name__.encode() + Path(str(module.__file__)).read_bytes())
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return root / "shift3d" / f"street-pool-{digest.hexdigest()}"
+
+
+def _modules_behind(module: ModuleType, found: set[ModuleType]) -> set[ModuleType]:
+    """The module and those of its own package that its names come from, and so on."""
+    found.add(module)
+    for value in vars(module).values():
+        name = value.__name__ if isinstance(value, ModuleType) else str(getattr(value, "__module__", ""))
+        source = sys.modules.get(name)
+        if name.startswith("shift3d.vehicles.") and source is not None and source not in found:
+            _modules_behind(source, found)
+    return found

@@ -22,7 +22,9 @@ class Intersector:
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self._scene = EmbreeScene()
-        TriangleMesh(self._scene, np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32))
+        TriangleMesh(
+            self._scene, np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
+        )
 
     def first_hit(self, origins: Float32, directions: Float32) -> tuple[Float32, NDArray[np.int32], Float32]:
         """First hits of rays.
@@ -102,9 +104,7 @@ class Sweep:
         columns = np.unique(columns % self.sensor.columns)
         return (slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0, 0)), columns
 
-    def cast_static(
-        self, mesh: Intersector, material: NDArray[np.uint8], item: NDArray[np.int32]
-    ) -> None:
+    def cast_static(self, mesh: Intersector, material: NDArray[np.uint8], item: NDArray[np.int32]) -> None:
         """Cast every beam at a mesh in the scene frame; material and item are per face."""
         directions = beam_directions(self.sensor.name).reshape(-1, 3)
         range_m, face, cosine = mesh.first_hit(np.zeros_like(directions), directions)
@@ -115,13 +115,20 @@ class Sweep:
         self.cosine.reshape(-1)[closer] = cosine[closer]
 
     def cast_instance(
-        self, mesh: Intersector, scene_R_object: Float, position: Float, radius_m: float, item: int
+        self,
+        mesh: Intersector,
+        scene_R_object: Float,
+        position: Float,
+        radius_m: float,
+        glass_band_m: tuple[float, float],
+        item: int,
     ) -> None:
         """Cast the beams near a vehicle at its mesh, in the object frame.
 
         Args:
             mesh: in the object frame, within radius_m of its origin.
             scene_R_object: (3, 3); position: (3,) of the object's origin in the scene.
+            glass_band_m: what lies between these heights of the object frame counts as glass.
         """
         rows, columns = self.window(position, radius_m)
         directions = beam_directions(self.sensor.name)[rows][:, columns].reshape(-1, 3)
@@ -130,7 +137,9 @@ class Sweep:
         local = np.ascontiguousarray(directions @ scene_R_object.astype(np.float32))
         origin = (-position @ scene_R_object).astype(np.float32)
         range_m, face, cosine = mesh.first_hit(np.repeat(origin[None], len(local), axis=0), local)
-        material = np.full(len(face), Material.VEHICLE, dtype=np.uint8)
+        height = origin[2] + np.where(face >= 0, range_m, 0.0) * local[:, 2]
+        glass = (height > glass_band_m[0]) & (height < glass_band_m[1])
+        material = np.where(glass, Material.GLASS, Material.VEHICLE).astype(np.uint8)
         self._merge(rows, columns, range_m, material, cosine, item)
 
     def cast_foliage(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,19 +12,27 @@ from shift3d.scenes.street.shapes import ALBEDO, Material
 
 # Received power, albedo * cosine / range^2 in 1/m^2, at which half of the returns are lost; and the width of the
 # transition in factors of e. The ground then fades out between 45 and 65 m, as it does in KITTI frames.
-HALF_POWER = 1.6e-6
+HALF_POWER = 2.2e-6
 POWER_SPREAD = 0.45
 _ROUGHNESS_M = {Material.TERRAIN: 0.02, Material.FOLIAGE: 0.05, Material.CLOTH: 0.01}
 
 
+@dataclass(frozen=True)
+class Paint:
+    """Of one vehicle: albedo of its body, and the share of beams that its windows do not send back."""
+
+    albedo: float
+    glass_loss: float
+
+
 def finish(
-    sweep: Sweep, albedo: dict[int, float], rng: np.random.Generator
+    sweep: Sweep, paint: dict[int, Paint], rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
     """Ranges as a sensor reports them.
 
     Args:
         sweep: first hits of every beam.
-        albedo: of single items, by number; others have their material's.
+        paint: of vehicles, by item number; everything else has its material's albedo.
 
     Returns:
         range_m, reflectance (both (rows, columns) float32) and kept (rows, columns) bool.
@@ -34,24 +44,30 @@ def finish(
     for material, roughness_m in _ROUGHNESS_M.items():
         rough = sweep.material == material
         # An uneven surface met at a grazing angle moves the hit far along the beam.
-        noise[rough] += roughness_m * rng.standard_normal(int(rough.sum())) / np.maximum(sweep.cosine[rough], 0.15)
+        noise[rough] += (
+            roughness_m * rng.standard_normal(int(rough.sum())) / np.maximum(sweep.cosine[rough], 0.15)
+        )
     range_m = np.where(np.isfinite(sweep.range_m), sweep.range_m, 1e6) + noise
     range_m = np.round(range_m / sensor.range_step_m) * sensor.range_step_m
-    surface = _albedo_image(sweep, albedo)
+    surface = _per_item(sweep, {number: p.albedo for number, p in paint.items()}, ALBEDO)
     power = surface * np.maximum(sweep.cosine, 0.02) / range_m**2
     detected = 1.0 / (1.0 + np.exp(-(np.log(power) - np.log(HALF_POWER)) / POWER_SPREAD))
     kept = rng.random(shape) < detected * (1.0 - sensor.drop_rate)
+    glass_loss = _per_item(
+        sweep, {number: p.glass_loss for number, p in paint.items()}, np.zeros(len(ALBEDO))
+    )
+    kept &= (sweep.material != Material.GLASS) | (rng.random(shape) >= glass_loss)
     kept &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
     speckle = np.exp(0.25 * rng.standard_normal(shape))
     reflectance = np.clip(surface * np.sqrt(sweep.cosine) * speckle, 0.0, 1.0)
     return range_m.astype(np.float32), np.round(reflectance, 2).astype(np.float32), kept
 
 
-def _albedo_image(sweep: Sweep, albedo: dict[int, float]) -> NDArray[np.float64]:
-    """Albedo of what each beam met."""
-    most = max([int(sweep.item.max()), *albedo], default=-1)
+def _per_item(sweep: Sweep, values: dict[int, float], otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """For each beam the value of the item it met, or that of the material where the item has none."""
+    most = max([int(sweep.item.max()), *values], default=-1)
     own = np.full(most + 3, np.nan)
-    for number, value in albedo.items():
+    for number, value in values.items():
         own[number + 2] = value
-    surface = own[sweep.item + 2]
-    return np.where(np.isnan(surface), ALBEDO[sweep.material], surface)
+    image = own[sweep.item + 2]
+    return np.where(np.isnan(image), otherwise[sweep.material], image)

@@ -26,9 +26,10 @@ class Material(IntEnum):
     CLOTH = 6
     WOOD = 7
     VEHICLE = 8
+    GLASS = 9
 
 
-ALBEDO = np.array([0.18, 0.28, 0.35, 0.45, 0.35, 0.45, 0.4, 0.35, 0.4])
+ALBEDO = np.array([0.18, 0.28, 0.35, 0.45, 0.35, 0.45, 0.4, 0.35, 0.4, 0.2])
 
 
 @dataclass(frozen=True)
@@ -117,9 +118,7 @@ def _unit_sphere() -> tuple[Float, Int]:
     return vertices, np.array(faces, dtype=np.int32)
 
 
-def ellipsoid(
-    radii: tuple[float, float, float], at: tuple[float, float, float], material: Material
-) -> Part:
+def ellipsoid(radii: tuple[float, float, float], at: tuple[float, float, float], material: Material) -> Part:
     """A coarse ellipsoid about ``at``."""
     vertices, faces = _unit_sphere()
     return Part(vertices * np.array(radii) + np.array(at), faces, material)
@@ -146,4 +145,6 @@ def merge(parts: Iterable[tuple[int, Part]], base: Mesh) -> Mesh:
         material.append(np.full(len(part.faces), part.material, dtype=np.uint8))
         item.append(np.full(len(part.faces), number, dtype=np.int32))
         count += len(part.vertices)
-    return Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(material), np.concatenate(item))
+    return Mesh(
+        np.concatenate(vertices), np.concatenate(faces), np.concatenate(material), np.concatenate(item)
+    )
