@@ -7,7 +7,7 @@ import numpy as np
 from shift3d.scenes.street.ground import Ground
 from shift3d.scenes.street.item import FloorPlan, Item
 
-SLOT_M = (5.0, 2.1, 1.8)  # floor space kept for a vehicle of the family, and its usual height
+SLOT_M = (5.7, 2.1, 1.8)  # floor space kept for a vehicle of the family, and its usual height
 LANE_M = 3.4
 _VARIANTS = 1 << 20
 
@@ -26,7 +26,7 @@ def add_vehicle(
 def vehicles_in_lanes(plan: FloorPlan, ground: Ground, rng: np.random.Generator, mean_gap_m: float) -> None:
     """Traffic on the road, right-hand, and on the side road where there is one."""
     parking = (ground.half_width_m % LANE_M) if ground.half_width_m > LANE_M else 0.0
-    lanes = max(int(round((ground.half_width_m - parking) / LANE_M)), 1)
+    lanes = max(round((ground.half_width_m - parking) / LANE_M), 1)
     for lane in range(lanes):
         for direction in (1.0, -1.0):
             _queue(plan, ground, rng, mean_gap_m, -direction * LANE_M * (lane + 0.5), direction)
@@ -40,7 +40,7 @@ def vehicles_in_lanes(plan: FloorPlan, ground: Ground, rng: np.random.Generator,
                 if abs(v) > 2.0 or rng.random() < 0.4:
                     u = middle + direction * LANE_M * (lane + 0.5) + rng.normal(0.0, 0.2)
                     add_vehicle(plan, ground, rng, u, v, direction * np.pi / 2 + rng.normal(0.0, 0.05))
-                v += 6.5 + rng.exponential(mean_gap_m * 0.8)
+                v += 7.5 + rng.exponential(mean_gap_m * 0.8)
 
 
 def _queue(
@@ -51,7 +51,7 @@ def _queue(
         turn = rng.uniform(-np.pi, np.pi) if rng.random() < 0.04 else rng.normal(0.0, 0.03)
         heading = (0.0 if direction > 0 else np.pi) + turn
         add_vehicle(plan, ground, rng, u, v + rng.normal(0.0, 0.2), heading)
-        u += 7.5 + rng.exponential(mean_gap_m)
+        u += 8.0 + rng.exponential(mean_gap_m)
 
 
 def park_along_kerb(plan: FloorPlan, ground: Ground, rng: np.random.Generator) -> None:
@@ -66,7 +66,7 @@ def park_along_kerb(plan: FloorPlan, ground: Ground, rng: np.random.Generator) -
             if style == "angle"
             else 0.0
         )
-        pitch = 6.0 if style == "line" else 2.7 / abs(np.sin(angle))
+        pitch = 6.4 if style == "line" else 2.75 / abs(np.sin(angle))
         v = side * (ground.half_width_m + (-1.1 if style == "line" else 2.6))
         for u in np.arange(-75.0, 75.0, pitch):
             in_side_road = (
@@ -92,7 +92,7 @@ def fill_lot(plan: FloorPlan, ground: Ground, rng: np.random.Generator, occupanc
     skew = rng.choice((0.0, 0.0, np.pi / 6, -np.pi / 6))
     offset = -reach + rng.uniform(0.0, 5.0)
     while offset < reach:
-        for row in (offset, offset + 5.3):
+        for row in (offset, offset + 6.0):
             for s in np.arange(-reach, reach, slot / np.cos(skew)):
                 u, v = middle + s * along + row * across
                 inside = u0 + 2.5 < u < u1 - 2.5 and v0 + 2.5 < v < v1 - 2.5
@@ -100,7 +100,7 @@ def fill_lot(plan: FloorPlan, ground: Ground, rng: np.random.Generator, occupanc
                     continue
                 heading = angle + np.pi / 2 + skew + (np.pi if rng.random() < 0.5 else 0.0)
                 add_vehicle(plan, ground, rng, u, v, heading + rng.normal(0.0, 0.04))
-        offset += 2 * 5.3 + aisle
+        offset += 12.0 + aisle
 
 
 def scatter_vehicles(plan: FloorPlan, ground: Ground, rng: np.random.Generator, count: int) -> None:
