@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import cos, pi
 from pathlib import Path
 
 import torch
 from safetensors.torch import save_file
-from torch import Tensor
 from tqdm import tqdm
 
 from shift3d.detectors.anchors import WAYMO_ANCHORS, anchor_boxes
 from shift3d.detectors.backbone import WAYMO_BACKBONE, BackboneSpec
 from shift3d.detectors.network import PointPillarsNet
 from shift3d.errors import InputError
+from shift3d.scenes.sets import StreetScenes
+from shift3d.sdf.decoder import load_decoder
 from shift3d.seeding import generator
+from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.detector_augmentation import Crop, random_crop
 from shift3d.training.detector_losses import detection_loss
-from shift3d.training.detector_scenes import load_cached
+from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
 from shift3d.training.detector_targets import Targets, assign_targets
+from shift3d.training.inserted_vehicles import insertable_vehicles, with_inserted_vehicles
 
-__all__ = ["Recipe", "export_weights", "one_cycle", "train_on_scenes"]
+__all__ = ["Recipe", "export_weights", "one_cycle", "train_on_scenes", "train_pointpillars"]
 
 
 @dataclass(frozen=True)
@@ -35,13 +37,16 @@ class Recipe:
     crops; batch: crops a step; rim_cells: anchors so close to a crop's edge are not trained.
     """
 
-    steps: int = 8000
+    steps: int = 10_000
     mesh_only_steps: int = 4000
     inserted_share: float = 0.5
+    mesh_scenes: int = 400
+    inserted_scenes: int = 240
+    inserted_vehicles: int = 120
     crop_cells: int = 112
     batch: int = 2
     rim_cells: int = 6
-    peak_rate: float = 2e-3
+    peak_rate: float = 1.5e-3
     weight_decay: float = 0.01
     warm_up_share: float = 0.3
     clip_norm: float = 10.0
@@ -146,30 +151,23 @@ def _targets(net: PointPillarsNet, crop: Crop, rim_cells: int) -> Targets:
     )
 
 
-def _recipe_tensor(recipe: Recipe) -> Tensor:
-    """The recipe as bytes, so that a checkpoint holds tensors and numbers alone."""
-    return torch.tensor(list(repr(asdict(recipe)).encode()), dtype=torch.uint8)
-
-
 def _save(
     file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.optim.Optimizer, steps_done: int
 ) -> None:
     state = {
         "steps_done": steps_done,
-        "recipe": _recipe_tensor(recipe),
+        "recipe": repr(recipe),
         "net": net.state_dict(),
         "optimiser": optimiser.state_dict(),
     }
-    temporary = file.with_suffix(f".{os.getpid()}.tmp")
-    torch.save(state, temporary)
-    temporary.replace(file)
+    write_checkpoint(file, state)
 
 
 def _resume(file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.optim.Optimizer) -> int:
-    if not file.exists():
+    state = read_checkpoint(file)
+    if state is None:
         return 0
-    state = torch.load(file, weights_only=True)
-    if not torch.equal(state["recipe"], _recipe_tensor(recipe)):
+    if state.get("recipe") != repr(recipe):
         raise InputError(
             "the checkpoint was trained by another recipe", where=str(file), remedy="choose another folder"
         )
@@ -178,8 +176,65 @@ def _resume(file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.o
     return int(state["steps_done"])
 
 
-def export_weights(net: PointPillarsNet, file: Path) -> None:
-    """Write the weights as safetensors, replacing the file in one step."""
-    temporary = file.with_suffix(f".{os.getpid()}.tmp")
-    save_file({name: tensor.contiguous() for name, tensor in net.state_dict().items()}, temporary)
-    temporary.replace(file)
+def export_weights(net: PointPillarsNet, file: Path, recipe: Recipe) -> None:
+    """Write the weights as safetensors, with the recipe in the metadata, replacing the file in one step."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_name(file.name + ".partial")
+    tensors = {name: tensor.contiguous() for name, tensor in net.state_dict().items()}
+    save_file(tensors, partial, metadata={"model": "pointpillars", "recipe": repr(recipe)})
+    partial.replace(file)
+
+
+def train_pointpillars(
+    out_dir: Path,
+    recipe: Recipe | None = None,
+    threads: int = 1,
+    weights_file: Path | None = None,
+    vehicles_file: Path | None = None,
+    decoder_file: Path | None = None,
+) -> PointPillarsNet:
+    """The whole recipe: make scenes, train on mesh vehicles, then on inserted ones too, export.
+
+    out_dir: scenes, checkpoint and weights; an interrupted training goes on from there. weights_file: where
+    the safetensors go (default out_dir/pointpillars.safetensors). threads: may change from call to call; the
+    weights then agree to rounding, not to the bit. vehicles_file, decoder_file: default the shipped ones.
+
+    Raises: InputError when the shape decoder's weights are missing or the checkpoint is of another recipe.
+    """
+    recipe = recipe or Recipe()
+    mesh = mesh_scene_files(out_dir, recipe.mesh_scenes)
+    train_on_scenes(out_dir, recipe, mesh, threads=threads, stop_after=recipe.mesh_only_steps)
+    torch.set_num_threads(threads)
+    inserted = inserted_scene_files(out_dir, mesh, recipe, vehicles_file, decoder_file)
+    net = train_on_scenes(out_dir, recipe, mesh, inserted, threads=threads)
+    export_weights(net, weights_file or out_dir / "pointpillars.safetensors", recipe)
+    return net
+
+
+def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:
+    """Cached procedural scenes of both sensors, split train."""
+    scenes = StreetScenes("mixed", count=count, split="train")
+    names = tqdm(scenes.names(), desc="street scenes", mininterval=5.0)
+    return cache_scenes(out_dir / "mesh-train", names, lambda name: from_scene(scenes.load(name)))
+
+
+def inserted_scene_files(
+    out_dir: Path, mesh: Sequence[Path], recipe: Recipe, vehicles_file: Path | None, decoder_file: Path | None
+) -> list[Path]:
+    """Cached scenes with vehicles that our renderer inserted into mesh scenes, in their order.
+
+    Raises: InputError when the shape decoder's weights are missing.
+    """
+    folder = out_dir / "inserted-train"
+    names = [f"inserted-{index:05d}" for index in range(recipe.inserted_scenes)]
+    if all((folder / f"{name}.npz").exists() for name in names):
+        return [folder / f"{name}.npz" for name in names]
+    decoder = load_decoder(decoder_file)
+    vehicles = insertable_vehicles(recipe.inserted_vehicles, recipe.seed, decoder, vehicles_file)
+
+    def build(name: str) -> TrainingScene:
+        rng = generator("inserted scene", recipe.seed, name)
+        scene = load_cached(mesh[int(name.rsplit("-", 1)[1]) % len(mesh)])
+        return with_inserted_vehicles(scene, vehicles, decoder, rng)
+
+    return cache_scenes(folder, tqdm(names, desc="inserting vehicles", mininterval=5.0), build)
