@@ -25,7 +25,7 @@ class CameraView:
     calibration: Calibration
 
     def in_image(self, points: NDArray[np.floating], margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Which points (N, 3) of the LiDAR frame project into the image, margin_px away from its edge: (N,) bool."""
+        """Which points (N, 3) of the LiDAR frame fall into the image, margin_px inside its edge: (N,) bool."""
         pixels, depth = self.calibration.pixels(points)
         inside = (pixels >= margin_px) & (pixels < np.array(IMAGE_SIZE) - margin_px)
         result: NDArray[np.bool_] = inside.all(axis=1) & (depth > 0.0)
@@ -49,8 +49,8 @@ class KittiScenes:
         names: frame numbers to use ("000134"); None takes every frame that has a point file, sorted.
 
     Scenes keep the point order of the files. Points at zero range stay in place and carry no beam
-    (:attr:`~shift3d.scenes.scene.Scene.has_beam`). Labels cover camera 2's view only: objects are placed within
-    0.6 rad of +x, a vehicle's half width inside the image's edges at 0.70 rad.
+    (:attr:`~shift3d.scenes.scene.Scene.has_beam`). Labels cover camera 2's view only, 0.70 rad to either side of
+    +x: objects are placed within 0.6 rad, so that most of the vehicle stays inside.
 
     Raises:
         InputError: where folders or frames are missing, or a label file has no frame.
@@ -141,8 +141,8 @@ class KittiScenes:
 def estimate_ground_z(points: NDArray[np.float32]) -> float:
     """Height of the ground around a car-mounted HDL-64E, metres, rounded to 1 cm.
 
-    The fullest 5 cm layer between 4 and 12 m from the sensor, within 0.35 m of the nominal -1.73, refined by the
-    median of the points within 15 cm of it. With fewer than 500 points there: the nominal height.
+    The fullest 5 cm layer between 4 and 12 m from the sensor, within 0.35 m of the nominal -1.73, refined by
+    the median of the points within 15 cm of it. With fewer than 500 points there: the nominal height.
 
     Source: our choice; over the labelled sample frames it lies between -1.80 and -1.63.
     """

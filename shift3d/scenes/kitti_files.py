@@ -32,17 +32,18 @@ class Calibration:
     """Camera 2 of one frame.
 
     Attributes:
-        image_P_camera: (3, 4) projection of the rectified camera frame (x right, y down, z forward) to pixels.
+        image_P_camera: (3, 4) the rectified camera frame (x right, y down, z forward) to pixels.
         camera_T_lidar: (4, 4) rigid transform of the LiDAR frame to the rectified camera frame.
     """
 
-    image_P_camera: Float
-    camera_T_lidar: Float
+    image_P_camera: Float  # noqa: N815
+    camera_T_lidar: Float  # noqa: N815
 
     def lidar_from_camera(self, points: NDArray[np.floating]) -> Float:
         """Points (N, 3) of the rectified camera frame in the LiDAR frame, metres."""
         inverse = np.linalg.inv(self.camera_T_lidar)
-        return np.asarray(points, dtype=np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+        lidar: Float = np.asarray(points, dtype=np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+        return lidar
 
     def pixels(self, points: NDArray[np.floating]) -> tuple[Float, Float]:
         """Pixel (N, 2) as (column, row) and depth (N,) in metres of points (N, 3) in the LiDAR frame."""
@@ -54,7 +55,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class KittiLabel:
-    """One row of a label file: KITTI name and box (7,) in the LiDAR frame, geometric centre, heading from +x."""
+    """One row of a label file: KITTI name, and box (7,) in the LiDAR frame as everywhere in shift3d."""
 
     name: str
     box: Float
@@ -64,7 +65,8 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Points (N, 3) in the LiDAR frame and reflectance (N,) of a velodyne file, in file order.
 
     Raises:
-        InputError: where the file is missing, empty, not a whole number of 16-byte records, or holds NaN or infinity.
+        InputError: where the file is missing, empty, not a whole number of 16-byte records, or holds NaN or
+            infinity.
     """
     try:
         raw = path.read_bytes()

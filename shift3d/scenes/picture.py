@@ -19,7 +19,7 @@ _EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4)
 
 
 def draw_bev(axes: Axes, scene: Scene, reach_m: float = 50.0, point_size: float = 0.15) -> None:
-    """Points from above, coloured by height above the ground, x up the page; labels as rectangles with their nose.
+    """Points from above, coloured by height above the ground, x up the page; labels with their nose.
 
     Args:
         axes: matplotlib axes to draw on.
@@ -51,7 +51,16 @@ def draw_view(
     order = np.argsort(-depth[front])
     height = (scene.points[front][:, 2] - scene.ground_z_m)[order]
     size = point_size * np.clip(25.0 / depth[front][order], 0.3, 3.0) ** 2
-    axes.scatter(*image[front][order].T, s=size, c=height, cmap="viridis", vmin=-0.3, vmax=3, lw=0)
+    axes.scatter(
+        image[front][order, 0],
+        image[front][order, 1],
+        s=size,
+        c=height,
+        cmap="viridis",
+        vmin=-0.3,
+        vmax=3,
+        lw=0,
+    )
     for box, name in zip(scene.labels.boxes, scene.labels.classes, strict=True):
         corners, far = _project(corners_3d(box[None])[0], eye, camera)
         if (far > 1.0).all():

@@ -23,7 +23,7 @@ class Scene:
         scene_id: unique name within its data set.
         dataset: "kitti", "street-hdl64", "street-waymo_top", ...
         points: (N, 3) float32. A point at its own origin (zero range) carries no beam: see :attr:`has_beam`.
-        origins: (N, 3) float32, where the beam of each point left its sensor; may be a broadcast view of one row.
+        origins: (N, 3) float32, where the beam of each point left its sensor; may be a view of one row.
         ground_z_m: nominal height of the ground around the sensor (-1.73 for KITTI).
         labels: objects in the scene.
         reflectance: (N,) float32 in 0..1, or None.
@@ -57,8 +57,8 @@ class Scene:
         """Refuse a scene that cannot be rendered into.
 
         Raises:
-            InputError: naming scene, field, row and remedy. Checked are: shapes and dtypes of every field, NaN and
-                infinite values, at least one point with a beam, labels and conditions.
+            InputError: naming scene, field, row and remedy. Checked are: shapes and dtypes of every field, NaN
+                and infinite values, at least one point with a beam, labels and conditions.
         """
         where = f"scene {self.scene_id}"
         if not self.scene_id or not self.dataset:
@@ -82,7 +82,7 @@ class Scene:
     def content_hash(self) -> str:
         """BLAKE2b-128 hex digest of everything in the record: equal content gives equal digests anywhere.
 
-        Arrays enter as their little-endian bytes with name, dtype and shape; a broadcast view and its copy agree.
+        Arrays enter as little-endian bytes with name, dtype and shape; a broadcast view and its copy agree.
         """
         digest = hashlib.blake2b(digest_size=16)
         header = {
@@ -103,7 +103,7 @@ class Scene:
         return digest.hexdigest()
 
     def _fields(self) -> list[tuple[str, NDArray[np.generic], type[np.generic], int | None]]:
-        """Per-point arrays that are present: name, values, dtype asked for, columns (None: one-dimensional)."""
+        """Per-point arrays that are present: name, values, dtype wanted, columns (None: one-dimensional)."""
         fields: list[tuple[str, NDArray[np.generic] | None, type[np.generic], int | None]] = [
             ("points", self.points, np.float32, 3),
             ("origins", self.origins, np.float32, 3),

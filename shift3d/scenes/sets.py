@@ -19,8 +19,8 @@ class SceneSet(Protocol):
 
     Attributes:
         dataset: name written into result rows.
-        placement_sector_rad: (centre, half width) of the azimuths in which an object may be inserted; scenes are
-            labelled there.
+        placement_sector_rad: (centre, half width) of the azimuths where objects may be inserted; scenes are labelled
+            there.
     """
 
     @property

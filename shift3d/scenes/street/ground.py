@@ -30,7 +30,7 @@ class Ground:
     """Height field around the sensor.
 
     Road coordinates (u, v): u along the road, v to its left, v = 0 on its axis; the sensor stands at
-    (0, ego_v_m). Scene coordinates (x, y): the sensor at the origin, x forward; the road runs at road_heading_rad.
+    (0, ego_v_m). Scene coordinates (x, y): sensor at the origin, x forward; the road heads road_heading_rad.
 
     Attributes:
         half_width_m: of the road, parking lanes included.
@@ -89,7 +89,7 @@ class Ground:
         u, v = self.to_road(x, y)
         height = -self.crown * np.minimum(np.abs(v), self.half_width_m)
         height = height + np.where(self.paved(u, v), 0.0, self.curb_m)
-        outside = np.clip(np.abs(v) - self.half_width_m - self.sidewalk_m, 0.0, 40.0)
+        outside = np.clip(np.abs(v) - self.half_width_m - self.sidewalk_m, 0.0, 25.0)
         outside = np.where(self.paved(u, v, self.sidewalk_m), 0.0, outside)
         height = height + outside * np.where(v > 0, self.banks[0], self.banks[1])
         for wave in self.waves:
@@ -97,7 +97,7 @@ class Ground:
         return height
 
     def mesh(self) -> tuple[Float, NDArray[np.int32], NDArray[np.uint8]]:
-        """Triangles of the height field: vertices (V, 3) scene frame, faces (F, 3), material of each face (F,)."""
+        """Triangles of the height field: vertices (V, 3) scene frame, faces (F, 3), material of each (F,)."""
         u_edges, v_edges = self._edges()
         u, v = np.meshgrid(_grid_lines(u_edges), _grid_lines(v_edges), indexing="ij")
         x, y = self.to_scene(u, v)

@@ -17,8 +17,8 @@ class Item:
     """One object.
 
     Attributes:
-        kind: "vehicle", "pedestrian", "cyclist", "building", "pole", "sign", "tree", "wall", "hedge", "fence",
-            "thicket", "bush", "dumpster", "container", "cabinet", "barrier".
+        kind: "vehicle", "pedestrian", "cyclist", "building", "pole", "sign", "tree", "wall", "hedge",
+            "fence", "thicket", "bush", "dumpster", "container", "cabinet", "barrier".
         x, y: scene frame, metres; heading_rad counter-clockwise from +x.
         size_m: length, width, height; of a vehicle, the slot reserved for it.
         variant: picks the instance and its details.

@@ -30,8 +30,8 @@ class Layout:
 def sample_layout(rng: np.random.Generator, mount_height_m: float) -> Layout:
     """A random scene.
 
-    street: a road with kerbside parking, buildings and gardens. intersection: with a side road and crossing traffic.
-    lot: a street with a car park beside it. plaza: a car park all around the sensor. open: a country road, few things.
+    street: a road with kerbside parking, buildings and gardens. intersection: the same with a side road and crossing
+    traffic. lot: with a car park beside it. plaza: a car park all around. open: a country road, few things.
     Every kind has 10 to 30 vehicles within 75 m, so that a detector sees all headings and all distances.
 
     Source: our choice; the paper uses Waymo validation scenes.

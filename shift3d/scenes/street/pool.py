@@ -20,8 +20,8 @@ from shift3d.seeding import generator
 
 POOL_SIZES = {"train": 270, "val": 90, "test": 90}
 RESOLUTION_M = 0.07
-# Length, width and height are stretched a little beside what the family varies: towns of other continents have
-# shorter and narrower cars.
+# Length, width and height are stretched a little beside what the family varies: other continents have shorter
+# and narrower cars.
 STRETCH_LOW, STRETCH_HIGH = (0.88, 0.91, 0.95), (1.05, 1.03, 1.06)
 
 
@@ -85,7 +85,7 @@ def _keep(path: Path, vertices: NDArray[np.float32], faces: NDArray[np.int32], b
         try:
             with os.fdopen(handle, "wb") as file:
                 np.savez(file, vertices=vertices, faces=faces, body_type=np.array(body_type))
-            os.replace(name, path)
+            Path(name).replace(path)
         except OSError:
             Path(name).unlink(missing_ok=True)
     except OSError:

@@ -33,7 +33,7 @@ class Intersector:
             origins, directions: (N, 3) float32, directions of unit length.
 
         Returns:
-            range_m (N,), infinite where there is no hit; face (N,), -1 there; cosine (N,) of the incidence angle.
+            range_m (N,), infinite where there is no hit; face (N,), -1 there; cosine (N,) of incidence.
         """
         out = self._scene.run(origins, directions, output=1)
         face: NDArray[np.int32] = out["primID"]
@@ -145,7 +145,7 @@ class Sweep:
     def cast_foliage(
         self, centre: Float, radii: Float, free_path_m: float, item: int, rng: np.random.Generator
     ) -> None:
-        """Cast beams at an ellipsoid of leaves: each penetrates an exponentially distributed depth, or passes.
+        """Cast beams at an ellipsoid of leaves: each gets in to an exponentially distributed depth, or passes.
 
         Source: our choice; a beam's survival in a medium of scattered leaves falls off exponentially.
         """

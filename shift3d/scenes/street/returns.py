@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from shift3d.scenes.street.raycast import Sweep
 from shift3d.scenes.street.shapes import ALBEDO, Material
 
-# Received power, albedo * cosine / range^2 in 1/m^2, at which half of the returns are lost; and the width of the
-# transition in factors of e. The ground then fades out between 45 and 65 m, as it does in KITTI frames.
+# Received power, albedo * cosine / range^2 in 1/m^2, at which half of the returns are lost; and the width of
+# the transition in factors of e. The ground then fades out between 45 and 65 m, as it does in KITTI frames.
 HALF_POWER = 2.2e-6
 POWER_SPREAD = 0.45
 _ROUGHNESS_M = {Material.TERRAIN: 0.02, Material.FOLIAGE: 0.05, Material.CLOTH: 0.01}

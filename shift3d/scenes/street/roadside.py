@@ -1,4 +1,4 @@
-"""What lines the street: buildings, walls, hedges, trees, poles, people, and things a detector may take for cars."""
+"""What lines the street: buildings, walls, trees, poles, people, and things a detector may take for cars."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _line_edge(plan: FloorPlan, ground: Ground, kind: str, rng: np.random.Genera
 
 
 def _line_backdrop(plan: FloorPlan, ground: Ground, rng: np.random.Generator, side: float) -> None:
-    """A second line of houses and woods behind the first, wherever that left room: few views end in the sky."""
+    """A second line of houses and woods behind the first where there is room: few views end in the sky."""
     base = ground.half_width_m + ground.sidewalk_m + rng.uniform(14.0, 32.0)
     if ground.lot is not None:
         reach = ground.lot[3] if side > 0 else -ground.lot[2]

@@ -50,10 +50,10 @@ def _hdl64_elevations() -> tuple[float, ...]:
 def _waymo_top_elevations() -> tuple[float, ...]:
     """64 beams from +2.4 to -17.6 degrees, closest together at the horizon, widening downwards.
 
-    Source: range from the Waymo Open Dataset paper; that the spacing widens downwards is in its calibrations, the
-    law of widening is our choice.
+    Source: range from the Waymo Open Dataset paper; that the spacing widens downwards is in its calibrations,
+    the law of widening is our choice.
     """
-    step = 0.15 + 0.33 * np.linspace(0.0, 1.0, 63) ** 1.0
+    step = 0.15 + 0.33 * np.linspace(0.0, 1.0, 63)
     step *= 20.0 / step.sum()
     return tuple(float(e) for e in np.deg2rad(2.4 - np.concatenate(([0.0], np.cumsum(step)))))
 

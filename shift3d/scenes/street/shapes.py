@@ -1,4 +1,4 @@
-"""Small closed meshes (boxes, prisms, spheres) that the static objects of the street are put together from."""
+"""Small closed meshes (boxes, prisms, spheres) that the street's static objects are put together from."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def ellipsoid(radii: tuple[float, float, float], at: tuple[float, float, float],
 
 @dataclass(frozen=True)
 class Mesh:
-    """Parts merged: vertices (V, 3), faces (F, 3), and for each face its material and the item it belongs to."""
+    """Parts merged: vertices (V, 3), faces (F, 3), and each face's material and item number (F,)."""
 
     vertices: Float
     faces: Int

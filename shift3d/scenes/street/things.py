@@ -16,7 +16,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Leaves:
-    """An ellipsoid of leaves in the item's frame (origin on the ground): centre, radii, mean free path of a beam."""
+    """An ellipsoid of leaves in the item's frame (origin on the ground), and a beam's mean free path in it."""
 
     centre: NDArray[np.float64]
     radii: NDArray[np.float64]
@@ -49,9 +49,8 @@ def _fence(item: Item, rng: Rng) -> Looks:
     length, _, height = item.size_m
     posts = np.arange(-length / 2, length / 2 + 0.1, 2.2)
     parts = [box((0.1, 0.1, height + 0.2), (float(x), 0, -0.2), Material.WOOD) for x in posts]
-    for z in np.arange(0.25, height, rng.uniform(0.25, 0.5)):
-        parts.append(box((length, 0.04, 0.12), (0, 0, float(z)), Material.WOOD))
-    return parts, []
+    rails = np.arange(0.25, height, rng.uniform(0.25, 0.5))
+    return parts + [box((length, 0.04, 0.12), (0, 0, float(z)), Material.WOOD) for z in rails], []
 
 
 def _pole(item: Item, rng: Rng) -> Looks:

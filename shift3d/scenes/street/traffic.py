@@ -9,15 +9,22 @@ from shift3d.scenes.street.item import FloorPlan, Item
 
 SLOT_M = (5.7, 2.1, 1.8)  # floor space kept for a vehicle of the family, and its usual height
 LANE_M = 3.4
+MOST_STEP_M = 0.6
 _VARIANTS = 1 << 20
 
 
 def add_vehicle(
     plan: FloorPlan, ground: Ground, rng: np.random.Generator, u: float, v: float, heading_road_rad: float
 ) -> bool:
-    """Put a vehicle at road (u, v) with a heading relative to the road; False where there is no room."""
+    """Put a vehicle at road (u, v) with a heading relative to the road; False where there is no room.
+
+    Nor is one put across a step of more than MOST_STEP_M, where a cutting or an embankment begins.
+    """
     x, y = ground.to_scene(np.asarray(u), np.asarray(v))
     heading = heading_road_rad + ground.road_heading_rad
+    around = np.linspace(0.0, 2 * np.pi, 9)
+    if np.ptp(ground.height(x + 2.0 * np.cos(around), y + 2.0 * np.sin(around))) > MOST_STEP_M:
+        return False
     heading = float(np.arctan2(np.sin(heading), np.cos(heading)))
     variant = int(rng.integers(_VARIANTS))
     return plan.place(Item("vehicle", float(x), float(y), heading, SLOT_M, variant))
@@ -55,7 +62,7 @@ def _queue(
 
 
 def park_along_kerb(plan: FloorPlan, ground: Ground, rng: np.random.Generator) -> None:
-    """Parked vehicles on each side: none, in line with the kerb, or at an angle to it (half on the sidewalk)."""
+    """Parked vehicles on each side: none, in line with the kerb, or at an angle to it."""
     for side in (1.0, -1.0):
         style = rng.choice(("none", "line", "angle"), p=(0.25, 0.5, 0.25))
         if style == "none":
