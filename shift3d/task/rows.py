@@ -1,0 +1,93 @@
+"""A task's results as rows of the tables of design section 5."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from torch import Tensor
+
+from shift3d.attack.records import AttackResult
+from shift3d.task.scoring import Candidate, Scored
+from shift3d.task.spec import Row, TaskResult, TaskSpec
+
+_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+
+
+class Rows:
+    """Collects the rows of one task; a (method, replicate) that was added is never skipped."""
+
+    def __init__(self, spec: TaskSpec) -> None:
+        self._spec = spec
+        self._scores: list[Row] = []
+        self._solutions: list[Row] = []
+        self._timings: dict[tuple[str, str], tuple[float, int]] = {}
+        self._seen: set[tuple[str, int]] = set()
+
+    def add(self, candidate: Candidate, baseline_code: Tensor, scored: Scored) -> None:
+        """One object that was scored, with the solution that renders it again."""
+        measured, theta = scored.measurement, [float(value) for value in candidate.theta]
+        check, rendering = measured.check, measured.rendering
+        pose = dict(zip(_POSE, theta, strict=True))
+        # Summed in float64 and in a fixed order: the same bytes whatever the build of torch does.
+        offset = candidate.code.double().numpy() - baseline_code.double().numpy()
+        self._scores.append(
+            self._row(candidate.method, candidate.replicate, candidate.status)
+            | pose
+            | {
+                "score": scored.score,
+                "adversarial_loss": float(measured.adversarial),
+                "latent_distance": math.sqrt(math.fsum(float(v) ** 2 for v in offset)),
+                "range_m": math.hypot(theta[0], theta[1]),
+                "object_points": rendering.object_points,
+                "overlap_ok": check.overlap_ok,
+                "contact_ok": check.contact_ok,
+                "best_step": candidate.best_step,
+                "max_residual_m": rendering.max_residual_m,
+                "unresolved_beams": rendering.unresolved_beams,
+            }
+        )
+        self._solutions.append(
+            {
+                "method": candidate.method,
+                "replicate": candidate.replicate,
+                "effects": list(self._spec.effects),
+                "latent_code": np.asarray(candidate.code, dtype=np.float32).tolist(),
+            }
+            | pose
+        )
+        self._seen.add((candidate.method, candidate.replicate))
+        for stage, milliseconds in scored.milliseconds.items():
+            self.time(candidate.method, stage, milliseconds)
+
+    def skip(self, method: str, replicate: int, status: str) -> None:
+        """A row without a score, unless there is one already: gaps are stated, never silent."""
+        if (method, replicate) not in self._seen:
+            self._scores.append(self._row(method, replicate, status))
+
+    def attack(self, found: AttackResult) -> None:
+        """The time that the search took, by stage."""
+        for stage, milliseconds in found.milliseconds().items():
+            self.time("adversarial", stage, milliseconds, len(found.trace))
+
+    def time(self, method: str, stage: str, milliseconds: float, calls: int = 1) -> None:
+        """Add time to one stage of one method."""
+        spent, count = self._timings.get((method, stage), (0.0, 0))
+        self._timings[method, stage] = (spent + milliseconds, count + calls)
+
+    def result(self) -> TaskResult:
+        """Everything collected."""
+        timings: list[Row] = [
+            {"method": method, "stage": stage, "milliseconds": spent, "calls": calls}
+            for (method, stage), (spent, calls) in self._timings.items()
+        ]
+        return TaskResult(self._scores, self._solutions, timings)
+
+    def _row(self, method: str, replicate: int, status: str) -> Row:
+        return {
+            "scored_by": self._spec.detector,
+            "method": method,
+            "replicate": replicate,
+            "status": status,
+            "effects": list(self._spec.effects),
+        }

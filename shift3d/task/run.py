@@ -1,0 +1,138 @@
+"""One task: place the vehicle, attack it, score what was found and what it is compared with."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from shift3d.attack.baselines import noise_codes, random_code, random_pose
+from shift3d.attack.constraints import Constraints
+from shift3d.attack.placement import NoPlacement, Placement, PlacementLimits, place
+from shift3d.attack.pose import PoseLimits, attack_pose
+from shift3d.attack.problem import AttackProblem
+from shift3d.attack.records import AttackResult
+from shift3d.attack.shape import attack_shape
+from shift3d.seeding import generator
+from shift3d.task.assets import Assets, load_assets, render_settings
+from shift3d.task.rows import Rows
+from shift3d.task.scoring import Candidate, score_object
+from shift3d.task.spec import TaskResult, TaskSpec
+
+__all__ = ["build_problem", "load_assets", "run_task"]
+
+
+def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
+    """Run one task.
+
+    A pure function of the spec and the content that its hashes name, on one thread: the same bytes wherever
+    it runs. A scene with no place for the vehicle gives rows with status "no_placement" and no score.
+
+    Raises:
+        InputError: a scene or vehicle that cannot be loaded.
+    Source: SHIFT3D Algorithm 1, sections Setup and Evaluation Metrics.
+    """
+    start = time.perf_counter()
+    rows = Rows(spec)
+    placement = place_vehicle(spec, assets)
+    rows.time("baseline", "placement", 1e3 * (time.perf_counter() - start))
+    if isinstance(placement, NoPlacement):
+        for method, replicate in _planned(spec):
+            rows.skip(method, replicate, "no_placement")
+    else:
+        problem = build_problem(spec, assets, placement.theta)
+        for candidate in _candidates(spec, problem, rows):
+            scored = score_object(problem, candidate.code, candidate.theta, spec.attack.detection_radius_m)
+            rows.add(candidate, problem.code0, scored)
+        for method, replicate in _planned(spec):
+            rows.skip(method, replicate, "no_random_pose")
+    rows.time("adversarial", "total", 1e3 * (time.perf_counter() - start))
+    return rows.result()
+
+
+def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
+    """Every (method, replicate) that a task reports, whatever happens."""
+    yield "baseline", 0
+    yield from (("random", i) for i in range(spec.attack.random_replicates))
+    yield "adversarial", 0
+    if spec.mode == "shape":
+        yield from (("adversarial_noise", i) for i in range(spec.attack.noise_replicates))
+
+
+def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
+    """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings."""
+    scene, beams = assets.scene(spec.scene)
+    vehicle = assets.vehicle(spec.vehicle)
+    limits = PlacementLimits(
+        spec.placement.min_range_m,
+        spec.placement.max_range_m,
+        (spec.placement.sector_centre_rad, spec.placement.sector_half_width_rad),
+        spec.placement.attempts,
+    )
+    settings = render_settings(spec)
+    code = torch.from_numpy(vehicle.latent_code).to(settings.dtype)
+    sdf = assets.decoder_of(settings.dtype).field(code)
+    rng = generator("placement", spec.placement_seed)
+    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, _constraints(spec), settings)
+
+
+def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:
+    """The task's vehicle, placed at ``theta`` (6,), before its detector.
+
+    Raises:
+        InputError: a scene or vehicle that cannot be loaded.
+    """
+    scene, beams = assets.scene(spec.scene)
+    vehicle = assets.vehicle(spec.vehicle)
+    settings = render_settings(spec)
+    return AttackProblem(
+        beams=beams,
+        ground_z_m=scene.ground_z_m,
+        field_of=assets.decoder_of(settings.dtype).field,
+        vehicle=vehicle,
+        detector=assets.detector_of(settings.dtype),
+        theta0=theta,
+        code0=torch.from_numpy(vehicle.latent_code).to(settings.dtype),
+        constraints=_constraints(spec),
+        settings=settings,
+        travel_m=spec.attack.max_shift_m,
+    )
+
+
+def _constraints(spec: TaskSpec) -> Constraints:
+    where = spec.placement
+    return Constraints(where.overlap_m, where.contact_m, where.min_object_points)
+
+
+def _candidates(spec: TaskSpec, problem: AttackProblem, rows: Rows) -> Iterator[Candidate]:
+    """Baseline, random, adversarial and its noisy copies, in the order of the tables."""
+    yield Candidate("baseline", 0, problem.code0, problem.theta0, best_step=0)
+    found = _attack(spec, problem)
+    rows.attack(found)
+    code, theta = found.latent_code, found.theta
+    rng = generator("random", spec.task_id)
+    for index in range(spec.attack.random_replicates):
+        if spec.mode == "shape":
+            radius = float((code.double() - problem.code0.double()).norm())
+            yield Candidate("random", index, random_code(problem.code0, radius, rng), problem.theta0)
+        elif (drawn := random_pose(problem, rng, _pose_limits(spec))) is not None:
+            yield Candidate("random", index, problem.code0, drawn[0])
+    yield Candidate("adversarial", 0, code, theta, found.best_step, found.status)
+    if spec.mode == "shape":
+        rng = generator("noise", spec.task_id)
+        noisy = noise_codes(code, spec.attack.noise_sigma, spec.attack.noise_replicates, rng)
+        for index, noisy_code in enumerate(noisy):
+            yield Candidate("adversarial_noise", index, noisy_code, theta)
+
+
+def _attack(spec: TaskSpec, problem: AttackProblem) -> AttackResult:
+    if spec.mode == "shape":
+        assert spec.lambda_ is not None
+        return attack_shape(problem, spec.lambda_, spec.alpha, spec.attack.steps)
+    return attack_pose(problem, spec.alpha, spec.attack.steps, _pose_limits(spec))
+
+
+def _pose_limits(spec: TaskSpec) -> PoseLimits:
+    return PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
