@@ -28,6 +28,8 @@ __all__ = ["Commit", "CommitLog", "TakenOverError", "read_log"]
 class TakenOverError(InputError):
     """Another driver appended to the log: this one must stop, and has lost nothing that it committed."""
 
+    exit_code = 4
+
 
 @dataclass(frozen=True)
 class Commit:
@@ -103,9 +105,7 @@ class CommitLog:
         self.entries = read_log(folder)
         self._append("session", (), (), {})
 
-    def commit(
-        self, done: tuple[str, ...], quarantined: tuple[str, ...], tables: dict[str, pa.Table]
-    ) -> Commit:
+    def commit(self, done: tuple[str, ...], quarantined: tuple[str, ...], tables: dict[str, pa.Table]) -> Commit:
         """Write the segments, then the entry that makes them count.
 
         Args:

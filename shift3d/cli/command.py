@@ -1,0 +1,49 @@
+"""What a subcommand is, and how its ``key=value`` words are read."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from shift3d.errors import InputError
+
+__all__ = ["Command", "key_values"]
+
+
+@dataclass(frozen=True)
+class Command:
+    """One subcommand, in its own file.
+
+    summary: a line in ``shift3d --help``. description, epilog: its own ``--help``, the epilog with examples.
+    add_arguments: adds to its parser. run: parsed arguments to an exit code; imports heavy things itself.
+    """
+
+    name: str
+    summary: str
+    description: str
+    epilog: str
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], int]
+
+
+def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[str], where: str) -> dict[str, str]:
+    """Read ``key=value`` words.
+
+    Raises:
+        InputError: a word without '=', an unknown or repeated key, or a required one that is missing.
+    """
+    values: dict[str, str] = {}
+    usage = "Give " + " ".join(f"{key}=..." for key in required)
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or key not in known:
+            keys = ", ".join(f"{name}=" for name in known)
+            raise InputError(f"cannot read {word!r}", where=where, remedy=f"One of: {keys}")
+        if key in values:
+            raise InputError(f"{key}= is given twice", where=where, remedy="Give it once")
+        values[key] = value
+    for key in required:
+        if not values.get(key):
+            raise InputError(f"{key}= is missing", where=where, remedy=usage)
+    return values

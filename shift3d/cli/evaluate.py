@@ -1,0 +1,36 @@
+"""``shift3d evaluate``: how good the shipped models are."""
+
+from __future__ import annotations
+
+import argparse
+
+from shift3d.cli.command import Command, key_values
+
+__all__ = ["COMMAND"]
+
+_EPILOG = """\
+examples:
+  shift3d evaluate model=pointpillars
+  shift3d evaluate model=pointpillars kitti=PATH
+  shift3d evaluate model=sdf"""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("words", nargs="*", metavar="key=value", help="model=sdf or model=pointpillars, kitti=PATH")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    values = key_values(arguments.words, ("model", "kitti"), ("model",), "evaluate")
+    from shift3d.training.command import evaluate
+
+    return evaluate(values["model"], values.get("kitti"))
+
+
+COMMAND = Command(
+    "evaluate",
+    "measure the shipped models",
+    "Average precision of the detector on held-out scenes, or the shape model's distance to unseen vehicles.",
+    _EPILOG,
+    _add_arguments,
+    _run,
+)

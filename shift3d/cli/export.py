@@ -1,0 +1,86 @@
+"""``shift3d export``: a solution of a finished sweep as files that other tools read."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from shift3d.cli.command import Command, key_values
+from shift3d.errors import InputError
+
+__all__ = ["COMMAND"]
+
+_KEYS = ("task", "method", "replicate", "to")
+
+_DESCRIPTION = """\
+Writes the edited scene of a solution as KITTI scene.bin (same point order as the scene), the vehicle as
+object.ply (metres, sensor frame), its box as box.json, and which beams meet it as hit_mask.npy."""
+
+_EPILOG = """\
+example:
+  shift3d export outputs/default-1a2b3c4d5e6f7a8b task=0f3a method=adversarial to=hard_case
+
+task= is a task's id or its beginning; method= is baseline, random, adversarial or adversarial_noise
+(replicate= picks one of several, default 0). Both are in final/scores.parquet."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("out", metavar="OUT", type=Path, help="output folder of a finished sweep")
+    parser.add_argument("words", nargs="*", metavar="key=value", help="task=ID method=M to=DIR [replicate=N]")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    values = key_values(arguments.words, _KEYS, ("task", "method", "to"), "export")
+    replicate = values.get("replicate", "0")
+    if not replicate.isdigit():
+        raise InputError(f"replicate={replicate!r} is not a number", where="export", remedy="Give replicate=0")
+    from shift3d.sweep.folder import read_plan
+
+    plan = read_plan(arguments.out)
+    task = _one_task(plan.tasks, values["task"], arguments.out)
+    row = _solution(arguments.out, task.spec.task_id, values["method"], int(replicate))
+    from shift3d.task.export import export_solution
+    from shift3d.task.run import load_assets
+
+    target = Path(values["to"]).expanduser()
+    export_solution(task.spec, row, load_assets(plan.assets[task.assets]), target)
+    print(f"{task.spec.vehicle} in {task.spec.scene}, {values['method']}: {target}")
+    return 0
+
+
+def _one_task(tasks: Any, prefix: str, out: Path) -> Any:
+    found = [task for task in tasks if task.spec.task_id.startswith(prefix)]
+    if len(found) != 1:
+        what = f"{len(found)} tasks have an id that begins with {prefix!r}"
+        raise InputError(what, where=str(out), remedy="The ids are in final/scores.parquet")
+    return found[0]
+
+
+def _solution(out: Path, task_id: str, method: str, replicate: int) -> dict[str, Any]:
+    """The solution's row: latent_code, the six columns of its pose, and its keys."""
+    import pyarrow.compute as pc
+
+    from shift3d.config.messages import choice_error
+    from shift3d.store.tables import read_table
+
+    path = out / "final" / "solutions.parquet"
+    if not path.exists():
+        raise InputError("the sweep is not finished", where=str(out), remedy="Run its command again: it resumes")
+    table = read_table(path, "solutions")
+    rows = table.filter(pc.equal(table["task_id"], task_id)).to_pylist()
+    if not rows:
+        raise InputError(
+            f"task {task_id} has no solution", where=str(path), remedy="See status in final/scores.parquet"
+        )
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    if method not in methods:
+        raise choice_error("method", method, methods, str(path))
+    for row in rows:
+        if (row["method"], row["replicate"]) == (method, replicate):
+            return dict(row)
+    count = sum(row["method"] == method for row in rows)
+    raise InputError(f"{method} has no replicate {replicate}", where=str(path), remedy=f"There are {count}, from 0")
+
+
+COMMAND = Command("export", "write a solution's scene, mesh and box", _DESCRIPTION, _EPILOG, _add_arguments, _run)

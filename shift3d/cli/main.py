@@ -1,0 +1,93 @@
+"""``shift3d``: the commands, and what their failures look like."""
+
+# PYTHON_ARGCOMPLETE_OK
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from shift3d.cli import evaluate, export, plan, sweep, train, ui
+from shift3d.cli.command import Command
+from shift3d.errors import InputError
+
+__all__ = ["COMMANDS", "main", "make_parser"]
+
+COMMANDS: tuple[Command, ...] = (
+    sweep.COMMAND,
+    plan.COMMAND,
+    export.COMMAND,
+    train.COMMAND,
+    evaluate.COMMAND,
+    ui.COMMAND,
+)
+
+_DESCRIPTION = """\
+Finds the blind spots of a LiDAR 3D detector: inserts a vehicle into a LiDAR scene and follows the
+detector's gradient to a shape or a pose of it that the detector misses (SHIFT3D)."""
+
+_EPILOG = """\
+examples:
+  shift3d sweep                          the paper's tables on procedural streets, into outputs/
+  shift3d sweep smoke                    a minute's worth of the same
+  shift3d sweep kitti scenes.root=PATH   on real KITTI frames
+  shift3d plan default vehicle=suv       what would run
+  shift3d export outputs/default-1a2b3c4d5e6f7a8b task=ID method=adversarial to=DIR
+
+tab completion (bash, zsh):
+  eval "$(register-python-argcomplete shift3d)"
+
+exit codes: 0 done, 2 something you gave cannot be used, 3 done but some tasks failed (they are in
+final/attempts.parquet), 4 another driver took the sweep over, 130 interrupted"""
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of every command."""
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(
+        prog="shift3d", description=_DESCRIPTION, epilog=_EPILOG, formatter_class=form, allow_abbrev=False
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    for command in COMMANDS:
+        sub = commands.add_parser(
+            command.name,
+            help=command.summary,
+            description=command.description,
+            epilog=command.epilog,
+            formatter_class=form,
+            allow_abbrev=False,
+        )
+        command.add_arguments(sub)
+        sub.set_defaults(run=command.run)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code. An InputError becomes one line on stderr."""
+    parser = make_parser()
+    if "_ARGCOMPLETE" in os.environ:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    parsed = parser.parse_args(arguments)
+    if parsed.command is None:
+        parser.print_help()
+        return 0
+    try:
+        return int(parsed.run(parsed))
+    except InputError as error:
+        print(f"shift3d {parsed.command}: {error}", file=sys.stderr)
+        return int(getattr(error, "exit_code", 2))
+    except KeyboardInterrupt:
+        print(f"shift3d {parsed.command}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output (head, less) has left; there is nobody to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+
+
+if __name__ == "__main__":
+    sys.exit(main())

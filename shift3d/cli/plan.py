@@ -1,0 +1,34 @@
+"""``shift3d plan``: what a sweep would run."""
+
+from __future__ import annotations
+
+import argparse
+
+from shift3d.cli import sweep
+from shift3d.cli.command import Command
+
+__all__ = ["COMMAND"]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.sweep.folder import default_folder
+    from shift3d.sweep.kind import shift3d_kind
+    from shift3d.sweep.plan_view import plan_lines, plan_summary
+
+    name, overrides, out = sweep.split_words(arguments.words)
+    plan, _ = sweep.load_plan(name, overrides, shift3d_kind())
+    for line in plan_lines(plan):
+        print(line)
+    print(plan_summary(plan))
+    print(f"would write to {out or default_folder(plan)}")
+    return 0
+
+
+COMMAND = Command(
+    "plan",
+    "show what a sweep would run",
+    "Lists the tasks of a sweep, in order, with their ids, and runs nothing.",
+    "example:\n  shift3d plan default vehicle=suv scenes.count=2",
+    sweep.add_words,
+    _run,
+)

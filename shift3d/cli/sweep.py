@@ -1,0 +1,147 @@
+"""``shift3d sweep``: plan, run or resume, tables, MLflow."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from shift3d.cli.command import Command
+from shift3d.cli.completion import sweep_words
+
+if TYPE_CHECKING:
+    from shift3d.config.schema import Config
+    from shift3d.sweep.drive import SweepResult
+    from shift3d.sweep.kind import TaskKind
+    from shift3d.sweep.plan import Plan
+
+__all__ = ["COMMAND", "add_words", "load_plan", "run_with", "split_words"]
+
+_DESCRIPTION = """\
+Runs sweeps/NAME.yaml (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR.
+The same command again resumes: what is done is not run again.
+
+An override changes a setting (conf/ has them all) or picks an option of a group; several values
+separated by commas are an axis: a task for each."""
+
+_EPILOG = """\
+examples:
+  shift3d sweep                                  5 vehicles x 4 streets x (shape with lambda 1, 10; pose)
+  shift3d sweep default scenes.count=20          more streets
+  shift3d sweep default vehicle=suv mode=shape attack.lambda=0.1,1,10
+  shift3d sweep default accuracy=draft,standard  one axis more
+  shift3d sweep kitti scenes.root=PATH out=runs/kitti
+  shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder"""
+
+
+def add_words(parser: argparse.ArgumentParser) -> None:
+    """The words after ``sweep`` and ``plan``."""
+    words = parser.add_argument(
+        "words",
+        nargs="*",
+        metavar="NAME | key=value",
+        help="the sweep's name, overrides, and out=DIR for the folder to write to",
+    )
+    words.completer = sweep_words  # type: ignore[attr-defined]
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_words(parser)
+    parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing")
+    parser.add_argument(
+        "--task", metavar="ID", help="run this one task here, show its rows or its traceback, write nothing"
+    )
+
+
+def split_words(words: list[str]) -> tuple[str, list[str], Path | None]:
+    """Words to (name, overrides, out)."""
+    name = "default"
+    if words and "=" not in words[0] and not words[0].startswith(("+", "~")):
+        name, words = words[0], words[1:]
+    out = [word.removeprefix("out=") for word in words if word.startswith("out=")]
+    rest = [word for word in words if not word.startswith("out=")]
+    return name, rest, Path(out[-1]).expanduser() if out else None
+
+
+def load_plan(name: str, overrides: list[str], kind: TaskKind) -> tuple[Plan, Config]:
+    """Compose and expand a sweep."""
+    from shift3d.config.compose import compose_sweep
+    from shift3d.sweep.plan import make_plan
+
+    return make_plan(compose_sweep(name, overrides), kind.catalogue)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.sweep.kind import shift3d_kind
+    from shift3d.sweep.worker import one_thread
+
+    one_thread()
+    return run_with(arguments, shift3d_kind())
+
+
+def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
+    """Run the command with a kind of task."""
+    from shift3d.sweep.drive import run_sweep
+    from shift3d.sweep.folder import default_folder
+    from shift3d.sweep.plan_view import plan_summary
+
+    name, overrides, out = split_words(arguments.words)
+    plan, config = load_plan(name, overrides, kind)
+    folder = out or default_folder(plan)
+    print(plan_summary(plan), flush=True)
+    if arguments.dry_run:
+        print(f"would write to {folder}")
+        return 0
+    if arguments.task:
+        from shift3d.sweep.single import run_single
+
+        print(run_single(plan, kind, arguments.task))
+        return 0
+    print(f"writing to {folder}", flush=True)
+    result = run_sweep(plan, config, kind, folder)
+    if result.final is None:
+        command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
+        left = result.planned - result.done - result.quarantined
+        print(f"interrupted: {result.done} of {result.planned} tasks done, {left} left", file=sys.stderr)
+        print(f"the same command resumes: {command}", file=sys.stderr)
+        return 130
+    _show(plan, config, result)
+    return 3 if result.quarantined else 0
+
+
+def _show(plan: Plan, config: Config, result: SweepResult) -> None:
+    from shift3d.report.tables import sweep_report
+
+    final = result.final
+    assert final is not None
+    frames = {name: final.frame(name) for name in final.tables}
+    print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
+    print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
+    _mirror(plan, config, result)
+
+
+def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
+    from shift3d.config.schema import MlflowConfig
+
+    if not isinstance(config.tracking, MlflowConfig) or result.final is None:
+        return
+    from shift3d.tracking.mlflow import SweepRecord, mirror
+
+    counts = {
+        "tasks_done": result.done,
+        "tasks_quarantined": result.quarantined,
+        "tasks_planned": result.planned,
+    }
+    settings = {"settings": plan.settings, "axes": plan.axes}
+    record = SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, result.final.frame("auc"), counts)
+    uri = config.tracking.uri
+    if problem := mirror(record, uri, config.tracking.experiment):
+        print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
+        print("the same command again writes it there once MLflow answers", file=sys.stderr)
+    else:
+        print(f"MLflow run {plan.sweep}-{plan.spec_hash} in {uri}: make ui")
+
+
+COMMAND = Command("sweep", "run a sweep, or resume it", _DESCRIPTION, _EPILOG, _add_arguments, _run)

@@ -1,0 +1,42 @@
+"""``shift3d ui``: MLflow on loopback."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+from shift3d.cli.command import Command
+from shift3d.errors import InputError
+
+__all__ = ["COMMAND"]
+
+_DEFAULT_URI = "sqlite:///mlflow.db"
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--uri", default=_DEFAULT_URI, help="the store that sweeps write to (%(default)s)")
+    parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (%(default)s)")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.tracking.mlflow import serve_command
+
+    if arguments.uri.startswith("sqlite:///") and not Path(arguments.uri.removeprefix("sqlite:///")).exists():
+        raise InputError("there is no run yet", where=arguments.uri, remedy="Run a sweep first: make sweep")
+    print(f"MLflow on http://127.0.0.1:{arguments.port} (Ctrl-C ends it)", flush=True)
+    try:
+        return subprocess.call([sys.executable, "-m", "mlflow", *serve_command(arguments.uri, arguments.port)])
+    except KeyboardInterrupt:
+        return 0
+
+
+COMMAND = Command(
+    "ui",
+    "compare sweeps in MLflow, on loopback",
+    "Serves the MLflow runs of finished sweeps on 127.0.0.1: AUCs, settings and files side by side.",
+    "example:\n  shift3d ui --port 5001",
+    _add_arguments,
+    _run,
+)

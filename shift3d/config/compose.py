@@ -1,0 +1,204 @@
+"""A sweep file and overrides, composed by Hydra once, with the axes that the sweep runs over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from shift3d.config import messages
+from shift3d.config.schema import Config
+from shift3d.errors import InputError
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+__all__ = ["Axis", "Composed", "compose_sweep", "config_folder", "sweep_names", "sweeps_folder", "validate"]
+
+Values = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a sweep.
+
+    key: a setting (``attack.lambda``) or a config group (``vehicle``). texts: its values as Hydra spells
+    them. values: for a setting the value, for a group the whole settings of that option. is_group: which
+    of the two.
+    """
+
+    key: str
+    texts: tuple[str, ...]
+    values: tuple[Any, ...]
+    is_group: bool
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A sweep before its axes are expanded. base: the settings with each axis at its first value."""
+
+    name: str
+    overrides: tuple[str, ...]
+    base: Values
+    axes: tuple[Axis, ...]
+
+
+def config_folder() -> Path:
+    """The folder of the config groups. Raises InputError where this installation has none."""
+    return _folder("conf")
+
+
+def sweeps_folder() -> Path:
+    """The folder of the sweep files. Raises InputError where this installation has none."""
+    return _folder("sweeps")
+
+
+def sweep_names() -> list[str]:
+    """Names of the sweeps that there are."""
+    return sorted(path.stem for path in sweeps_folder().glob("*.yaml"))
+
+
+def _folder(name: str) -> Path:
+    folder = Path(__file__).resolve().parents[2] / name
+    if not folder.is_dir():
+        raise InputError(
+            f"the folder {name}/ is missing",
+            where=str(folder.parent),
+            remedy="Install from the repository: make setup",
+        )
+    return folder
+
+
+def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
+    """Compose a sweep file with overrides, once, whatever the number of tasks.
+
+    An override with several values (``vehicle=coupe,suv``) is an axis, and replaces the sweep file's axis of
+    the same key in its place; the order is Hydra's own multirun order.
+
+    Raises:
+        InputError: unknown sweep, group, option or setting; an unreadable override; a continuous axis.
+    """
+    where = f"sweep {name}"
+    if name not in sweep_names():
+        raise messages.choice_error("sweep", name, sweep_names(), "sweeps/")
+    compose, parse = _hydra(name, where)
+    params = compose([])["hydra"]["sweeper"]["params"] or {}
+    axis_texts, fixed = _split(parse([f"{key}={value}" for key, value in params.items()] + list(overrides)), where)
+    first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]
+    base = compose([*fixed, *first])
+    base.pop("hydra")
+    _refuse_interpolations(base, where)
+    axes = []
+    for key, texts in axis_texts.items():
+        is_group = (config_folder() / key).is_dir()
+        if is_group:
+            rest = [text for text in first if not text.startswith(f"{key}=")]
+            values = tuple(compose([*fixed, *rest, f"{key}={text}"])[key] for text in texts)
+        else:
+            values = tuple(parse([f"{key}={text}"])[0].value() for text in texts)
+        axes.append(Axis(key, tuple(texts), values, is_group))
+    # Groups first, as in Hydra, where a setting given by name wins over the option that it belongs to.
+    return Composed(name, tuple(overrides), base, tuple(axes))
+
+
+def _hydra(name: str, where: str) -> tuple[Any, Any]:
+    """Two functions: overrides to plain settings (``hydra`` included), and texts to parsed overrides."""
+    from hydra import compose, initialize_config_dir
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    search = f"hydra.searchpath=[file://{config_folder()}]"
+
+    def run(overrides: Sequence[str]) -> Values:
+        def composed(texts: Sequence[str]) -> DictConfig:
+            with initialize_config_dir(config_dir=str(sweeps_folder()), version_base=None):
+                return compose(name, overrides=[search, *texts], return_hydra_config=True)
+
+        try:
+            config = composed(overrides)
+        except (HydraException, OmegaConfBaseException) as error:
+            plain = OmegaConf.to_container(OmegaConf.masked_copy(composed([]), _no_hydra(composed([]))))
+            raise messages.from_hydra(error, where, plain) from error  # type: ignore[arg-type]
+        values: Values = OmegaConf.to_container(OmegaConf.masked_copy(config, _no_hydra(config)))  # type: ignore[assignment]
+        params = OmegaConf.to_container(config.hydra.sweeper.params) if config.hydra.sweeper.params else {}
+        values["hydra"] = {"sweeper": {"params": params}}
+        return values
+
+    def parse(texts: Sequence[str]) -> Any:
+        try:
+            return OverridesParser.create().parse_overrides(list(texts))
+        except HydraException as error:
+            raise messages.from_hydra(error, where, None) from error
+
+    return run, parse
+
+
+def _no_hydra(config: Any) -> list[str]:
+    return [key for key in config if key != "hydra"]
+
+
+def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], list[str]]:
+    """Parsed overrides to (axis key to texts, fixed overrides), later ones replacing earlier ones of a
+    key."""
+    axes: dict[str, list[str]] = {}
+    fixed: dict[str, str] = {}
+    for override in parsed:
+        key = override.get_key_element()
+        if override.is_delete():
+            raise InputError(
+                f"{override.input_line}: a setting cannot be removed", where=where, remedy="Set it instead"
+            )
+        if override.is_sweep_override():
+            if not override.is_discrete_sweep():
+                raise InputError(
+                    f"{key} has a continuous axis ({override.input_line})",
+                    where=where,
+                    remedy="List its values, or use range(start,stop,step)",
+                )
+            fixed.pop(key, None)
+            axes[key] = list(override.sweep_string_iterator())
+        elif key in axes:
+            axes[key] = [override.get_value_element_as_str()]
+        else:
+            fixed[key] = override.input_line
+    empty = [key for key, texts in axes.items() if not texts]
+    if empty:
+        raise InputError(f"the axis {empty[0]} has no value", where=where, remedy=f"Give at least one: {empty[0]}=...")
+    return axes, list(fixed.values())
+
+
+def _refuse_interpolations(values: Any, where: str, path: str = "") -> None:
+    if isinstance(values, dict):
+        for key, value in values.items():
+            _refuse_interpolations(value, where, f"{path}.{key}" if path else str(key))
+    elif isinstance(values, list):
+        for value in values:
+            _refuse_interpolations(value, where, path)
+    elif isinstance(values, str) and "${" in values:
+        # An interpolation could depend on an axis, and the composition is done once for all tasks.
+        raise InputError(f"{path} holds an interpolation", where=where, remedy="Write the value itself")
+
+
+def validate(values: Values, where: str) -> Config:
+    """Check settings against the schema. Raises InputError naming the field and what it may be."""
+    if missing := _missing(values):
+        raise InputError(f"{missing} is required", where=where, remedy=f"Add {missing}=VALUE to the command")
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise messages.from_validation(error, where) from error
+
+
+def _missing(values: Values, prefix: str = "") -> str | None:
+    """Path of the first setting that still has Hydra's mark for a required value."""
+    for key, value in values.items():
+        if value == "???":
+            return f"{prefix}{key}"
+        if isinstance(value, dict) and (found := _missing(value, f"{prefix}{key}.")):
+            return found
+    return None

@@ -1,0 +1,82 @@
+"""One clear line for every way in which settings can be wrong."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from shift3d.errors import InputError
+
+__all__ = ["choice_error", "from_hydra", "from_validation", "one_of"]
+
+
+def one_of(value: str, allowed: Iterable[str]) -> str:
+    """``Did you mean 'suv'? One of: coupe, suv`` (the first sentence where something is close)."""
+    names = list(allowed)
+    close = difflib.get_close_matches(value, names, n=1, cutoff=0.5)
+    hint = f"Did you mean {close[0]!r}? " if close else ""
+    return f"{hint}One of: {', '.join(names)}"
+
+
+def choice_error(what: str, value: str, allowed: Iterable[str], where: str) -> InputError:
+    """The error for an unknown name."""
+    return InputError(f"unknown {what} {value!r}", where=where, remedy=one_of(value, allowed))
+
+
+def from_validation(error: ValidationError, where: str) -> InputError:
+    """The first failure of a pydantic validation, naming the field, what it may be, and the remedy."""
+    first = error.errors(include_url=False)[0]
+    # A discriminated union puts its tag into the path: 'scenes.street.count' is the user's 'scenes.count'.
+    tags = {"street", "kitti", "ray", "local", "mlflow", "none"}
+    path = [str(part) for part in first["loc"]]
+    field = ".".join(part for i, part in enumerate(path) if not (i == 1 and part in tags))
+    value, kind = first["input"], first["type"]
+    if value == "???" or kind == "missing":
+        return InputError(f"{field} is required", where=where, remedy=f"Add {field}=VALUE to the command")
+    if kind == "extra_forbidden":
+        return InputError(f"there is no setting {field}", where=where, remedy="See conf/ for all of them")
+    if kind == "literal_error":
+        return choice_error(field, str(value), re.findall(r"'([^']+)'", first["ctx"]["expected"]), where)
+    if kind == "union_tag_invalid":
+        tags_text = re.findall(r"'([^']+)'", first["ctx"]["expected_tags"])
+        return choice_error(f"{field}.kind", str(first["ctx"]["tag"]), tags_text, where)
+    what = f"{field} is {value!r}: {first['msg'][0].lower()}{first['msg'][1:]}"
+    return InputError(what, where=where, remedy=f"Change it with {field}=VALUE")
+
+
+def from_hydra(error: Exception, where: str, config: Mapping[str, Any] | None) -> InputError:
+    """Hydra's message in our form: what, the names that exist, and the nearest one.
+
+    Args:
+        config: the settings without any override, for the names of fields.
+    """
+    text = str(error)
+    if match := re.search(r"Could not find '([^']+)'", text):
+        group, _, name = match.group(1).rpartition("/")
+        options = re.search(r"Available options in '[^']*':\n((?:\t.*\n?)*)", text)
+        allowed = options.group(1).split() if options else []
+        return choice_error(group or "sweep", name, allowed, where)
+    if match := re.search(r"Could not override '([^']+)'", text):
+        return choice_error("setting", match.group(1), _siblings(match.group(1), config or {}), where)
+    if "lexer" in text.lower() or "mismatched input" in text or "extraneous input" in text:
+        shown = text.splitlines()[0].split(": ", 1)[-1]
+        return InputError(
+            f"cannot read the override {shown!r}",
+            where=where,
+            remedy="Write key=value, and quote values with spaces or brackets: 'key=\"a b\"'",
+        )
+    return InputError(" ".join(text.split())[:300], where=where, remedy="See conf/ for all settings")
+
+
+def _siblings(key: str, config: Mapping[str, Any]) -> list[str]:
+    """Settings beside an unknown one: of the innermost of its parents that exists."""
+    prefix = ""
+    for part in key.split(".")[:-1]:
+        if not isinstance(config.get(part), Mapping):
+            break
+        config, prefix = config[part], f"{prefix}{part}."
+    return sorted(f"{prefix}{name}" for name in config)

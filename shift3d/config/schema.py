@@ -1,0 +1,163 @@
+"""The typed schema of a task's settings and of how a sweep runs. Unknown fields are errors, never ignored."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+__all__ = [
+    "AccuracyConfig",
+    "AttackConfig",
+    "Config",
+    "DetectorConfig",
+    "EffectsConfig",
+    "KittiConfig",
+    "LocalRunnerConfig",
+    "MlflowConfig",
+    "NoTrackingConfig",
+    "PlacementConfig",
+    "RayRunnerConfig",
+    "StreetConfig",
+    "VehicleConfig",
+]
+
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+Count = Annotated[int, Field(ge=1)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class StreetConfig(_Record):
+    """Procedural street scenes."""
+
+    kind: Literal["street"]
+    sensor: Literal["hdl64", "waymo_top", "mixed"]
+    split: Literal["train", "val", "test"]
+    seed: Seed
+    count: Count
+
+
+class KittiConfig(_Record):
+    """KITTI object frames under ``root``/training."""
+
+    kind: Literal["kitti"]
+    root: str
+    count: Count | None
+    names: list[str] | None
+
+
+class VehicleConfig(_Record):
+    """One of the baseline vehicles and the decoder that draws it."""
+
+    name: str
+    decoder_weights: str | None
+
+
+class DetectorConfig(_Record):
+    """The detector under attack."""
+
+    name: Literal["pointpillars"]
+    weights: str | None
+
+
+class PlacementConfig(_Record):
+    """Where a vehicle may be put; metres."""
+
+    min_range_m: NotNegative
+    max_range_m: Positive
+    min_object_points: Annotated[int, Field(ge=0)]
+    overlap_m: NotNegative
+    contact_m: Positive
+    attempts: Count
+
+
+class AttackConfig(_Record):
+    """The search and its comparisons."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    steps: Annotated[int, Field(ge=0)]
+    alpha: Positive
+    lambda_: Annotated[float, Field(alias="lambda", ge=0, allow_inf_nan=False)]
+    random_replicates: Annotated[int, Field(ge=0)]
+    noise_replicates: Annotated[int, Field(ge=0)]
+    noise_sigma: NotNegative
+    max_shift_m: NotNegative
+    max_tilt_rad: NotNegative
+    sphere_m: Positive
+    detection_radius_m: Positive
+    placement: PlacementConfig
+
+
+class AccuracyConfig(_Record):
+    """A preset, and the renderer's settings that differ from it."""
+
+    name: Literal["draft", "standard", "paper", "reference"]
+    render: dict[str, bool | int | float | str]
+
+
+class EffectsConfig(_Record):
+    """Effects beyond the paper's sensor model, in physical order."""
+
+    names: list[str]
+
+
+class RayRunnerConfig(_Record):
+    """Ray workers."""
+
+    kind: Literal["ray"]
+    workers: Count | None
+    address: str | None
+    cpus_per_worker: Positive
+    batch_seconds: Positive
+    commit_seconds: NotNegative
+
+
+class LocalRunnerConfig(_Record):
+    """This process, one task after the other."""
+
+    kind: Literal["local"]
+    commit_seconds: NotNegative
+
+
+class MlflowConfig(_Record):
+    """An MLflow store."""
+
+    kind: Literal["mlflow"]
+    uri: str
+    experiment: str
+
+
+class NoTrackingConfig(_Record):
+    """No tracking."""
+
+    kind: Literal["none"]
+
+
+class Config(_Record):
+    """Everything one task is made from, and how its sweep runs.
+
+    ``runner`` and ``tracking`` cannot change a result; all else can.
+    """
+
+    scenes: Annotated[StreetConfig | KittiConfig, Field(discriminator="kind")]
+    vehicle: VehicleConfig
+    detector: DetectorConfig
+    attack: AttackConfig
+    accuracy: AccuracyConfig
+    effects: EffectsConfig
+    runner: Annotated[RayRunnerConfig | LocalRunnerConfig, Field(discriminator="kind")]
+    tracking: Annotated[MlflowConfig | NoTrackingConfig, Field(discriminator="kind")]
+    mode: Literal["shape", "pose"]
+    scene: str | None
+    seed: Seed
+    replicate: Annotated[int, Field(ge=0)]
+
+    def settings(self) -> dict[str, Any]:
+        """The settings that can change a result, as plain values."""
+        return self.model_dump(mode="json", by_alias=True, exclude={"runner", "tracking"})

@@ -1,0 +1,58 @@
+"""Bird's-eye-view grid of how far detection scores fall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["CELL_SIZE_M", "BevGrid", "bev_grid"]
+
+CELL_SIZE_M = 10.0
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BevGrid:
+    """Cells that hold at least one vehicle, by x then y of their lower corner (scene frame, metres).
+
+    corner_xy_m: (C, 2) float64. count: (C,) int64 vehicles. mean_before, mean_after: (C,) float64 scores.
+    mean_reduction: (C,) float64, mean of before - after.
+    """
+
+    corner_xy_m: FloatArray
+    count: npt.NDArray[np.int64]
+    mean_before: FloatArray
+    mean_after: FloatArray
+    mean_reduction: FloatArray
+
+
+def bev_grid(
+    xy_m: npt.ArrayLike, before: npt.ArrayLike, after: npt.ArrayLike, cell_size_m: float = CELL_SIZE_M
+) -> BevGrid:
+    """Mean reduction of the detection score by cell.
+
+    Args:
+        xy_m: (N, 2) where each vehicle was put, scene frame, metres. A cell holds its lower edges.
+        before, after: (N,) scores of the original and of the changed vehicle.
+        cell_size_m: edge of a square cell; the corners lie at its multiples.
+
+    Raises:
+        ValueError: shapes that differ.
+
+    Source: SHIFT3D fig. bev_score (10 m x 10 m cells, average reduction in detection scores).
+    """
+    xy = np.asarray(xy_m, dtype=np.float64).reshape(-1, 2)
+    old, new = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
+    if old.shape != (len(xy),) or new.shape != (len(xy),):
+        raise ValueError(f"{len(xy)} positions with {old.shape} and {new.shape} scores")
+    cells, index = np.unique(np.floor(xy / cell_size_m).astype(np.int64), axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    count = np.bincount(index, minlength=len(cells)).astype(np.int64)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.bincount(index, weights=values, minlength=len(cells)) / count
+
+    return BevGrid(cells * cell_size_m, count, mean(old), mean(new), mean(old - new))

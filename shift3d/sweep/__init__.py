@@ -1,0 +1,1 @@
+"""The sweep service: plan, run, commit, and the final tables."""

@@ -1,0 +1,108 @@
+"""The driver: plan, run what is left, commit, and write the final tables."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from shift3d.config.schema import Config
+from shift3d.store.log import CommitLog
+from shift3d.sweep.commit import Committer
+from shift3d.sweep.final import FinalTables, write_final
+from shift3d.sweep.folder import open_folder
+from shift3d.sweep.kind import TaskKind
+from shift3d.sweep.plan import Plan, PlannedTask
+from shift3d.sweep.progress import Progress
+from shift3d.sweep.runner import Runner, make_runner
+
+__all__ = ["SweepResult", "run_sweep"]
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """How a sweep ended.
+
+    final: None where it was interrupted. seconds: of this driver, planning excluded.
+    """
+
+    folder: Path
+    final: FinalTables | None
+    done: int
+    quarantined: int
+    planned: int
+    seconds: float
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether tasks are left that were not tried."""
+        return self.final is None
+
+
+def run_sweep(plan: Plan, config: Config, kind: TaskKind, folder: Path) -> SweepResult:
+    """Run what a plan has left to run, and write ``final/``.
+
+    The first Ctrl-C (or SIGTERM) lets the tasks in flight finish and commits them, the second one drops them.
+
+    Raises:
+        InputError: the folder is another sweep's, another driver took over, the disk is full, or the tasks'
+            assets cannot be loaded. What was committed stays.
+    """
+    began = time.monotonic()
+    open_folder(folder, plan)
+    log = CommitLog(folder, plan.spec_hash)
+    finished = log.done() | log.quarantined()
+    left = [task for task in plan.tasks if task.spec.task_id not in finished]
+    if left:
+        runner = make_runner(kind, plan, config.runner, len(left))
+        try:
+            with Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress:
+                _run(runner, left, Committer(log, config.runner.commit_seconds), progress)
+        finally:
+            runner.close()
+    done, quarantined = log.done(), log.quarantined()
+    complete = len(done) + len(quarantined) == len(plan.tasks)
+    final = write_final(folder, plan, log.entries) if complete else None
+    seconds = time.monotonic() - began
+    return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), seconds)
+
+
+def _run(runner: Runner, left: list[PlannedTask], committer: Committer, progress: Progress) -> None:
+    with _stop_on_signals(progress) as stop:
+        try:
+            for outcome in runner.run(left, stop):
+                committer.add(outcome)
+                progress.update(len(outcome.done), len(outcome.quarantined))
+                if outcome.fatal:
+                    committer.flush()
+                    raise outcome.fatal
+        except KeyboardInterrupt:
+            progress.say("dropping the tasks in flight")
+        committer.flush()
+
+
+@contextlib.contextmanager
+def _stop_on_signals(progress: Progress) -> Iterator[threading.Event]:
+    """An event that the first SIGINT or SIGTERM sets; the second one raises KeyboardInterrupt."""
+    stop = threading.Event()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        progress.say("finishing the tasks in flight; again to drop them")
+
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,201 @@
+"""The final tables: committed segments in plan order, and what is computed from them.
+
+Bytes depend on the plan and the results alone, never on who ran what when.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from shift3d.errors import InputError
+from shift3d.evaluation.bev_grid import CELL_SIZE_M, bev_grid
+from shift3d.evaluation.recall_curve import area_under, recall_curve
+from shift3d.store.log import Commit
+from shift3d.store.schemas import GROUP_COLUMNS, SCHEMAS, SEGMENTS
+from shift3d.store.tables import read_table, table_from_rows, write_table
+from shift3d.sweep.lambda_rule import select_lambda
+from shift3d.sweep.plan import Plan
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["METHODS", "FinalTables", "write_final"]
+
+METHODS = {
+    "shape": ("baseline", "random", "adversarial_noise", "adversarial"),
+    "pose": ("baseline", "random", "adversarial"),
+}
+_PLAN_GROUP = GROUP_COLUMNS[:8]  # what a task alone determines
+
+
+@dataclass(frozen=True)
+class FinalTables:
+    """The tables of ``final/`` by name."""
+
+    tables: dict[str, pa.Table]
+
+    def frame(self, name: str) -> pd.DataFrame:
+        """One table as a data frame."""
+        frame: pd.DataFrame = self.tables[name].to_pandas()
+        return frame
+
+
+def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
+    """Write every table of ``final/`` from the commit log.
+
+    Raises:
+        InputError: a segment is missing, torn or of another length than was committed; the disk is full.
+    """
+    tables = {name: _in_plan_order(name, _segments(folder, entries, name), plan) for name in SEGMENTS}
+    scores = tables["scores"].to_pandas()
+    scored = scores[scores["score"].notna()]
+    auc = _auc_rows(scored, plan)
+    tables["curves"] = table_from_rows("curves", _curve_rows(scored))
+    tables["auc"] = table_from_rows("auc", auc)
+    tables["bev"] = table_from_rows("bev", _bev_rows(scored))
+    for name, table in tables.items():
+        write_table(folder / "final" / f"{name}.parquet", table)
+    return FinalTables(tables)
+
+
+def _segments(folder: Path, entries: Sequence[Commit], name: str) -> pa.Table:
+    parts = [SCHEMAS[name].empty_table()]
+    for entry in entries:
+        file_name = dict(entry.segments).get(name)
+        if file_name is None:
+            continue
+        part = read_table(folder / "data" / file_name, name)
+        if part.num_rows != dict(entry.rows)[name]:
+            raise InputError(
+                f"has {part.num_rows} rows, {dict(entry.rows)[name]} were committed",
+                where=str(folder / "data" / file_name),
+                remedy="Restore it from a copy, or remove the output folder and run the sweep again",
+            )
+        parts.append(part)
+    return pa.concat_tables(parts)
+
+
+def _in_plan_order(name: str, table: pa.Table, plan: Plan) -> pa.Table:
+    """Rows by the position of their task in the plan; within a task as the task gave them."""
+    ids = pa.array([task.spec.task_id for task in plan.tasks])
+    positions = pc.index_in(table["task_id"], value_set=ids).to_numpy(zero_copy_only=False)
+    if name == "attempts":
+        order = np.lexsort((table["attempt"].to_numpy(), positions))
+    else:
+        order = np.argsort(positions, kind="stable")
+    return table.take(pa.array(order)).combine_chunks()
+
+
+def _groups(frame: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
+    """Groups in the order in which they first appear; a missing lambda (pose) is a value like any other."""
+    grouped = frame.groupby(list(GROUP_COLUMNS), sort=False, dropna=False)
+    return [
+        ({name: None if value != value else value for name, value in zip(GROUP_COLUMNS, key)}, rows)
+        for key, rows in grouped
+    ]
+
+
+def _curve_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    for group, members in _groups(scored):
+        curve = recall_curve(members["score"])
+        for threshold, recall in zip(curve.score_threshold.tolist(), curve.recall.tolist()):
+            rows.append({**group, "score_threshold": threshold, "recall": recall})
+    return rows
+
+
+def _auc_rows(scored: pd.DataFrame, plan: Plan) -> list[dict[str, Any]]:
+    planned = _planned(plan)
+    chosen = _selected(scored)
+    rows = []
+    for group, members in _groups(scored):
+        rows.append(
+            {
+                **group,
+                "auc": area_under(recall_curve(members["score"])),
+                "scores": len(members),
+                "tasks_scored": members["task_id"].nunique(),
+                "tasks_planned": planned.get(tuple(group[name] for name in _PLAN_GROUP), 0),
+                "mean_adversarial_loss": _mean(members["adversarial_loss"]),
+                "mean_latent_distance": _mean(members["latent_distance"]),
+                "selected": chosen.get(_rule_key(group), group["lambda"]) == group["lambda"],
+            }
+        )
+    return rows + _gaps(rows, planned)
+
+
+def _mean(values: pd.Series) -> float | None:
+    mean = float(values.mean())
+    return mean if np.isfinite(mean) else None
+
+
+def _planned(plan: Plan) -> dict[tuple[Any, ...], int]:
+    counts: dict[tuple[Any, ...], int] = {}
+    for task in plan.tasks:
+        spec = task.spec
+        method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
+        key = (plan.sweep, spec.dataset, spec.vehicle, *method)
+        counts[key] = counts.get(key, 0) + 1
+    return counts
+
+
+def _gaps(rows: list[dict[str, Any]], planned: dict[tuple[Any, ...], int]) -> list[dict[str, Any]]:
+    """Rows without an AUC for what was planned and has no score at all: a gap is shown, never left out."""
+    seen = {(*(row[name] for name in _PLAN_GROUP), row["method"]) for row in rows}
+    gaps = []
+    for key, count in planned.items():
+        group = dict(zip(_PLAN_GROUP, key))
+        for method in METHODS[group["mode"]]:
+            if (*key, method) not in seen:
+                empty = {"auc": None, "scores": 0, "tasks_scored": 0, "tasks_planned": count}
+                losses = {"mean_adversarial_loss": None, "mean_latent_distance": None, "selected": False}
+                gaps.append({**group, "scored_by": group["detector"], "method": method, **empty, **losses})
+    return gaps
+
+
+def _rule_key(group: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(group[name] for name in ("vehicle", "mode", "alpha", "detector", "accuracy"))
+
+
+def _selected(scored: pd.DataFrame) -> dict[tuple[Any, ...], float | None]:
+    """The paper's choice of lambda for every vehicle, from the scenes that were scored under every lambda."""
+    rows = scored[(scored["method"] == "adversarial") & (scored["mode"] == "shape")]
+    rows = rows[(rows["scored_by"] == rows["detector"]) & rows["adversarial_loss"].notna()]
+    chosen: dict[tuple[Any, ...], float | None] = {}
+    keys = ["vehicle", "mode", "alpha", "detector", "accuracy"]
+    for key, members in rows.groupby(keys, sort=False):
+        losses = members.pivot_table(
+            index=["dataset", "scene"], columns="lambda", values="adversarial_loss", aggfunc="mean"
+        )
+        common = losses.dropna()
+        means = (common if len(common) else losses).mean()
+        chosen[tuple(key)] = select_lambda({float(name): float(loss) for name, loss in means.items()})
+    return chosen
+
+
+def _bev_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
+    """Reduction of the score against the same task's baseline, in the cell where the vehicle was put.
+
+    A pose attack moves the vehicle; its cell stays that of the baseline (our choice: the paper draws the grid
+    for shapes alone).
+    """
+    keys = ["task_id", "scored_by"]
+    baseline = scored[scored["method"] == "baseline"].drop_duplicates(keys)[[*keys, "score", "x_m", "y_m"]]
+    pairs = scored[scored["method"] != "baseline"].merge(baseline, on=keys, suffixes=("", "_baseline"))
+    rows: list[dict[str, Any]] = []
+    for group, members in _groups(pairs):
+        xy = members[["x_m_baseline", "y_m_baseline"]].to_numpy()
+        grid = bev_grid(xy, members["score_baseline"], members["score"])
+        for i, corner in enumerate(grid.corner_xy_m.tolist()):
+            cell = {"cell_x_m": corner[0], "cell_y_m": corner[1], "cell_size_m": CELL_SIZE_M}
+            values = {"scores": grid.count[i], "mean_score_baseline": grid.mean_before[i]}
+            more = {"mean_score": grid.mean_after[i], "mean_reduction": grid.mean_reduction[i]}
+            rows.append({**group, **cell, **values, **more})
+    return rows

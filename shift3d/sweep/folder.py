@@ -1,0 +1,213 @@
+"""The immutable part of an output folder: spec.yaml, env.json, plan.parquet."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import json
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import yaml  # type: ignore[import-untyped]
+
+import shift3d
+from shift3d.errors import InputError
+from shift3d.store.atomic import put_if_absent, write_atomic
+from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.sweep.plan import Plan, PlannedTask
+from shift3d.task.spec import AssetsSpec, TaskSpec
+
+__all__ = ["default_folder", "open_folder", "read_plan", "read_spec"]
+
+_PLAN_SCHEMA = pa.schema(
+    [
+        ("position", pa.int64()),
+        ("task_id", pa.string()),
+        ("vehicle", pa.string()),
+        ("scene", pa.string()),
+        ("dataset", pa.string()),
+        ("mode", pa.string()),
+        ("lambda", pa.float64()),
+        ("alpha", pa.float64()),
+        ("detector", pa.string()),
+        ("accuracy", pa.string()),
+        ("effects", pa.list_(pa.string())),
+        ("assets", pa.int32()),
+        ("spec", pa.string()),
+    ],
+    metadata={"shift3d.schema": "plan", "shift3d.schema_version": str(SCHEMA_VERSION)},
+)
+
+_LIBRARIES = ("numpy", "torch", "trimesh", "embreex", "scipy", "pyarrow", "ray", "hydra-core", "pydantic")
+
+
+def default_folder(plan: Plan) -> Path:
+    """``outputs/<name>-<hash of the spec>`` in the working directory."""
+    return Path("outputs") / f"{plan.sweep}-{plan.spec_hash}"
+
+
+def open_folder(folder: Path, plan: Plan) -> None:
+    """Create a sweep's folder, or check that an existing one is of the same plan.
+
+    Raises:
+        InputError: the folder holds another sweep or something else, or the disk is full. Nothing is changed.
+    """
+    spec_path = folder / "spec.yaml"
+    if spec_path.exists():
+        found = read_spec(folder)
+        if found["spec_hash"] != plan.spec_hash:
+            raise InputError(
+                f"holds another sweep ({_difference(found, plan)})",
+                where=str(folder),
+                remedy="Choose another folder with out=DIR, or give the settings that it was begun with",
+            )
+    elif folder.exists() and (not folder.is_dir() or any(folder.glob("[!.]*"))) and not _only_ours(folder):
+        raise InputError(
+            "is not the output folder of a sweep, and not empty",
+            where=str(folder),
+            remedy="Choose another folder with out=DIR",
+        )
+    if not spec_path.exists():
+        # spec.yaml last: a folder that has it has all three.
+        write_atomic(folder / "plan.parquet", _plan_bytes(plan))
+        write_atomic(folder / "env.json", json.dumps(_environment(), indent=1, sort_keys=True).encode() + b"\n")
+        if not put_if_absent(spec_path, _spec_bytes(plan)):
+            open_folder(folder, plan)  # another driver was quicker: it must be of the same plan
+
+
+def _only_ours(folder: Path) -> bool:
+    """A folder whose first driver was killed between its first and its last immutable file."""
+    return folder.is_dir() and {p.name for p in folder.glob("[!.]*")} <= {"plan.parquet", "env.json"}
+
+
+def _difference(found: dict[str, Any], plan: Plan) -> str:
+    if found["sweep"] != plan.sweep:
+        return f"{found['sweep']}, not {plan.sweep}"
+    if found["tasks"] != len(plan.tasks):
+        return f"{found['tasks']} tasks, not {len(plan.tasks)}"
+    old, new = _flat(found["settings"]), _flat(plan.settings)
+    changed = [f"{key} {old.get(key)}, not {new.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key)]
+    return changed[0] if changed else "made from other scenes, vehicles, weights or axes"
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def _spec_bytes(plan: Plan) -> bytes:
+    values = {
+        "schema_version": SCHEMA_VERSION,
+        "sweep": plan.sweep,
+        "spec_hash": plan.spec_hash,
+        "tasks": len(plan.tasks),
+        "overrides": list(plan.overrides),
+        "axes": plan.axes,
+        "settings": plan.settings,
+        "assets": [_plain(dataclasses.asdict(assets)) for assets in plan.assets],
+    }
+    text: str = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+    return text.encode()
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: dict(value) if hasattr(value, "items") else value for key, value in values.items()}
+
+
+def _plan_bytes(plan: Plan) -> bytes:
+    import pyarrow.parquet as pq
+
+    specs = [task.spec for task in plan.tasks]
+    columns: dict[str, list[Any]] = {
+        "position": list(range(len(specs))),
+        "assets": [task.assets for task in plan.tasks],
+        "spec": [spec.canonical_json() for spec in specs],
+        "effects": [list(spec.effects) for spec in specs],
+        "lambda": [spec.lambda_ for spec in specs],
+    }
+    for field in _PLAN_SCHEMA.names:
+        columns.setdefault(field, [getattr(spec, field, None) for spec in specs])
+    table = pa.table({name: columns[name] for name in _PLAN_SCHEMA.names}, schema=_PLAN_SCHEMA)
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd")
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def _environment() -> dict[str, Any]:
+    """What ran it: for the reader, and for whoever asks why two machines differ."""
+    versions = {}
+    for name in _LIBRARIES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "absent"
+    return {
+        "shift3d": shift3d.__version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "cpus": os.cpu_count(),
+        "libraries": versions,
+    }
+
+
+def read_spec(folder: Path) -> dict[str, Any]:
+    """``spec.yaml`` of a sweep.
+
+    Raises:
+        InputError: there is none, it cannot be read, or it is of another schema version.
+    """
+    path = folder / "spec.yaml"
+    try:
+        values = yaml.safe_load(path.read_text())
+        if values["schema_version"] == SCHEMA_VERSION:
+            return dict(values)
+        version = values["schema_version"]
+    except FileNotFoundError as error:
+        raise InputError(
+            "is not the output folder of a sweep (it has no spec.yaml)",
+            where=str(folder),
+            remedy="Check the path",
+        ) from error
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
+        raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error
+    raise InputError(
+        f"has schema version {version}, this is version {SCHEMA_VERSION}",
+        where=str(path),
+        remedy="Use the version of shift3d that wrote it",
+    )
+
+
+def read_plan(folder: Path) -> Plan:
+    """The plan of a sweep's folder, with every task's spec: what an export or a report starts from.
+
+    Raises:
+        InputError: the folder is not a sweep's, or a file in it is damaged.
+    """
+    import pyarrow.parquet as pq
+
+    spec = read_spec(folder)
+    path = folder / "plan.parquet"
+    try:
+        table = pq.read_table(path, columns=["spec", "assets"])
+        specs = [TaskSpec.from_dict(json.loads(text)) for text in table["spec"].to_pylist()]
+        tasks = tuple(PlannedTask(task, index) for task, index in zip(specs, table["assets"].to_pylist()))
+    except (OSError, pa.ArrowInvalid, KeyError, ValueError, TypeError) as error:
+        raise InputError(f"cannot be read ({error})", where=str(path), remedy="Restore it from a copy") from error
+    return Plan(
+        sweep=spec["sweep"],
+        overrides=tuple(spec["overrides"]),
+        settings=spec["settings"],
+        axes=spec["axes"],
+        tasks=tasks,
+        assets=tuple(AssetsSpec(**assets) for assets in spec["assets"]),
+    )

@@ -1,0 +1,34 @@
+"""What a sweep runs, by argument: the service knows no task by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from shift3d.config.catalogue import Catalogue
+from shift3d.config.schema import Config
+from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
+
+__all__ = ["TaskKind", "shift3d_kind"]
+
+
+@dataclass(frozen=True)
+class TaskKind:
+    """A kind of task. All three are importable functions, since workers import them by name.
+
+    run: (spec, assets) to a result, a pure function of both. load: what a worker loads once and passes to
+    every ``run``. catalogue: settings to what there is to run on, with content hashes.
+    """
+
+    run: Callable[[TaskSpec, Any], TaskResult]
+    load: Callable[[AssetsSpec], Any]
+    catalogue: Callable[[Config], Catalogue]
+
+
+def shift3d_kind() -> TaskKind:
+    """The real task: place a vehicle, attack it, score what was found."""
+    from shift3d.config.catalogue import read_catalogue
+    from shift3d.task.run import load_assets, run_task
+
+    return TaskKind(run=run_task, load=load_assets, catalogue=read_catalogue)

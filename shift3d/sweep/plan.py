@@ -1,0 +1,141 @@
+"""The plan: every task of a sweep, in order, with its id."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from shift3d.config import messages
+from shift3d.config.catalogue import Catalogue
+from shift3d.config.compose import Composed
+from shift3d.config.expand import expand
+from shift3d.config.schema import Config, KittiConfig
+from shift3d.errors import InputError
+from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
+
+__all__ = ["Plan", "PlannedTask", "make_plan"]
+
+
+@dataclass(frozen=True)
+class PlannedTask:
+    """A task and what its worker needs loaded (an index into ``Plan.assets``)."""
+
+    spec: TaskSpec
+    assets: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A sweep's tasks in order, without duplicates.
+
+    settings: of the first task, for the reader. axes: key to values as they were written.
+    runner, tracking: how it runs; they are no part of the hash.
+    """
+
+    sweep: str
+    overrides: tuple[str, ...]
+    settings: dict[str, Any]
+    axes: dict[str, list[str]]
+    tasks: tuple[PlannedTask, ...]
+    assets: tuple[AssetsSpec, ...]
+
+    @property
+    def spec_hash(self) -> str:
+        """64-bit BLAKE2b of the sweep's name and its task ids, hex: what makes two output folders the
+        same."""
+        what = [SCHEMA_VERSION, self.sweep, [task.spec.task_id for task in self.tasks]]
+        return hashlib.blake2b(json.dumps(what).encode(), digest_size=8).hexdigest()
+
+
+def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -> tuple[Plan, Config]:
+    """Expand a sweep into its tasks.
+
+    Combinations that ask for the same task (a pose attack under several lambda) give one task, at its first
+    place in the order. Scenes vary fastest.
+
+    Returns:
+        the plan, and the settings of its first task (for ``runner`` and ``tracking``).
+
+    Raises:
+        InputError: unknown names, unreadable scenes or weights, or an empty sweep.
+    """
+    where = f"sweep {composed.name}"
+    catalogues: dict[str, tuple[Catalogue, int]] = {}
+    assets: list[AssetsSpec] = []
+    tasks: dict[str, PlannedTask] = {}
+    first: Config | None = None
+    for config in expand(composed):
+        first = first or config
+        key = _assets_key(config)
+        if key not in catalogues:
+            loaded = _assets(config)
+            if loaded not in assets:
+                assets.append(loaded)
+            catalogues[key] = (catalogue_of(config), assets.index(loaded))
+        catalogue, index = catalogues[key]
+        for spec in _specs(config, catalogue, where):
+            tasks.setdefault(spec.task_id, PlannedTask(spec, index))
+    if not tasks or first is None:
+        raise InputError("the sweep has no task", where=where, remedy="Give it at least one scene and one vehicle")
+    axes = {axis.key: list(axis.texts) for axis in composed.axes}
+    plan = Plan(composed.name, composed.overrides, first.settings(), axes, tuple(tasks.values()), tuple(assets))
+    return plan, first
+
+
+def _assets_key(config: Config) -> str:
+    parts = (config.scenes, config.detector, config.accuracy)
+    return json.dumps([part.model_dump(mode="json") for part in parts] + [config.vehicle.decoder_weights])
+
+
+def _assets(config: Config) -> AssetsSpec:
+    return AssetsSpec(
+        scenes=config.scenes.model_dump(mode="json"),
+        detector=config.detector.name,
+        detector_weights=config.detector.weights,
+        decoder_weights=config.vehicle.decoder_weights,
+    )
+
+
+def _specs(config: Config, catalogue: Catalogue, where: str) -> list[TaskSpec]:
+    vehicle = config.vehicle.name
+    if vehicle not in catalogue.vehicles:
+        raise messages.choice_error("vehicle", vehicle, catalogue.vehicles, f"{where}, vehicle.name")
+    scenes = [entry for entry in catalogue.scenes if config.scene in (None, entry.name)]
+    if not scenes and config.scene is not None:
+        raise messages.choice_error("scene", config.scene, [e.name for e in catalogue.scenes], f"{where}, scene")
+    if not scenes:
+        of = config.scenes.root if isinstance(config.scenes, KittiConfig) else config.scenes.kind
+        raise InputError(f"the scene set {of} is empty", where=where, remedy="Check scenes.count and scenes.names")
+    attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement"})
+    centre, half_width = catalogue.sector_rad
+    placement = PlacementSpec(
+        **config.attack.placement.model_dump(), sector_centre_rad=centre, sector_half_width_rad=half_width
+    )
+    return [
+        TaskSpec(
+            vehicle=vehicle,
+            scene=entry.name,
+            dataset=entry.dataset,
+            mode=config.mode,
+            lambda_=float(config.attack.lambda_),
+            alpha=float(config.attack.alpha),
+            detector=config.detector.name,
+            accuracy=config.accuracy.name,
+            base_seed=config.seed,
+            replicate=config.replicate,
+            effects=tuple(config.effects.names),
+            accuracy_settings=catalogue.accuracy,
+            scene_arguments=catalogue.scene_arguments,
+            attack=AttackSpec(**attack),
+            placement=placement,
+            scene_hash=entry.content_hash,
+            vehicle_hash=catalogue.vehicles[vehicle],
+            decoder_hash=catalogue.decoder_hash,
+            detector_hash=catalogue.detector_hash,
+        )
+        for entry in scenes
+    ]

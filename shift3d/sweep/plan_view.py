@@ -1,0 +1,34 @@
+"""A plan in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from shift3d.sweep.plan import Plan
+
+__all__ = ["plan_lines", "plan_summary"]
+
+
+def plan_summary(plan: Plan) -> str:
+    """One line: how many tasks, of what."""
+    specs = [task.spec for task in plan.tasks]
+    vehicles = len({spec.vehicle for spec in specs})
+    scenes = len({(spec.dataset, spec.scene) for spec in specs})
+    modes = Counter(spec.mode for spec in specs)
+    by_mode = ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items(), reverse=True))
+    return f"sweep {plan.sweep}: {len(specs)} tasks ({by_mode}) of {vehicles} vehicles in {scenes} scenes"
+
+
+def plan_lines(plan: Plan) -> Iterator[str]:
+    """One line a task: id, vehicle, scene, mode and what varies."""
+    width = max(len(task.spec.vehicle) for task in plan.tasks)
+    scene_width = max(len(task.spec.scene) for task in plan.tasks)
+    for task in plan.tasks:
+        spec = task.spec
+        weight = "" if spec.lambda_ is None else f"lambda {spec.lambda_:g}"
+        effects = ", ".join(spec.effects) or "no effects"
+        yield (
+            f"{spec.task_id}  {spec.vehicle:<{width}}  {spec.scene:<{scene_width}}  {spec.mode:<5}  "
+            f"{weight:<10}  alpha {spec.alpha:g}  {spec.accuracy}  {effects}"
+        )

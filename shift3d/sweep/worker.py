@@ -1,0 +1,182 @@
+"""What runs tasks, in whichever process: one batch at a time, each task tried, retried or given up on."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import pyarrow as pa
+
+from shift3d.errors import InputError
+from shift3d.store.schemas import SEGMENTS, SPEC_COLUMNS
+from shift3d.store.tables import table_from_rows
+from shift3d.sweep.kind import TaskKind
+from shift3d.sweep.plan import PlannedTask
+from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
+
+__all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows", "one_thread"]
+
+# How often a task is tried, and the pause before each new try of I/O. A deterministic failure is tried
+# twice in case it was not deterministic after all; what the file system or the network did may pass.
+_DETERMINISTIC_TRIES = 2
+_IO_TRIES = 4
+_IO_PAUSE_S = (0.5, 2.0, 8.0)
+
+
+@dataclass
+class BatchOutcome:
+    """What a batch came to.
+
+    done, quarantined: task ids in the order they were run. tables: segment tables by name.
+    fatal: why no task can be run at all (assets cannot be loaded); the sweep stops with it.
+    """
+
+    done: list[str] = field(default_factory=list)
+    quarantined: list[str] = field(default_factory=list)
+    tables: dict[str, pa.Table] = field(default_factory=dict)
+    fatal: InputError | None = None
+    seconds: float = 0.0
+
+
+def one_thread(threads: int = 1) -> None:
+    """Fix the number of threads of this process's numerics: the order of sums, so the bytes, depend on it."""
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[name] = str(threads)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(threads)
+
+
+def attempt_row(task_id: str, attempt: int, outcome: str, started: float, **more: Any) -> Row:
+    """One row of ``attempts``."""
+    row: Row = {"error": None, "traceback": None, "quarantined": False, "seconds": time.time() - started}
+    row |= {"task_id": task_id, "attempt": attempt, "outcome": outcome, "started_unix_s": started}
+    return {**row, "worker": f"{socket.gethostname()}:{os.getpid()}", **more}
+
+
+class Worker:
+    """Holds what tasks need and runs them. The same class in this process and in a Ray actor."""
+
+    def __init__(self, kind: TaskKind, sweep: str, assets: Sequence[AssetsSpec]) -> None:
+        self._kind = kind
+        self._sweep = sweep
+        self._assets_specs = assets
+        self._assets: dict[int, Any] = {}
+
+    def run_batch(
+        self, tasks: Sequence[PlannedTask], stop: Callable[[], bool] = lambda: False, first_attempt: int = 1
+    ) -> BatchOutcome:
+        """Run tasks in order.
+
+        Args:
+            stop: asked before each task; the tasks left when it says True are in neither list.
+            first_attempt: number of the first try, for ``attempts``.
+        """
+        began = time.perf_counter()
+        outcome = BatchOutcome()
+        results: list[_Rows] = []
+        for task in tasks:
+            if stop():
+                break
+            try:
+                assets = self._load(task.assets)
+            except InputError as error:
+                outcome.fatal = error
+                break
+            results.append(self._run_task(task.spec, assets, first_attempt))
+        try:
+            outcome.tables = _tables(results)
+        except ValueError:
+            for rows in results:
+                _refuse_broken_rows(rows)
+            outcome.tables = _tables(results)
+        for rows in results:
+            (outcome.done if rows.done else outcome.quarantined).append(rows.task_id)
+        outcome.seconds = time.perf_counter() - began
+        return outcome
+
+    def _load(self, index: int) -> Any:
+        if index not in self._assets:
+            threads = self._assets_specs[index].threads
+            one_thread(threads)
+            self._assets[index] = self._kind.load(self._assets_specs[index])
+            one_thread(threads)  # again: loading may have imported torch
+        return self._assets[index]
+
+    def _run_task(self, spec: TaskSpec, assets: Any, attempt: int) -> _Rows:
+        rows = _Rows(spec.task_id)
+        tries = 0
+        while True:
+            started = time.time()
+            tries += 1
+            try:
+                result = completed_rows(spec, self._sweep, self._kind.run(spec, assets))
+            except Exception as error:
+                io = isinstance(error, OSError)
+                given_up = tries >= (_IO_TRIES if io else _DETERMINISTIC_TRIES)
+                rows.attempts.append(_failure(spec.task_id, attempt, started, error, given_up))
+                if given_up:
+                    return rows
+                if io:
+                    time.sleep(_IO_PAUSE_S[tries - 1])
+                attempt += 1
+                continue
+            rows.done = True
+            rows.result = result
+            rows.attempts.append(attempt_row(spec.task_id, attempt, "done", started))
+            return rows
+
+
+def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, list[Row]]:
+    """A result's rows with the columns that its spec determines."""
+    known: Row = {name: getattr(spec, name) for name in SPEC_COLUMNS if name not in ("sweep", "lambda")}
+    known |= {"sweep": sweep, "lambda": spec.lambda_}
+    effects = {"effects": list(spec.effects)}
+    return {
+        "scores": [{**effects, **row, **known} for row in result.scores],
+        "solutions": [{**effects, **row, **known} for row in result.solutions],
+        "timings": [{**row, "task_id": spec.task_id} for row in result.timings],
+    }
+
+
+@dataclass
+class _Rows:
+    """One task's rows in a batch."""
+
+    task_id: str
+    done: bool = False
+    result: dict[str, list[Row]] = field(default_factory=dict)
+    attempts: list[Row] = field(default_factory=list)
+
+
+def _tables(results: Sequence[_Rows]) -> dict[str, pa.Table]:
+    tables = {
+        name: table_from_rows(name, [row for rows in results for row in rows.result.get(name, ())])
+        for name in SEGMENTS
+        if name != "attempts"
+    }
+    attempts = [row for rows in results for row in rows.attempts]
+    return {**tables, "attempts": table_from_rows("attempts", attempts)}
+
+
+def _refuse_broken_rows(rows: _Rows) -> None:
+    """Quarantine a task whose rows do not fit their schema: its defect, and no other task's."""
+    try:
+        _tables([rows])
+    except ValueError as error:
+        last = rows.attempts[-1]
+        last |= {"outcome": "failed", "quarantined": True, "error": f"ValueError: {error}"[:2_000]}
+        last["traceback"] = "".join(traceback.format_exception(error))[-20_000:]
+        rows.done, rows.result = False, {}
+
+
+def _failure(task_id: str, attempt: int, started: float, error: Exception, given_up: bool) -> Row:
+    text = "".join(traceback.format_exception(error))[-20_000:]
+    name = f"{type(error).__name__}: {error}"[:2_000]
+    more = {"error": name, "traceback": text, "quarantined": given_up}
+    return attempt_row(task_id, attempt, "failed", started, **more)

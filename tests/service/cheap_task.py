@@ -1,0 +1,83 @@
+"""A real but cheap kind of task: a pure function of its spec, run through the same service as the real one.
+
+SHIFT3D_TEST_* variables make it slow, or make chosen tasks fail, crash or hang.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from shift3d.config.catalogue import Catalogue, SceneEntry
+from shift3d.config.schema import Config, StreetConfig
+from shift3d.seeding import generator
+from shift3d.sweep.kind import TaskKind
+from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
+
+POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+
+
+def load(spec: AssetsSpec) -> dict[str, float]:
+    return {"weight": 0.5}
+
+
+def run(spec: TaskSpec, assets: dict[str, float]) -> TaskResult:
+    _misbehave(spec)
+    rng = generator(spec.seed)
+    where = generator(spec.placement_seed).uniform(15, 50, size=6)
+    methods = [("baseline", 0), ("random", 0), ("adversarial", 0)]
+    if spec.mode == "shape":
+        methods += [("adversarial_noise", i) for i in range(spec.attack.noise_replicates)]
+    scores, solutions = [], []
+    for method, replicate in methods:
+        key = {"method": method, "replicate": replicate, **dict(zip(POSE, where.tolist()))}
+        score = float(rng.uniform(0.5, 1.0)) * (assets["weight"] if method.startswith("adv") else 1.0)
+        row = {
+                **key,
+                "scored_by": spec.detector,
+                "score": score,
+                "adversarial_loss": score,
+                "range_m": 20.0,
+                "latent_distance": 0.1,
+                "object_points": 400,
+                "overlap_ok": True,
+                "contact_ok": True,
+                "best_step": 3,
+                "status": "ok",
+                "max_residual_m": 0.0,
+                "unresolved_beams": 0,
+        }  # fmt: skip
+        scores.append(row)
+        solutions.append({**key, "latent_code": rng.normal(size=4).astype("float32")})
+    timings = [{"method": "adversarial", "stage": "total", "milliseconds": 1.0, "calls": 1}]
+    return TaskResult(scores, solutions, timings)
+
+
+def _misbehave(spec: TaskSpec) -> None:
+    time.sleep(float(os.environ.get("SHIFT3D_TEST_SECONDS", "0")))
+    if journal := os.environ.get("SHIFT3D_TEST_JOURNAL"):
+        with Path(journal).open("a") as file:
+            file.write(f"{spec.task_id}\n")
+    target = f"{spec.vehicle}/{spec.scene}/{spec.mode}"
+    if target == os.environ.get("SHIFT3D_TEST_FAILS"):
+        raise ArithmeticError(f"no root for {target}")
+    if target == os.environ.get("SHIFT3D_TEST_CRASHES"):
+        os.abort()
+
+
+def catalogue(config: Config) -> Catalogue:
+    assert isinstance(config.scenes, StreetConfig)
+    names = [f"street_{i:03d}" for i in range(config.scenes.count)]
+    return Catalogue(
+        scenes=tuple(SceneEntry(name, "street-hdl64", f"hash-{name}") for name in names),
+        scene_arguments={"kind": "street"},
+        sector_rad=(0.0, 3.14),
+        vehicles={name: f"hash-{name}" for name in ("coupe", "sports_car", "suv", "convertible", "beach_wagon")},
+        decoder_hash="decoder",
+        detector_hash="detector",
+        accuracy={},
+    )
+
+
+KIND = TaskKind(run=run, load=load, catalogue=catalogue)
