@@ -24,7 +24,7 @@ from shift3d.vehicles.vehicle import vehicle_mesh
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
-def export_solution(spec: TaskSpec, assets: Assets, solution: Mapping[str, Any], folder: Path) -> list[Path]:
+def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, folder: Path) -> list[Path]:
     """Render one row of ``solutions.parquet`` again and write what it is.
 
     Args:
