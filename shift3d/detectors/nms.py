@@ -12,9 +12,7 @@ __all__ = ["rotated_nms"]
 Array = npt.NDArray[np.float64]
 
 
-def rotated_nms(
-    boxes: Array, scores: Array, iou_threshold: float, max_kept: int = 500
-) -> npt.NDArray[np.int64]:
+def rotated_nms(boxes: Array, scores: Array, iou_threshold: float, max_kept: int = 500) -> npt.NDArray[np.int64]:
     """Indices of the boxes kept, best score first; equal scores keep the lower index first.
 
     boxes: (N, 7) metres; scores: (N,). A box is dropped when its BEV IoU with a kept one is above

@@ -98,9 +98,7 @@ def evaluate_street(
 ) -> DetectorScore:
     """Average precision at BEV IoU 0.7 on held-out procedural scenes of both sensors."""
     scenes = StreetScenes("mixed", count=count, split=split)
-    return evaluate_scenes(
-        detector, (scenes.load(name) for name in scenes.names()), rules or EvaluationRules()
-    )
+    return evaluate_scenes(detector, (scenes.load(name) for name in scenes.names()), rules or EvaluationRules())
 
 
 def evaluate_kitti(detector: Detector, root: Path, rules: EvaluationRules | None = None) -> DetectorScore:

@@ -49,9 +49,7 @@ def detection_loss(outputs: HeadOutputs, targets: list[Targets]) -> tuple[Tensor
     for index, target in enumerate(targets):
         count = max(1, target.positives.numel())
         trained = target.labels != IGNORED
-        class_loss = (
-            focal_loss(outputs.logits[index][trained], target.labels[trained] == POSITIVE).sum() / count
-        )
+        class_loss = focal_loss(outputs.logits[index][trained], target.labels[trained] == POSITIVE).sum() / count
         difference = sine_code_difference(outputs.codes[index][target.positives], target.codes)
         box_loss = functional.smooth_l1_loss(
             difference, torch.zeros_like(difference), reduction="sum", beta=SMOOTH_L1_BETA

@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.render import Beams, preset, render
+from shift3d.render import Beams, Field, preset, render
 from shift3d.sdf.decoder import Decoder
 from shift3d.seeding import generator
 from shift3d.training.detector_scenes import TrainingScene
@@ -29,6 +31,12 @@ CLEARANCE_M = 0.25
 Floats = npt.NDArray[np.floating]
 
 
+class ShapeDecoder(Protocol):
+    """What turns a code into a field: the trained decoder, or a closed form."""
+
+    def field(self, z: Tensor, /) -> Field: ...
+
+
 @dataclass(frozen=True)
 class InsertableVehicle:
     """A vehicle and the box of its decoded surface: centre in the object frame and size, metres."""
@@ -38,9 +46,7 @@ class InsertableVehicle:
     size_m: npt.NDArray[np.float64]
 
 
-def insertable_vehicles(
-    count: int, seed: int, decoder: Decoder, path: Path | None = None
-) -> list[InsertableVehicle]:
+def insertable_vehicles(count: int, seed: int, decoder: Decoder, path: Path | None = None) -> list[InsertableVehicle]:
     """`count` vehicles: family codes blended by up to a half with another of the same body type.
 
     Raises: InputError when the vehicle weights are missing. Source: our choice.
@@ -69,7 +75,7 @@ def insertable_vehicles(
 def with_inserted_vehicles(
     scene: TrainingScene,
     vehicles: Sequence[InsertableVehicle],
-    decoder: Decoder,
+    decoder: ShapeDecoder,
     rng: np.random.Generator,
 ) -> TrainingScene:
     """The scene with two to four more vehicles, 8 to 60 m away, at any heading, clear of other things."""
@@ -87,9 +93,7 @@ def with_inserted_vehicles(
         theta = torch.tensor((*position, box[6], 0.0, 0.0), dtype=torch.float64)
         field = decoder.field(torch.from_numpy(chosen.vehicle.latent_code))
         with torch.no_grad():
-            rendering = render(
-                Beams.from_arrays(points, origin), field, theta, chosen.vehicle, preset("draft")
-            )
+            rendering = render(Beams.from_arrays(points, origin), field, theta, chosen.vehicle, preset("draft"))
         points = rendering.points.numpy().astype(np.float32)
         boxes = np.concatenate((boxes, box[None].astype(np.float32)))
     return TrainingScene(points, boxes, scene.sensor_height_m)

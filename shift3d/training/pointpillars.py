@@ -93,9 +93,7 @@ def train_on_scenes(
     net.train()
     end = recipe.steps if stop_after is None else min(recipe.steps, stop_after)
     smoothed: dict[str, float] = {}
-    for step in tqdm(
-        range(done, end), initial=done, total=recipe.steps, desc="pointpillars", mininterval=5.0
-    ):
+    for step in tqdm(range(done, end), initial=done, total=recipe.steps, desc="pointpillars", mininterval=5.0):
         parts = _train_step(net, optimiser, recipe, step, mesh_scenes, inserted_scenes)
         for name, value in parts.items():
             smoothed[name] = value if name not in smoothed else 0.98 * smoothed[name] + 0.02 * value
@@ -146,14 +144,10 @@ def _targets(net: PointPillarsNet, crop: Crop, rim_cells: int) -> Targets:
     per_cell = len(WAYMO_ANCHORS.headings_rad)
     inner = torch.zeros(crop.window.num_y, crop.window.num_x, per_cell, dtype=torch.bool)
     inner[rim_cells : crop.window.num_y - rim_cells, rim_cells : crop.window.num_x - rim_cells] = True
-    return assign_targets(
-        anchors, torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable), inner.reshape(-1)
-    )
+    return assign_targets(anchors, torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable), inner.reshape(-1))
 
 
-def _save(
-    file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.optim.Optimizer, steps_done: int
-) -> None:
+def _save(file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.optim.Optimizer, steps_done: int) -> None:
     state = {
         "steps_done": steps_done,
         "recipe": repr(recipe),

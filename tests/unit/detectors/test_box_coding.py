@@ -19,9 +19,7 @@ def test_anchors_of_the_full_grid() -> None:
     first, last = anchors[0], anchors[-1]
     assert first.tolist() == pytest.approx([-74.72, -74.72, 0.885, 4.73, 2.08, 1.77, 0.0])
     assert last.tolist() == pytest.approx([74.72, 74.72, 0.885, 4.73, 2.08, 1.77, pi / 2])
-    assert torch.equal(
-        anchor_indices(WAYMO_ANCHORS, WAYMO_GRID, full_window(WAYMO_GRID)), torch.arange(len(anchors))
-    )
+    assert torch.equal(anchor_indices(WAYMO_ANCHORS, WAYMO_GRID, full_window(WAYMO_GRID)), torch.arange(len(anchors)))
 
 
 def test_anchors_of_a_window_are_rows_of_the_full_grid() -> None:

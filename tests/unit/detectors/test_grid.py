@@ -22,9 +22,7 @@ def _plain_pillars(points: torch.Tensor, window: BevWindow) -> dict[tuple[int, i
     for index, (x, y, z) in enumerate(points.double().tolist()):
         column = int(np.floor((x - grid.x_min_m) / grid.cell_m))
         line = int(np.floor((y - grid.y_min_m) / grid.cell_m))
-        in_window = (
-            window.x0 <= column < window.x0 + window.num_x and window.y0 <= line < window.y0 + window.num_y
-        )
+        in_window = window.x0 <= column < window.x0 + window.num_x and window.y0 <= line < window.y0 + window.num_y
         if in_window and grid.z_min_m <= z < grid.z_max_m:
             pillars.setdefault((line, column), []).append(index)
     return pillars

@@ -51,9 +51,7 @@ def full_scene(slim: PointPillars) -> tuple[torch.Tensor, torch.Tensor]:
 def test_margin_is_the_receptive_field() -> None:
     """How far the gradient of an output cell reaches in the input, through the real layers."""
     torch.manual_seed(0)
-    backbone = Backbone(
-        dataclasses.replace(WAYMO_BACKBONE, in_channels=2, channels=(2, 2, 2), up_channels=2)
-    ).eval()
+    backbone = Backbone(dataclasses.replace(WAYMO_BACKBONE, in_channels=2, channels=(2, 2, 2), up_channels=2)).eval()
     for module in backbone.modules():
         if isinstance(module, torch.nn.Conv2d | torch.nn.ConvTranspose2d):
             torch.nn.init.constant_(module.weight, 0.1)  # positive: no ReLU hides a path
@@ -153,9 +151,7 @@ def test_gradient_equals_central_differences_in_float64() -> None:
     # A step so small that no point leaves its pillar and no maximum or ReLU changes hands along it.
     step = 1e-7
     for trial in range(5):
-        direction = torch.randn(
-            cloud.shape, generator=torch.Generator().manual_seed(trial), dtype=torch.float64
-        )
+        direction = torch.randn(cloud.shape, generator=torch.Generator().manual_seed(trial), dtype=torch.float64)
         difference = (loss(cloud + step * direction) - loss(cloud - step * direction)) / (2 * step)
         exact = (leaf.grad * direction).sum()
         assert abs(float(exact)) > 1e-2

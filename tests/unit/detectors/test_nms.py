@@ -28,9 +28,7 @@ def test_equals_the_plain_twin() -> None:
     for seed in range(5):
         for iou_threshold in (0.0, 0.25, 0.7):
             boxes, scores = _boxes(120, seed)
-            assert rotated_nms(boxes, scores, iou_threshold).tolist() == _plain_nms(
-                boxes, scores, iou_threshold
-            )
+            assert rotated_nms(boxes, scores, iou_threshold).tolist() == _plain_nms(boxes, scores, iou_threshold)
 
 
 def test_equal_boxes_with_equal_scores_keep_the_first() -> None:

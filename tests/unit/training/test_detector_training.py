@@ -53,9 +53,7 @@ def _scene(name: str) -> TrainingScene:
 
 def test_nearest_iou_of_snapped_boxes() -> None:
     box = torch.tensor([[0.0, 0, 0, 4, 2, 1, 0]])
-    others = torch.tensor(
-        [[2.0, 0, 0, 4, 2, 1, pi + 0.1], [0, 0, 0, 4, 2, 1, pi / 2 - 0.1], [0, 9, 0, 4, 2, 1, 0]]
-    )
+    others = torch.tensor([[2.0, 0, 0, 4, 2, 1, pi + 0.1], [0, 0, 0, 4, 2, 1, pi / 2 - 0.1], [0, 9, 0, 4, 2, 1, 0]])
     assert nearest_bev_iou(box, others)[0].tolist() == pytest.approx([4 / 12, 4 / 12, 0.0])
 
 

@@ -1,0 +1,61 @@
+"""Weight files: what is refused, and that saving and loading changes nothing."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from shift3d.detectors.network import PointPillarsNet
+from shift3d.detectors.weights import load_detector, load_network
+from shift3d.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "pointpillars.safetensors"
+    save_file({name: tensor.contiguous() for name, tensor in PointPillarsNet().state_dict().items()}, path)
+    return path
+
+
+def test_round_trip(file: Path) -> None:
+    net = load_network(file)
+    assert not net.training
+    saved = load_file(file)
+    assert all(torch.equal(tensor, saved[name]) for name, tensor in net.state_dict().items())
+
+
+def test_unknown_name() -> None:
+    with pytest.raises(InputError, match="unknown detector 'pointpilars'"):
+        load_detector("pointpilars")
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        load_detector(path=tmp_path / "none.safetensors")
+
+
+def test_truncated_file(file: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(InputError, match=r"broken\.safetensors"):
+        load_detector(path=broken)
+
+
+@pytest.mark.parametrize("fault", ["shape", "missing", "surplus", "nan"])
+def test_wrong_tensors(file: Path, tmp_path: Path, fault: str) -> None:
+    state = load_file(file)
+    name = "heads.classes.weight"
+    if fault == "shape":
+        state[name] = torch.zeros(3, 384, 1, 1)
+    elif fault == "missing":
+        del state[name]
+    elif fault == "surplus":
+        state["heads.more.weight"] = torch.zeros(1)
+    else:
+        state[name][0, 0] = torch.nan
+    broken = tmp_path / "broken.safetensors"
+    save_file(state, broken)
+    with pytest.raises(InputError, match="finite" if fault == "nan" else "has shape"):
+        load_detector(path=broken)
