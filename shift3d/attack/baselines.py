@@ -59,7 +59,7 @@ def random_pose(
         if not (held.overlap_ok and held.contact_ok):
             continue
         with torch.no_grad():
-            rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings)
+            rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings, space=problem.space)
         held = replace(
             held,
             object_points=rendering.object_points,

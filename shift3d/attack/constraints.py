@@ -62,9 +62,7 @@ def points_near(beams: Beams, theta: Tensor, radius_m: float) -> Tensor:
     return beams.points[near].double()
 
 
-def distances(
-    field: ObjectField, points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3
-) -> Tensor:
+def distances(field: ObjectField, points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3) -> Tensor:
     """Metric distances (M',) of the points within reach_m of the object's box; the others are left out.
 
     Args:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-MAX_SLOPE = 0.15
+MAX_SLOPE = 0.10
 _INLIER_M = 0.06
 _MIN_POINTS = 12
 
@@ -40,7 +40,7 @@ def fit_ground(
     """Plane through the ground returns within radius_m of a place; None where too little ground is seen.
 
     Starts from the nominal plane widened to 0.6 m, refits on what lies near the fit, narrower each time, so
-    that walls and poles fall out. A slope beyond 15 % is refused.
+    that walls and poles fall out. A slope beyond 10 % is refused.
 
     Args:
         points: (N, 3) returns, scene frame.

@@ -27,9 +27,7 @@ def to_network_frame(points: Tensor, ground_z_m: float) -> Tensor:
     return points - points.new_tensor([0.0, 0.0, ground_z_m])
 
 
-def object_box(
-    theta: Tensor, size_m: np.ndarray | tuple[float, float, float], ground_z_m: float
-) -> np.ndarray:
+def object_box(theta: Tensor, size_m: np.ndarray | tuple[float, float, float], ground_z_m: float) -> np.ndarray:
     """Ground-truth box y* (7,) of the inserted object, network frame, float64.
 
     Centre and heading follow the pose (pitch and roll have no place in a seven-number box); the size is the
@@ -80,9 +78,7 @@ def proposal_score(proposals: Proposals, box: np.ndarray, radius_m: float = DETE
     """Highest score of a proposal near the object before suppression: what a trace shows at no cost."""
     centres = proposals.boxes[:, :2].detach().double().numpy()
     near = np.hypot(*(centres - box[:2]).T) < radius_m
-    return (
-        float(torch.sigmoid(proposals.logits.detach()[torch.from_numpy(near)].max())) if near.any() else 0.0
-    )
+    return float(torch.sigmoid(proposals.logits.detach()[torch.from_numpy(near)].max())) if near.any() else 0.0
 
 
 def window_around(detector: Detector, theta: Tensor, extra_m: float = 0.0) -> BevWindow:

@@ -15,6 +15,7 @@ from shift3d.attack.ground import fit_ground
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.beams import Beams
 from shift3d.render.bounds import Box
+from shift3d.render.empty_space import EmptySpace
 from shift3d.render.fast import rays_in_box
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.render import render
@@ -64,9 +65,7 @@ class NoPlacement:
 
     def reason(self) -> str:
         """One line for a log or a result row."""
-        listed = ", ".join(
-            f"{name} {count}" for name, count in sorted(self.rejected.items(), key=lambda p: -p[1])
-        )
+        listed = ", ".join(f"{name} {count}" for name, count in sorted(self.rejected.items(), key=lambda p: -p[1]))
         return f"no valid placement in {self.attempts} attempts ({listed})"
 
 
@@ -79,6 +78,7 @@ def place(
     limits: PlacementLimits = PlacementLimits(),
     constraints: Constraints = Constraints(),
     settings: RenderSettings = STANDARD,
+    space: EmptySpace | None = None,
 ) -> Placement | NoPlacement:
     """A random place that satisfies every constraint.
 
@@ -101,7 +101,7 @@ def place(
             rejected[outcome] += 1
             continue
         with torch.no_grad():
-            rendering = render(beams, sdf, outcome, vehicle, settings)
+            rendering = render(beams, sdf, outcome, vehicle, settings, space=space)
         near = points_near(beams, outcome, float(size.norm()) / 2 + 0.6)
         held = check(metric, near, outcome, size, rendering.object_points, constraints)
         if held.valid:

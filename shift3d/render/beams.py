@@ -72,7 +72,5 @@ def _origins(origins: np.ndarray | Tensor, points: Tensor) -> Tensor:
         origins = torch.from_numpy(np.array(origins, dtype=np.float64))
     origins = origins.double()
     if origins.shape[-1:] != (3,) or origins.ndim > 2 or (origins.ndim == 2 and len(origins) != len(points)):
-        raise InputError(
-            f"origins must be (3,) or (N, 3), not {tuple(origins.shape)}", where="Beams.from_arrays"
-        )
+        raise InputError(f"origins must be (3,) or (N, 3), not {tuple(origins.shape)}", where="Beams.from_arrays")
     return origins.expand(len(points), 3) if origins.ndim == 1 else origins

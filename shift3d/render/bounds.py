@@ -75,9 +75,7 @@ def checked_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Box:
 
 def _ball_lattice(ball: Box) -> Tensor:
     count = int(((ball.upper - ball.lower)[0] / _BALL_SPACING_M).ceil()) + 1
-    axes = [
-        torch.linspace(float(a), float(b), count, dtype=torch.float64) for a, b in zip(ball.lower, ball.upper)
-    ]
+    axes = [torch.linspace(float(a), float(b), count, dtype=torch.float64) for a, b in zip(ball.lower, ball.upper)]
     points = torch.cartesian_prod(*axes)
     centre, radius = (ball.lower + ball.upper) / 2, (ball.upper - ball.lower)[0] / 2
     return points[(points - centre).norm(dim=-1) <= radius]

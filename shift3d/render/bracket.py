@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from shift3d.render.culling import Rays
+from shift3d.render.empty_space import Leaps
 from shift3d.render.object_field import ObjectField
 from shift3d.render.settings import RenderSettings
 
@@ -43,13 +44,13 @@ class Brackets:
     clearance: Tensor
 
 
-def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings) -> Brackets:
-    """March every ray from near_m to far_m until g < 0.
+def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings, leaps: Leaps | None = None) -> Brackets:
+    """March every ray from near_m to far_m until g < 0; where `leaps` is given, over empty cells in one go.
 
     Source: our choice: the paper samples every 0.1 m. The test g < 0, and the sample at the return itself,
     are the paper's; g exactly 0 counts as outside.
     """
-    march = _March(rays, field, settings)
+    march = _March(rays, field, settings, leaps)
     march.start()
     while len(march.rows):
         march.step()
@@ -67,9 +68,9 @@ def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings) -> 
 class _March:
     """The state of a march; `rows` are the rays still under way, the other arrays belong to all rays."""
 
-    def __init__(self, rays: Rays, field: ObjectField, settings: RenderSettings) -> None:
+    def __init__(self, rays: Rays, field: ObjectField, settings: RenderSettings, leaps: Leaps | None = None) -> None:
         count = len(rays)
-        self.rays, self.field, self.settings = rays, field, settings
+        self.rays, self.field, self.settings, self.leaps = rays, field, settings, leaps
         self.outer, self.inner = rays.near_m.clone(), rays.near_m.clone()
         self.g_outer = torch.full((count,), torch.inf, dtype=torch.float64)
         self.g_inner = torch.full((count,), torch.nan, dtype=torch.float64)
@@ -89,7 +90,10 @@ class _March:
 
     def start(self) -> None:
         """Evaluate the entry points; where one is already inside, step back towards the sensor."""
-        self.g_outer = self._g(self.outer, self.rows)
+        if self.leaps is not None:
+            self.outer = self.leaps.first()
+            self.rows = torch.nonzero(self.outer <= self.rays.far_m).squeeze(1)
+        self.g_outer[self.rows] = self._g(self.outer[self.rows], self.rows)
         rows = torch.nonzero(self.g_outer < 0).squeeze(1)
         while len(rows):
             k = self.outer[rows]
@@ -101,15 +105,20 @@ class _March:
             out = self.g_outer[rows] >= 0
             self.found[rows[out]] = True
             rows = rows[~out]
-        self.rows = torch.nonzero((self.g_outer >= 0) & ~self.found & ~self.undecided).squeeze(1)
+        self.rows = self.rows[((self.g_outer >= 0) & ~self.found & ~self.undecided)[self.rows]]
 
     def step(self) -> None:
         """Move every ray under way by one step and drop those that are decided."""
         rows, s = self.rows, self.settings
         k, g = self.outer[rows], self.g_outer[rows]
         far = self.rays.far_m[rows]
-        length = (s.step_safety * g / self._steepness(rows)).clamp(s.step_m, max(s.step_m, s.max_step_m))
+        length = (s.step_safety * g / self._steepness(rows) + s.step_m).clamp_max(max(s.step_m, s.max_step_m))
         k_new = torch.minimum(k + length, far)
+        if self.leaps is not None:
+            leapt = self.leaps.leap(k_new, rows)
+            clear = leapt > far
+            self._leave(rows[clear], g[clear])
+            rows, k, g, far, k_new = (x[~clear] for x in (rows, k, g, far, leapt))
         g_new = self._g(k_new, rows)
         inside = g_new < 0
         self._enter(rows[inside], k_new[inside], g_new[inside])
@@ -121,6 +130,10 @@ class _March:
         going = ~inside & ~ended
         self.outer[rows[going]], self.g_outer[rows[going]] = k_new[going], g_new[going]
         self.rows = rows[going & ~self.found[rows]]
+
+    def _leave(self, rows: Tensor, g: Tensor) -> None:
+        """Rays with nothing but empty cells ahead."""
+        self.clearance[rows] = torch.minimum(self.clearance[rows], g)
 
     def _steepness(self, rows: Tensor) -> Tensor:
         """How much faster than a distance g fell over the last step (1 where it did not)."""
@@ -146,16 +159,12 @@ class _March:
         slope = left + curvature * (k1 - k0)
         bottom = k1 - slope / (2.0 * curvature).clamp_min(1e-12)
         # A V of slope 1 on both sides reaches deeper than the parabola: try every dip that could.
-        deepest = torch.minimum(
-            g1 - slope**2 / (4.0 * curvature).clamp_min(1e-12), 0.5 * (g0 + g2 - (k2 - k0))
-        )
+        deepest = torch.minimum(g1 - slope**2 / (4.0 * curvature).clamp_min(1e-12), 0.5 * (g0 + g2 - (k2 - k0)))
         try_it = (deepest < 0) & (g1 > 0)
         rows, bottom = rows[try_it], torch.minimum(torch.maximum(bottom, k0), k2)[try_it]
         g_bottom = self._g(bottom, rows)
         inside = g_bottom < 0
-        self._enter_dip(
-            rows[inside], bottom[inside], g_bottom[inside], k0[try_it][inside], g0[try_it][inside]
-        )
+        self._enter_dip(rows[inside], bottom[inside], g_bottom[inside], k0[try_it][inside], g0[try_it][inside])
 
     def _enter_dip(self, rows: Tensor, k: Tensor, g: Tensor, k0: Tensor, g0: Tensor) -> None:
         """A crossing between two samples of a dip: the outer end is the last sample before the bottom."""

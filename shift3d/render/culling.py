@@ -38,9 +38,7 @@ class Rays:
 
     def select(self, rows: Tensor) -> Rays:
         """Some of the rays, by row or by mask."""
-        return Rays(
-            *(part[rows] for part in (self.index, self.origins, self.directions, self.near_m, self.far_m))
-        )
+        return Rays(*(part[rows] for part in (self.index, self.origins, self.directions, self.near_m, self.far_m)))
 
 
 def beams_near(beams: Beams, centre: Tensor, radius_m: float) -> Tensor:

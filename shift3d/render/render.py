@@ -7,14 +7,14 @@ import torch
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render import fast, reference
+from shift3d.render import reference
 from shift3d.render.beams import Beams
-from shift3d.render.bounds import checked_box
+from shift3d.render.empty_space import EmptySpace
 from shift3d.render.implicit import surface_points
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.rendering import FirstHits, Rendering
 from shift3d.render.settings import STANDARD, RenderSettings
-from shift3d.render.warm import WarmStart
+from shift3d.render.warm import WarmStart, cold_start, warm_start
 
 
 def render(
@@ -24,6 +24,7 @@ def render(
     vehicle: VehicleFrame,
     settings: RenderSettings = STANDARD,
     warm: WarmStart | None = None,
+    space: EmptySpace | None = None,
 ) -> Rendering:
     """Move every return whose beam meets the object to the first crossing of its surface.
 
@@ -34,6 +35,7 @@ def render(
         vehicle: scale and axes of the sdf frame, size of the baseline.
         settings: every approximation.
         warm: `Rendering.warm` of an earlier rendering of the same beams and vehicle, nearby in code or pose.
+        space: `EmptySpace.of` this very field, where it is rendered often. Used by the fast solver alone.
 
     Returns:
         Rendering. Its points are differentiable w.r.t. theta and the field's latent code.
@@ -44,23 +46,39 @@ def render(
     Source: SHIFT3D, Object Rendering in LiDAR scene.
     """
     if theta.shape != (6,) or not bool(torch.isfinite(theta).all()):
-        raise InputError(
-            "a pose is six finite numbers: x, y, z, yaw, pitch, roll", where=f"pose {theta.tolist()}"
-        )
+        raise InputError("a pose is six finite numbers: x, y, z, yaw, pitch, roll", where=f"pose {theta.tolist()}")
     metric = ObjectField.of(field, vehicle, settings.dtype, settings.batch)
+    state = None
     with torch.no_grad():
         if settings.solver == "paper":
             hits = reference.first_hits(beams, metric, theta, settings)
         else:
-            size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
-            box = checked_box(metric, size, settings.box_margin_m)
-            rays = fast.rays_in_box(beams, theta, box)
-            hits, _ = fast.first_hits(rays, metric, settings)
-    return assemble(beams, hits, metric, theta, settings)
+            hits, state = _fast(beams, metric, theta, vehicle, settings, warm, space)
+    return assemble(beams, hits, metric, theta, settings, state)
+
+
+def _fast(
+    beams: Beams,
+    metric: ObjectField,
+    theta: Tensor,
+    vehicle: VehicleFrame,
+    settings: RenderSettings,
+    warm: WarmStart | None,
+    space: EmptySpace | None,
+) -> tuple[FirstHits, WarmStart]:
+    size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
+    if warm is None or not settings.warm_start:
+        return cold_start(beams, metric, theta, size, settings, space)
+    return warm_start(beams, metric, theta, size, warm, settings, space)
 
 
 def assemble(
-    beams: Beams, hits: FirstHits, field: ObjectField, theta: Tensor, settings: RenderSettings
+    beams: Beams,
+    hits: FirstHits,
+    field: ObjectField,
+    theta: Tensor,
+    settings: RenderSettings,
+    warm: WarmStart | None = None,
 ) -> Rendering:
     """The scene with the hit points in place, differentiable where gradients are wanted."""
     evaluations = field.count.evaluations
@@ -78,4 +96,5 @@ def assemble(
         len(hits.unresolved),
         evaluations,
         grazing,
+        warm,
     )

@@ -50,9 +50,7 @@ def find_roots(
     Source: our choice: the paper bisects.
     """
     slow = torch.zeros(len(outer), dtype=torch.int8)
-    state = _Brackets(
-        outer.clone(), inner.clone(), g_outer.double().clone(), g_inner.double().clone(), slow.clone()
-    )
+    state = _Brackets(outer.clone(), inner.clone(), g_outer.double().clone(), g_inner.double().clone(), slow.clone())
     best_k = torch.where(state.ga.abs() <= state.gb.abs(), state.a, state.b)
     best_g = torch.minimum(state.ga.abs(), state.gb.abs())
     width = (state.b - state.a).abs()

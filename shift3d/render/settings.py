@@ -41,13 +41,13 @@ class RenderSettings:
     dtype: torch.dtype = torch.float32
     step_m: float = 0.02
     max_step_m: float = 0.25
-    step_safety: float = 0.8
+    step_safety: float = 0.9
     tolerance_m: float = 1e-5
     max_iterations: int = 40
     box_margin_m: float = 0.10
     sphere_chord_only: bool = False
     warm_start: bool = True
-    warm_refresh: int = 10
+    warm_refresh: int = 20
     grazing_floor: float = 0.05
     batch: int = 4096
 
@@ -55,9 +55,7 @@ class RenderSettings:
         positive = ("step_m", "max_step_m", "step_safety", "tolerance_m", "max_iterations", "batch")
         for name in positive:
             if not getattr(self, name) > 0:
-                raise InputError(
-                    f"{name} must be positive", where=f"render settings: {name}={getattr(self, name)}"
-                )
+                raise InputError(f"{name} must be positive", where=f"render settings: {name}={getattr(self, name)}")
         if self.box_margin_m < 0 or self.grazing_floor < 0 or self.warm_refresh < 0:
             raise InputError("margins, floors and counts must not be negative", where="render settings")
 
