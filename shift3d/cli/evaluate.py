@@ -5,25 +5,32 @@ from __future__ import annotations
 import argparse
 
 from shift3d.cli.command import Command, key_values
+from shift3d.errors import InputError
 
 __all__ = ["COMMAND"]
 
 _EPILOG = """\
 examples:
   shift3d evaluate model=pointpillars
-  shift3d evaluate model=pointpillars kitti=PATH
+  shift3d evaluate model=pointpillars kitti=PATH   PATH holds training/
+  shift3d evaluate model=pointpillars scenes=20
   shift3d evaluate model=sdf"""
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("words", nargs="*", metavar="key=value", help="model=sdf or model=pointpillars, kitti=PATH")
+    parser.add_argument(
+        "words", nargs="*", metavar="key=value", help="model=sdf or model=pointpillars, kitti=PATH, scenes=N"
+    )
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    values = key_values(arguments.words, ("model", "kitti"), ("model",), "evaluate")
+    values = key_values(arguments.words, ("model", "kitti", "scenes"), ("model",), "evaluate")
+    scenes = values.get("scenes", "200")
+    if not scenes.isdigit() or int(scenes) < 1:
+        raise InputError(f"scenes={scenes!r} is not a number of scenes", where="evaluate", remedy="Give scenes=200")
     from shift3d.training.command import evaluate
 
-    return evaluate(values["model"], values.get("kitti"))
+    return evaluate(values["model"], values.get("kitti"), int(scenes))
 
 
 COMMAND = Command(
