@@ -80,9 +80,7 @@ class KittiScenes:
                 )
         self._names = sorted(found) if names is None else list(names)
         if not self._names:
-            raise InputError(
-                "no frames (*.bin)", str(self.folder / "velodyne"), "Give a folder with KITTI frames."
-            )
+            raise InputError("no frames (*.bin)", str(self.folder / "velodyne"), "Give a folder with KITTI frames.")
 
     def names(self) -> list[str]:
         """Frame numbers."""
@@ -95,9 +93,7 @@ class KittiScenes:
             InputError: naming the file, the line or row, and the remedy.
         """
         if name not in self._names:
-            raise InputError(
-                f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {_first_few(self._names)}."
-            )
+            raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {_first_few(self._names)}.")
         points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin")
         scene = Scene(
             scene_id=name,

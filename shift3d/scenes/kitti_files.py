@@ -120,9 +120,7 @@ def read_calibration(path: Path) -> Calibration:
     camera_T_lidar = np.eye(4)
     camera_T_lidar[:3] = found["R0_rect"] @ found["Tr_velo_to_cam"]
     if abs(np.linalg.det(camera_T_lidar[:3, :3]) - 1.0) > 0.05:
-        raise InputError(
-            "R0_rect · Tr_velo_to_cam is no rotation", str(path), "Copy the calibration file again."
-        )
+        raise InputError("R0_rect · Tr_velo_to_cam is no rotation", str(path), "Copy the calibration file again.")
     return Calibration(found["P2"], camera_T_lidar)
 
 
@@ -140,9 +138,7 @@ def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
         if len(columns) not in (_LABEL_COLUMNS, _LABEL_COLUMNS + 1):
             raise InputError(f"{len(columns)} columns, 15 expected", where, "Repair or remove that line.")
         if columns[0] not in CLASSES:
-            raise InputError(
-                f"unknown class {columns[0]!r}", where, f"Known are {', '.join(CLASSES)} and DontCare."
-            )
+            raise InputError(f"unknown class {columns[0]!r}", where, f"Known are {', '.join(CLASSES)} and DontCare.")
         values = _numbers(columns[1:], where)
         if not min(values[7:10]) > 0.0:
             raise InputError(f"box size {tuple(values[7:10])} (h, w, l)", where, "Sizes must be positive.")
@@ -150,9 +146,7 @@ def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
     return labels
 
 
-def lidar_box(
-    size_hwl: list[float], bottom_camera: list[float], rotation_y: float, calibration: Calibration
-) -> Float:
+def lidar_box(size_hwl: list[float], bottom_camera: list[float], rotation_y: float, calibration: Calibration) -> Float:
     """A KITTI camera-frame box as (x, y, z, dx, dy, dz, heading) in the LiDAR frame.
 
     Args:

@@ -65,6 +65,8 @@ class Scene:
             raise InputError("empty scene_id or dataset", where, "Name both.")
         if self.points.ndim != 2 or self.points.shape[1:] != (3,):
             raise InputError(f"shape {self.points.shape}", f"{where}, points", "Give (N, 3).")
+        if not len(self.points):
+            raise InputError("no points", f"{where}, points", "Use another frame.")
         for name, values, dtype, columns in self._fields():
             _check_field(f"{where}, {name}", values, dtype, len(self.points), columns)
         if not np.isfinite(self.ground_z_m):
@@ -73,9 +75,7 @@ class Scene:
             raise InputError("no point with a positive range", f"{where}, points", "Use another frame.")
         if self.reflectance is not None and ((self.reflectance < 0) | (self.reflectance > 1)).any():
             row = int(np.argmax((self.reflectance < 0) | (self.reflectance > 1)))
-            raise InputError(
-                f"row {row} is {self.reflectance[row]}", f"{where}, reflectance", "Scale it to 0..1."
-            )
+            raise InputError(f"row {row} is {self.reflectance[row]}", f"{where}, reflectance", "Scale it to 0..1.")
         self.labels.validate(where)
         self.conditions.validate(where)
 
@@ -112,9 +112,7 @@ class Scene:
             ("time_s", self.time_s, np.float32, None),
             ("range_image_index", self.range_image_index, np.int32, 2),
         ]
-        return [
-            (name, values, dtype, columns) for name, values, dtype, columns in fields if values is not None
-        ]
+        return [(name, values, dtype, columns) for name, values, dtype, columns in fields if values is not None]
 
 
 def _check_field(

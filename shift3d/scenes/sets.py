@@ -63,9 +63,7 @@ class StreetScenes:
     ) -> None:
         for value, field, choices in ((sensor, "sensor", STREET_SENSORS), (split, "split", STREET_SPLITS)):
             if value not in choices:
-                raise InputError(
-                    f"unknown {field} {value!r}", "street scenes", f"Choose from {', '.join(choices)}."
-                )
+                raise InputError(f"unknown {field} {value!r}", "street scenes", f"Choose from {', '.join(choices)}.")
         if count < 1 or start < 0 or seed < 0:
             raise InputError(
                 f"count={count}, start={start}, seed={seed}",
@@ -81,25 +79,24 @@ class StreetScenes:
 
     def names(self) -> list[str]:
         """Names such as street-test-hdl64-000007; a seed other than 0 is appended as -seed3."""
-        tail = f"-seed{self.seed}" if self.seed else ""
-        return [
-            f"street-{self.split}-{self._sensor_of(index)}-{index:06d}{tail}"
-            for index in range(self.start, self.start + self.count)
-        ]
+        return [self._name(index) for index in range(self.start, self.start + self.count)]
 
     def load(self, name: str) -> Scene:
         """The scene of a name: the same bytes every time."""
         from shift3d.scenes.street.assemble import street_scene
 
-        match = re.fullmatch(r"street-([a-z]+)-(hdl64|waymo_top)-(\d{6,})(?:-seed(\d+))?", name)
-        if match is None or name not in self.names():
-            names = self.names()
-            raise InputError(
-                f"unknown scene {name!r}", "street scenes", f"Choose from {names[0]} to {names[-1]}."
-            )
-        scene = street_scene(match[1], int(match[4] or 0), int(match[3]), match[2])
+        match = re.fullmatch(r"street-[a-z]+-[a-z0-9_]+-(\d{6,})(?:-seed\d+)?", name)
+        index = int(match[1]) if match else -1
+        if not self.start <= index < self.start + self.count or name != self._name(index):
+            first, last = self._name(self.start), self._name(self.start + self.count - 1)
+            raise InputError(f"unknown scene {name!r}", "street scenes", f"Choose from {first} to {last}.")
+        scene = street_scene(self.split, self.seed, index, self._sensor_of(index))
         scene.validate()
         return scene
+
+    def _name(self, index: int) -> str:
+        tail = f"-seed{self.seed}" if self.seed else ""
+        return f"street-{self.split}-{self._sensor_of(index)}-{index:06d}{tail}"
 
     def _sensor_of(self, index: int) -> str:
         return self.sensor if self.sensor != "mixed" else ("hdl64", "waymo_top")[index % 2]

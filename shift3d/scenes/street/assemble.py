@@ -77,11 +77,7 @@ def _cast(
         if item.kind == "vehicle":
             continue
         parts, leaves = LOOKS[item.kind](item, generator("street-thing", item.variant))
-        z = (
-            _lowest_ground(layout.ground, item)
-            if item.kind != "pedestrian"
-            else _ground_at(layout.ground, item)
-        )
+        z = _lowest_ground(layout.ground, item) if item.kind != "pedestrian" else _ground_at(layout.ground, item)
         placed = [part.placed(item.x, item.y, z, item.heading_rad) for part in parts]
         solid += [(number, part) for part in placed]
         if item.kind in LABELLED:
@@ -93,9 +89,7 @@ def _cast(
     sweep.cast_static(Intersector(mesh.vertices, mesh.faces), mesh.material, mesh.item)
     for number, item in enumerate(layout.items):
         if item.kind == "vehicle":
-            boxes[number] = _cast_vehicle(
-                sweep, layout.ground, item, number, pool_vehicle(split, item.variant)
-            )
+            boxes[number] = _cast_vehicle(sweep, layout.ground, item, number, pool_vehicle(split, item.variant))
     for number, leaf in foliage:
         sweep.cast_foliage(leaf.centre, leaf.radii, leaf.free_path_m, number, rng)
     return sweep, boxes
@@ -112,9 +106,7 @@ def _sample_paint(layout: Layout, rng: np.random.Generator) -> dict[int, Paint]:
     return paint
 
 
-def _cast_vehicle(
-    sweep: Sweep, ground: Ground, item: Item, number: int, vehicle: PoolVehicle
-) -> NDArray[np.float64]:
+def _cast_vehicle(sweep: Sweep, ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> NDArray[np.float64]:
     """Stand a vehicle on its four wheels, cast at it, return its box (7,)."""
     length, width, height = vehicle.size_m
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
@@ -163,9 +155,7 @@ def _lowest_ground(ground: Ground, item: Item) -> float:
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
     along = np.array([0.5, 0.5, -0.5, -0.5, 0.0]) * item.size_m[0]
     across = np.array([0.5, -0.5, -0.5, 0.5, 0.0]) * item.size_m[1]
-    return float(
-        ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across).min()
-    )
+    return float(ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across).min())
 
 
 def _labels(layout: Layout, boxes: dict[int, NDArray[np.float64]], points: NDArray[np.float32]) -> Labels:

@@ -74,9 +74,7 @@ class Ground:
             covered = covered | (np.abs(u - self.crossing[0]) <= self.crossing[1] + grow_m)
         if self.lot is not None:
             u0, u1, v0, v1 = self.lot
-            covered = covered | (
-                (u >= u0 - grow_m) & (u <= u1 + grow_m) & (v >= v0 - grow_m) & (v <= v1 + grow_m)
-            )
+            covered = covered | ((u >= u0 - grow_m) & (u <= u1 + grow_m) & (v >= v0 - grow_m) & (v <= v1 + grow_m))
         return covered
 
     def height(self, x: Float, y: Float) -> Float:

@@ -46,9 +46,7 @@ class FloorPlan:
             Whether it was added.
         """
         length, width, height = item.size_m
-        grown = np.array(
-            [[item.x, item.y, 0, length + 2 * margin_m, width + 2 * margin_m, height, item.heading_rad]]
-        )
+        grown = np.array([[item.x, item.y, 0, length + 2 * margin_m, width + 2 * margin_m, height, item.heading_rad]])
         if _meets(corners_bev(grown)[0], self._corners).any():
             return False
         plain = np.array([[item.x, item.y, 0, length, width, height, item.heading_rad]])

@@ -101,9 +101,7 @@ def _sample_bank(rng: np.random.Generator) -> float:
 def _thin_out(plan: FloorPlan, rng: np.random.Generator, target: int) -> None:
     """Drop vehicles at random until no more than target stand within NEAR_M; their floor space stays free."""
     near = [
-        index
-        for index, item in enumerate(plan.items)
-        if item.kind == "vehicle" and np.hypot(item.x, item.y) < NEAR_M
+        index for index, item in enumerate(plan.items) if item.kind == "vehicle" and np.hypot(item.x, item.y) < NEAR_M
     ]
     if len(near) > target:
         dropped = set(rng.permutation(near)[target:].tolist())

@@ -20,9 +20,6 @@ from shift3d.seeding import generator
 
 POOL_SIZES = {"train": 270, "val": 90, "test": 90}
 RESOLUTION_M = 0.07
-# Length, width and height are stretched a little beside what the family varies: other continents have shorter
-# and narrower cars.
-STRETCH_LOW, STRETCH_HIGH = (0.88, 0.91, 0.95), (1.05, 1.03, 1.06)
 
 
 @dataclass(frozen=True)
@@ -51,10 +48,18 @@ def pool_vehicle(split: str, number: int) -> PoolVehicle:
     number %= POOL_SIZES[split]
     vertices, faces, body_type = _cached_mesh(split, number)
     low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)
-    stretch = generator("street-stretch", split, number).uniform(STRETCH_LOW, STRETCH_HIGH)
+    stretch = _stretch(generator("street-stretch", split, number))
     vertices = ((vertices - (low + high) / 2) * stretch).astype(np.float32)
     radius_m = float(np.linalg.norm(vertices, axis=1).max()) + 0.01
     return PoolVehicle(body_type, (high - low) * stretch, radius_m, Intersector(vertices, faces))
+
+
+def _stretch(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Factors of length, width and height beside what the family varies: some towns have smaller cars than others."""
+    small = rng.uniform()
+    length = 1.05 - 0.22 * small + rng.uniform(-0.02, 0.02)
+    width = 1.02 - 0.14 * small + rng.uniform(-0.02, 0.02)
+    return np.array([length, width, rng.uniform(0.95, 1.06)])
 
 
 def _build(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[np.int32], str]:

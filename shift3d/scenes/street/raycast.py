@@ -22,9 +22,7 @@ class Intersector:
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self._scene = EmbreeScene()
-        TriangleMesh(
-            self._scene, np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
-        )
+        TriangleMesh(self._scene, np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32))
 
     def first_hit(self, origins: Float32, directions: Float32) -> tuple[Float32, NDArray[np.int32], Float32]:
         """First hits of rays.

@@ -44,18 +44,14 @@ def finish(
     for material, roughness_m in _ROUGHNESS_M.items():
         rough = sweep.material == material
         # An uneven surface met at a grazing angle moves the hit far along the beam.
-        noise[rough] += (
-            roughness_m * rng.standard_normal(int(rough.sum())) / np.maximum(sweep.cosine[rough], 0.15)
-        )
+        noise[rough] += roughness_m * rng.standard_normal(int(rough.sum())) / np.maximum(sweep.cosine[rough], 0.15)
     range_m = np.where(np.isfinite(sweep.range_m), sweep.range_m, 1e6) + noise
     range_m = np.round(range_m / sensor.range_step_m) * sensor.range_step_m
     surface = _per_item(sweep, {number: p.albedo for number, p in paint.items()}, ALBEDO)
     power = surface * np.maximum(sweep.cosine, 0.02) / range_m**2
     detected = 1.0 / (1.0 + np.exp(-(np.log(power) - np.log(HALF_POWER)) / POWER_SPREAD))
     kept = rng.random(shape) < detected * (1.0 - sensor.drop_rate)
-    glass_loss = _per_item(
-        sweep, {number: p.glass_loss for number, p in paint.items()}, np.zeros(len(ALBEDO))
-    )
+    glass_loss = _per_item(sweep, {number: p.glass_loss for number, p in paint.items()}, np.zeros(len(ALBEDO)))
     kept &= (sweep.material != Material.GLASS) | (rng.random(shape) >= glass_loss)
     kept &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
     speckle = np.exp(0.25 * rng.standard_normal(shape))

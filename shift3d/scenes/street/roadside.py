@@ -30,9 +30,7 @@ def furnish_roadside(plan: FloorPlan, ground: Ground, kind: str, rng: np.random.
         _sprinkle(plan, ground, rng, "tree", int(rng.integers(0, 10)), (12.0, 60.0))
     _sprinkle(plan, ground, rng, "tree", int(rng.integers(0, 8)), (15.0, 70.0), off_road=True)
     for confuser in ("dumpster", "container", "cabinet", "barrier", "bush"):
-        _sprinkle(
-            plan, ground, rng, confuser, int(rng.integers(0, 4)), (8.0, 60.0), off_road=rng.random() < 0.7
-        )
+        _sprinkle(plan, ground, rng, confuser, int(rng.integers(0, 4)), (8.0, 60.0), off_road=rng.random() < 0.7)
     _sprinkle(plan, ground, rng, "bush", int(rng.integers(0, 8)), (8.0, 60.0), off_road=True)
     _sprinkle(plan, ground, rng, "pedestrian", int(rng.integers(0, 10)), (4.0, 45.0))
     _sprinkle(plan, ground, rng, "cyclist", int(rng.integers(0, 4)), (5.0, 45.0))
@@ -88,9 +86,7 @@ def _line_backdrop(plan: FloorPlan, ground: Ground, rng: np.random.Generator, si
         u += length + rng.uniform(0.5, 5.0)
 
 
-def _trees_and_poles(
-    plan: FloorPlan, ground: Ground, rng: np.random.Generator, side: float, sparse: bool
-) -> None:
+def _trees_and_poles(plan: FloorPlan, ground: Ground, rng: np.random.Generator, side: float, sparse: bool) -> None:
     kerb = ground.half_width_m + min(0.7, ground.sidewalk_m / 2)
     if rng.random() < 0.6:
         spacing = rng.uniform(7.0, 16.0) * (2.0 if sparse else 1.0)
@@ -156,9 +152,7 @@ def _sprinkle(
         size, heading = _size(kind, rng), rng.uniform(-np.pi, np.pi)
         for _attempt in range(8):
             distance, bearing = rng.uniform(*distances_m), rng.uniform(-np.pi, np.pi)
-            u, v = ground.to_road(
-                np.asarray(distance * np.cos(bearing)), np.asarray(distance * np.sin(bearing))
-            )
+            u, v = ground.to_road(np.asarray(distance * np.cos(bearing)), np.asarray(distance * np.sin(bearing)))
             if off_road and bool(ground.paved(u, v, 1.0)):
                 continue
             if _add(plan, ground, kind, float(u), float(v), heading, size, rng):
@@ -185,6 +179,4 @@ def _add(
         elif bool(ground.paved(ends, np.full(9, np.sign(v) * inner)).any()):
             return False
     x, y = ground.to_scene(np.asarray(u), np.asarray(v))
-    return plan.place(
-        Item(kind, float(x), float(y), heading_road_rad + ground.road_heading_rad, size_m, variant)
-    )
+    return plan.place(Item(kind, float(x), float(y), heading_road_rad + ground.road_heading_rad, size_m, variant))

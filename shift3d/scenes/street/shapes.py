@@ -55,9 +55,7 @@ def _unit_box() -> tuple[Float, Int]:
     return corners, np.array(faces, dtype=np.int32)
 
 
-def box(
-    size: tuple[float, float, float], at: tuple[float, float, float], material: Material, top: float = 1.0
-) -> Part:
+def box(size: tuple[float, float, float], at: tuple[float, float, float], material: Material, top: float = 1.0) -> Part:
     """A box that stands on ``at`` (centre of its bottom); its top face is scaled by ``top``."""
     corners, faces = _unit_box()
     vertices = corners * np.array(size)
@@ -145,6 +143,4 @@ def merge(parts: Iterable[tuple[int, Part]], base: Mesh) -> Mesh:
         material.append(np.full(len(part.faces), part.material, dtype=np.uint8))
         item.append(np.full(len(part.faces), number, dtype=np.int32))
         count += len(part.vertices)
-    return Mesh(
-        np.concatenate(vertices), np.concatenate(faces), np.concatenate(material), np.concatenate(item)
-    )
+    return Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(material), np.concatenate(item))

@@ -80,9 +80,7 @@ def _tree(item: Item, rng: Rng) -> Looks:
     for _ in range(int(rng.integers(1, 4))):
         radii = crown * rng.uniform(0.6, 1.0, 3)
         radii[2] = max((height - bare) / 2 * rng.uniform(0.6, 1.0), 0.6)
-        centre = np.array(
-            [*(lean + rng.uniform(-0.5, 0.5, 2) * crown), bare + radii[2] * rng.uniform(0.8, 1.2)]
-        )
+        centre = np.array([*(lean + rng.uniform(-0.5, 0.5, 2) * crown), bare + radii[2] * rng.uniform(0.8, 1.2)])
         leaves.append(Leaves(centre, radii, float(rng.uniform(0.8, 3.0))))
     return [trunk], leaves
 
@@ -103,9 +101,7 @@ def _thicket(item: Item, rng: Rng) -> Looks:
     length, width, height = item.size_m
     leaves = []
     for _ in range(int(np.clip(length / 1.6, 3, 16))):
-        radii = np.array(
-            [rng.uniform(0.7, 1.8), rng.uniform(0.4, 1.0) * width / 2, rng.uniform(0.3, 1.0) * height / 2]
-        )
+        radii = np.array([rng.uniform(0.7, 1.8), rng.uniform(0.4, 1.0) * width / 2, rng.uniform(0.3, 1.0) * height / 2])
         x = rng.uniform(-0.5, 0.5) * (length - 2 * radii[0])
         y = rng.uniform(-0.5, 0.5) * (width - 2 * radii[1])
         centre = np.array([x, y, radii[2] * rng.uniform(0.75, 1.0)])
@@ -116,9 +112,7 @@ def _thicket(item: Item, rng: Rng) -> Looks:
 def _dumpster(item: Item, rng: Rng) -> Looks:
     length, width, height = item.size_m
     parts = [box((length, width, height * 0.85), (0, 0, 0.12), Material.METAL, rng.uniform(0.9, 1.1))]
-    parts.append(
-        box((length, width * 0.7, height * 0.12), (0, 0.1, 0.12 + height * 0.85), Material.METAL, 0.9)
-    )
+    parts.append(box((length, width * 0.7, height * 0.12), (0, 0.1, 0.12 + height * 0.85), Material.METAL, 0.9))
     return parts, []
 
 
@@ -157,9 +151,7 @@ def _pedestrian(item: Item, rng: Rng) -> Looks:
 
 
 def _cyclist(item: Item, rng: Rng) -> Looks:
-    parts = [
-        prism((x, -0.025, 0.34), (x, 0.025, 0.34), (0.34, 0.34), Material.METAL, 12) for x in (-0.53, 0.53)
-    ]
+    parts = [prism((x, -0.025, 0.34), (x, 0.025, 0.34), (0.34, 0.34), Material.METAL, 12) for x in (-0.53, 0.53)]
     parts.append(box((1.0, 0.05, 0.1), (0, 0, 0.55), Material.METAL))
     parts.append(prism((0.5, 0, 0.34), (0.4, 0, 1.0), (0.03, 0.03), Material.METAL, 6))
     parts.append(prism((0.4, -0.3, 1.0), (0.4, 0.3, 1.0), (0.03, 0.03), Material.METAL, 6))

@@ -68,17 +68,11 @@ def park_along_kerb(plan: FloorPlan, ground: Ground, rng: np.random.Generator) -
         if style == "none":
             continue
         occupancy = rng.uniform(0.15, 0.75)
-        angle = (
-            rng.choice((np.pi / 2, np.pi / 3, np.pi / 4)) * rng.choice((-1.0, 1.0))
-            if style == "angle"
-            else 0.0
-        )
+        angle = rng.choice((np.pi / 2, np.pi / 3, np.pi / 4)) * rng.choice((-1.0, 1.0)) if style == "angle" else 0.0
         pitch = 6.4 if style == "line" else 2.75 / abs(np.sin(angle))
         v = side * (ground.half_width_m + (-1.1 if style == "line" else 2.6))
         for u in np.arange(-75.0, 75.0, pitch):
-            in_side_road = (
-                ground.crossing is not None and abs(u - ground.crossing[0]) < ground.crossing[1] + 4.0
-            )
+            in_side_road = ground.crossing is not None and abs(u - ground.crossing[0]) < ground.crossing[1] + 4.0
             if in_side_road or rng.random() > occupancy:
                 continue
             heading = angle + (np.pi if rng.random() < (0.1 if side < 0 else 0.9) else 0.0)
