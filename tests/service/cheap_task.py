@@ -1,11 +1,12 @@
 """A real but cheap kind of task: a pure function of its spec, run through the same service as the real one.
 
-SHIFT3D_TEST_* variables make it slow, or make chosen tasks fail, crash or hang.
+SHIFT3D_TEST_* variables make it slow, or make a chosen task fail, kill its process, or return a bad row.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -50,6 +51,8 @@ def run(spec: TaskSpec, assets: dict[str, float]) -> TaskResult:
         }  # fmt: skip
         scores.append(row)
         solutions.append({**key, "latent_code": rng.normal(size=4).astype("float32")})
+    if f"{spec.vehicle}/{spec.scene}/{spec.mode}" == os.environ.get("SHIFT3D_TEST_BAD_ROW"):
+        scores[0]["score"] = float("nan")
     timings = [{"method": "adversarial", "stage": "total", "milliseconds": 1.0, "calls": 1}]
     return TaskResult(scores, solutions, timings)
 
@@ -63,7 +66,11 @@ def _misbehave(spec: TaskSpec) -> None:
     if target == os.environ.get("SHIFT3D_TEST_FAILS"):
         raise ArithmeticError(f"no root for {target}")
     if target == os.environ.get("SHIFT3D_TEST_CRASHES"):
-        os.abort()
+        mark = os.environ.get("SHIFT3D_TEST_CRASH_ONCE")
+        if mark is None or not Path(mark).exists():
+            if mark is not None:
+                Path(mark).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
 
 
 def catalogue(config: Config) -> Catalogue:

@@ -1,0 +1,30 @@
+"""The shift3d command with the cheap task in place of the real one: what the fault tests start and kill."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+HERE = str(Path(__file__).resolve().parent)
+sys.path.insert(0, HERE)
+# Ray's workers import the task by name.
+os.environ["PYTHONPATH"] = os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")])
+
+
+def main() -> int:
+    from cheap_task import KIND
+
+    from shift3d.cli import sweep
+    from shift3d.cli.main import make_parser
+    from shift3d.errors import InputError
+
+    try:
+        return sweep.run_with(make_parser().parse_args(sys.argv[1:]), KIND)
+    except InputError as error:
+        print(f"shift3d sweep: {error}", file=sys.stderr)
+        return int(getattr(error, "exit_code", 2))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""A driver that is killed loses nothing that it committed, and repeats nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from conftest import Drivers
+
+TASKS = 60
+
+
+def test_killed_local_driver_resumes_to_the_same_bytes(drivers: Drivers, undisturbed: dict[str, bytes]) -> None:
+    for kills in range(1, 4):
+        driver = drivers.start("out", "runner=local", "runner.commit_seconds=0", SHIFT3D_TEST_SECONDS="0.03")
+        drivers.wait_for_commits("out", 12 * kills)
+        driver.send_signal(signal.SIGKILL)
+        driver.wait()
+    code, _, errors = drivers.run("out", "runner=local")
+    assert code == 0, errors
+    committed = drivers.committed("out")
+    assert len(committed) == len(set(committed)) == TASKS
+    assert drivers.final("out") == undisturbed
+
+
+def test_killed_ray_driver_resumes_with_another_number_of_workers(
+    drivers: Drivers, undisturbed: dict[str, bytes], tmp_path: Path
+) -> None:
+    settings = ("runner.commit_seconds=0", "runner.batch_seconds=0.1")
+    driver = drivers.start("out", "runner.workers=2", *settings, SHIFT3D_TEST_SECONDS="0.15")
+    drivers.wait_for_commits("out", 10)
+    driver.send_signal(signal.SIGKILL)
+    driver.wait()
+    assert 10 <= len(drivers.committed("out")) < TASKS
+    journal = tmp_path / "journal"
+    before = set(drivers.committed("out"))
+    code, _, errors = drivers.run("out", "runner.workers=1", SHIFT3D_TEST_JOURNAL=str(journal))
+    assert code == 0, errors
+    ran = journal.read_text().split()
+    assert len(ran) == len(set(ran)) == TASKS - len(before)
+    assert before.isdisjoint(ran), "a committed task was run again"
+    committed = drivers.committed("out")
+    assert len(committed) == len(set(committed)) == TASKS
+    assert drivers.final("out") == undisturbed
+
+
+def test_interrupt_finishes_what_is_in_flight_and_says_how_to_resume(
+    drivers: Drivers, undisturbed: dict[str, bytes]
+) -> None:
+    driver = drivers.start("out", "runner=local", "runner.commit_seconds=0", SHIFT3D_TEST_SECONDS="0.05")
+    drivers.wait_for_commits("out", 3)
+    driver.send_signal(signal.SIGINT)
+    _, errors = driver.communicate(timeout=30)
+    assert driver.returncode == 130
+    done = len(drivers.committed("out"))
+    assert f"{done} of {TASKS} tasks done" in errors
+    assert "resumes: shift3d sweep default" in errors
+    assert not (drivers.folder / "out" / "final").exists()
+    assert drivers.run("out", "runner=local")[0] == 0
+    assert drivers.final("out") == undisturbed
+
+
+def test_second_interrupt_drops_what_is_in_flight(drivers: Drivers) -> None:
+    driver = drivers.start("out", "runner=local", SHIFT3D_TEST_SECONDS="30")
+    deadline = time.monotonic() + 30
+    while not list((drivers.folder / "out" / "_log").glob("*.json")):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    time.sleep(0.5)
+    for _ in range(2):
+        os.kill(driver.pid, signal.SIGINT)
+        time.sleep(0.3)
+    driver.communicate(timeout=10)
+    assert driver.returncode == 130
+
+
+def test_a_killed_workers_task_is_run_again(drivers: Drivers, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
+    """The task aborts its worker the first time that it is run, and only then."""
+    mark = tmp_path / "crashed"
+    code, _, errors = drivers.run(
+        "out", "runner.workers=2", SHIFT3D_TEST_CRASHES="suv/street_002/pose", SHIFT3D_TEST_CRASH_ONCE=str(mark)
+    )
+    assert code == 0, errors
+    assert mark.exists()
+    committed = drivers.committed("out")
+    assert len(committed) == len(set(committed)) == TASKS
+    assert drivers.final("out") == undisturbed
