@@ -15,6 +15,7 @@ from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import attack_shape
+from shift3d.render.settings import STANDARD
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets, render_settings
 from shift3d.task.rows import Rows
@@ -62,7 +63,10 @@ def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
 
 
 def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
-    """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings."""
+    """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings.
+
+    Whatever the task's mode, weights of the loss, accuracy or detector. Source: our choice: the paper is silent.
+    """
     scene, beams = assets.scene(spec.scene)
     vehicle = assets.vehicle(spec.vehicle)
     limits = PlacementLimits(
@@ -71,11 +75,11 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
         (spec.placement.sector_centre_rad, spec.placement.sector_half_width_rad),
         spec.placement.attempts,
     )
-    settings = render_settings(spec)
-    code = torch.from_numpy(vehicle.latent_code).to(settings.dtype)
-    sdf = assets.decoder_of(settings.dtype).field(code)
+    # Always at the standard accuracy: a rounding that turns one draw down would put the vehicle elsewhere, and
+    # accuracies could no longer be compared object by object.
+    sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", spec.placement_seed)
-    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, _constraints(spec), settings)
+    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, _constraints(spec), STANDARD)
 
 
 def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:

@@ -107,7 +107,8 @@ def _evaluate_pointpillars(kitti: str | None, scenes: int) -> None:
         rules = EvaluationRules(iou_threshold=0.5)
         real = evaluate_kitti(detector, Path(kitti).expanduser(), rules)
         print(
-            f"pointpillars, {real.scenes} KITTI frames, cars in view: {_describe(rules)} {real.average_precision.value:.3f}"
+            f"pointpillars, {real.scenes} KITTI frames, cars in view: {_describe(rules)} "
+            f"{real.average_precision.value:.3f}"
         )
 
 

@@ -1,0 +1,177 @@
+"""One real task: shipped weights, a procedural street, a short search. What must hold whatever the numbers are."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from shift3d.config.catalogue import accuracy_settings
+from shift3d.config.schema import AccuracyConfig
+from shift3d.errors import InputError
+from shift3d.geometry.boxes import points_in_boxes
+from shift3d.task.assets import Assets, load_assets
+from shift3d.task.export import export_solution
+from shift3d.task.run import run_task
+from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskResult, TaskSpec
+
+STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 1}
+SHORT = AttackSpec(steps=3, noise_replicates=2)
+
+
+@pytest.fixture(scope="module")
+def assets() -> Assets:
+    return load_assets(AssetsSpec(scenes=STREET))
+
+
+def make_spec(mode: str = "shape", **changes: object) -> TaskSpec:
+    accuracy = accuracy_settings(AccuracyConfig(name="standard", render={}))
+    spec = TaskSpec(
+        vehicle="suv",
+        scene="street-test-hdl64-000000",
+        dataset="street-hdl64",
+        mode=mode,  # type: ignore[arg-type]
+        lambda_=1.0,
+        alpha=0.01,
+        detector="pointpillars",
+        accuracy="standard",
+        accuracy_settings=accuracy,
+        attack=SHORT,
+    )
+    return dataclasses.replace(spec, **changes)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def shape(assets: Assets) -> TaskResult:
+    return run_task(make_spec(), assets)
+
+
+@pytest.fixture(scope="module")
+def pose(assets: Assets) -> TaskResult:
+    return run_task(make_spec("pose"), assets)
+
+
+def by_method(result: TaskResult, method: str) -> list[dict]:
+    return [row for row in result.scores if row["method"] == method]
+
+
+def test_every_method_is_reported_once(shape: TaskResult, pose: TaskResult) -> None:
+    keys = [(row["method"], row["replicate"]) for row in shape.scores]
+    assert keys == [
+        ("baseline", 0),
+        ("random", 0),
+        ("adversarial", 0),
+        ("adversarial_noise", 0),
+        ("adversarial_noise", 1),
+    ]
+    assert sorted(row["method"] for row in pose.scores) == ["adversarial", "baseline", "random"]
+    assert len(shape.solutions) == len(shape.scores)
+
+
+def test_scores_are_probabilities_and_residuals_are_on_the_surface(shape: TaskResult) -> None:
+    for row in shape.scores:
+        assert 0.0 <= row["score"] <= 1.0
+        assert row["adversarial_loss"] >= 0.0
+        assert row["max_residual_m"] < 1e-3
+
+
+def test_the_baseline_stands_where_the_paper_allows(shape: TaskResult) -> None:
+    (row,) = by_method(shape, "baseline")
+    assert 15.0 <= row["range_m"] <= 50.0
+    assert row["range_m"] == pytest.approx(math.hypot(row["x_m"], row["y_m"]))
+    assert row["object_points"] >= 300
+    assert row["overlap_ok"] and row["contact_ok"]
+    assert row["latent_distance"] == 0.0
+
+
+def test_random_shape_lies_as_far_from_the_baseline_as_the_adversarial_one(shape: TaskResult) -> None:
+    (random,), (adversarial,) = by_method(shape, "random"), by_method(shape, "adversarial")
+    assert random["latent_distance"] == pytest.approx(adversarial["latent_distance"], rel=1e-5)
+
+
+def test_shape_and_pose_start_from_the_same_object(shape: TaskResult, pose: TaskResult) -> None:
+    (a,), (b,) = by_method(shape, "baseline"), by_method(pose, "baseline")
+    assert a == b
+
+
+def test_pose_stays_in_its_ball_and_keeps_the_shape(pose: TaskResult) -> None:
+    (start,), (found,) = by_method(pose, "baseline"), by_method(pose, "adversarial")
+    assert math.hypot(found["x_m"] - start["x_m"], found["y_m"] - start["y_m"]) <= 4.0 + 1e-9
+    assert abs(found["pitch_rad"] - start["pitch_rad"]) <= 0.1 + 1e-9
+    assert abs(found["roll_rad"] - start["roll_rad"]) <= 0.1 + 1e-9
+    assert found["latent_distance"] == 0.0
+
+
+def test_the_search_lowers_the_loss(shape: TaskResult) -> None:
+    (start,), (found,) = by_method(shape, "baseline"), by_method(shape, "adversarial")
+    assert found["status"] == "ok" and 1 <= found["best_step"] <= SHORT.steps
+    assert found["adversarial_loss"] < start["adversarial_loss"]
+
+
+def test_the_same_spec_gives_the_same_rows(shape: TaskResult, assets: Assets) -> None:
+    again = run_task(make_spec(), load_assets(AssetsSpec(scenes=STREET)))
+    assert again.scores == shape.scores
+    assert again.solutions == shape.solutions
+
+
+def test_a_scene_without_room_is_reported_not_dropped(assets: Assets) -> None:
+    nowhere = PlacementSpec(min_range_m=49.0, max_range_m=50.0, attempts=3)
+    result = run_task(make_spec(placement=nowhere), assets)
+    assert len(result.scores) == 5
+    assert {row["status"] for row in result.scores} == {"no_placement"}
+    assert all("score" not in row for row in result.scores)
+    assert result.solutions == []
+
+
+def test_export_renders_the_solution_again(shape: TaskResult, assets: Assets, tmp_path: Path) -> None:
+    (solution,) = (row for row in shape.solutions if row["method"] == "adversarial")
+    (scored,) = by_method(shape, "adversarial")
+    export_solution(make_spec(), solution, assets, tmp_path)
+
+    scene, _ = assets.scene(make_spec().scene)
+    points = np.fromfile(tmp_path / "scene.bin", dtype="<f4").reshape(-1, 4)
+    hits = np.load(tmp_path / "hit_mask.npy", allow_pickle=False)
+    assert len(points) == len(scene.points) == len(hits)
+    assert hits.sum() == scored["object_points"]
+    # What the vehicle does not hide is untouched to the bit; what it hides came nearer along its own beam.
+    assert np.array_equal(points[~hits, :3], scene.points[~hits])
+    moved, original = points[hits, :3].astype(float), scene.points[hits].astype(float)
+    assert (np.linalg.norm(moved, axis=1) < np.linalg.norm(original, axis=1)).all()
+    cosine = (moved * original).sum(1) / np.linalg.norm(moved, axis=1) / np.linalg.norm(original, axis=1)
+    assert cosine.min() > 1 - 1e-10
+
+    mesh = trimesh.load(tmp_path / "object.ply")
+    _, distance, _ = trimesh.proximity.closest_point(mesh, moved[::20])
+    assert np.median(distance) < 0.01  # the mesh is marching cubes at about 4 cm, the points are exact
+
+    box = json.loads((tmp_path / "box.json").read_text())
+    assert box["frame"] == "lidar" and box["object_points"] == hits.sum()
+    values = np.array([[box["box"][name] for name in ("x", "y", "z", "dx", "dy", "dz", "heading")]])
+    assert points_in_boxes(moved, values, margin_m=0.5).mean() > 0.95
+
+
+def test_unknown_vehicle_is_one_clear_line(assets: Assets) -> None:
+    with pytest.raises(InputError, match=r"unknown vehicle 'tank'.*Choose from"):
+        run_task(make_spec(vehicle="tank"), assets)
+
+
+def test_float64_search_agrees_with_float32(assets: Assets, shape: TaskResult) -> None:
+    """The reference preset in double precision starts from the same object and finds the same hits."""
+    accuracy = accuracy_settings(AccuracyConfig(name="reference", render={}))
+    spec = make_spec(
+        accuracy="reference",
+        accuracy_settings=accuracy,
+        attack=AttackSpec(steps=1, noise_replicates=0, random_replicates=0),
+    )
+    with torch.random.fork_rng():
+        result = run_task(spec, assets)
+    (exact,), (fast,) = by_method(result, "baseline"), by_method(shape, "baseline")
+    assert exact["x_m"] == fast["x_m"]
+    assert abs(exact["object_points"] - fast["object_points"]) <= 0.005 * exact["object_points"] + 1
+    assert exact["score"] == pytest.approx(fast["score"], abs=0.02)
