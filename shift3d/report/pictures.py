@@ -1,0 +1,178 @@
+"""The README's pictures, drawn from the shipped weights and a finished sweep.
+
+``python -m shift3d.report.pictures OUT [FOLDER]``: OUT is a sweep's folder, FOLDER (docs/pictures) gets the PNGs.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from shift3d.task.assets import Assets
+
+__all__ = ["draw_case", "draw_curves", "draw_vehicles"]
+
+_POSE = ["x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad"]
+_COLOURS = {"baseline": "#4878a8", "random": "#7f7f7f", "adversarial_noise": "#e0a030", "adversarial": "#c03030"}
+_RED = (0.75, 0.3, 0.27)
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def draw_vehicles(path: Path) -> None:
+    """The five baseline vehicles as the decoder draws them: from the side, and three quarters from the front."""
+    from shift3d.sdf.decoder import load_decoder
+    from shift3d.vehicles.picture import shaded
+    from shift3d.vehicles.vehicle import baseline_vehicles, vehicle_mesh
+
+    decoder, vehicles = load_decoder(), baseline_vehicles()
+    figure = _figure(11, 2.9)
+    axes = figure.subplots(2, len(vehicles))
+    for column, (name, vehicle) in enumerate(vehicles.items()):
+        mesh = vehicle_mesh(vehicle, decoder, resolution=256)
+        for row, (azimuth, elevation) in enumerate(((np.pi / 2, 0.05), (0.7, 0.3))):
+            axes[row, column].imshow(shaded(mesh, azimuth, elevation, width_px=420, height_px=220))
+            axes[row, column].set_axis_off()
+        axes[0, column].set_title(f"{name.replace('_', ' ')}, {vehicle.size_m[0]:.2f} m", fontsize=9)
+    figure.savefig(path)
+
+
+def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.DataFrame, path: Path) -> None:
+    """One task before and after: the vehicle, and the points that the detector sees, with the score.
+
+    solutions, scores: the task's rows, replicate 0.
+    """
+    from shift3d.vehicles.picture import shaded
+    from shift3d.vehicles.vehicle import vehicle_mesh
+
+    figure = _figure(11, 4.6)
+    axes = figure.subplots(2, 2, width_ratios=(1, 1.6))
+    vehicle = assets.vehicle(spec.vehicle)
+    for row, (method, rgb) in enumerate((("baseline", (0.28, 0.47, 0.66)), ("adversarial", _RED))):
+        solution = solutions[solutions["method"] == method].iloc[0]
+        score = float(scores[scores["method"] == method].iloc[0]["score"])
+        mesh = vehicle_mesh(vehicle, assets.decoder, np.asarray(solution["latent_code"], np.float32), resolution=224)
+        axes[row, 0].imshow(shaded(mesh, 0.9, 0.25, width_px=520, height_px=300, rgb=rgb))
+        axes[row, 0].set_axis_off()
+        axes[row, 0].set_title(f"{spec.vehicle.replace('_', ' ')}, {method}", fontsize=9)
+        _draw_points(axes[row, 1], assets, spec, solution)
+        axes[row, 1].set_title(f"score {score:.2f}", fontsize=9)
+    figure.savefig(path)
+
+
+def _draw_points(axes: Axes, assets: Assets, spec: Any, solution: pd.Series) -> None:
+    """The rendered scene around the object from the sensor's height, the object's points in colour."""
+    import torch
+
+    from shift3d.render.render import render
+    from shift3d.task.run import build_problem
+
+    theta = torch.tensor([float(solution[name]) for name in _POSE], dtype=torch.float64)
+    problem = build_problem(spec, assets, theta)
+    code = torch.tensor(np.asarray(solution["latent_code"], np.float32)).to(problem.settings.dtype)
+    with torch.no_grad():
+        rendering = render(problem.beams, problem.field_of(code), theta, problem.vehicle, problem.settings)
+    points, hits = rendering.points.double().numpy(), rendering.hit_mask.numpy()
+    image, depth = _from_above(points, theta.numpy())
+    near = (np.abs(points[:, :2] - theta[:2].numpy()) < 12.0).all(axis=1) & (depth > 0.5)
+    for rows, colour, size in ((near & ~hits, "#9a9a9a", 0.6), (near & hits, "#c03030", 1.6)):
+        axes.scatter(image[rows, 0], image[rows, 1], s=size, c=colour, lw=0)
+    axes.set_aspect("equal")
+    axes.set_xlim(-0.42, 0.42)
+    axes.set_ylim(-0.22, 0.2)
+    axes.set_axis_off()
+
+
+def _from_above(points: NDArray[np.float64], theta: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Perspective image (N, 2) and depth (N,) from behind the sensor's line of sight, a little above it."""
+    towards = theta[:2] / np.hypot(*theta[:2])
+    eye = np.array([*(theta[:2] - 11.0 * towards), theta[2] + 4.0])
+    forward = theta[:3] - eye
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right = right / np.linalg.norm(right)
+    seen = (points - eye) @ np.stack((right, np.cross(right, forward), forward)).T
+    return seen[:, :2] / np.maximum(seen[:, 2:], 1e-3), seen[:, 2]
+
+
+def draw_curves(curves: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
+    """Threshold-recall curves of every vehicle, shape above pose, at the lambda that was chosen."""
+    modes, vehicles = ("shape", "pose"), list(dict.fromkeys(curves["vehicle"]))
+    figure = _figure(11, 4.2)
+    axes = figure.subplots(2, len(vehicles), sharex=True, sharey=True, squeeze=False)
+    chosen = auc[auc["selected"]]
+    for row, mode in enumerate(modes):
+        for column, vehicle in enumerate(vehicles):
+            here = chosen[(chosen["mode"] == mode) & (chosen["vehicle"] == vehicle)]
+            for method, colour in _COLOURS.items():
+                for _, group in here[here["method"] == method].iterrows():
+                    curve = curves[_same_group(curves, group)]
+                    label = f"{method.replace('_', ' + ')} {group['auc']:.2f}"
+                    axes[row, column].plot(curve["score_threshold"], curve["recall"], c=colour, lw=1.2, label=label)
+            axes[row, column].set_title(f"{vehicle.replace('_', ' ')}, {mode}", fontsize=8)
+            axes[row, column].legend(fontsize=6, loc="lower left", frameon=False)
+    figure.supxlabel("score threshold", fontsize=9)
+    figure.supylabel("recall", fontsize=9)
+    figure.savefig(path)
+
+
+def _same_group(curves: pd.DataFrame, group: pd.Series) -> pd.Series:
+    same = curves["method"] == group["method"]
+    for name in ("dataset", "vehicle", "mode", "alpha", "detector", "accuracy", "scored_by"):
+        same &= curves[name] == group[name]
+    lambda_ = group["lambda"]
+    return same & (curves["lambda"].isna() if lambda_ is None or lambda_ != lambda_ else curves["lambda"] == lambda_)
+
+
+def _hardest_shape(scores: pd.DataFrame) -> str:
+    """Id of the shape task whose score fell furthest."""
+    first = scores[(scores["replicate"] == 0) & (scores["mode"] == "shape")]
+    table = first.pivot(index="task_id", columns="method", values="score").dropna()
+    return str((table["baseline"] - table["adversarial"]).idxmax())
+
+
+def main(arguments: list[str]) -> None:
+    """Draw every picture from the sweep in ``arguments[0]``."""
+    import pandas as pd
+
+    from shift3d.sweep.folder import read_plan
+    from shift3d.task.assets import load_assets
+
+    if not arguments:
+        raise SystemExit("usage: python -m shift3d.report.pictures OUT [FOLDER]")
+    out, folder = Path(arguments[0]), Path(arguments[1] if len(arguments) > 1 else "docs/pictures")
+    if not (out / "final" / "scores.parquet").is_file():
+        raise InputError("no finished sweep", str(out), "Run make sweep first")
+    folder.mkdir(parents=True, exist_ok=True)
+    draw_vehicles(folder / "vehicles.png")
+    tables = {
+        name: pd.read_parquet(out / "final" / f"{name}.parquet") for name in ("scores", "solutions", "curves", "auc")
+    }
+    draw_curves(tables["curves"], tables["auc"], folder / "curves.png")
+    plan, task_id = read_plan(out), _hardest_shape(tables["scores"])
+    (task,) = (task for task in plan.tasks if task.spec.task_id == task_id)
+    own = {name: tables[name][tables[name]["task_id"] == task_id] for name in ("solutions", "scores")}
+    assets = load_assets(plan.assets[task.assets])
+    draw_case(assets, task.spec, own["solutions"], own["scores"], folder / "case.png")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
