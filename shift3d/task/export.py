@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+import trimesh
 from numpy.typing import NDArray
 
 from shift3d.attack.objective import object_box
@@ -53,7 +54,7 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     hits = rendering.hit_mask.numpy()
     files = {
         "scene.bin": _kitti_bytes(rendering.points.numpy(), scene.reflectance),
-        "object.ply": mesh.export(file_type="ply"),
+        "object.ply": _ply_bytes(mesh),
         "box.json": _box_json(spec, solution, theta, vehicle.size_m, int(hits.sum())),
         "hit_mask.npy": _npy_bytes(hits),
     }
@@ -100,3 +101,9 @@ def _npy_bytes(array: NDArray[np.bool_]) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, array, allow_pickle=False)
     return buffer.getvalue()
+
+
+def _ply_bytes(mesh: trimesh.Trimesh) -> bytes:
+    content = mesh.export(file_type="ply")
+    assert isinstance(content, bytes)
+    return content
