@@ -37,8 +37,8 @@ class Recipe:
     crops; batch: crops a step; rim_cells: anchors so close to a crop's edge are not trained.
     """
 
-    steps: int = 10_000
-    mesh_only_steps: int = 4000
+    steps: int = 7500
+    mesh_only_steps: int = 3000
     inserted_share: float = 0.5
     mesh_scenes: int = 400
     inserted_scenes: int = 240
