@@ -25,8 +25,9 @@ from shift3d.vehicles.vehicle import Vehicle, family_vehicles, vehicle_mesh
 
 __all__ = ["InsertableVehicle", "insertable_vehicles", "with_inserted_vehicles"]
 
-MESH_RESOLUTION = 72
+MESH_RESOLUTION = 45  # the box needs the extent alone: good to about a centimetre
 TRIES = 40
+GROUND_POINTS = 20
 CLEARANCE_M = 0.25
 Floats = npt.NDArray[np.floating]
 
@@ -115,7 +116,9 @@ def _free_place(
         if (spread < reach + np.hypot(boxes[:, 3], boxes[:, 4]) / 2).any():
             continue
         near = points[np.hypot(points[:, 0] - x, points[:, 1] - y) < reach + 1.0]
-        ground = float(np.percentile(near[:, 2], 10)) if len(near) >= 10 else 0.0
+        if len(near) < GROUND_POINTS:
+            continue  # out of sight
+        ground = float(np.percentile(near[:, 2], 10))
         box = np.array((x, y, ground + chosen.size_m[2] / 2, *chosen.size_m, heading))
         space = box.copy()
         space[2] += CLEARANCE_M

@@ -42,7 +42,7 @@ class Recipe:
     inserted_share: float = 0.5
     mesh_scenes: int = 400
     inserted_scenes: int = 240
-    inserted_vehicles: int = 120
+    inserted_vehicles: int = 99
     crop_cells: int = 112
     batch: int = 2
     rim_cells: int = 6
