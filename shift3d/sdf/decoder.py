@@ -42,6 +42,13 @@ class Architecture:
         return sizes
 
 
+def _parameters(layer: nn.Module) -> tuple[Tensor, Tensor]:
+    weight, bias = layer.weight, layer.bias
+    assert isinstance(weight, Tensor)
+    assert isinstance(bias, Tensor)
+    return weight, bias
+
+
 class Field:
     """g(z, .) of one latent code: weights folded, and everything that depends on z alone computed once.
 
@@ -86,8 +93,7 @@ class Decoder(nn.Module):
         super().__init__()
         self.architecture = architecture or Architecture()
         self.layers = nn.ModuleList(
-            parametrizations.weight_norm(nn.Linear(inputs, outputs))
-            for inputs, outputs in self.architecture.sizes()
+            parametrizations.weight_norm(nn.Linear(inputs, outputs)) for inputs, outputs in self.architecture.sizes()
         )
 
     def forward(self, z: Tensor, x_sdf: Tensor) -> Tensor:
@@ -116,7 +122,7 @@ class Decoder(nn.Module):
         x = points.reshape(shapes * count, 3)
         hidden = x
         for index, layer in enumerate(self.layers):
-            weight, bias = layer.weight, layer.bias
+            weight, bias = _parameters(layer)
             if index in (0, self.architecture.skip_layer):
                 before, at_z, at_x = self._split(index, weight)
                 entry = (codes @ at_z.T + bias)[:, None] + (x @ at_x.T).reshape(shapes, count, -1)
@@ -143,7 +149,7 @@ class Decoder(nn.Module):
             raise InputError("values that are not finite", where="latent code", remedy="a finite code")
         weights, biases = [], []
         for index, layer in enumerate(self.layers):
-            weight, bias = layer.weight, layer.bias
+            weight, bias = _parameters(layer)
             if index in (0, self.architecture.skip_layer):
                 before, at_z, at_x = self._split(index, weight)
                 bias = bias + at_z @ z.to(weight.dtype)
@@ -158,7 +164,7 @@ class Decoder(nn.Module):
         return before, weight[:, -entry:-3], weight[:, -3:]
 
     def folded(self) -> Decoder:
-        """Itself with weight norm folded into plain weights (in place): faster, and no longer trainable as published."""
+        """Itself weight norm folded into plain weights, in place: faster, no longer trainable as published."""
         for layer in self.layers:
             if hasattr(layer, "parametrizations"):
                 nn.utils.parametrize.remove_parametrizations(layer, "weight")
@@ -171,11 +177,13 @@ def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None =
 
     tensors = {}
     for index, layer in enumerate(decoder.layers):
-        tensors[f"layers.{index}.weight"] = layer.weight.detach().float().contiguous()
-        tensors[f"layers.{index}.bias"] = layer.bias.detach().float().contiguous()
+        weight, bias = _parameters(layer)
+        tensors[f"layers.{index}.weight"] = weight.detach().float().contiguous()
+        tensors[f"layers.{index}.bias"] = bias.detach().float().contiguous()
     architecture = json.dumps(vars(decoder.architecture), sort_keys=True)
     partial = path.with_name(path.name + ".partial")
     save_file(tensors, partial, metadata={"architecture": architecture, **(metadata or {})})
+    partial.chmod(0o644)
     partial.replace(path)
 
 
@@ -216,8 +224,6 @@ def decoder_from_tensors(tensors: dict[str, torch.Tensor], architecture: Archite
             what = f"tensor {name} is missing" if found is None else f"tensor {name} has shape {found}"
             raise InputError(what, where=where, remedy=f"expected {tuple(parameter.shape)}")
         if not bool(torch.isfinite(tensors[name]).all()):
-            raise InputError(
-                f"tensor {name} holds values that are not finite", where=where, remedy="copy it again"
-            )
+            raise InputError(f"tensor {name} holds values that are not finite", where=where, remedy="copy it again")
     decoder.load_state_dict({name: tensors[name] for name in decoder.state_dict()})
     return decoder.eval().requires_grad_(False)

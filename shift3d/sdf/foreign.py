@@ -35,9 +35,7 @@ def load_foreign_decoder(folder: Path | str, checkpoint: str = "latest") -> tupl
     folder = Path(folder)
     specs_file = folder / "specs.json"
     if not specs_file.is_file():
-        raise InputError(
-            "no such file", where=str(specs_file), remedy="a folder in the original DeepSDF layout"
-        )
+        raise InputError("no such file", where=str(specs_file), remedy="a folder in the original DeepSDF layout")
     specs = json.loads(specs_file.read_text())
     network = specs["NetworkSpecs"]
     unsupported = [key for key in ("xyz_in_all", "latent_dropout") if network.get(key)]
@@ -65,6 +63,7 @@ def load_foreign_decoder(folder: Path | str, checkpoint: str = "latest") -> tupl
 
 def _folded(state: dict[str, Tensor], name: str) -> Tensor:
     if f"{name}.weight" in state:
-        return state[f"{name}.weight"]
-    direction = state[f"{name}.weight_v"]
-    return direction * (state[f"{name}.weight_g"] / direction.norm(dim=1, keepdim=True))
+        return state[f"{name}.weight"].clone()
+    direction: Tensor = state[f"{name}.weight_v"]
+    scale = state[f"{name}.weight_g"] / direction.norm(dim=1, keepdim=True)
+    return torch.mul(direction, scale)

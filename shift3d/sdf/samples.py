@@ -44,6 +44,11 @@ def signed_distance(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArr
     return np.asarray(result[0], np.float64)
 
 
+def bounding_scale(mesh: trimesh.Trimesh) -> float:
+    """Radius, in the mesh's unit, of the sphere about the centre of its box that holds it, 3 % enlarged."""
+    return float(np.linalg.norm(mesh.vertices - mesh.bounds.mean(axis=0), axis=1).max() * SPHERE_MARGIN)
+
+
 def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> SdfSamples:
     """Signed-distance samples of a closed mesh.
 
@@ -55,13 +60,10 @@ def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> S
     Source: Park et al. 2019 (SHIFT3D trains its DeepSDF "as the original"); the sphere is centred on the mesh's box.
     """
     if not mesh.is_watertight:
-        raise InputError(
-            "the mesh is not closed", where="sample_sdf", remedy="repair it, or decode one from its scan"
-        )
+        raise InputError("the mesh is not closed", where="sample_sdf", remedy="repair it, or decode one from its scan")
     offset = np.asarray(mesh.bounds.mean(axis=0), np.float64)
-    vertices = mesh.vertices - offset
-    scale = float(np.linalg.norm(vertices, axis=1).max() * SPHERE_MARGIN)
-    unit = trimesh.Trimesh(vertices / scale, mesh.faces, process=False)
+    scale = bounding_scale(mesh)
+    unit = trimesh.Trimesh((mesh.vertices - offset) / scale, mesh.faces, process=False)
     near = int(0.47 * count)
     clouds = []
     for variance in NEAR_VARIANCES:

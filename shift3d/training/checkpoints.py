@@ -33,9 +33,7 @@ def read_checkpoint(path: Path) -> dict[str, Any] | None:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
-        raise InputError(
-            "not a readable checkpoint", where=str(path), remedy="delete it to start over"
-        ) from error
+        raise InputError("not a readable checkpoint", where=str(path), remedy="delete it to start over") from error
     if not isinstance(state, dict):
         raise InputError("not a checkpoint of a training", where=str(path), remedy="delete it to start over")
     return state

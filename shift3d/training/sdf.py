@@ -1,8 +1,8 @@
 """Training of the DeepSDF auto-decoder on the family of vehicles.
 
 Source: Park et al. 2019, section 4 and supplement (SHIFT3D trains "as the original DeepSDF paper"): clamped L1 with
-delta 0.1, 1e-4 times the squared norm of the codes, ramped in, codes drawn from N(0, 0.01^2), Adam with 5e-4 for the network
-and 1e-3 for the codes, weight norm. Ours, for a training of an hour on two cores: every step sees every shape, the
+delta 0.1, 1e-4 times the squared norm of the codes, ramped in, codes drawn from N(0, 0.01^2), Adam with 5e-4 for
+the network and 1e-3 for the codes, weight norm. Ours, for a training of an hour on two cores: every step sees every shape, the
 learning rate falls as a cosine, no dropout, the wide layers run in bfloat16 over float32 weights, and vehicles are
 mirrored at random, being symmetric.
 """

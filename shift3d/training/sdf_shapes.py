@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from shift3d.sdf.samples import sample_sdf
+from shift3d.sdf.samples import bounding_scale, sample_sdf
 from shift3d.seeding import generator
 from shift3d.vehicles.family import VehicleSpec, build_mesh, family
 
@@ -27,11 +27,6 @@ class ShapeSamples:
 def training_specs(shapes: int, seed: int) -> list[VehicleSpec]:
     """The vehicles that are trained on."""
     return family(shapes, seed)
-
-
-def unseen_specs(count: int, seed: int) -> list[VehicleSpec]:
-    """Vehicles of the same family that no training with `seed` saw."""
-    return family(count, seed + 1_000_003)
 
 
 def _sampled(
@@ -53,9 +48,7 @@ def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: 
         specs = training_specs(shapes, seed)
         tasks = [(spec, samples, seed, index) for index, spec in enumerate(specs)]
         with ProcessPoolExecutor(processes) as pool:
-            parts = list(
-                tqdm(pool.map(_sampled, tasks), total=shapes, desc="sampling shapes", mininterval=5.0)
-            )
+            parts = list(tqdm(pool.map(_sampled, tasks), total=shapes, desc="sampling shapes", mininterval=5.0))
         cache.mkdir(parents=True, exist_ok=True)
         partial = file.with_name("partial-" + file.name)
         np.savez(
@@ -67,3 +60,11 @@ def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: 
         partial.replace(file)
     with np.load(file, allow_pickle=False) as data:
         return ShapeSamples(data["points"], data["distances"], data["scale_m"])
+
+
+def shape_scales(shapes: int, seed: int, cache: Path) -> NDArray[np.float64]:
+    """Metres per sdf unit of the training shapes (S,), from the cached samples, or from their meshes without them."""
+    for file in sorted(cache.glob(f"shapes-{shapes}-*-{seed}.npz")):
+        with np.load(file, allow_pickle=False) as data:
+            return np.asarray(data["scale_m"], np.float64)
+    return np.array([bounding_scale(build_mesh(spec)) for spec in training_specs(shapes, seed)])

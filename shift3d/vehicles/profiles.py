@@ -73,9 +73,7 @@ def glasshouse(spec: VehicleSpec) -> Polygon:
     if spec.body_type in ("coupe", "sports_car"):
         crown_s = 0.55 * spec.roof_front_s_m + 0.45 * spec.roof_rear_s_m
     slope = (spec.roof_front_s_m - spec.cowl_s_m) / (spec.height_m - spec.cowl_z_m)
-    back_slope = (spec.backlight_s_m - spec.roof_rear_s_m) / (
-        spec.height_m - spec.roof_drop_m - spec.deck_z_m
-    )
+    back_slope = (spec.backlight_s_m - spec.roof_rear_s_m) / (spec.height_m - spec.roof_drop_m - spec.deck_z_m)
     return [
         (spec.cowl_s_m - slope * sunk + 0.04, spec.cowl_z_m - sunk),
         (spec.cowl_s_m + 0.04, spec.cowl_z_m),
@@ -88,7 +86,7 @@ def glasshouse(spec: VehicleSpec) -> Polygon:
 
 
 def lower_half_width(spec: VehicleSpec, z: Array) -> Array:
-    """Half width of the lower body by height: tucked under at the sills, fullest at the hips, leaning in to the belt."""
+    """Half width of the lower body by height: tucked under at the sills, fullest at the hips."""
     half, low = spec.width_m / 2, spec.clearance_m
     hips = low + 0.55 * (spec.cowl_z_m - low)
     heights = [low, low + 0.12, hips, spec.cowl_z_m, spec.cowl_z_m + 0.3]

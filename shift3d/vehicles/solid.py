@@ -35,7 +35,7 @@ class Grid:
 def smooth_max(a: Array, b: Array, radius_m: float) -> Array:
     """Intersection of two fields with its edge rounded over about `radius_m` metres."""
     gap = np.maximum(radius_m - np.abs(a - b), np.float32(0.0))
-    return np.maximum(a, b) + gap * gap * np.float32(0.25 / radius_m)
+    return np.asarray(np.maximum(a, b) + gap * gap * np.float32(0.25 / radius_m), np.float32)
 
 
 def smooth_min(a: Array, b: Array, radius_m: float) -> Array:
@@ -48,9 +48,8 @@ def make_grid(spec: VehicleSpec, resolution_m: float) -> Grid:
     margin = 3.0 * resolution_m
 
     def axis(low: float, high: float) -> Array:
-        return (low + resolution_m * np.arange(int(np.ceil((high - low) / resolution_m)) + 1)).astype(
-            np.float32
-        )
+        cells = int(np.ceil((high - low) / resolution_m))
+        return np.asarray(low + resolution_m * np.arange(cells + 1), np.float32)
 
     half = spec.length_m / 2 + margin
     return Grid(
@@ -65,9 +64,7 @@ def polygon_field(grid: Grid, spec: VehicleSpec, polygon: list[tuple[float, floa
     """Signed distance (A, C) to a side-view polygon of (s, z) corners, corners rounded by a blur of `blur_m`."""
     s = spec.length_m / 2 - grid.x
     points = np.stack(np.meshgrid(s, grid.z, indexing="ij"), axis=-1).reshape(-1, 2)
-    field = profiles.polygon_distance(points, np.asarray(polygon, np.float32)).reshape(
-        len(grid.x), len(grid.z)
-    )
+    field = profiles.polygon_distance(points, np.asarray(polygon, np.float32)).reshape(len(grid.x), len(grid.z))
     return np.asarray(gaussian_filter(field, blur_m / grid.step_m, mode="nearest"), np.float32)
 
 
@@ -98,9 +95,7 @@ def cylinder(
     grid: Grid, centre_x: float, centre_z: float, radius_m: float, y_from: float, y_to: float, round_m: float
 ) -> Array:
     """A wheel-like cylinder along y (A, B, C), its rims rounded."""
-    disc = np.hypot(grid.x[:, None] - centre_x, grid.z[None, :] - centre_z).astype(np.float32) - np.float32(
-        radius_m
-    )
+    disc = np.hypot(grid.x[:, None] - centre_x, grid.z[None, :] - centre_z).astype(np.float32) - np.float32(radius_m)
     slab = np.maximum(np.float32(y_from) - grid.y, grid.y - np.float32(y_to))
     return smooth_max(
         np.broadcast_to(disc[:, None, :], (len(grid.x), len(grid.y), len(grid.z))),
@@ -116,7 +111,7 @@ def prism(grid: Grid, side_field: Array, y_from: float, y_to: float, round_m: fl
 
 
 def body_field(grid: Grid, spec: VehicleSpec) -> Array:
-    """The body without wheels (A, B, C): lower body joined with the glasshouse, or opened for a convertible or a bed."""
+    """The body without wheels (A, B, C): lower body and glasshouse, or an open cabin or bed."""
     lower = smooth_max(
         bowed(grid, spec, polygon_field(grid, spec, profiles.lower_body(spec), 0.03)),
         sides(grid, spec, profiles.lower_half_width(spec, grid.z)),
@@ -147,9 +142,7 @@ def _open_cabin(grid: Grid, spec: VehicleSpec, lower: Array, flanks: Array) -> A
     screen = bowed(grid, spec, polygon_field(grid, spec, profiles.windshield_frame(spec), 0.015))
     body = smooth_min(body, smooth_max(screen, flanks, 0.06), 0.04)
     for polygon, y_from, y_to in profiles.seats(spec):
-        body = smooth_min(
-            body, prism(grid, polygon_field(grid, spec, polygon, 0.02), y_from, y_to, 0.08), 0.03
-        )
+        body = smooth_min(body, prism(grid, polygon_field(grid, spec, polygon, 0.02), y_from, y_to, 0.08), 0.03)
     return body
 
 
@@ -178,12 +171,8 @@ def vehicle_field(spec: VehicleSpec, resolution_m: float) -> tuple[Grid, Array]:
         field = smooth_max(
             field, -cylinder(grid, axle_x, spec.wheel_radius_m, arch, inner - 0.02, outer + 1.0, 0.03), 0.03
         )
-        wheel = cylinder(
-            grid, axle_x, spec.wheel_radius_m, spec.wheel_radius_m, inner - 0.08, outer - 0.035, 0.05
-        )
-        dish = cylinder(
-            grid, axle_x, spec.wheel_radius_m, 0.62 * spec.wheel_radius_m, outer - 0.065, outer + 1.0, 0.03
-        )
+        wheel = cylinder(grid, axle_x, spec.wheel_radius_m, spec.wheel_radius_m, inner - 0.08, outer - 0.035, 0.05)
+        dish = cylinder(grid, axle_x, spec.wheel_radius_m, 0.62 * spec.wheel_radius_m, outer - 0.065, outer + 1.0, 0.03)
         field = np.minimum(field, smooth_max(wheel, -dish, 0.02))
     return grid, field
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from dataclasses import dataclass
 
 from shift3d.errors import InputError
@@ -66,9 +67,7 @@ class VehicleSpec:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and not 0.0 <= value < 20.0:
-                raise InputError(
-                    f"{value} m", where=f"VehicleSpec.{field.name}", remedy="a length from 0 to 20 m"
-                )
+                raise InputError(f"{value} m", where=f"VehicleSpec.{field.name}", remedy="a length from 0 to 20 m")
         order = [
             0.0,
             self.cowl_s_m,
@@ -77,7 +76,7 @@ class VehicleSpec:
             self.backlight_s_m,
             self.length_m,
         ]
-        if any(a >= b for a, b in zip(order, order[1:], strict=False)):
+        if any(a >= b for a, b in itertools.pairwise(order)):
             raise InputError(
                 "the roof line must run nose, cowl, roof front, roof rear, rear window, tail",
                 where="VehicleSpec.*_s_m",

@@ -1,0 +1,108 @@
+"""From a training's checkpoint to the shipped weights: the decoder, the family's codes and the five baselines."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.sdf.decoder import Decoder, save_decoder
+from shift3d.sdf.meshes import extract_mesh
+from shift3d.training.checkpoints import read_checkpoint
+from shift3d.training.sdf_shapes import shape_scales, training_specs
+from shift3d.vehicles.family import VehicleSpec
+from shift3d.vehicles.vehicle import BASELINES
+
+BASELINE_RESOLUTION = 129
+BASELINE_CANDIDATES = 8
+
+
+def typical_indices(specs: list[VehicleSpec], body_type: str) -> list[int]:
+    """The vehicles of a body type, nearest first to the type's median, dimensions in units of their spread."""
+    own = [index for index, spec in enumerate(specs) if spec.body_type == body_type]
+    names = [field.name for field in dataclasses.fields(VehicleSpec) if field.name != "body_type"]
+    table = np.array([[getattr(specs[index], name) for name in names] for index in own])
+    spread = table.std(axis=0)
+    offsets = (table - np.median(table, axis=0)) / np.where(spread > 0, spread, 1.0)
+    return [own[rank] for rank in np.argsort((offsets**2).sum(axis=1), kind="stable")]
+
+
+def _baseline_facts(decoder: Decoder, code: torch.Tensor, spec: VehicleSpec, scale_m: float) -> dict[str, Any]:
+    mesh = extract_mesh(decoder.field(code), BASELINE_RESOLUTION)
+    low, high = mesh.bounds
+    return {
+        "body_type": spec.body_type,
+        "scale_m": scale_m,
+        "sdf_R_object": np.eye(3).tolist(),
+        "sdf_t_object": ((low + high) / 2.0).tolist(),
+        "size_m": ((high - low) * scale_m).tolist(),
+        "pieces": int(mesh.body_count),
+    }
+
+
+def _baseline(
+    decoder: Decoder, codes: torch.Tensor, specs: list[VehicleSpec], scales: NDArray[np.float64], body_type: str
+) -> dict[str, Any]:
+    """The most typical vehicle of a body type that decodes to one piece; of the first few, the one in fewest."""
+    tried = []
+    for index in typical_indices(specs, body_type)[:BASELINE_CANDIDATES]:
+        facts = _baseline_facts(decoder, codes[index], specs[index], float(scales[index]))
+        tried.append({**facts, "family_index": index})
+        if facts["pieces"] == 1:
+            break
+    return min(tried, key=lambda facts: int(facts["pieces"]))
+
+
+def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any]:
+    """Write sdf.safetensors, vehicles.safetensors and sdf.json (provenance) to `weights_dir`, each atomically.
+
+    A baseline is the typical training vehicle of its body type; its object frame's origin is the centre of the box
+    of its DECODED surface. Returns the provenance.
+    Raises: InputError when the checkpoint is missing or unreadable.
+    Source: SHIFT3D section "Experiments": five representative vehicles, scaled to realistic dimensions.
+    """
+    from safetensors.numpy import save_file
+
+    state = read_checkpoint(Path(checkpoint))
+    if state is None:
+        raise InputError("no such checkpoint", where=str(checkpoint), remedy='make train ARGS="model=sdf"')
+    recipe = state["recipe"]
+    decoder = Decoder()
+    decoder.load_state_dict(state["decoder"])
+    decoder = decoder.folded().eval().requires_grad_(False)
+    specs = training_specs(int(recipe["shapes"]), int(recipe["seed"]))
+    codes: NDArray[np.float32] = state["codes"].numpy().astype(np.float32)
+    scales = shape_scales(len(specs), int(recipe["seed"]), Path(checkpoint).parent / "shapes")
+    baselines, tensors = {}, {}
+    for name in BASELINES:
+        baselines[name] = _baseline(decoder, torch.from_numpy(codes), specs, scales, name)
+        tensors[f"{name}.latent_code"] = codes[baselines[name]["family_index"]].copy()
+    tensors["family.codes"] = codes
+    tensors["family.scale_m"] = scales.astype(np.float32)
+    tensors["family.size_m"] = np.array([[s.length_m, s.width_m, s.height_m] for s in specs], np.float32)
+    family_facts = {"body_types": [spec.body_type for spec in specs], "seed": recipe["seed"], "count": len(specs)}
+    target = Path(weights_dir)
+    target.mkdir(parents=True, exist_ok=True)
+    provenance = {
+        "model": "DeepSDF auto-decoder",
+        "recipe": recipe,
+        "step": state["step"],
+        "loss_every_100_steps": [round(float(loss), 6) for loss in state["losses"]],
+        "torch": torch.__version__,
+    }
+    save_decoder(decoder, target / "sdf.safetensors", {"step": str(state["step"]), "recipe": json.dumps(recipe)})
+    partial = target / "vehicles.safetensors.partial"
+    metadata = {"baselines": json.dumps(baselines), "family": json.dumps(family_facts), "step": str(state["step"])}
+    save_file(tensors, partial, metadata=metadata)
+    partial.chmod(0o644)
+    partial.replace(target / "vehicles.safetensors")
+    text = target / "sdf.json.partial"
+    text.write_text(json.dumps(provenance, indent=1) + "\n")
+    text.replace(target / "sdf.json")
+    return provenance

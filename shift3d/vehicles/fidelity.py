@@ -1,0 +1,76 @@
+"""How well the decoder knows the family: Chamfer distances on vehicles it was trained on and on unseen ones.
+
+`python -m shift3d.vehicles.fidelity` prints both medians; see `shift3d.sdf.chamfer` for the definition.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+
+from shift3d.sdf.autodecode import autodecode
+from shift3d.sdf.chamfer import symmetric_chamfer
+from shift3d.sdf.decoder import Decoder, load_decoder
+from shift3d.sdf.meshes import extract_mesh
+from shift3d.sdf.samples import sample_sdf
+from shift3d.seeding import generator
+from shift3d.vehicles.family import VehicleSpec, build_mesh, family
+from shift3d.vehicles.vehicle import family_vehicles
+
+UNSEEN_SEED_OFFSET = 1_000_003
+
+
+def unseen_specs(count: int, seed: int) -> list[VehicleSpec]:
+    """Vehicles of the same family that a training with this seed never saw."""
+    return family(count, seed + UNSEEN_SEED_OFFSET)
+
+
+def decoded_chamfer_m(
+    decoder: Decoder, code: torch.Tensor, scale_m: float, mesh: trimesh.Trimesh, seed: int, resolution: int = 160
+) -> float:
+    """Symmetric Chamfer distance in metres between a code's decoded surface and a mesh in the object frame."""
+    decoded = extract_mesh(decoder.field(code), resolution)
+    decoded.vertices = decoded.vertices * scale_m
+    return symmetric_chamfer(decoded, mesh, generator("chamfer", seed))
+
+
+def training_chamfer_m(decoder: Decoder, seed: int, indices: list[int]) -> NDArray[np.float64]:
+    """Chamfer distances (len(indices),) metres of training vehicles, from their trained codes."""
+    vehicles = family_vehicles()
+    specs = family(len(vehicles), seed)
+    results = []
+    for index in indices:
+        code = torch.from_numpy(vehicles[index].latent_code)
+        mesh = build_mesh(specs[index])
+        results.append(decoded_chamfer_m(decoder, code, vehicles[index].scale_m, mesh, index))
+    return np.array(results)
+
+
+def unseen_chamfer_m(decoder: Decoder, seed: int, count: int, steps: int = 400) -> NDArray[np.float64]:
+    """Chamfer distances (count,) metres of unseen vehicles, each auto-decoded from samples of its mesh."""
+    results = []
+    for index, spec in enumerate(unseen_specs(count, seed)):
+        mesh = build_mesh(spec)
+        samples = sample_sdf(mesh, 50_000, generator("unseen", seed, index))
+        code = autodecode(decoder, samples, steps=steps, seed=index)
+        results.append(decoded_chamfer_m(decoder, code, samples.scale_m, mesh, index))
+    return np.array(results)
+
+
+def main(count: int = 27) -> None:
+    """Print the medians over `count` training and `count` unseen vehicles, body types in turn."""
+    decoder = load_decoder()
+    for name, values in (
+        ("training", training_chamfer_m(decoder, 7, list(range(count)))),
+        ("unseen, auto-decoded", unseen_chamfer_m(decoder, 7, count)),
+    ):
+        print(
+            f"{name}: median {100 * np.median(values):.2f} cm, worst {100 * values.max():.2f} cm, "
+            f"{count} vehicles (symmetric Chamfer, mean of both directions)"
+        )
+
+
+if __name__ == "__main__":
+    main()
