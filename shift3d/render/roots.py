@@ -61,7 +61,7 @@ def find_roots(
         k = state.propose(rows, slow[rows] >= 3)
         value = g(k, rows).double()
         state.update(rows, k, value)
-        better = value.abs() < best_g[rows]
+        better = value.abs() <= best_g[rows]
         best_k[rows] = torch.where(better, k, best_k[rows])
         best_g[rows] = torch.where(better, value.abs(), best_g[rows])
         new_width = (state.b - state.a).abs()[rows]

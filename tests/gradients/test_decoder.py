@@ -1,0 +1,79 @@
+"""The published architecture: dL/dz over all 256 numbers in some directions, dL/dtheta, in float64.
+
+Step 1e-6: within a ReLU cell almost everywhere. Tolerance 1e-3, as the project promises.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from analytic_fields import Frame, sector_scan
+from gradient_cases import EXACT, analytic, differences, relative_error, select, wavy_loss
+from torch import Tensor
+
+from shift3d.render import Beams, Rendering, render
+from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
+
+THETA = torch.tensor([13.0, 2.0, -1.0, 0.8, 0.02, -0.03], dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def shapes() -> tuple[Decoder, Tensor, Frame]:
+    """A trained decoder with a car's code: the shipped one, or real data's."""
+    if DEFAULT_WEIGHTS.is_file():
+        from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, baseline_vehicles
+
+        if DEFAULT_VEHICLES.is_file():
+            v = baseline_vehicles()["suv"]
+            frame = Frame(v.size_m, v.scale_m, v.sdf_R_object, v.sdf_t_object)
+            return load_decoder().double(), torch.from_numpy(v.latent_code).double(), frame
+    root = Path(__file__).resolve().parents[3] / "shared" / "real" / "decoder"
+    if not root.is_dir():
+        pytest.skip("neither shipped weights nor real data")
+    from shift3d.sdf.foreign import load_foreign_decoder
+
+    decoder, codes = load_foreign_decoder(root)
+    axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    return decoder.double(), codes[45].double(), Frame((4.6, 1.9, 1.45), 2.43, axes, np.zeros(3))
+
+
+def drawing(decoder: Decoder, frame: Frame, beams: Beams) -> Callable[[Tensor, Tensor], Rendering]:
+    return lambda code, theta: render(beams, decoder.field(code), theta, frame, EXACT)
+
+
+def hit_beams(decoder: Decoder, code: Tensor, frame: Frame) -> Beams:
+    beams = Beams.from_arrays(*sector_scan((13.0, 2.0, -1.0), half_angle_rad=0.13, rays=11))
+    with torch.no_grad():
+        rows = torch.nonzero(drawing(decoder, frame, beams)(code, THETA).hit_mask).squeeze(1)
+    assert len(rows) > 20
+    return select(beams, rows)
+
+
+def test_shape_gradient(shapes: tuple[Decoder, Tensor, Frame]) -> None:
+    decoder, code, frame = shapes
+    beams = hit_beams(decoder, code, frame)
+    draw = drawing(decoder, frame, beams)
+    gradient, rendering = analytic(lambda z: draw(z, THETA), code)
+    directions = torch.randn(3, len(code), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    directions = torch.cat((gradient[None] / gradient.norm(), directions / directions.norm(dim=1, keepdim=True)))
+    step = 1e-6
+    found, expected = [], []
+    for direction in directions:
+        ends = [draw(code + s * step * direction, THETA) for s in (1.0, -1.0)]
+        assert all(torch.equal(end.hit_mask, rendering.hit_mask) for end in ends)
+        values = [float(wavy_loss(end.points).detach()) for end in ends]
+        expected.append((values[0] - values[1]) / (2 * step))
+        found.append(float(gradient @ direction))
+    assert relative_error(torch.tensor(found), torch.tensor(expected)) < 1e-3
+
+
+def test_pose_gradient(shapes: tuple[Decoder, Tensor, Frame]) -> None:
+    decoder, code, frame = shapes
+    beams = hit_beams(decoder, code, frame)
+    draw = drawing(decoder, frame, beams)
+    with torch.no_grad():
+        expected, held = differences(lambda t: draw(code, t), THETA, 1e-6)
+    found, _ = analytic(lambda t: draw(code, t), THETA)
+    assert held and relative_error(found, expected) < 1e-3

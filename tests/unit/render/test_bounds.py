@@ -1,0 +1,58 @@
+"""The checked box holds the shape, also one that has outgrown its baseline."""
+
+import pytest
+import torch
+from analytic_fields import SHAPENET_FRAME, Frame, box, car, in_frame, rounded, sphere, union
+
+from shift3d.render.bounds import Box, checked_box, sdf_ball_box
+from shift3d.render.object_field import ObjectField
+
+# The decoder's ball has radius 1.05 units: with 2.5 m a unit a car fits.
+SIZE = torch.tensor(SHAPENET_FRAME.size_m).double()
+
+
+def box_of(metric, margin: float = 0.1) -> tuple[Box, ObjectField]:  # type: ignore[no-untyped-def]
+    field = ObjectField.of(in_frame(metric, SHAPENET_FRAME), SHAPENET_FRAME, torch.float64, 4096)
+    return checked_box(field, SIZE, margin), field
+
+
+def test_a_shape_within_its_baseline_gets_the_grown_baseline_box() -> None:
+    found, field = box_of(car())
+    assert torch.allclose(found.upper, SIZE / 2 + 0.1) and torch.allclose(found.lower, -SIZE / 2 - 0.1)
+    assert field.count.evaluations < 3000
+
+
+@pytest.mark.parametrize(
+    "metric",
+    [
+        rounded(car(), 0.25),
+        union(car(), box((0.3, 0.3, 0.3), (0.0, 0.0, 1.0))),
+        union(car(), box((0.15, 0.9, 0.15), (0.8, 1.0, 0.2))),
+        union(car(), sphere(0.3, (0.0, 0.0, 1.9))),
+        union(car(), sphere(0.35, (-0.5, -1.8, 0.3))),
+    ],
+    ids=["inflated", "roof box", "arms", "floating above", "floating beside"],
+)
+def test_a_shape_that_outgrew_its_baseline_is_inside(metric) -> None:  # type: ignore[no-untyped-def]
+    found, _ = box_of(metric)
+    lattice = torch.cartesian_prod(*[torch.linspace(-2.4, 2.4, 60).double()] * 3)
+    lattice = lattice[lattice.norm(dim=-1) < 2.5]
+    inside = lattice[metric(lattice) < 0]
+    assert ((inside >= found.lower) & (inside <= found.upper)).all()
+
+
+def test_inside_everywhere_ends_at_the_decoders_ball() -> None:
+    found, field = box_of(lambda x: torch.full_like(x[:, 0], -0.1))
+    ball = sdf_ball_box(field)
+    assert torch.allclose(found.lower, ball.lower) and torch.allclose(found.upper, ball.upper)
+    assert torch.allclose(ball.upper - ball.lower, torch.full((3,), 2 * 1.05 * 2.5).double())
+
+
+def test_nothing_anywhere_keeps_the_baseline_box() -> None:
+    found, _ = box_of(lambda x: torch.full_like(x[:, 0], 0.1))
+    assert torch.allclose(found.upper, SIZE / 2 + 0.1)
+
+
+def test_radius_reaches_the_farthest_corner() -> None:
+    assert Box(torch.tensor([-1.0, -2.0, 0.0]), torch.tensor([0.5, 1.0, 2.0])).radius_m == 3.0
+    assert Frame().scale_m == 1.0
