@@ -2,9 +2,9 @@
 
 Source: Park et al. 2019, section 4 and supplement (SHIFT3D trains "as the original DeepSDF paper"): clamped L1 with
 delta 0.1, 1e-4 times the squared norm of the codes, ramped in, codes drawn from N(0, 0.01^2), Adam with 5e-4 for
-the network and 1e-3 for the codes, weight norm. Ours, for a training of an hour on two cores: every step sees every shape, the
-learning rate falls as a cosine, no dropout, the wide layers run in bfloat16 over float32 weights, and vehicles are
-mirrored at random, being symmetric.
+the network and 1e-3 for the codes, weight norm. Ours, for a training of an hour on two cores: every step sees every
+shape, the learning rate falls as a cosine, no dropout, the wide layers run in bfloat16 over float32 weights, and
+vehicles are mirrored at random, being symmetric.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class SdfRecipe:
     shapes: int = 270
     samples_a_shape: int = 100_000
     batch_a_shape: int = 32
-    steps: int = 15_000
+    steps: int = 9_000
     seed: int = 7
     network_rate: float = 5e-4
     code_rate: float = 1e-3
