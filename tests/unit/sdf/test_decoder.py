@@ -78,10 +78,10 @@ def test_files_that_are_no_decoder_say_so(tmp_path: Path) -> None:
     save_decoder(small(), tmp_path / "d.safetensors")
     whole = (tmp_path / "d.safetensors").read_bytes()
     (tmp_path / "cut.safetensors").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match="cut.safetensors"):
+    with pytest.raises(InputError, match=r"cut\.safetensors"):
         load_decoder(tmp_path / "cut.safetensors")
     tensors = dict(small().folded().state_dict())
-    with pytest.raises(InputError, match="layers.0.weight"):
+    with pytest.raises(InputError, match=r"layers\.0\.weight"):
         decoder_from_tensors({**tensors, "layers.0.weight": torch.zeros(2, 2)}, SMALL, "here")
-    with pytest.raises(InputError, match="layers.8.bias"):
+    with pytest.raises(InputError, match=r"layers\.8\.bias"):
         decoder_from_tensors({k: v for k, v in tensors.items() if k != "layers.8.bias"}, SMALL, "here")

@@ -1,0 +1,79 @@
+"""The auto-decoder training: it learns, it resumes to the same weights, it refuses another recipe's folder."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+
+from shift3d.errors import InputError
+from shift3d.training import sdf
+from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
+from shift3d.training.sdf_shapes import shape_samples
+
+TINY = sdf.SdfRecipe(shapes=2, samples_a_shape=600, batch_a_shape=64, steps=6, seed=1, compute="float32")
+
+
+@pytest.fixture(scope="module")
+def shapes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("shapes")
+    shape_samples(TINY.shapes, TINY.samples_a_shape, TINY.seed, folder, 1)
+    return folder
+
+
+def prepared(folder: Path, shapes: Path) -> Path:
+    folder.mkdir()
+    (folder / "shapes").symlink_to(shapes)
+    return folder
+
+
+def test_training_that_was_interrupted_ends_in_the_same_weights(
+    tmp_path: Path, shapes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = read_checkpoint(sdf.train_sdf(prepared(tmp_path / "whole", shapes), TINY, checkpoint_every=3))
+    assert whole is not None
+    cut = prepared(tmp_path / "cut", shapes)
+    write = sdf.write_checkpoint
+
+    def write_then_die(path: Path, state: dict[str, object]) -> None:
+        write(path, state)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sdf, "write_checkpoint", write_then_die)
+    with pytest.raises(KeyboardInterrupt):
+        sdf.train_sdf(cut, TINY, checkpoint_every=3)
+    monkeypatch.undo()
+    resumed = read_checkpoint(sdf.train_sdf(cut, TINY, checkpoint_every=3))
+    assert resumed is not None
+    assert resumed["step"] == whole["step"] == 6
+    assert torch.equal(resumed["codes"], whole["codes"])
+    assert all(torch.equal(resumed["decoder"][name], value) for name, value in whole["decoder"].items())
+
+
+def test_loss_falls(shapes: Path) -> None:
+    recipe = dataclasses.replace(TINY, steps=400, network_rate=3e-3)
+    samples = shape_samples(TINY.shapes, TINY.samples_a_shape, TINY.seed, shapes, 1)
+    run = sdf._Run(recipe)
+    losses = [run.advance(*sdf._batch(samples, recipe, step)) for step in range(120)]
+    assert sum(losses[-10:]) < 0.7 * sum(losses[:10])
+
+
+def test_folder_of_another_recipe_is_refused(tmp_path: Path, shapes: Path) -> None:
+    out = prepared(tmp_path / "out", shapes)
+    sdf.train_sdf(out, dataclasses.replace(TINY, steps=1))
+    with pytest.raises(InputError, match="another recipe"):
+        sdf.train_sdf(out, dataclasses.replace(TINY, steps=2))
+
+
+def test_checkpoint_that_is_no_checkpoint_names_the_file(tmp_path: Path) -> None:
+    assert read_checkpoint(tmp_path / "none.pt") is None
+    (tmp_path / "bad.pt").write_bytes(b"not a checkpoint")
+    with pytest.raises(InputError, match=r"bad\.pt"):
+        read_checkpoint(tmp_path / "bad.pt")
+    write_checkpoint(tmp_path / "good.pt", {"step": 3, "x": torch.ones(2)})
+    assert not list(tmp_path.glob("*.partial"))
+    again = read_checkpoint(tmp_path / "good.pt")
+    assert again is not None
+    assert again["step"] == 3
