@@ -61,6 +61,7 @@ class _Run:
         self.optimizer = torch.optim.Adam(groups, fused=True)
         self.step = 0
         self.losses: list[float] = []
+        self.note = "one schedule from the first step to the last"
 
     def set_rates(self) -> None:
         """Cosine from the published rates to nothing, after a short linear start."""
@@ -94,6 +95,7 @@ class _Run:
             "codes": self.codes.detach(),
             "optimizer": self.optimizer.state_dict(),
             "losses": self.losses,
+            "note": self.note,
         }
 
     def restore(self, state: dict[str, Any], where: str) -> None:
@@ -105,6 +107,7 @@ class _Run:
             self.codes.copy_(state["codes"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.step, self.losses = int(state["step"]), list(state["losses"])
+        self.note = str(state.get("note", self.note))
 
 
 def _batch(samples: ShapeSamples, recipe: SdfRecipe, step: int) -> tuple[Tensor, Tensor]:

@@ -94,6 +94,7 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
         "recipe": recipe,
         "step": state["step"],
         "loss_every_100_steps": [round(float(loss), 6) for loss in state["losses"]],
+        "note": state.get("note", "one uninterrupted schedule"),
         "torch": torch.__version__,
     }
     save_decoder(decoder, target / "sdf.safetensors", {"step": str(state["step"]), "recipe": json.dumps(recipe)})

@@ -1,9 +1,11 @@
 """How well the decoder knows the family: Chamfer distances on vehicles it was trained on and on unseen ones.
 
-`python -m shift3d.vehicles.fidelity` prints both medians; see `shift3d.sdf.chamfer` for the definition.
+`python -m shift3d.vehicles.fidelity [count]` prints both medians; see `shift3d.sdf.chamfer` for the definition.
 """
 
 from __future__ import annotations
+
+import sys
 
 import numpy as np
 import torch
@@ -17,7 +19,7 @@ from shift3d.sdf.meshes import extract_mesh
 from shift3d.sdf.samples import sample_sdf
 from shift3d.seeding import generator
 from shift3d.vehicles.family import VehicleSpec, build_mesh, family
-from shift3d.vehicles.vehicle import family_vehicles
+from shift3d.vehicles.vehicle import family_seed, family_vehicles
 
 UNSEEN_SEED_OFFSET = 1_000_003
 
@@ -28,7 +30,7 @@ def unseen_specs(count: int, seed: int) -> list[VehicleSpec]:
 
 
 def decoded_chamfer_m(
-    decoder: Decoder, code: torch.Tensor, scale_m: float, mesh: trimesh.Trimesh, seed: int, resolution: int = 160
+    decoder: Decoder, code: torch.Tensor, scale_m: float, mesh: trimesh.Trimesh, seed: int, resolution: int = 129
 ) -> float:
     """Symmetric Chamfer distance in metres between a code's decoded surface and a mesh in the object frame."""
     decoded = extract_mesh(decoder.field(code), resolution)
@@ -36,21 +38,21 @@ def decoded_chamfer_m(
     return symmetric_chamfer(decoded, mesh, generator("chamfer", seed))
 
 
-def training_chamfer_m(decoder: Decoder, seed: int, indices: list[int]) -> NDArray[np.float64]:
-    """Chamfer distances (len(indices),) metres of training vehicles, from their trained codes."""
+def training_chamfer_m(decoder: Decoder, count: int) -> NDArray[np.float64]:
+    """Chamfer distances (count,) metres of training vehicles, from their trained codes, body types in turn."""
     vehicles = family_vehicles()
-    specs = family(len(vehicles), seed)
+    specs = family(len(vehicles), family_seed())
     results = []
-    for index in indices:
+    for index in range(count):
         code = torch.from_numpy(vehicles[index].latent_code)
-        mesh = build_mesh(specs[index])
-        results.append(decoded_chamfer_m(decoder, code, vehicles[index].scale_m, mesh, index))
+        results.append(decoded_chamfer_m(decoder, code, vehicles[index].scale_m, build_mesh(specs[index]), index))
     return np.array(results)
 
 
-def unseen_chamfer_m(decoder: Decoder, seed: int, count: int, steps: int = 400) -> NDArray[np.float64]:
+def unseen_chamfer_m(decoder: Decoder, count: int, steps: int = 400) -> NDArray[np.float64]:
     """Chamfer distances (count,) metres of unseen vehicles, each auto-decoded from samples of its mesh."""
     results = []
+    seed = family_seed()
     for index, spec in enumerate(unseen_specs(count, seed)):
         mesh = build_mesh(spec)
         samples = sample_sdf(mesh, 50_000, generator("unseen", seed, index))
@@ -59,18 +61,18 @@ def unseen_chamfer_m(decoder: Decoder, seed: int, count: int, steps: int = 400) 
     return np.array(results)
 
 
-def main(count: int = 27) -> None:
+def main(count: int) -> None:
     """Print the medians over `count` training and `count` unseen vehicles, body types in turn."""
     decoder = load_decoder()
-    for name, values in (
-        ("training", training_chamfer_m(decoder, 7, list(range(count)))),
-        ("unseen, auto-decoded", unseen_chamfer_m(decoder, 7, count)),
-    ):
+    measures = {"training": training_chamfer_m, "unseen, auto-decoded": unseen_chamfer_m}
+    for name, measure in measures.items():
+        values = 100.0 * measure(decoder, count)
         print(
-            f"{name}: median {100 * np.median(values):.2f} cm, worst {100 * values.max():.2f} cm, "
-            f"{count} vehicles (symmetric Chamfer, mean of both directions)"
+            f"{name}: median {np.median(values):.2f} cm, worst {values.max():.2f} cm, {count} vehicles "
+            f"(symmetric Chamfer, mean of both directions)",
+            flush=True,
         )
 
 
 if __name__ == "__main__":
-    main()
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 27)

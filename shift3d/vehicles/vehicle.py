@@ -126,6 +126,12 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
     ]
 
 
+def family_seed(path: Path | str | None = None) -> int:
+    """The seed of the family that the decoder was trained on: `family(len(family_vehicles()), seed)` are its meshes."""
+    _, metadata, source = _read(path)
+    return int(str(_described(metadata, "family", source)["seed"]))
+
+
 def vehicle_mesh(
     vehicle: Vehicle, decoder: Decoder, z: Tensor | NDArray[np.float32] | None = None, resolution: int = 128
 ) -> trimesh.Trimesh:
