@@ -21,7 +21,7 @@ def overrides(prefix: str) -> list[str]:
     """Completions of ``group=option``, ``group.setting=`` and ``out=``."""
     key, equals, _ = prefix.partition("=")
     if equals:
-        options = sorted(path.stem for path in (_ROOT / "conf" / key).glob("*.yaml")) if key.isidentifier() else []
+        options = sorted(path.stem for path in (_ROOT / "conf" / key).glob("[!_]*.yaml")) if key.isidentifier() else []
         return [f"{key}={option}" for option in options]
     return [f"{name}=" for name in ["out", *_settings()] if name.startswith(prefix)]
 

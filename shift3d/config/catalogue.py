@@ -83,6 +83,8 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
     for name, value in config.render.items():
         if name not in settings:
             raise messages.choice_error("setting", name, settings, "accuracy.render")
+        if value is None:
+            continue
         if type(value) is not type(settings[name]) and not (
             isinstance(value, int) and isinstance(settings[name], float) and not isinstance(value, bool)
         ):

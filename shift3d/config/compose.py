@@ -131,11 +131,18 @@ def _hydra(name: str, where: str) -> tuple[Any, Any]:
 
     def parse(texts: Sequence[str]) -> Any:
         try:
-            return OverridesParser.create().parse_overrides(list(texts))
+            return OverridesParser.create(config_loader=_Groups()).parse_overrides(list(texts))  # type: ignore[arg-type]
         except HydraException as error:
             raise messages.from_hydra(error, where, None) from error
 
     return run, parse
+
+
+class _Groups:
+    """What Hydra asks to expand ``glob()``: the options of a group."""
+
+    def get_group_options(self, group_name: str, *_: object, **__: object) -> list[str]:
+        return sorted(path.stem for path in (config_folder() / group_name).glob("*.yaml"))
 
 
 def _no_hydra(config: Any) -> list[str]:

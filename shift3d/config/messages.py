@@ -61,7 +61,10 @@ def from_hydra(error: Exception, where: str, config: Mapping[str, Any] | None) -
         allowed = options.group(1).split() if options else []
         return choice_error(group or "sweep", name, allowed, where)
     if match := re.search(r"Could not override '([^']+)'", text):
-        return choice_error("setting", match.group(1), _siblings(match.group(1), config or {}), where)
+        key, siblings = match.group(1), _siblings(match.group(1), config or {})
+        if key in siblings:
+            return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
+        return choice_error("setting", key, siblings, where)
     if "lexer" in text.lower() or "mismatched input" in text or "extraneous input" in text:
         shown = text.splitlines()[0].split(": ", 1)[-1]
         return InputError(

@@ -95,10 +95,10 @@ class AttackConfig(_Record):
 
 
 class AccuracyConfig(_Record):
-    """A preset, and the renderer's settings that differ from it."""
+    """A preset, and the renderer's settings that differ from it (None: as the preset has it)."""
 
     name: Literal["draft", "standard", "paper", "reference"]
-    render: dict[str, bool | int | float | str]
+    render: dict[str, bool | int | float | str | None]
 
 
 class EffectsConfig(_Record):

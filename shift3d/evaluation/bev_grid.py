@@ -55,4 +55,5 @@ def bev_grid(
     def mean(values: FloatArray) -> FloatArray:
         return np.bincount(index, weights=values, minlength=len(cells)) / count
 
-    return BevGrid(cells * cell_size_m, count, mean(old), mean(new), mean(old - new))
+    corners = cells.astype(np.float64) * cell_size_m
+    return BevGrid(corners, count, mean(old), mean(new), mean(old - new))

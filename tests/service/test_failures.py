@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pandas as pd
-from conftest import Drivers
+from drivers import Drivers
 
 TASKS = 60
 

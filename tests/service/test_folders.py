@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from conftest import Drivers
+from drivers import Drivers
 
 TASKS = 60
 

@@ -7,7 +7,7 @@ import signal
 import time
 from pathlib import Path
 
-from conftest import Drivers
+from drivers import Drivers
 
 TASKS = 60
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conftest import Drivers
+from drivers import Drivers
 
 
 def test_workers_change_no_byte(drivers: Drivers, undisturbed: dict[str, bytes]) -> None:

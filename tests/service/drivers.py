@@ -1,0 +1,63 @@
+"""Starts real drivers as processes, and reads what they left."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+DRIVER = Path(__file__).resolve().parent / "driver.py"
+DETERMINISTIC = ("scores", "solutions", "curves", "auc", "bev")
+QUICK = ("scenes.count=4", "tracking=none")
+
+
+class Drivers:
+    """Sweep commands in a folder of their own; whatever is still running at the end of a test is killed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.started: list[subprocess.Popen[str]] = []
+
+    def start(self, out: str, *words: str, prefix: tuple[str, ...] = (), **environment: str) -> subprocess.Popen[str]:
+        command = [*prefix, sys.executable, str(DRIVER), "sweep", "default", *QUICK, *words, f"out={self.folder / out}"]
+        process = subprocess.Popen(
+            command,
+            cwd=self.folder,
+            env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self.started.append(process)
+        return process
+
+    def run(self, out: str, *words: str, prefix: tuple[str, ...] = (), **environment: str) -> tuple[int, str, str]:
+        """(exit code, stdout, stderr) of a command that ends by itself."""
+        process = self.start(out, *words, prefix=prefix, **environment)
+        output, errors = process.communicate(timeout=90)
+        return process.returncode, output, errors
+
+    def final(self, out: str) -> dict[str, bytes]:
+        return {name: (self.folder / out / "final" / f"{name}.parquet").read_bytes() for name in DETERMINISTIC}
+
+    def committed(self, out: str) -> list[str]:
+        """Task ids in the log, in order, repetitions included."""
+        entries = sorted((self.folder / out / "_log").glob("*.json"))
+        return [task for entry in entries for task in json.loads(entry.read_text())["done"]]
+
+    def wait_for_commits(self, out: str, tasks: int) -> None:
+        deadline = time.monotonic() + 60
+        while len(self.committed(out)) < tasks:
+            assert time.monotonic() < deadline, "the sweep commits nothing"
+            time.sleep(0.02)
+
+    def kill_all(self) -> None:
+        for process in self.started:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()

@@ -1,0 +1,46 @@
+"""What a sweep refers to: scene sets, weights, and every setting behind an accuracy preset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from shift3d.config.catalogue import accuracy_settings, scene_set, weights_file
+from shift3d.config.schema import AccuracyConfig, KittiConfig, StreetConfig
+from shift3d.errors import InputError
+from shift3d.render.settings import PRESETS
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_accuracy_states_every_setting_in_plain_values(name: str) -> None:
+    settings = accuracy_settings(AccuracyConfig(name=name, render={}))  # type: ignore[arg-type]
+    preset = PRESETS[name]
+    assert settings.keys() == vars(preset).keys()
+    for field, value in settings.items():
+        assert isinstance(value, bool | int | float | str)
+        expected = getattr(preset, field)
+        assert getattr(torch, str(value)) == expected if field == "dtype" else value == expected
+
+
+def test_accuracy_changes() -> None:
+    settings = accuracy_settings(AccuracyConfig(name="standard", render={"step_m": 1}))
+    assert settings["step_m"] == 1.0 and isinstance(settings["step_m"], float)
+    assert accuracy_settings(AccuracyConfig(name="paper", render={"step_m": None}))["step_m"] == 0.1
+    with pytest.raises(InputError, match="Did you mean 'step_m'"):
+        accuracy_settings(AccuracyConfig(name="standard", render={"step": 0.1}))
+    with pytest.raises(InputError, match=r"accuracy\.render\.step_m is 'far', not float"):
+        accuracy_settings(AccuracyConfig(name="standard", render={"step_m": "far"}))
+
+
+def test_street_scenes_by_settings() -> None:
+    config = StreetConfig(kind="street", sensor="mixed", split="test", seed=0, count=3)
+    assert len(scene_set(config).names()) == 3
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=str(tmp_path / "kitti")):
+        scene_set(KittiConfig(kind="kitti", root=str(tmp_path / "kitti"), count=None, names=None)).names()
+    with pytest.raises(InputError, match="weights file not found"):
+        weights_file("sdf.safetensors", str(tmp_path / "absent.safetensors"))

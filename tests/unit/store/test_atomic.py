@@ -1,0 +1,50 @@
+"""Files are there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from shift3d.store.atomic import put_if_absent, remove_leftovers, write_atomic
+
+
+def test_write_atomic_replaces_in_one_step(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "file"
+    write_atomic(path, b"old")
+    write_atomic(path, lambda temporary: temporary.write_bytes(b"new") and None)
+    assert path.read_bytes() == b"new"
+    assert [entry.name for entry in path.parent.iterdir()] == ["file"]
+
+
+def test_a_writer_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    write_atomic(path, b"old")
+
+    def fails(temporary: Path) -> None:
+        temporary.write_bytes(b"half")
+        raise RuntimeError("out of ideas")
+
+    with pytest.raises(RuntimeError):
+        write_atomic(path, fails)
+    assert path.read_bytes() == b"old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_put_if_absent_has_one_winner(tmp_path: Path) -> None:
+    path = tmp_path / "entry"
+    assert put_if_absent(path, b"first")
+    assert not put_if_absent(path, b"second")
+    assert path.read_bytes() == b"first"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["entry"]
+
+
+def test_leftovers_of_dead_processes_go_and_those_of_live_ones_stay(tmp_path: Path) -> None:
+    dead = tmp_path / ".tmp-4194400-scores"  # above the largest process id that Linux gives by default
+    alive = tmp_path / f".tmp-{os.getpid()}-scores"
+    dead.touch()
+    alive.touch()
+    remove_leftovers(tmp_path)
+    assert not dead.exists() and alive.exists()
+    remove_leftovers(tmp_path / "absent")

@@ -1,0 +1,34 @@
+"""Small catalogues, plans and result rows, by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from shift3d.config.catalogue import Catalogue, SceneEntry
+from shift3d.config.schema import Config
+
+VEHICLES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
+
+
+def catalogue(config: Config) -> Catalogue:
+    """Two scenes and the five vehicles."""
+    return Catalogue(
+        scenes=(SceneEntry("north", "street-hdl64", "n"), SceneEntry("south", "street-hdl64", "s")),
+        scene_arguments={"kind": "street"},
+        sector_rad=(0.5, 1.0),
+        vehicles={name: f"{name}-hash" for name in VEHICLES},
+        decoder_hash="d",
+        detector_hash="p",
+        accuracy={"step_m": 0.02},
+    )
+
+
+def score_row(
+    task: Any, sweep: str, method: str, score: float | None, loss: float | None = None, **more: Any
+) -> dict[str, Any]:
+    """One row of scores of a planned task."""
+    spec = task.spec
+    names = ("task_id", "vehicle", "scene", "dataset", "mode", "alpha", "detector", "accuracy")
+    row = {name: getattr(spec, name) for name in names} | {"sweep": sweep, "lambda": spec.lambda_}
+    row |= {"scored_by": spec.detector, "method": method, "replicate": 0, "effects": [], "status": "ok"}
+    return {**row, "score": score, "adversarial_loss": loss, "x_m": 15.0, "y_m": -5.0, **more}

@@ -1,0 +1,87 @@
+"""The final tables, against values worked out by hand, and their indifference to order."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from by_hand import score_row
+
+from shift3d.store.log import CommitLog
+from shift3d.store.tables import table_from_rows
+from shift3d.sweep.final import FinalTables, write_final
+from shift3d.sweep.plan import Plan
+from shift3d.sweep.worker import attempt_row
+
+
+def rows_of(task: Any, sweep: str) -> list[dict[str, Any]]:
+    """baseline 0.8, adversarial 0.2 or 0.4 by scene; the loss is lowest for lambda 1."""
+    adversarial = 0.2 if task.spec.scene == "north" else 0.4
+    loss = {1.0: 0.3, 10.0: 0.6, None: 0.1}[task.spec.lambda_]
+    where = {"x_m": 15.0 if task.spec.scene == "north" else 25.0}
+    return [
+        score_row(task, sweep, "baseline", 0.8, 1.0, **where),
+        score_row(task, sweep, "adversarial", adversarial, loss, **where),
+    ]
+
+
+def commit(out: Path, plan: Plan, order: list[int], size: int, skip: tuple[int, ...] = ()) -> FinalTables:
+    log = CommitLog(out, plan.spec_hash)
+    for start in range(0, len(order), size):
+        tasks = [plan.tasks[i] for i in order[start : start + size]]
+        done = [task for task in tasks if plan.tasks.index(task) not in skip]
+        lost = [task.spec.task_id for task in tasks if task not in done]
+        scores = [row for task in done for row in rows_of(task, plan.sweep)]
+        attempts = [attempt_row(task.spec.task_id, 1, "done", 0.0) for task in done]
+        tables = {"scores": table_from_rows("scores", scores), "attempts": table_from_rows("attempts", attempts)}
+        log.commit(tuple(task.spec.task_id for task in done), tuple(lost), tables)
+    return write_final(out, plan, log.entries)
+
+
+def test_by_hand(out: Path, suv_plan: Plan) -> None:
+    final = commit(out, suv_plan, list(range(6)), 2)
+    shape = final.frame("auc").query("mode == 'shape' and method == 'adversarial'")
+    assert shape["auc"].tolist() == pytest.approx([0.3, 0.3])
+    assert shape["lambda"].tolist() == [1.0, 10.0]
+    assert shape["selected"].tolist() == [True, False]
+    assert shape["mean_adversarial_loss"].tolist() == pytest.approx([0.3, 0.6])
+    pose = final.frame("auc").query("mode == 'pose' and method == 'adversarial'")
+    assert pose["selected"].tolist() == [True] and pose["auc"].item() == pytest.approx(0.3)
+    bev = final.frame("bev").query("mode == 'pose' and method == 'adversarial'")
+    assert bev[["cell_x_m", "cell_y_m", "scores"]].to_numpy().tolist() == [[10.0, -10.0, 1.0], [20.0, -10.0, 1.0]]
+    assert bev["mean_reduction"].tolist() == pytest.approx([0.6, 0.4])
+
+
+def test_curves_have_the_auc_for_their_area(out: Path, suv_plan: Plan) -> None:
+    final = commit(out, suv_plan, list(range(6)), 6)
+    auc, curves = final.frame("auc"), final.frame("curves")
+    keys = ["mode", "lambda", "method"]
+    areas = {
+        key: float((group["recall"].to_numpy()[:-1] * np.diff(group["score_threshold"])).sum())
+        for key, group in curves.fillna({"lambda": -1}).groupby(keys)
+    }
+    for key, group in auc[auc["scores"] > 0].fillna({"lambda": -1}).groupby(keys):
+        assert areas[key] == pytest.approx(group["auc"].item())
+
+
+def test_order_and_size_of_commits_change_no_byte(tmp_path: Path, suv_plan: Plan) -> None:
+    commit(tmp_path / "a", suv_plan, [0, 1, 2, 3, 4, 5], 6)
+    commit(tmp_path / "b", suv_plan, [5, 2, 0, 4, 1, 3], 1)
+    for name in ("scores", "solutions", "curves", "auc", "bev"):
+        file = f"final/{name}.parquet"
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), name
+
+
+def test_gaps_are_rows(out: Path, suv_plan: Plan) -> None:
+    """Both pose tasks failed: their AUC is null, their plan is shown."""
+    final = commit(out, suv_plan, list(range(6)), 3, skip=(4, 5))
+    pose = final.frame("auc").query("mode == 'pose'")
+    assert pose["method"].tolist() == ["baseline", "random", "adversarial"]
+    assert pose["auc"].isna().all() and (pose["tasks_planned"] == 2).all() and (pose["tasks_scored"] == 0).all()
+
+
+def test_nothing_but_failures_is_still_a_sweep(out: Path, suv_plan: Plan) -> None:
+    final = commit(out, suv_plan, list(range(6)), 3, skip=tuple(range(6)))
+    assert final.frame("scores").empty and final.frame("auc")["auc"].isna().all()

@@ -1,0 +1,96 @@
+"""The plan: three tasks a vehicle and scene, in order, each once."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from by_hand import VEHICLES, catalogue
+
+from shift3d.config.compose import compose_sweep
+from shift3d.errors import InputError
+from shift3d.sweep.folder import open_folder, read_plan, read_spec
+from shift3d.sweep.plan import Plan, make_plan
+from shift3d.sweep.plan_view import plan_lines, plan_summary
+
+
+def test_shape_under_two_lambda_and_pose_once(default_plan: Plan) -> None:
+    specs = [task.spec for task in default_plan.tasks]
+    assert len(specs) == 5 * 2 * 3 == len({spec.task_id for spec in specs})
+    for vehicle in VEHICLES:
+        for scene in ("north", "south"):
+            here = [(s.mode, s.lambda_) for s in specs if (s.vehicle, s.scene) == (vehicle, scene)]
+            assert here == [("shape", 1.0), ("shape", 10.0), ("pose", None)]
+    assert [spec.vehicle for spec in specs[::6]] == list(VEHICLES)
+
+
+def test_the_spec_holds_what_the_catalogue_says(suv_plan: Plan) -> None:
+    spec = suv_plan.tasks[0].spec
+    assert (spec.scene_hash, spec.vehicle_hash, spec.decoder_hash, spec.detector_hash) == ("n", "suv-hash", "d", "p")
+    assert (spec.placement.sector_centre_rad, spec.placement.sector_half_width_rad) == (0.5, 1.0)
+    assert spec.accuracy_settings == {"step_m": 0.02}
+    assert (spec.attack.steps, spec.alpha, spec.placement.min_object_points) == (40, 0.01, 300)
+
+
+def test_execution_settings_change_no_id(suv_plan: Plan) -> None:
+    words = ["vehicle=suv", "runner=local", "tracking=none", "scenes.count=9"]
+    assert make_plan(compose_sweep("default", words), catalogue)[0].spec_hash == suv_plan.spec_hash
+
+
+def test_other_settings_weights_and_names_change_the_hash(suv_plan: Plan) -> None:
+    composed = compose_sweep("default", ["vehicle=suv"])
+    others = [
+        make_plan(compose_sweep("default", ["vehicle=suv", "seed=1"]), catalogue)[0],
+        make_plan(composed, lambda config: dataclasses.replace(catalogue(config), detector_hash="new"))[0],
+        make_plan(dataclasses.replace(composed, name="other"), catalogue)[0],
+    ]
+    assert len({plan.spec_hash for plan in [suv_plan, *others]}) == 4
+
+
+def test_unknown_scene_and_vehicle() -> None:
+    with pytest.raises(InputError, match=r"unknown scene 'nort'\. Did you mean 'north'"):
+        make_plan(compose_sweep("default", ["scene=nort"]), catalogue)
+    with pytest.raises(InputError, match="unknown vehicle 'tram'"):
+        make_plan(compose_sweep("default", ["vehicle.name=tram"]), catalogue)
+    one = make_plan(compose_sweep("default", ["scene=south"]), catalogue)[0]
+    assert {task.spec.scene for task in one.tasks} == {"south"}
+
+
+def test_what_is_loaded_is_shared_between_tasks_that_need_the_same() -> None:
+    plan = make_plan(compose_sweep("default", ["scenes.sensor=hdl64,waymo_top", "vehicle=suv"]), catalogue)[0]
+    assert [assets.scenes["sensor"] for assets in plan.assets] == ["hdl64", "waymo_top"]
+
+
+def test_folder_and_back(out: Path, suv_plan: Plan) -> None:
+    open_folder(out, suv_plan)
+    assert read_plan(out) == suv_plan
+    assert read_spec(out)["axes"] == {"vehicle": ["suv"], "mode": ["shape", "pose"], "attack.lambda": ["1", "10"]}
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    open_folder(out, suv_plan)
+    assert before == {path.name: path.read_bytes() for path in out.iterdir()}
+
+
+def test_a_folder_whose_first_driver_was_killed_early_is_taken_over(out: Path, suv_plan: Plan) -> None:
+    out.mkdir()
+    (out / "plan.parquet").write_bytes(b"another plan, without its spec.yaml")
+    open_folder(out, suv_plan)
+    assert read_plan(out) == suv_plan
+
+
+def test_damaged_folders_are_named(out: Path, suv_plan: Plan) -> None:
+    with pytest.raises(InputError, match=r"it has no spec\.yaml"):
+        read_plan(out)
+    open_folder(out, suv_plan)
+    (out / "plan.parquet").write_bytes(b"PAR1")
+    with pytest.raises(InputError, match=r"plan\.parquet"):
+        read_plan(out)
+    (out / "spec.yaml").write_text("- a list")
+    with pytest.raises(InputError, match="is not the spec of a sweep"):
+        read_plan(out)
+
+
+def test_in_words(suv_plan: Plan) -> None:
+    assert plan_summary(suv_plan) == "sweep default: 6 tasks (4 shape, 2 pose) of 1 vehicles in 2 scenes"
+    lines = list(plan_lines(suv_plan))
+    assert len(lines) == 6 and "lambda 10" in lines[2] and "lambda" not in lines[4]

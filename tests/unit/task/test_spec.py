@@ -1,0 +1,78 @@
+"""A task's id: everything that can change its result, and nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+import pytest
+
+from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
+
+SPEC = TaskSpec("suv", "street_000", "street-hdl64", "shape", 1.0, 0.01, "pointpillars", "standard")
+
+CHANGES: dict[str, Any] = {
+    "vehicle": "coupe",
+    "scene": "street_001",
+    "dataset": "kitti",
+    "lambda_": 10.0,
+    "alpha": 0.1,
+    "detector": "other",
+    "accuracy": "paper",
+    "base_seed": 1,
+    "replicate": 1,
+    "effects": ("rain",),
+    "accuracy_settings": {"step_m": 0.1},
+    "scene_arguments": {"seed": 3},
+    "attack": AttackSpec(steps=41),
+    "placement": PlacementSpec(contact_m=0.03),
+    "scene_hash": "a",
+    "vehicle_hash": "a",
+    "decoder_hash": "a",
+    "detector_hash": "a",
+}
+
+
+def test_every_field_changes_the_id() -> None:
+    fields = {field.name for field in dataclasses.fields(TaskSpec)} - {"mode"}
+    assert fields == set(CHANGES)
+    ids = {dataclasses.replace(SPEC, **{name: value}).task_id for name, value in CHANGES.items()}
+    assert len(ids | {SPEC.task_id}) == len(CHANGES) + 1
+
+
+def test_the_id_is_pinned() -> None:
+    """A change of this value makes every finished sweep unresumable: raise SPEC_VERSION with it."""
+    assert SPEC.task_id == "ad6afcc384dc243a7e0addf63c612dae"
+
+
+def test_pose_has_no_lambda() -> None:
+    one, ten = (dataclasses.replace(SPEC, mode="pose", lambda_=value) for value in (1.0, 10.0))
+    assert one.lambda_ is None
+    assert one.task_id == ten.task_id != SPEC.task_id
+
+
+def test_json_and_back() -> None:
+    spec = dataclasses.replace(SPEC, effects=("rain",), accuracy_settings={"step_m": 0.1})
+    back = TaskSpec.from_dict(json.loads(spec.canonical_json()))
+    assert back == spec and back.task_id == spec.task_id
+    with pytest.raises(ValueError, match="version 99"):
+        TaskSpec.from_dict({**spec.to_dict(), "spec_version": 99})
+
+
+def test_order_of_arguments_is_no_part_of_the_id() -> None:
+    one = dataclasses.replace(SPEC, scene_arguments={"a": 1, "b": 2})
+    two = dataclasses.replace(SPEC, scene_arguments={"b": 2, "a": 1})
+    assert one.task_id == two.task_id
+
+
+@pytest.mark.parametrize("name", ["lambda_", "alpha", "detector", "accuracy", "attack"])
+def test_tasks_that_are_compared_stand_in_one_place(name: str) -> None:
+    other = dataclasses.replace(SPEC, **{name: CHANGES[name]})
+    assert other.placement_seed == SPEC.placement_seed
+    assert other.seed != SPEC.seed
+
+
+@pytest.mark.parametrize("name", ["base_seed", "replicate", "scene_hash", "vehicle_hash", "placement"])
+def test_other_places(name: str) -> None:
+    assert dataclasses.replace(SPEC, **{name: CHANGES[name]}).placement_seed != SPEC.placement_seed
