@@ -18,7 +18,7 @@ class Frame:
 
     size_m: tuple[float, float, float] = (4.4, 1.8, 1.5)
     scale_m: float = 1.0
-    sdf_R_object: np.ndarray = field(default_factory=lambda: np.eye(3))
+    sdf_R_object: np.ndarray = field(default_factory=lambda: np.eye(3))  # noqa: N815
     sdf_t_object: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 

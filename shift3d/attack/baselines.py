@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from shift3d.attack.constraints import ConstraintCheck, check
-from shift3d.attack.pose import PoseLimits, settled
+from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, settled
 from shift3d.attack.problem import AttackProblem
 from shift3d.render.render import render
 
@@ -42,7 +42,7 @@ def noise_codes(code: Tensor, sigma: float, count: int, rng: np.random.Generator
 
 
 def random_pose(
-    problem: AttackProblem, rng: np.random.Generator, limits: PoseLimits = PoseLimits(), attempts: int = 60
+    problem: AttackProblem, rng: np.random.Generator, limits: PoseLimits = PAPER_LIMITS, attempts: int = 60
 ) -> tuple[Tensor, ConstraintCheck] | None:
     """A random pose from the attack's own feasible set; None if no draw is valid.
 

@@ -34,6 +34,10 @@ class Constraints:
     min_object_points: int = 300
 
 
+PAPER_CONSTRAINTS = Constraints()
+"""The paper's values."""
+
+
 @dataclass(frozen=True)
 class ConstraintCheck:
     """Outcome for one object.

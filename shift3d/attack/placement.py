@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import ConstraintCheck, Constraints, check, points_near, settle
+from shift3d.attack.constraints import PAPER_CONSTRAINTS, ConstraintCheck, Constraints, check, points_near, settle
 from shift3d.attack.ground import fit_ground
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.beams import Beams
@@ -40,6 +40,10 @@ class PlacementLimits:
     max_range_m: float = 50.0
     sector: tuple[float, float] = (0.0, math.pi)
     attempts: int = 400
+
+
+ANYWHERE = PlacementLimits()
+"""The paper's ranges, all around."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +79,8 @@ def place(
     sdf: Field,
     vehicle: VehicleFrame,
     rng: np.random.Generator,
-    limits: PlacementLimits = PlacementLimits(),
-    constraints: Constraints = Constraints(),
+    limits: PlacementLimits = ANYWHERE,
+    constraints: Constraints = PAPER_CONSTRAINTS,
     settings: RenderSettings = STANDARD,
     space: EmptySpace | None = None,
 ) -> Placement | NoPlacement:

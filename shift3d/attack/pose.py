@@ -32,17 +32,22 @@ class PoseLimits:
     settle_m: float = 0.3
 
 
+PAPER_LIMITS = PoseLimits()
+"""The paper's values."""
+
+
 def attack_pose(
     problem: AttackProblem,
     alpha: float = 0.01,
     steps: int = 40,
-    limits: PoseLimits = PoseLimits(),
+    limits: PoseLimits = PAPER_LIMITS,
     on_step: Callable[[StepRecord], None] | None = None,
 ) -> AttackResult:
     """min_theta L_adv(theta) over B(theta0) at a fixed shape. The ground-truth box moves along.
 
     Source: SHIFT3D eq. loss_theta and Algorithm 1.
     """
+    problem = problem.with_space()
     metric = problem.metric(problem.code0.detach())
     search = Search(
         mode="pose",

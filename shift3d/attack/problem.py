@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import ConstraintCheck, Constraints, check, points_near
+from shift3d.attack.constraints import PAPER_CONSTRAINTS, ConstraintCheck, Constraints, check, points_near
 from shift3d.attack.objective import (
     adversarial_loss,
     object_box,
@@ -45,7 +45,7 @@ class AttackProblem:
     detector: Detector
     theta0: Tensor
     code0: Tensor
-    constraints: Constraints = Constraints()
+    constraints: Constraints = PAPER_CONSTRAINTS
     settings: RenderSettings = STANDARD
     travel_m: float = 4.0
     space: EmptySpace | None = None
@@ -59,6 +59,14 @@ class AttackProblem:
     def metric(self, code: Tensor) -> ObjectField:
         """The object's metric field for a code."""
         return ObjectField.of(self.field_of(code), self.vehicle, self.settings.dtype, self.settings.batch)
+
+    def with_space(self) -> AttackProblem:
+        """The same problem with a map of code0's empty space, where the settings use one."""
+        if self.space is not None or not self.settings.empty_space:
+            return self
+        with torch.no_grad():
+            sdf = self.field_of(self.code0.detach())
+            return replace(self, space=EmptySpace.of(sdf, self.vehicle, self.settings))
 
     def space_for(self, code: Tensor) -> EmptySpace | None:
         """The map of empty space, if it belongs to this code."""

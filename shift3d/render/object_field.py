@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import dataclasses
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -24,7 +25,7 @@ class VehicleFrame(Protocol):
     @property
     def scale_m(self) -> float: ...
     @property
-    def sdf_R_object(self) -> np.ndarray: ...  # noqa: N802
+    def sdf_R_object(self) -> np.ndarray: ...
     @property
     def sdf_t_object(self) -> np.ndarray: ...
     @property
@@ -49,13 +50,13 @@ class ObjectField:
     property of the vehicle.
     """
 
-    field: Field
+    sdf: Field
     scale_m: float
-    sdf_R_object: Tensor
+    sdf_R_object: Tensor  # noqa: N815
     sdf_t_object: Tensor
     dtype: torch.dtype
     batch: int
-    count: EvaluationCount = field(default_factory=EvaluationCount)
+    count: EvaluationCount = dataclasses.field(default_factory=EvaluationCount)
 
     @staticmethod
     def of(sdf: Field, vehicle: VehicleFrame, dtype: torch.dtype, batch: int) -> ObjectField:
@@ -74,11 +75,11 @@ class ObjectField:
         x_sdf = x_sdf.to(self.dtype)
         self.count.evaluations += len(x_sdf)
         if len(x_sdf) <= self.batch:
-            return self.field(x_sdf) * self.scale_m if len(x_sdf) else x_sdf[:, 0]
-        return torch.cat([self.field(part) for part in x_sdf.split(self.batch)]) * self.scale_m
+            return self.sdf(x_sdf) * self.scale_m if len(x_sdf) else x_sdf[:, 0]
+        return torch.cat([self.sdf(part) for part in x_sdf.split(self.batch)]) * self.scale_m
 
     def depends_on_code(self) -> bool:
         """Whether the field carries gradients of its own (a latent code that requires them)."""
         if not torch.is_grad_enabled():
             return False
-        return bool(self.field(torch.zeros(1, 3, dtype=self.dtype)).requires_grad)
+        return bool(self.sdf(torch.zeros(1, 3, dtype=self.dtype)).requires_grad)

@@ -31,6 +31,8 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
     Source: SHIFT3D supplement, Rendering.
     """
     index = beams_near(beams, theta[:3].detach(), SPHERE_RADIUS_M)
+    if len(index) == 0:
+        return FirstHits.none()
     rays = object_rays(beams, index, theta)
     found, inside = [], []
     for rows in torch.arange(len(rays)).split(_beams_at_once(rays, settings)):
@@ -40,21 +42,19 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
         inside.append(part.index[first_inside == 0])
         hit = first_inside > 0
         found.append(_bisect(part.select(hit), samples[hit], first_inside[hit], field, settings))
-    if not found:
-        return FirstHits.none()
     hits = [torch.cat(column) for column in zip(*found)]
     return FirstHits(hits[0], hits[1], hits[2], torch.cat(inside))
 
 
 def _beams_at_once(rays: Rays, settings: RenderSettings) -> int:
     """Beams whose samples fit in about a million points of memory."""
-    longest = float(rays.far_m.max()) / settings.step_m if len(rays) else 1.0
+    longest = float(rays.far_m.max()) / settings.step_m
     return max(1, int(1_000_000 / max(longest, 1.0)))
 
 
 def _first_sample_inside(rays: Rays, samples: Tensor, field: ObjectField, settings: RenderSettings) -> Tensor:
     """(M,) first j with g < 0 at k = j far / J, or -1."""
-    count = int(samples.max()) + 1 if len(rays) else 0
+    count = int(samples.max()) + 1
     j = torch.arange(count, dtype=torch.float64)
     k = j * (rays.far_m / samples)[:, None]
     wanted = j <= samples[:, None]
@@ -72,7 +72,8 @@ def _within_sphere(rays: Rays, k: Tensor, slack_m: float) -> Tensor:
     along = -(rays.origins * rays.directions).sum(-1, keepdim=True)
     offset = torch.linalg.cross(rays.origins, rays.directions).square().sum(-1, keepdim=True)
     half = (SPHERE_RADIUS_M**2 - offset).clamp_min(0.0).sqrt() + slack_m
-    return (k >= along - half) & (k <= along + half)
+    within: Tensor = (k >= along - half) & (k <= along + half)
+    return within
 
 
 def _bisect(

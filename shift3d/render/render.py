@@ -66,6 +66,7 @@ def _fast(
     warm: WarmStart | None,
     space: EmptySpace | None,
 ) -> tuple[FirstHits, WarmStart]:
+    space = space if settings.empty_space else None
     size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
     if warm is None or not settings.warm_start:
         return cold_start(beams, metric, theta, size, settings, space)

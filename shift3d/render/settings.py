@@ -33,6 +33,7 @@ class RenderSettings:
             the field is a distance there. The sample positions are those of the whole beam.
         warm_start: start from the previous rendering where one is given.
         warm_refresh: warm renderings in a row before everything is searched afresh.
+        empty_space: use a map of empty space where one is handed over (`EmptySpace`).
         grazing_floor: smallest |e . grad g| by which a gradient is divided, see `implicit`.
         batch: points handed to the field at once.
     """
@@ -48,6 +49,7 @@ class RenderSettings:
     sphere_chord_only: bool = False
     warm_start: bool = True
     warm_refresh: int = 20
+    empty_space: bool = True
     grazing_floor: float = 0.05
     batch: int = 4096
 
@@ -71,6 +73,7 @@ PAPER = RenderSettings(
     max_iterations=30,
     grazing_floor=0.0,
     warm_start=False,
+    empty_space=False,
     batch=16384,
 )
 STANDARD = RenderSettings()
@@ -84,6 +87,7 @@ REFERENCE = RenderSettings(
     max_iterations=80,
     box_margin_m=0.3,
     warm_start=False,
+    empty_space=False,
     grazing_floor=0.0,
 )
 PRESETS: dict[str, RenderSettings] = {

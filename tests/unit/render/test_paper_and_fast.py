@@ -58,7 +58,7 @@ def published(real_data: Callable[[str], Path]) -> tuple[Field, Field, Frame]:
 def test_on_a_published_decoder(published: tuple[Field, Field, Frame]) -> None:
     field32, field64, frame = published
     x, y, z = THETA[:3].tolist()
-    beams = Beams.from_arrays(*sector_scan((x, y, z), half_angle_rad=0.19, rays=26, dtype=np.float32))
+    beams = Beams.from_arrays(*sector_scan((x, y, z), half_angle_rad=0.17, rays=20, dtype=np.float32))
     with torch.no_grad():
         fast = render(beams, field32, THETA, frame, preset("standard"))
         exact = render(beams, field64, THETA, frame, preset("reference").with_(step_m=0.02, max_step_m=0.1))

@@ -9,7 +9,7 @@ from analytic_fields import SHAPENET_FRAME, Frame, box, car, ground_scan, in_fra
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.geometry.se3 import object_from_scene, scene_R_object, scene_from_object
+from shift3d.geometry.se3 import object_from_scene, scene_from_object, scene_R_object
 from shift3d.render import Beams, RenderSettings, preset, render
 
 EXACT = preset("reference").with_(step_m=0.02)

@@ -16,7 +16,7 @@ def scan() -> Beams:
 def same(a: Rendering, b: Rendering) -> None:
     # At the limb a followed hit may sit on a chord below the 2 cm that a fresh march is sure to find.
     differs = (a.hit_mask ^ b.hit_mask) | ((a.range_m - b.range_m).abs() > 1e-3)
-    assert int(differs.sum()) <= 0.002 * b.object_points
+    assert int(differs.sum()) <= 0.003 * b.object_points
 
 
 def test_the_same_again_costs_a_tenth() -> None:
