@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import cos, pi
 from pathlib import Path
@@ -37,8 +38,8 @@ class Recipe:
     crops; batch: crops a step; rim_cells: anchors so close to a crop's edge are not trained.
     """
 
-    steps: int = 7500
-    mesh_only_steps: int = 3000
+    steps: int = 7000
+    mesh_only_steps: int = 2700
     inserted_share: float = 0.5
     mesh_scenes: int = 400
     inserted_scenes: int = 240
@@ -93,8 +94,10 @@ def train_on_scenes(
     net.train()
     end = recipe.steps if stop_after is None else min(recipe.steps, stop_after)
     smoothed: dict[str, float] = {}
-    for step in tqdm(range(done, end), initial=done, total=recipe.steps, desc="pointpillars", mininterval=5.0):
-        parts = _train_step(net, optimiser, recipe, step, mesh_scenes, inserted_scenes)
+    batches = _batches(net, recipe, range(done, end), mesh_scenes, inserted_scenes)
+    progress = tqdm(batches, initial=done, total=recipe.steps, desc="pointpillars", mininterval=5.0)
+    for step, crops, targets in progress:
+        parts = _train_step(net, optimiser, recipe, step, crops, targets)
         for name, value in parts.items():
             smoothed[name] = value if name not in smoothed else 0.98 * smoothed[name] + 0.02 * value
         if (step + 1) % checkpoint_every == 0 or step + 1 == end:
@@ -110,11 +113,9 @@ def _train_step(
     optimiser: torch.optim.Optimizer,
     recipe: Recipe,
     step: int,
-    mesh_scenes: Sequence[Path],
-    inserted_scenes: Sequence[Path],
+    crops: list[Crop],
+    targets: list[Targets],
 ) -> dict[str, float]:
-    crops = [_crop(net, recipe, step, slot, mesh_scenes, inserted_scenes) for slot in range(recipe.batch)]
-    targets = [_targets(net, crop, recipe.rim_cells) for crop in crops]
     rate, momentum = one_cycle(step, recipe)
     for group in optimiser.param_groups:
         group["lr"], group["betas"] = rate, (momentum, 0.99)
@@ -128,6 +129,24 @@ def _train_step(
     torch.nn.utils.clip_grad_norm_(net.parameters(), recipe.clip_norm)
     optimiser.step()
     return parts
+
+
+def _batches(
+    net: PointPillarsNet, recipe: Recipe, steps: range, mesh: Sequence[Path], inserted: Sequence[Path]
+) -> Iterator[tuple[int, list[Crop], list[Targets]]]:
+    """Crops and targets of each step, the next ones made in a thread while the network computes."""
+
+    def prepare(step: int) -> tuple[int, list[Crop], list[Targets]]:
+        crops = [_crop(net, recipe, step, slot, mesh, inserted) for slot in range(recipe.batch)]
+        return step, crops, [_targets(net, crop, recipe.rim_cells) for crop in crops]
+
+    with ThreadPoolExecutor(1) as worker:
+        coming = [worker.submit(prepare, step) for step in steps[:1]]
+        for step in steps:
+            batch = coming.pop().result()
+            if step + 1 in steps:
+                coming.append(worker.submit(prepare, step + 1))
+            yield batch
 
 
 def _crop(
