@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from shift3d.sdf.decoder import Decoder
 
 BASELINES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
+CODE_LENGTH = 256
 DEFAULT_VEHICLES = Path(__file__).parent.parent / "weights" / "vehicles.safetensors"
 
 
@@ -78,6 +79,17 @@ def _described(metadata: dict[str, str], key: str, source: Path) -> dict[str, di
     return described
 
 
+def _tensor(
+    tensors: dict[str, NDArray[np.float32]], name: str, shape: tuple[int, ...], source: Path
+) -> NDArray[np.float32]:
+    if name not in tensors:
+        raise InputError(f"tensor {name} is missing", where=str(source), remedy=f"expected shape {shape}")
+    if tensors[name].shape != shape or not np.isfinite(tensors[name]).all():
+        what = f"tensor {name} has shape {tensors[name].shape} or values that are not finite"
+        raise InputError(what, where=str(source), remedy=f"expected finite values of shape {shape}")
+    return tensors[name].astype(np.float32)
+
+
 def baseline_vehicles(path: Path | str | None = None) -> dict[str, Vehicle]:
     """The five baselines by name: coupe, sports_car, suv, convertible, beach_wagon.
 
@@ -86,14 +98,12 @@ def baseline_vehicles(path: Path | str | None = None) -> dict[str, Vehicle]:
     tensors, metadata, source = _read(path)
     vehicles = {}
     for name, facts in _described(metadata, "baselines", source).items():
-        key = f"{name}.latent_code"
-        if key not in tensors or not np.isfinite(tensors[key]).all():
-            raise InputError(f"tensor {key} is missing or not finite", where=str(source), remedy="copy it again")
+        code = _tensor(tensors, f"{name}.latent_code", (CODE_LENGTH,), source)
         size = np.asarray(facts["size_m"], np.float64)
         vehicles[name] = Vehicle(
             name=name,
             body_type=str(facts["body_type"]),
-            latent_code=tensors[key].astype(np.float32),
+            latent_code=code,
             scale_m=float(str(facts["scale_m"])),
             sdf_R_object=np.asarray(facts["sdf_R_object"], np.float64),
             sdf_t_object=np.asarray(facts["sdf_t_object"], np.float64),
@@ -110,13 +120,15 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
     """
     tensors, metadata, source = _read(path)
     facts = _described(metadata, "family", source)
-    codes, scales, sizes = tensors["family.codes"], tensors["family.scale_m"], tensors["family.size_m"]
-    types = list(facts["body_types"])
+    types = [str(body_type) for body_type in np.asarray(facts["body_types"])]
+    codes = _tensor(tensors, "family.codes", (len(types), CODE_LENGTH), source)
+    scales = _tensor(tensors, "family.scale_m", (len(types),), source)
+    sizes = _tensor(tensors, "family.size_m", (len(types), 3), source)
     return [
         Vehicle(
             name=f"{body_type}_{index}",
             body_type=body_type,
-            latent_code=codes[index].astype(np.float32),
+            latent_code=codes[index],
             scale_m=float(scales[index]),
             sdf_R_object=np.eye(3),
             sdf_t_object=np.zeros(3),

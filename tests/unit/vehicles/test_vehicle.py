@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from safetensors.numpy import save_file
 
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder, load_decoder
@@ -88,6 +89,11 @@ def test_family_codes_carry_scale_and_size(decoder: Decoder) -> None:
 def test_missing_or_broken_files_name_themselves(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.safetensors"):
         baseline_vehicles(tmp_path / "none.safetensors")
+    save_file(
+        {"suv.latent_code": np.zeros(7, np.float32)}, tmp_path / "short.safetensors", {"baselines": '{"suv": {}}'}
+    )
+    with pytest.raises(InputError, match=r"short.*suv.latent_code.*\(7,\)"):
+        baseline_vehicles(tmp_path / "short.safetensors")
     (tmp_path / "bad.safetensors").write_bytes(b"12345")
     with pytest.raises(InputError, match=r"bad\.safetensors"):
         family_vehicles(tmp_path / "bad.safetensors")
