@@ -55,7 +55,7 @@ def random_pose(
     sdf = problem.field_of(problem.code0.detach())
     for _ in range(attempts):
         theta = settled(_draw_pose(problem.theta0, rng, limits), problem, metric, limits)
-        held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.constraints)
+        held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.limits)
         if not (held.overlap_ok and held.contact_ok):
             continue
         with torch.no_grad():
@@ -63,7 +63,7 @@ def random_pose(
         held = replace(
             held,
             object_points=rendering.object_points,
-            points_ok=rendering.object_points >= problem.constraints.min_object_points,
+            points_ok=rendering.object_points >= problem.limits.min_object_points,
         )
         if held.valid:
             return theta, held

@@ -47,10 +47,11 @@ def descend(
     """
     variable = search.start.detach().clone().requires_grad_()
     trace: list[StepRecord] = []
-    best_step, best_loss, best = 0, float("inf"), search.start.detach().clone()
+    best_step, best_loss, best = 0, float("inf"), search.parameters(search.start.detach())
     status, warm = "no_valid_step", None
     for step in range(steps + 1):
-        measurement = measure(problem, *search.parameters(variable), warm)
+        code, theta = search.parameters(variable)
+        measurement = measure(problem, code, theta, warm)
         warm = measurement.rendering.warm
         loss = measurement.adversarial + search.penalty(variable)
         gradient, milliseconds = _gradient(loss, variable) if step < steps else (None, 0.0)
@@ -59,7 +60,7 @@ def descend(
         if on_step is not None:
             on_step(record)
         if step > 0 and record.valid and record.loss < best_loss:
-            best_step, best_loss, best, status = step, record.loss, variable.detach().clone(), "ok"
+            best_step, best_loss, best, status = step, record.loss, (code, theta), "ok"
         if gradient is None:
             break
         moved = search.project(variable.detach() - alpha * gradient)
@@ -67,8 +68,8 @@ def descend(
             status = "diverged"
             break
         variable = moved.requires_grad_()
-    code, theta = search.parameters(best)
-    return AttackResult(search.mode, code.detach(), theta.detach(), best_step, status, tuple(trace))
+    code, theta = (part.detach().clone() for part in best)
+    return AttackResult(search.mode, code, theta, best_step, status, tuple(trace))
 
 
 def _gradient(loss: Tensor, variable: Tensor) -> tuple[Tensor, float]:

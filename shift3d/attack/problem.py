@@ -35,6 +35,9 @@ class AttackProblem:
     beams: of the scene without the object. ground_z_m: the scene's. field_of: latent code (d,) -> field, such
     as `Decoder.field`. vehicle: frame and size. detector: attacked. theta0: (6,) float64 start pose. code0: (d,)
     start code, dtype of the decoder. constraints, settings: see there. travel_m: how far the object may move.
+    kept_share: share of `constraints.min_object_points` that must remain during an attack. The rule is there to
+    keep out objects that the scene hides; a shape that shrinks or a pose that backs away loses points without
+    being hidden. Our choice: the paper is silent.
     space: `EmptySpace.of` the field of code0, where one is at hand: makes renderings of code0 cheaper.
     """
 
@@ -48,6 +51,7 @@ class AttackProblem:
     constraints: Constraints = PAPER_CONSTRAINTS
     settings: RenderSettings = STANDARD
     travel_m: float = 4.0
+    kept_share: float = 0.5
     space: EmptySpace | None = None
     _near: list[Tensor] = field(default_factory=list, repr=False)
 
@@ -59,6 +63,12 @@ class AttackProblem:
     def metric(self, code: Tensor) -> ObjectField:
         """The object's metric field for a code."""
         return ObjectField.of(self.field_of(code), self.vehicle, self.settings.dtype, self.settings.batch)
+
+    @property
+    def limits(self) -> Constraints:
+        """The constraints as they hold during an attack."""
+        kept = int(self.kept_share * self.constraints.min_object_points)
+        return replace(self.constraints, min_object_points=kept)
 
     def with_space(self) -> AttackProblem:
         """The same problem with a map of code0's empty space, where the settings use one."""
@@ -107,7 +117,7 @@ def measure(problem: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart
     score = proposal_score(proposals, box)
     detected = time.perf_counter()
     metric = ObjectField.of(sdf, problem.vehicle, problem.settings.dtype, problem.settings.batch)
-    held = check(metric, problem.points_near(), theta, problem.size_m, rendering.object_points, problem.constraints)
+    held = check(metric, problem.points_near(), theta, problem.size_m, rendering.object_points, problem.limits)
     spent = {
         "render": 1e3 * (rendered - start),
         "detector": 1e3 * (detected - rendered),

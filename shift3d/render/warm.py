@@ -3,7 +3,7 @@
 Between two steps of an attack a surface moves by millimetres or centimetres. A beam that hit is followed by
 secant steps from its last range. A beam in free space is left alone while the surface cannot have come near: each
 carries its clearance (the lowest g of its last march, where that was not a hit) and a drift, the sum of how far the
-surface has moved since. For a moved pose the motion is known; for a moved shape it is measured, as the largest |g|
+surface has moved since. For a moved pose the motion is known; for a changed shape it is measured, as the largest |g|
 at last step's hits. A beam whose drift reaches half its clearance, or whose secant steps do not end on a surface
 that faces it, is marched again, and every `warm_refresh` renderings all are.
 
@@ -98,7 +98,8 @@ def warm_start(
     rows = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
     followed, residual, slope, g_start = _follow(state, rows, field, settings)
     reshaped_m = 0.0
-    if moved_m == 0 and len(rows):
+    if space is None and len(rows):
+        # A map vouches for an unchanged shape; without one, part of this may be the pose's own motion.
         reshaped_m = _MOTION_SAFETY * float(g_start.abs().max()) + _MOTION_FLOOR_M
     drift = state.drift_m + (moved_m + reshaped_m)
     box_drift = state.box_drift_m + reshaped_m
