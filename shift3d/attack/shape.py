@@ -12,13 +12,16 @@ from shift3d.attack.objective import latent_penalty
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 
+SETTLE_M = 0.15
+"""How far a shape's height may follow the ground, metres. Our choice, see `attack_shape`."""
+
 
 def attack_shape(
     problem: AttackProblem,
     lambda_: float,
     alpha: float = 0.01,
     steps: int = 40,
-    settle_m: float = 0.15,
+    settle_m: float = SETTLE_M,
     on_step: Callable[[StepRecord], None] | None = None,
 ) -> AttackResult:
     """min_z L_adv(z) + lambda ||z - z0||^2 at a fixed pose.

@@ -14,7 +14,7 @@ from shift3d.attack.placement import NoPlacement, Placement, PlacementLimits, pl
 from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
-from shift3d.attack.shape import attack_shape
+from shift3d.attack.shape import SETTLE_M, attack_shape, standing
 from shift3d.render.settings import STANDARD
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets, render_settings
@@ -120,7 +120,8 @@ def _candidates(spec: TaskSpec, problem: AttackProblem, rows: Rows) -> Iterator[
     for index in range(spec.attack.random_replicates):
         if spec.mode == "shape":
             radius = float((code.double() - problem.code0.double()).norm())
-            yield Candidate("random", index, random_code(problem.code0, radius, rng), problem.theta0)
+            drawn_code = random_code(problem.code0, radius, rng)
+            yield Candidate("random", index, drawn_code, standing(drawn_code, problem, SETTLE_M))
         elif (drawn := random_pose(problem, rng, _pose_limits(spec))) is not None:
             yield Candidate("random", index, problem.code0, drawn[0])
     yield Candidate("adversarial", 0, code, theta, found.best_step, found.status)
@@ -128,7 +129,7 @@ def _candidates(spec: TaskSpec, problem: AttackProblem, rows: Rows) -> Iterator[
         rng = generator("noise", spec.task_id)
         noisy = noise_codes(code, spec.attack.noise_sigma, spec.attack.noise_replicates, rng)
         for index, noisy_code in enumerate(noisy):
-            yield Candidate("adversarial_noise", index, noisy_code, theta)
+            yield Candidate("adversarial_noise", index, noisy_code, standing(noisy_code, problem, SETTLE_M))
 
 
 def _attack(spec: TaskSpec, problem: AttackProblem) -> AttackResult:
