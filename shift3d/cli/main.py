@@ -13,7 +13,7 @@ from shift3d.cli import evaluate, export, plan, sweep, train, ui
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
 
-__all__ = ["COMMANDS", "main", "make_parser"]
+__all__ = ["COMMANDS", "main", "make_parser", "parse"]
 
 COMMANDS: tuple[Command, ...] = (
     sweep.COMMAND,
@@ -64,16 +64,26 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code. An InputError becomes one line on stderr."""
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """Parse a command line. Words may stand on both sides of an option, which argparse alone does not allow."""
     parser = make_parser()
     if "_ARGCOMPLETE" in os.environ:
         import argcomplete
 
         argcomplete.autocomplete(parser)
-    parsed = parser.parse_args(arguments)
+    parsed, rest = parser.parse_known_args(arguments)
+    if any(word.startswith("-") for word in rest) or (rest and not hasattr(parsed, "words")):
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    if rest:
+        parsed.words = [*parsed.words, *rest]
+    return parsed
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code. An InputError becomes one line on stderr."""
+    parsed = parse(arguments)
     if parsed.command is None:
-        parser.print_help()
+        make_parser().print_help()
         return 0
     try:
         return int(parsed.run(parsed))

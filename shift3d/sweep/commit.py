@@ -18,12 +18,16 @@ class Committer:
 
     Args:
         log: the sweep's log. every_s: a commit takes place when this long has passed since the last one.
+
+    Attributes:
+        busy: an outcome is being taken in or committed; whoever interrupts then cannot know which.
     """
 
     def __init__(self, log: CommitLog, every_s: float) -> None:
         self._log = log
         self._every_s = every_s
         self._last = time.monotonic()
+        self.busy = False
         self._clear()
 
     def _clear(self) -> None:
@@ -37,11 +41,13 @@ class Committer:
         Raises:
             TakenOverError, InputError: see ``CommitLog.commit``.
         """
+        self.busy = True
         self._done += outcome.done
         self._quarantined += outcome.quarantined
         for name, table in outcome.tables.items():
             if table.num_rows:
                 self._tables[name].append(table)
+        self.busy = False
         if time.monotonic() - self._last >= self._every_s:
             self.flush()
 
@@ -51,5 +57,7 @@ class Committer:
         if not (self._done or self._quarantined or any(self._tables.values())):
             return
         tables = {name: pa.concat_tables(parts) for name, parts in self._tables.items() if parts}
+        self.busy = True
         self._log.commit(tuple(self._done), tuple(self._quarantined), tables)
         self._clear()
+        self.busy = False

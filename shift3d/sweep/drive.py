@@ -73,29 +73,48 @@ def run_sweep(plan: Plan, config: Config, kind: TaskKind, folder: Path) -> Sweep
 
 
 def _run(runner: Runner, left: list[PlannedTask], committer: Committer, progress: Progress) -> None:
-    with _stop_on_signals(progress) as stop:
+    with _stop_on_signals(committer, progress) as stop:
         try:
-            for outcome in runner.run(left, stop):
+            for outcome in runner.run(left, stop.first):
                 committer.add(outcome)
                 progress.update(len(outcome.done), len(outcome.quarantined))
                 if outcome.fatal:
                     committer.flush()
                     raise outcome.fatal
+                if stop.second.is_set():
+                    break
         except KeyboardInterrupt:
+            pass
+        if stop.second.is_set():
             progress.say("dropping the tasks in flight")
         committer.flush()
 
 
+@dataclass(frozen=True)
+class _Stop:
+    """first: give out no more tasks. second: do not wait for those in flight."""
+
+    first: threading.Event
+    second: threading.Event
+
+
 @contextlib.contextmanager
-def _stop_on_signals(progress: Progress) -> Iterator[threading.Event]:
-    """An event that the first SIGINT or SIGTERM sets; the second one raises KeyboardInterrupt."""
-    stop = threading.Event()
+def _stop_on_signals(committer: Committer, progress: Progress) -> Iterator[_Stop]:
+    """Events that the first and the second SIGINT or SIGTERM set.
+
+    The second one also raises KeyboardInterrupt, wherever that is: a task may take long. Only a commit is never
+    cut short, since nobody could say afterwards whether it took place.
+    """
+    stop = _Stop(threading.Event(), threading.Event())
 
     def handle(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-        progress.say("finishing the tasks in flight; again to drop them")
+        if not stop.first.is_set():
+            stop.first.set()
+            progress.say("finishing the tasks in flight; again to drop them")
+        elif not stop.second.is_set():
+            stop.second.set()
+            if not committer.busy:
+                raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():
         yield stop

@@ -132,7 +132,7 @@ def _params(record: SweepRecord) -> dict[str, str]:
         for key, value in values.items():
             if isinstance(value, Mapping):
                 walk(value, f"{prefix}{key}.")
-            else:
+            elif value is not None:
                 flat[f"{prefix}{key}"] = str(value)[:500]
 
     walk(record.settings, "")

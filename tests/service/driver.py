@@ -16,11 +16,11 @@ def main() -> int:
     from cheap_task import KIND
 
     from shift3d.cli import sweep
-    from shift3d.cli.main import make_parser
+    from shift3d.cli.main import parse
     from shift3d.errors import InputError
 
     try:
-        return sweep.run_with(make_parser().parse_args(sys.argv[1:]), KIND)
+        return sweep.run_with(parse(sys.argv[1:]), KIND)
     except InputError as error:
         print(f"shift3d sweep: {error}", file=sys.stderr)
         return int(getattr(error, "exit_code", 2))

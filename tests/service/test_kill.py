@@ -65,7 +65,7 @@ def test_interrupt_finishes_what_is_in_flight_and_says_how_to_resume(
 def test_second_interrupt_drops_what_is_in_flight(drivers: Drivers) -> None:
     driver = drivers.start("out", "runner=local", SHIFT3D_TEST_SECONDS="30")
     deadline = time.monotonic() + 30
-    while not list((drivers.folder / "out" / "_log").glob("*.json")):
+    while not list((drivers.folder / "out" / "_log").glob("[0-9]*.json")):
         assert time.monotonic() < deadline
         time.sleep(0.02)
     time.sleep(0.5)

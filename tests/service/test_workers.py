@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from drivers import Drivers
 
 
@@ -16,3 +18,15 @@ def test_an_unknown_name_is_one_line(drivers: Drivers) -> None:
     assert code == 2, (output, errors)
     assert "Did you mean 'suv'?" in errors and len(errors.strip().splitlines()) == 1
     assert not (drivers.folder / "out").exists()
+
+
+def test_one_task_of_a_plan_is_shown_and_nothing_is_written(drivers: Drivers, undisturbed_folder: Path) -> None:
+    task = drivers.committed(str(undisturbed_folder))[0]
+    code, output, errors = drivers.run("out", "--task", task[:12])
+    assert code == 0, errors
+    assert "adversarial_noise" in output and "milliseconds" in output
+    assert not (drivers.folder / "out").exists()
+    code, _, errors = drivers.run("out", "--task", "nothing")
+    assert code == 2 and "0 tasks have an id that begins with 'nothing'" in errors
+    code, _, errors = drivers.run("out", "--task", task, SHIFT3D_TEST_FAILS="coupe/street_000/shape")
+    assert code == 1 and "ArithmeticError" in errors, "a defect shows its traceback"

@@ -11,7 +11,7 @@ import pytest
 
 from shift3d.cli.command import key_values
 from shift3d.cli.completion import overrides, sweep_words
-from shift3d.cli.main import COMMANDS, main, make_parser
+from shift3d.cli.main import COMMANDS, main, make_parser, parse
 from shift3d.cli.sweep import split_words
 from shift3d.errors import InputError
 
@@ -69,6 +69,14 @@ def test_words_of_a_sweep() -> None:
     assert split_words(["kitti", "scenes.root=a=b", "out=c d"]) == ("kitti", ["scenes.root=a=b"], Path("c d"))
     assert split_words(["vehicle=suv"]) == ("default", ["vehicle=suv"], None)
     assert split_words(["+scenes.x=1"]) == ("default", ["+scenes.x=1"], None)
+
+
+def test_words_may_stand_on_both_sides_of_an_option() -> None:
+    parsed = parse(["sweep", "default", "a=1", "--task", "0f", "out=x"])
+    assert (parsed.words, parsed.task) == (["default", "a=1", "out=x"], "0f")
+    for wrong in (["sweep", "--tusk", "0f"], ["ui", "extra"]):
+        with pytest.raises(SystemExit):
+            parse(wrong)
 
 
 def test_key_values() -> None:
