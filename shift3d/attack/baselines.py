@@ -55,8 +55,8 @@ def random_pose(
     sdf = problem.field_of(problem.code0.detach())
     for _ in range(attempts):
         theta = settled(_draw_pose(problem.theta0, rng, limits), problem, metric, limits)
-        held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.limits)
-        if not (held.overlap_ok and held.contact_ok):
+        held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.limits, problem.others)
+        if not (held.overlap_ok and held.contact_ok and held.clear_ok):
             continue
         with torch.no_grad():
             rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings, space=problem.space)

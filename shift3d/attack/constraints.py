@@ -25,6 +25,9 @@ class Constraints:
         checked here.
     min_object_points: fewest returns on the object: "disallowing inserted objects that result in fewer than
         300 on-object points post rendering".
+    clear_m: how near the centre of another vehicle may be, in the ground plane. The paper counts any box within
+        5 m as a detection of the object, so a neighbour nearer than that would be taken for it, whatever
+        becomes of the object. Our choice: the paper is silent.
 
     Source: SHIFT3D, Realism Constraints on Object Pose and Hyper-parameters.
     """
@@ -32,6 +35,7 @@ class Constraints:
     overlap_m: float = 0.02
     contact_m: float = 0.02
     min_object_points: int = 300
+    clear_m: float = 6.0
 
 
 PAPER_CONSTRAINTS = Constraints()
@@ -52,11 +56,12 @@ class ConstraintCheck:
     overlap_ok: bool
     contact_ok: bool
     points_ok: bool
+    clear_ok: bool = True
 
     @property
     def valid(self) -> bool:
         """All constraints hold."""
-        return self.overlap_ok and self.contact_ok and self.points_ok
+        return self.overlap_ok and self.contact_ok and self.points_ok and self.clear_ok
 
 
 def points_near(beams: Beams, theta: Tensor, radius_m: float) -> Tensor:
@@ -88,6 +93,7 @@ def check(
     size_m: Tensor,
     object_points: int,
     limits: Constraints,
+    others: Tensor | None = None,
 ) -> ConstraintCheck:
     """Hold one object against the limits.
 
@@ -97,6 +103,7 @@ def check(
         theta: (6,) pose.
         size_m: (3,) size of the baseline's box.
         object_points: returns on the object after rendering.
+        others: (M, 2) centres of other vehicles, scene frame, metres.
     """
     metric = distances(field, points, theta, size_m)
     deepest = float(metric.min()) if len(metric) else float("inf")
@@ -108,7 +115,15 @@ def check(
         deepest >= -limits.overlap_m,
         nearest <= limits.contact_m,
         object_points >= limits.min_object_points,
+        is_clear(theta, others, limits.clear_m),
     )
+
+
+def is_clear(theta: Tensor, others: Tensor | None, clear_m: float) -> bool:
+    """Whether no other vehicle's centre (M, 2) is within clear_m of the object's, in the ground plane."""
+    if others is None or len(others) == 0:
+        return True
+    return bool(((others - theta[:2].detach().to(others)).norm(dim=-1) > clear_m).all())
 
 
 def settle(

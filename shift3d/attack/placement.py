@@ -10,7 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import PAPER_CONSTRAINTS, ConstraintCheck, Constraints, check, points_near, settle
+from shift3d.attack.constraints import (
+    PAPER_CONSTRAINTS,
+    ConstraintCheck,
+    Constraints,
+    check,
+    is_clear,
+    points_near,
+    settle,
+)
 from shift3d.attack.ground import fit_ground
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.beams import Beams
@@ -82,6 +90,7 @@ def place(
     limits: PlacementLimits = ANYWHERE,
     constraints: Constraints = PAPER_CONSTRAINTS,
     settings: RenderSettings = STANDARD,
+    others: Tensor | None = None,
     space: EmptySpace | None = None,
 ) -> Placement | NoPlacement:
     """A random place that satisfies every constraint.
@@ -92,6 +101,7 @@ def place(
     Where far places keep failing for want of points (300 returns at 35 m do not exist with 64 beams), the range is
     drawn nearer: after each quarter of the attempts the interval beyond min_range_m is halved.
 
+    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of; `space` a map of this field.
     Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
     metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
@@ -100,6 +110,9 @@ def place(
     rejected: Counter[str] = Counter()
     for attempt in range(1, limits.attempts + 1):
         draw = _draw(rng, limits, attempt)
+        if not is_clear(torch.tensor(draw), others, constraints.clear_m):
+            rejected["neighbour"] += 1
+            continue
         outcome = _try_place(draw, beams, carried, ground_z_m, metric, size, constraints)
         if isinstance(outcome, str):
             rejected[outcome] += 1

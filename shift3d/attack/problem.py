@@ -32,13 +32,19 @@ from shift3d.render.warm import WarmStart
 class AttackProblem:
     """What stays fixed during an attack.
 
-    beams: of the scene without the object. ground_z_m: the scene's. field_of: latent code (d,) -> field, such
-    as `Decoder.field`. vehicle: frame and size. detector: attacked. theta0: (6,) float64 start pose. code0: (d,)
-    start code, dtype of the decoder. constraints, settings: see there. travel_m: how far the object may move.
-    kept_share: share of `constraints.min_object_points` that must remain during an attack. The rule is there to
-    keep out objects that the scene hides; a shape that shrinks or a pose that backs away loses points without
-    being hidden. Our choice: the paper is silent.
-    space: `EmptySpace.of` the field of code0, where one is at hand: makes renderings of code0 cheaper.
+    Attributes:
+        beams: of the scene without the object. ground_z_m: the scene's.
+        field_of: latent code (d,) -> field, such as `Decoder.field`.
+        vehicle: frame and size.
+        detector: attacked.
+        theta0: (6,) float64 start pose. code0: (d,) start code, dtype of the decoder.
+        constraints, settings: see there.
+        travel_m: how far the object may move.
+        kept_share: share of `constraints.min_object_points` that must remain during an attack. The rule is there
+            to keep out objects that the scene hides; a shape that shrinks or a pose that backs away loses points
+            without being hidden. Our choice: the paper is silent.
+        others: (M, 2) centres of the scene's own vehicles, to stay clear of.
+        space: `EmptySpace.of` the field of code0, where one is at hand: renderings of code0 get cheaper.
     """
 
     beams: Beams
@@ -52,6 +58,7 @@ class AttackProblem:
     settings: RenderSettings = STANDARD
     travel_m: float = 4.0
     kept_share: float = 0.5
+    others: Tensor | None = None
     space: EmptySpace | None = None
     _near: list[Tensor] = field(default_factory=list, repr=False)
 
@@ -117,7 +124,9 @@ def measure(problem: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart
     score = proposal_score(proposals, box)
     detected = time.perf_counter()
     metric = ObjectField.of(sdf, problem.vehicle, problem.settings.dtype, problem.settings.batch)
-    held = check(metric, problem.points_near(), theta, problem.size_m, rendering.object_points, problem.limits)
+    held = check(
+        metric, problem.points_near(), theta, problem.size_m, rendering.object_points, problem.limits, problem.others
+    )
     spent = {
         "render": 1e3 * (rendered - start),
         "detector": 1e3 * (detected - rendered),

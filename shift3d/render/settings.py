@@ -45,7 +45,7 @@ class RenderSettings:
     step_safety: float = 0.9
     tolerance_m: float = 1e-5
     max_iterations: int = 40
-    box_margin_m: float = 0.10
+    box_margin_m: float = 0.05
     sphere_chord_only: bool = False
     warm_start: bool = True
     warm_refresh: int = 20
