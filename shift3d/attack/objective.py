@@ -12,13 +12,19 @@ from shift3d.geometry.iou import iou_bev
 DETECTION_RADIUS_M = 5.0
 """A box detects the object if its centre is nearer than this. Source: SHIFT3D, Evaluation Metrics."""
 
-WINDOW_RADIUS_M = 12.0
-"""Radius of the detector's window around the object, for attack and scoring alike.
+ATTACK_RADIUS_M = 8.0
+"""Radius of the detector's window for the loss: anchors this near the object's centre are proposals of the loss.
 
-It holds every anchor whose box can overlap the object (the loss is exact), every box whose centre lies within
-5 m, and every box that can suppress one of these (a suppressing box overlaps, so its centre is nearer than 5 m
-plus one box diagonal). Not held: a box beyond 12 m that suppresses a suppressor. Our choice; scoring at
-`reference` accuracy uses the whole scene.
+A box from an anchor farther off would have to be displaced by more than 3 m to touch a car at the centre. Our choice:
+the paper is silent on where proposals end.
+"""
+
+SCORE_RADIUS_M = 12.0
+"""Radius of the detector's window for scoring.
+
+It holds every box whose centre lies within 5 m, and every box that can suppress one of these (a suppressing box
+overlaps, so its centre is nearer than 5 m plus one box diagonal). Not held: a box beyond 12 m that suppresses a
+suppressor. Our choice: the paper scores the whole scene.
 """
 
 
@@ -81,7 +87,7 @@ def proposal_score(proposals: Proposals, box: np.ndarray, radius_m: float = DETE
     return float(torch.sigmoid(proposals.logits.detach()[torch.from_numpy(near)].max())) if near.any() else 0.0
 
 
-def window_around(detector: Detector, theta: Tensor, extra_m: float = 0.0) -> BevWindow:
-    """The detector's exact window around an object; extra_m where the object may still move."""
+def window_around(detector: Detector, theta: Tensor, radius_m: float) -> BevWindow:
+    """The detector's exact window around an object at pose theta (6,)."""
     x, y = (float(value) for value in theta.detach()[:2])
-    return detector.window_for((x, y), WINDOW_RADIUS_M + extra_m)
+    return detector.window_for((x, y), radius_m)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from shift3d.attack.constraints import PAPER_CONSTRAINTS, ConstraintCheck, Constraints, check, points_near
 from shift3d.attack.objective import (
+    ATTACK_RADIUS_M,
     adversarial_loss,
     object_box,
     proposal_score,
@@ -118,7 +119,7 @@ def measure(problem: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart
     rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings, warm, problem.space_for(code))
     rendered = time.perf_counter()
     points = to_network_frame(rendering.points, problem.ground_z_m)
-    proposals = problem.detector.proposals(points, window_around(problem.detector, theta))
+    proposals = problem.detector.proposals(points, window_around(problem.detector, theta, ATTACK_RADIUS_M))
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
     loss = adversarial_loss(proposals, box)
     score = proposal_score(proposals, box)

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from shift3d.attack.objective import detection_score, object_box, to_network_frame, window_around
+from shift3d.attack.objective import (
+    SCORE_RADIUS_M,
+    detection_score,
+    object_box,
+    to_network_frame,
+    window_around,
+)
 from shift3d.attack.problem import AttackProblem, Measurement, measure
 
 # Scores below this count as 0: their boxes are not even candidates for suppression. Recall curves are drawn
@@ -52,7 +58,7 @@ def score_object(problem: AttackProblem, code: Tensor, theta: Tensor, radius_m: 
         start = time.perf_counter()
         points = to_network_frame(measurement.rendering.points, problem.ground_z_m)
         box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
-        window = window_around(problem.detector, theta)
+        window = window_around(problem.detector, theta, SCORE_RADIUS_M)
         detections = problem.detector.detect(points, window, score_threshold=SCORE_FLOOR)
         score = detection_score(detections, box, radius_m)
     spent = dict(measurement.milliseconds)
