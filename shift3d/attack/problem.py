@@ -19,7 +19,7 @@ from shift3d.attack.objective import (
     to_network_frame,
     window_around,
 )
-from shift3d.detectors.base import Detector
+from shift3d.detectors.base import Detector, Proposals
 from shift3d.render.beams import Beams
 from shift3d.render.empty_space import EmptySpace
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
@@ -100,17 +100,29 @@ class AttackProblem:
 
 @dataclass(frozen=True)
 class Measurement:
-    """The loss of one code and pose. `adversarial` carries the graph back to both."""
+    """The loss of one code and pose. `adversarial` carries the graph back to both.
+
+    proposals: that the loss was taken over. proposal_score: the best of them near the object, before suppression.
+    """
 
     adversarial: Tensor
+    proposals: Proposals
     proposal_score: float
     rendering: Rendering
     check: ConstraintCheck
     milliseconds: dict[str, float]
 
 
-def measure(problem: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart | None = None) -> Measurement:
+def measure(
+    problem: AttackProblem,
+    code: Tensor,
+    theta: Tensor,
+    warm: WarmStart | None = None,
+    radius_m: float = ATTACK_RADIUS_M,
+) -> Measurement:
     """Render, detect, and check the constraints.
+
+    radius_m: how far around the object proposals are looked at.
 
     Differentiable w.r.t. code and theta, through `adversarial`. Source: SHIFT3D, Algorithm 1.
     """
@@ -119,7 +131,7 @@ def measure(problem: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart
     rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings, warm, problem.space_for(code))
     rendered = time.perf_counter()
     points = to_network_frame(rendering.points, problem.ground_z_m)
-    proposals = problem.detector.proposals(points, window_around(problem.detector, theta, ATTACK_RADIUS_M))
+    proposals = problem.detector.proposals(points, window_around(problem.detector, theta, radius_m))
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
     loss = adversarial_loss(proposals, box)
     score = proposal_score(proposals, box)
@@ -133,4 +145,4 @@ def measure(problem: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart
         "detector": 1e3 * (detected - rendered),
         "constraints": 1e3 * (time.perf_counter() - detected),
     }
-    return Measurement(loss, score, rendering, held, spent)
+    return Measurement(loss, proposals, score, rendering, held, spent)

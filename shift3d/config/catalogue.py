@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 __all__ = ["Catalogue", "SceneEntry", "accuracy_settings", "read_catalogue", "scene_set", "weights_file"]
 
 
+# Precision of the detector while it is descended; what was found is scored in float32 or better whatever this
+# says. bfloat16 changes the direction of a step and nothing that is reported.
+_SEARCH_PRECISION = {"draft": "bfloat16", "standard": "bfloat16", "paper": "float32", "reference": "float64"}
+
+
 @dataclass(frozen=True)
 class SceneEntry:
     """One scene: its name in the set, its data set, and the hash of its content."""
@@ -69,7 +74,10 @@ def weights_file(name: str, override: str | None) -> Path:
 
 
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
-    """Every renderer setting behind a preset, with its changes, as plain values (dtypes by name)."""
+    """Every setting behind a preset, with its changes, as plain values (dtypes by name).
+
+    ``detector`` is the precision of the detector inside the search, the others are the renderer's.
+    """
     from dataclasses import asdict
 
     import torch
@@ -94,7 +102,7 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
                 remedy=f"Give a {kind}, as {settings[name]!r}",
             )
         settings[name] = type(settings[name])(value)
-    return settings
+    return settings | {"detector": config.detector or _SEARCH_PRECISION[config.name]}
 
 
 def read_catalogue(config: Config) -> Catalogue:

@@ -95,9 +95,13 @@ class AttackConfig(_Record):
 
 
 class AccuracyConfig(_Record):
-    """A preset, and the renderer's settings that differ from it (None: as the preset has it)."""
+    """A preset, and the settings that differ from it (None: as the preset has it).
+
+    detector: precision of the detector inside the search; what is found is scored in float32 or better.
+    """
 
     name: Literal["draft", "standard", "paper", "reference"]
+    detector: Literal["bfloat16", "float32", "float64"] | None = None
     render: dict[str, bool | int | float | str | None]
 
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
+from shift3d.detectors.base import Detections, Proposals
 from shift3d.geometry.iou import iou_bev
 
-__all__ = ["rotated_nms"]
+__all__ = ["rotated_nms", "suppress"]
+
+MAX_BEFORE_NMS = 4096
 
 Array = npt.NDArray[np.float64]
 
@@ -37,3 +41,16 @@ def rotated_nms(boxes: Array, scores: Array, iou_threshold: float, max_kept: int
             overlap = iou_bev(ordered[index : index + 1], ordered[near])[0]
             alive[near[overlap > iou_threshold]] = False
     return order[np.asarray(kept, dtype=np.int64)]
+
+
+def suppress(proposals: Proposals, score_threshold: float, iou_threshold: float) -> Detections:
+    """Proposals to boxes: those with at least score_threshold, best first, without the overlapping ones.
+
+    At most MAX_BEFORE_NMS go in. Not differentiable. Source: the public Waymo config.
+    """
+    scores = torch.sigmoid(proposals.logits.detach()).double().numpy()
+    candidates = np.flatnonzero(scores >= score_threshold)
+    candidates = candidates[np.argsort(-scores[candidates], kind="stable")[:MAX_BEFORE_NMS]]
+    boxes = proposals.boxes.detach().double().numpy()[candidates]
+    kept = rotated_nms(boxes, scores[candidates], iou_threshold)
+    return Detections(boxes[kept], scores[candidates][kept])

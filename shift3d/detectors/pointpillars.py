@@ -6,7 +6,6 @@ import copy
 from math import ceil, floor
 from typing import Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,13 +14,12 @@ from shift3d.detectors.base import BevWindow, Detections, Proposals
 from shift3d.detectors.box_coding import decode_boxes
 from shift3d.detectors.grid import full_window
 from shift3d.detectors.network import PointPillarsNet, core_in_window, fold_batch_norms
-from shift3d.detectors.nms import rotated_nms
+from shift3d.detectors.nms import suppress
 from shift3d.errors import InputError
 
 __all__ = ["PointPillars"]
 
 Precision = Literal["float32", "bfloat16", "float64"]
-MAX_BEFORE_NMS = 4096
 
 
 class PointPillars:
@@ -115,10 +113,4 @@ class PointPillars:
         """
         with torch.no_grad():
             found = self.proposals(points, window)
-            scores = torch.sigmoid(found.logits).double().numpy()
-        candidates = np.flatnonzero(scores >= score_threshold)
-        best = np.argsort(-scores[candidates], kind="stable")[:MAX_BEFORE_NMS]
-        candidates = candidates[best]
-        boxes = found.boxes.double().numpy()[candidates]
-        kept = rotated_nms(boxes, scores[candidates], iou_threshold)
-        return Detections(boxes[kept], scores[candidates][kept])
+        return suppress(found, score_threshold, iou_threshold)

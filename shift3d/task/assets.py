@@ -63,12 +63,11 @@ class Assets:
             self._decoders[dtype] = self.decoder if same else copy.deepcopy(self.decoder).to(dtype)
         return self._decoders[dtype]
 
-    def detector_of(self, dtype: torch.dtype) -> Detector:
-        """The detector at the renderer's precision."""
-        name = "float64" if dtype == torch.float64 else "float32"
-        if name not in self._detectors:
-            self._detectors[name] = load_detector(self.detector_name, self.detector_weights, name)  # type: ignore[arg-type]
-        return self._detectors[name]
+    def detector_of(self, precision: str) -> Detector:
+        """The detector with its arithmetic in a precision: bfloat16, float32 or float64."""
+        if precision not in self._detectors:
+            self._detectors[precision] = load_detector(self.detector_name, self.detector_weights, precision)  # type: ignore[arg-type]
+        return self._detectors[precision]
 
     def vehicle(self, name: str) -> Vehicle:
         """A vehicle by name. Raises InputError for an unknown one."""
@@ -100,10 +99,20 @@ def _scene_config(values: Mapping[str, Any]) -> StreetConfig | KittiConfig:
 
 def render_settings(spec: TaskSpec) -> RenderSettings:
     """The renderer's settings that a task states in plain values."""
-    values = dict(spec.accuracy_settings)
+    values = {name: value for name, value in spec.accuracy_settings.items() if name != "detector"}
     if values.get("dtype") not in _DTYPES:
         raise InputError(
             f"accuracy.render.dtype is {values.get('dtype')!r}", f"task {spec.task_id}", "float32 or float64"
         )
     values["dtype"] = _DTYPES[values["dtype"]]
     return RenderSettings(**values)
+
+
+def search_precision(spec: TaskSpec) -> str:
+    """Precision of the detector while it is descended."""
+    return str(spec.accuracy_settings.get("detector", "float32"))
+
+
+def score_precision(spec: TaskSpec) -> str:
+    """Precision of the detector that scores: float32, or float64 where the search has it too."""
+    return "float64" if search_precision(spec) == "float64" else "float32"

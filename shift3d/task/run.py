@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -15,9 +16,11 @@ from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import SETTLE_M, attack_shape, standing
+from shift3d.detectors.base import Detector
 from shift3d.render.settings import STANDARD
+from shift3d.scenes.scene import Scene
 from shift3d.seeding import generator
-from shift3d.task.assets import Assets, load_assets, render_settings
+from shift3d.task.assets import Assets, load_assets, render_settings, score_precision, search_precision
 from shift3d.task.rows import Rows
 from shift3d.task.scoring import Candidate, score_object
 from shift3d.task.spec import TaskResult, TaskSpec
@@ -44,7 +47,8 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
             rows.skip(method, replicate, "no_placement")
     else:
         problem = build_problem(spec, assets, placement.theta)
-        for candidate in _candidates(spec, problem, rows):
+        searched = assets.detector_of(search_precision(spec))
+        for candidate in _candidates(spec, problem, searched, rows):
             scored = score_object(problem, candidate.code, candidate.theta, spec.attack.detection_radius_m)
             rows.add(candidate, problem.code0, scored)
         for method, replicate in _planned(spec):
@@ -79,11 +83,12 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     # accuracies could no longer be compared object by object.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", spec.placement_seed)
-    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, _constraints(spec), STANDARD)
+    constraints, others = _constraints(spec), _other_vehicles(scene)
+    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others)
 
 
 def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:
-    """The task's vehicle, placed at ``theta`` (6,), before its detector.
+    """The task's vehicle, placed at ``theta`` (6,), before the detector that scores it.
 
     Raises:
         InputError: a scene or vehicle that cannot be loaded.
@@ -96,12 +101,13 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProble
         ground_z_m=scene.ground_z_m,
         field_of=assets.decoder_of(settings.dtype).field,
         vehicle=vehicle,
-        detector=assets.detector_of(settings.dtype),
+        detector=assets.detector_of(score_precision(spec)),
         theta0=theta,
         code0=torch.from_numpy(vehicle.latent_code).to(settings.dtype),
         constraints=_constraints(spec),
         settings=settings,
         travel_m=spec.attack.max_shift_m,
+        others=_other_vehicles(scene),
     )
 
 
@@ -110,10 +116,18 @@ def _constraints(spec: TaskSpec) -> Constraints:
     return Constraints(where.overlap_m, where.contact_m, where.min_object_points)
 
 
-def _candidates(spec: TaskSpec, problem: AttackProblem, rows: Rows) -> Iterator[Candidate]:
-    """Baseline, random, adversarial and its noisy copies, in the order of the tables."""
+def _other_vehicles(scene: Scene) -> Tensor:
+    """(M, 2) centres of the scene's own vehicles: a box of theirs near the object would pass for a detection of it."""
+    return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())
+
+
+def _candidates(spec: TaskSpec, problem: AttackProblem, searched: Detector, rows: Rows) -> Iterator[Candidate]:
+    """Baseline, random, adversarial and its noisy copies, in the order of the tables.
+
+    searched: the detector at the precision that is descended.
+    """
     yield Candidate("baseline", 0, problem.code0, problem.theta0, best_step=0)
-    found = _attack(spec, problem)
+    found = _attack(spec, replace(problem, detector=searched))
     rows.attack(found)
     code, theta = found.latent_code, found.theta
     rng = generator("random", spec.task_id)

@@ -8,18 +8,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from shift3d.attack.objective import (
-    SCORE_RADIUS_M,
-    detection_score,
-    object_box,
-    to_network_frame,
-    window_around,
-)
+from shift3d.attack.objective import SCORE_RADIUS_M, detection_score, object_box
 from shift3d.attack.problem import AttackProblem, Measurement, measure
+from shift3d.detectors.nms import suppress
 
 # Scores below this count as 0: their boxes are not even candidates for suppression. Recall curves are drawn
 # over [0, 1], so that the detector's own cut-off for display (0.1) would put a step into them. Our choice.
 SCORE_FLOOR = 0.01
+# Of suppression. Source: the public Waymo config.
+SUPPRESSION_IOU = 0.25
 
 
 @dataclass(frozen=True)
@@ -54,12 +51,10 @@ def score_object(problem: AttackProblem, code: Tensor, theta: Tensor, radius_m: 
     Source: SHIFT3D, Evaluation Metrics.
     """
     with torch.no_grad():
-        measurement = measure(problem, code, theta)
+        measurement = measure(problem, code, theta, radius_m=SCORE_RADIUS_M)
         start = time.perf_counter()
-        points = to_network_frame(measurement.rendering.points, problem.ground_z_m)
+        detections = suppress(measurement.proposals, SCORE_FLOOR, SUPPRESSION_IOU)
         box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
-        window = window_around(problem.detector, theta, SCORE_RADIUS_M)
-        detections = problem.detector.detect(points, window, score_threshold=SCORE_FLOOR)
         score = detection_score(detections, box, radius_m)
     spent = dict(measurement.milliseconds)
     spent["detector"] += 1e3 * (time.perf_counter() - start)
