@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from shift3d.attack.constraints import settle
+from shift3d.attack.ground import fit_ground
 from shift3d.attack.loop import Search, descend
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
@@ -20,7 +21,8 @@ class PoseLimits:
     """The set B(theta0).
 
     max_shift_m: largest Euclidean |dxy|. max_tilt_rad: largest |change| of pitch and of roll. Yaw is free.
-    settle_m: how far z may be moved to the ground under the new place; 0 leaves z to the gradient.
+    settle_m: how far from the ground plane under its new place the object may come to rest; 0 leaves z to the
+            gradient.
 
     Source: SHIFT3D, Adversarial Pose Generation Results: displacement under 4 m on the xy-plane, pitch and roll
     under 0.1 rad, yaw free. z is our choice, the paper is silent: the object has to touch the ground within 2 cm,
@@ -74,8 +76,19 @@ def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
 
 
 def settled(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: PoseLimits) -> Tensor:
-    """The pose with its height on the ground; unchanged where there is none in reach (the step is then invalid)."""
+    """The pose with its height on the ground under its new place.
+
+    First the height of the ground plane there, then up or down until it touches. Unchanged where no ground is
+    seen or in reach: the step is then invalid for want of contact.
+    """
     if limits.settle_m == 0 or not bool(torch.isfinite(theta).all()):
         return theta
-    found = settle(metric, problem.points_near(), theta, problem.size_m, limits.settle_m)
+    near = problem.points_near()
+    size = problem.size_m
+    on_ground = theta.detach().clone()
+    footprint_m = float(size[:2].norm()) / 2 + 0.5
+    level = float(problem.theta0[2] - size[2] / 2)
+    plane = fit_ground(near.numpy(), (float(theta[0]), float(theta[1])), level, footprint_m)
+    on_ground[2] = (level if plane is None else plane.height_m) + size[2] / 2
+    found = settle(metric, near, on_ground, size, limits.settle_m)
     return theta if found is None else found

@@ -50,7 +50,7 @@ class RenderSettings:
     warm_start: bool = True
     warm_refresh: int = 20
     empty_space: bool = True
-    grazing_floor: float = 0.05
+    grazing_floor: float = 0.2
     batch: int = 4096
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ from shift3d.attack.constraints import Constraints
 from shift3d.attack.placement import NoPlacement, Placement, PlacementLimits, place
 from shift3d.attack.pose import PoseLimits, attack_pose, project
 from shift3d.attack.problem import AttackProblem, measure
-from shift3d.attack.shape import attack_shape
+from shift3d.attack.shape import attack_shape, standing
 from shift3d.render import Beams, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
@@ -187,3 +187,30 @@ def test_no_random_pose_is_a_result_not_an_error(problem: AttackProblem) -> None
 
     strict = replace(problem, constraints=Constraints(min_object_points=10**6))
     assert random_pose(strict, np.random.default_rng(0), attempts=2) is None
+
+
+def test_a_changed_shape_keeps_standing_on_the_ground(problem: AttackProblem) -> None:
+    # The third number scales the height: without settling this shape would float or sink.
+    code = torch.tensor([0.0, 0.0, -0.4, 0.0, 0.0, 0.0], dtype=torch.float64)
+    theta = standing(code, problem, 0.15)
+    assert float(theta[2]) < float(problem.theta0[2]) - 0.02
+    assert torch.equal(theta[[0, 1, 3, 4, 5]], problem.theta0[[0, 1, 3, 4, 5]])
+    assert measure(problem, code, theta).check.contact_ok
+    assert not measure(problem, code, problem.theta0).check.contact_ok
+    assert torch.equal(standing(code, problem, 0.0), problem.theta0)
+
+
+def test_placement_stays_clear_of_the_scenes_vehicles(beams: Beams, placement: Placement) -> None:
+    others = placement.theta[None, :2].clone()
+    found = place(beams, -1.73, field_of(CODE), FRAME, np.random.default_rng(3), LIMITS, RULES, SETTINGS, others=others)
+    assert isinstance(found, Placement)
+    assert float((found.theta[:2] - others[0]).norm()) > RULES.clear_m
+    assert found.rejected["neighbour"] >= 1
+
+
+def test_a_map_of_empty_space_changes_no_result(problem: AttackProblem) -> None:
+    mapped = problem.with_space()
+    assert mapped.space is not None and mapped.with_space() is mapped
+    plain = measure(problem, CODE, problem.theta0)
+    assert float(measure(mapped, CODE, problem.theta0).adversarial) == pytest.approx(float(plain.adversarial), rel=1e-5)
+    assert mapped.space_for(CODE + 0.1) is None

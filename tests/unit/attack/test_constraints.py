@@ -119,3 +119,13 @@ def test_the_attitude_lays_the_wheels_on_the_plane(yaw: float) -> None:
 def test_points_near_leaves_out_rows_without_a_beam() -> None:
     beams = Beams.from_arrays(np.array([[0, 0, 0], [1, 0, 0], [9, 0, 0]], np.float32), np.zeros(3))
     assert points_near(beams, torch.zeros(6), 2.0).tolist() == [[1.0, 0.0, 0.0]]
+
+
+def test_a_neighbour_within_six_metres_is_too_near() -> None:
+    others = torch.tensor([[6.5, 0.0], [0.0, -5.9]], dtype=torch.float64)
+    theta = torch.zeros(6, dtype=torch.float64)
+    ground = torch.tensor([[0.0, 0.0, -0.75]], dtype=torch.float64)
+    assert check(FIELD, ground, theta, SIZE, 300, LIMITS, others[:1]).valid
+    crowded = check(FIELD, ground, theta, SIZE, 300, LIMITS, others)
+    assert not crowded.clear_ok and not crowded.valid
+    assert check(FIELD, ground, theta, SIZE, 300, LIMITS, others[:0]).valid
