@@ -62,7 +62,7 @@ def checked_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Box:
     for _ in range(_ROUNDS):
         beyond = outside[((outside < box.lower) | (outside > box.upper)).any(-1)]
         check = torch.cat((_face_lattice(box), beyond))
-        inside = check[field(check) <= 0]
+        inside = check[field.estimate(check) <= 0]
         if len(inside) == 0:
             return box
         reach = _FACE_SPACING_M + margin_m

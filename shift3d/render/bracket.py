@@ -83,7 +83,7 @@ class _March:
         self.rows = torch.arange(count)
 
     def _g(self, k: Tensor, rows: Tensor) -> Tensor:
-        g = self.field(self.rays.at(k, rows)).double()
+        g = self.field.estimate(self.rays.at(k, rows)).double()
         nan = torch.isnan(g)
         self.undecided[rows] |= nan
         return torch.where(nan, torch.inf, g)

@@ -23,6 +23,7 @@ from shift3d.render.settings import STANDARD, RenderSettings
 LIPSCHITZ = 1.1
 """Slope that a learned distance is taken to stay below. Its violations cost a missed hit, so it is above 1."""
 _SAMPLE_M = 0.04
+_COARSE_ERROR_M = 0.01
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class EmptySpace:
         sdf: Field, vehicle: VehicleFrame, settings: RenderSettings = STANDARD, spacing_m: float = 0.1
     ) -> EmptySpace:
         """Map the field of one code. About 15,000 evaluations for a car at 0.1 m."""
-        metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
+        metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch, settings.coarse_band_m)
         with torch.no_grad():
             size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
             box = checked_box(metric, size, settings.box_margin_m)
@@ -52,8 +53,8 @@ class EmptySpace:
             cell = extent / counts
             axes = [torch.arange(int(n) + 1, dtype=torch.float64) * c for n, c in zip(counts, cell)]
             corners = torch.cartesian_prod(*axes) + box.lower
-            g = metric(corners).double().reshape([len(axis) for axis in axes])
-        reach = 0.5 * float(cell.norm()) * LIPSCHITZ
+            g = metric.estimate(corners).double().reshape([len(axis) for axis in axes])
+        reach = 0.5 * float(cell.norm()) * LIPSCHITZ + (_COARSE_ERROR_M if metric.coarse else 0.0)
         lowest = -torch.nn.functional.max_pool3d(-g[None, None], 2, 1)[0, 0]
         return EmptySpace(box, cell, ~(lowest > reach), metric.count.evaluations)
 

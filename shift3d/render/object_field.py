@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from shift3d.render.coarse import CoarseField, coarse_twin
+
 
 class Field(Protocol):
     """Signed distance of one shape in the frame the decoder was trained in, negative inside."""
@@ -34,9 +36,10 @@ class VehicleFrame(Protocol):
 
 @dataclass
 class EvaluationCount:
-    """How often a field was evaluated, in points."""
+    """How often a field was evaluated, in points: in all, and of these in bfloat16 alone."""
 
     evaluations: int = 0
+    coarse: int = 0
 
 
 @dataclass(frozen=True)
@@ -56,11 +59,18 @@ class ObjectField:
     sdf_t_object: Tensor
     dtype: torch.dtype
     batch: int
+    coarse: CoarseField | None = None
+    coarse_band_m: float = 0.0
     count: EvaluationCount = dataclasses.field(default_factory=EvaluationCount)
 
     @staticmethod
-    def of(sdf: Field, vehicle: VehicleFrame, dtype: torch.dtype, batch: int) -> ObjectField:
-        """The field of a vehicle, evaluated in `dtype`, `batch` points at a time."""
+    def of(
+        sdf: Field, vehicle: VehicleFrame, dtype: torch.dtype, batch: int, coarse_band_m: float = 0.0
+    ) -> ObjectField:
+        """The field of a vehicle, evaluated in `dtype`, `batch` points at a time.
+
+        coarse_band_m: `estimate` uses bfloat16 beyond this distance from the surface; 0 never.
+        """
         return ObjectField(
             sdf,
             float(vehicle.scale_m),
@@ -68,15 +78,37 @@ class ObjectField:
             torch.as_tensor(np.asarray(vehicle.sdf_t_object, dtype=np.float64)),
             dtype,
             batch,
+            coarse_twin(sdf, dtype) if coarse_band_m > 0 else None,
+            coarse_band_m,
         )
 
     def __call__(self, x_object: Tensor) -> Tensor:
-        x_sdf = x_object @ (self.sdf_R_object.T / self.scale_m) + self.sdf_t_object
-        x_sdf = x_sdf.to(self.dtype)
+        x_sdf = self._to_sdf(x_object)
         self.count.evaluations += len(x_sdf)
         if len(x_sdf) <= self.batch:
             return self.sdf(x_sdf) * self.scale_m if len(x_sdf) else x_sdf[:, 0]
         return torch.cat([self.sdf(part) for part in x_sdf.split(self.batch)]) * self.scale_m
+
+    def estimate(self, x_object: Tensor) -> Tensor:
+        """The distance for deciding where to sample next: exact within coarse_band_m of the surface and inside it.
+
+        Not differentiable.
+        """
+        if self.coarse is None:
+            return self(x_object)
+        x_sdf = self._to_sdf(x_object)
+        g = torch.cat([self.coarse(part) for part in x_sdf.split(self.batch)]) * self.scale_m
+        # NaN compares false both ways: it is looked at again.
+        near = torch.nonzero(~(g >= self.coarse_band_m)).squeeze(1)
+        self.count.evaluations += len(x_sdf) - len(near)
+        self.count.coarse += len(x_sdf) - len(near)
+        if len(near):
+            g[near] = self(x_object[near])
+        return g
+
+    def _to_sdf(self, x_object: Tensor) -> Tensor:
+        x_sdf = x_object @ (self.sdf_R_object.T / self.scale_m) + self.sdf_t_object
+        return x_sdf.to(self.dtype)
 
     def depends_on_code(self) -> bool:
         """Whether the field carries gradients of its own (a latent code that requires them)."""

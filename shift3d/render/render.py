@@ -47,7 +47,7 @@ def render(
     """
     if theta.shape != (6,) or not bool(torch.isfinite(theta).all()):
         raise InputError("a pose is six finite numbers: x, y, z, yaw, pitch, roll", where=f"pose {theta.tolist()}")
-    metric = ObjectField.of(field, vehicle, settings.dtype, settings.batch)
+    metric = ObjectField.of(field, vehicle, settings.dtype, settings.batch, settings.coarse_band_m)
     state = None
     with torch.no_grad():
         if settings.solver == "paper":
@@ -82,7 +82,7 @@ def assemble(
     warm: WarmStart | None = None,
 ) -> Rendering:
     """The scene with the hit points in place, differentiable where gradients are wanted."""
-    evaluations = field.count.evaluations
+    evaluations, coarse = field.count.evaluations, field.count.coarse
     surface, grazing = surface_points(beams, hits, field, theta, settings.grazing_floor)
     points = beams.points
     if len(hits.index):
@@ -96,6 +96,7 @@ def assemble(
         float(hits.residual_m.max()) if len(hits.index) else 0.0,
         len(hits.unresolved),
         evaluations,
+        coarse,
         grazing,
         warm,
     )

@@ -63,6 +63,7 @@ class Rendering:
         max_residual_m: largest |metric g| at a hit; 0 without hits.
         unresolved_beams: beams that could not be decided and stay where they were.
         evaluations: points at which the field was evaluated (the gradient's evaluations not included).
+        coarse_evaluations: of these, in bfloat16 alone.
         grazing: share of the gradient that grazing beams carry, filled in by the backward pass.
         warm: where the next rendering may start, see `render`.
     """
@@ -73,6 +74,7 @@ class Rendering:
     max_residual_m: float
     unresolved_beams: int
     evaluations: int
+    coarse_evaluations: int = 0
     grazing: GrazingShare = field(default_factory=GrazingShare)
     warm: WarmStart | None = None
 

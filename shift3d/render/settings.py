@@ -34,6 +34,8 @@ class RenderSettings:
         warm_start: start from the previous rendering where one is given.
         warm_refresh: warm renderings in a row before everything is searched afresh.
         empty_space: use a map of empty space where one is handed over (`EmptySpace`).
+        coarse_band_m: a decoder is evaluated in bfloat16 where it is farther than this from the surface, as far
+            as that only sets the length of a step; 0 switches it off.
         grazing_floor: smallest |e . grad g| by which a gradient is divided, see `implicit`.
         batch: points handed to the field at once.
     """
@@ -50,6 +52,7 @@ class RenderSettings:
     warm_start: bool = True
     warm_refresh: int = 20
     empty_space: bool = True
+    coarse_band_m: float = 0.02
     grazing_floor: float = 0.2
     batch: int = 4096
 
@@ -58,7 +61,7 @@ class RenderSettings:
         for name in positive:
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} must be positive", where=f"render settings: {name}={getattr(self, name)}")
-        if self.box_margin_m < 0 or self.grazing_floor < 0 or self.warm_refresh < 0:
+        if self.box_margin_m < 0 or self.grazing_floor < 0 or self.coarse_band_m < 0 or self.warm_refresh < 0:
             raise InputError("margins, floors and counts must not be negative", where="render settings")
 
     def with_(self, **changes: object) -> RenderSettings:
@@ -74,6 +77,7 @@ PAPER = RenderSettings(
     grazing_floor=0.0,
     warm_start=False,
     empty_space=False,
+    coarse_band_m=0.0,
     batch=16384,
 )
 STANDARD = RenderSettings()
@@ -88,6 +92,7 @@ REFERENCE = RenderSettings(
     box_margin_m=0.3,
     warm_start=False,
     empty_space=False,
+    coarse_band_m=0.0,
     grazing_floor=0.0,
 )
 PRESETS: dict[str, RenderSettings] = {
