@@ -1,0 +1,61 @@
+"""bfloat16 far from the surface: close enough for a step, never for a sign."""
+
+import numpy as np
+import pytest
+import torch
+from analytic_fields import Frame, sector_scan
+
+from shift3d.render import Beams, preset, render
+from shift3d.render.coarse import coarse_twin
+from shift3d.render.object_field import ObjectField
+from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, Field, load_decoder
+
+
+@pytest.fixture(scope="module")
+def shipped() -> tuple[Field, Frame]:
+    from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, baseline_vehicles
+
+    if not (DEFAULT_WEIGHTS.is_file() and DEFAULT_VEHICLES.is_file()):
+        pytest.skip("no shipped weights yet")
+    v = baseline_vehicles()["coupe"]
+    frame = Frame(v.size_m, v.scale_m, v.sdf_R_object, v.sdf_t_object)
+    return load_decoder().field(torch.from_numpy(v.latent_code)), frame
+
+
+needs_bfloat16 = pytest.mark.skipif(
+    not torch.ops.mkldnn._is_mkldnn_bf16_supported(), reason="this processor has no fast bfloat16"
+)
+
+
+@needs_bfloat16
+def test_the_estimate_is_exact_near_the_surface_and_close_elsewhere(shipped: tuple[Field, Frame]) -> None:
+    field, frame = shipped
+    metric = ObjectField.of(field, frame, torch.float32, 4096, coarse_band_m=0.02)
+    x = (torch.rand(4000, 3, generator=torch.Generator().manual_seed(0)).double() - 0.5) * torch.tensor([5.0, 2.4, 2.0])
+    exact, estimate = metric(x), metric.estimate(x)
+    assert torch.equal(estimate[estimate < 0.02], exact[estimate < 0.02])
+    assert torch.equal(estimate < 0, exact < 0)
+    assert float((estimate - exact).abs().max()) < 0.015
+    assert 500 < metric.count.coarse < 4000
+
+
+@needs_bfloat16
+def test_the_same_hits_with_and_without(shipped: tuple[Field, Frame]) -> None:
+    field, frame = shipped
+    beams = Beams.from_arrays(*sector_scan((13.0, 2.0, -1.0), half_angle_rad=0.17, rays=36))
+    theta = torch.tensor([13.0, 2.0, -1.0, 0.8, 0.0, 0.0], dtype=torch.float64)
+    with torch.no_grad():
+        fine = render(beams, field, theta, frame, preset("standard").with_(coarse_band_m=0.0))
+        coarse = render(beams, field, theta, frame, preset("standard"))
+    assert fine.object_points > 200 and fine.coarse_evaluations == 0
+    assert coarse.coarse_evaluations > 0.4 * coarse.evaluations
+    assert int((fine.hit_mask ^ coarse.hit_mask).sum()) <= 1
+    both = fine.hit_mask & coarse.hit_mask
+    assert float((fine.range_m - coarse.range_m)[both].abs().quantile(0.98)) < 1e-3
+
+
+def test_only_float32_decoders_have_a_coarse_twin() -> None:
+    field = Decoder().folded().double().field(torch.zeros(256, dtype=torch.float64))
+    assert coarse_twin(field, torch.float64) is None
+    assert coarse_twin(lambda x: x[:, 0], torch.float32) is None
+    assert np.isfinite(preset("reference").coarse_band_m) and preset("reference").coarse_band_m == 0.0
