@@ -1,0 +1,56 @@
+"""The shipped weights find held-out vehicles, on the procedural street and on real frames."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from shift3d.detectors.pointpillars import PointPillars
+from shift3d.detectors.weights import load_detector
+from shift3d.geometry.iou import iou_bev
+from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.scene import Scene
+from shift3d.scenes.sets import StreetScenes
+
+RADIUS_M = 30.0
+WELL_SEEN = 100
+
+
+@pytest.fixture(scope="module")
+def detector() -> PointPillars:
+    return load_detector("pointpillars")
+
+
+def _found(detector: PointPillars, scene: Scene, iou_threshold: float) -> np.ndarray:
+    """For each well seen vehicle within the radius: the best score of a box that overlaps it enough, else 0."""
+    points = torch.from_numpy(scene.points[scene.has_beam]) - torch.tensor([0.0, 0.0, scene.ground_z_m])
+    found = detector.detect(points, detector.window_for((0.0, 0.0), RADIUS_M + 3.0))
+    mask = scene.labels.mask("vehicle") & (scene.labels.num_points >= WELL_SEEN)
+    truth = scene.labels.boxes[mask]
+    truth = truth[np.hypot(truth[:, 0], truth[:, 1]) < RADIUS_M]
+    overlap = iou_bev(truth, found.boxes) >= iou_threshold
+    return np.where(overlap, found.scores, 0.0).max(axis=1, initial=0.0)
+
+
+@pytest.mark.parametrize("sensor", ["hdl64", "waymo_top"])
+def test_finds_vehicles_of_held_out_streets(detector: PointPillars, sensor: str) -> None:
+    scenes = StreetScenes(sensor, count=2, split="test")
+    scores = np.concatenate([_found(detector, scenes.load(name), 0.7) for name in scenes.names()])
+    assert len(scores) >= 6
+    assert np.mean(scores > 0.3) >= 0.8
+    assert 0.5 <= np.median(scores) <= 0.97  # neither blind nor saturated
+
+
+def test_finds_cars_of_real_frames(detector: PointPillars, real_data: Callable[[str], Path]) -> None:
+    scenes = KittiScenes(real_data("kitti"), names=["000134", "004240", "002079"])
+    scores = np.concatenate([_found(detector, scenes.load(name), 0.5) for name in scenes.names()])
+    assert len(scores) >= 3
+    assert np.mean(scores > 0.3) >= 0.6
+
+
+def test_an_empty_world_holds_no_vehicle(detector: PointPillars) -> None:
+    window = detector.window_for((0.0, 0.0), 10.0)
+    found = detector.detect(torch.zeros(0, 3), window, score_threshold=0.3)
+    assert len(found.scores) == 0
