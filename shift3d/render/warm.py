@@ -96,6 +96,9 @@ def warm_start(
     moved_m = _pose_motion(warm.theta, theta, warm.box)
     state = warm if moved_m == 0 else _carried_over(warm, rays_in_box(beams, theta, warm.box))
     rows = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
+    if len(rows) == 0 and space is None:
+        # Nothing was hit, so nothing can tell how far the surface has moved.
+        return cold_start(beams, field, theta, size_m, settings, space)
     followed, residual, slope, g_start = _follow(state, rows, field, settings)
     reshaped_m = 0.0
     if space is None and len(rows):

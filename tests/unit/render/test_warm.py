@@ -94,6 +94,8 @@ def test_warm_starts_from_nothing_hit() -> None:
     cold = render(beams, field, THETA, SHAPENET_FRAME, STANDARD)
     again = render(beams, nothing, THETA, SHAPENET_FRAME, STANDARD, cold.warm)
     assert again.object_points == 0
+    # A shape that comes back is seen at once: without a hit there is no measure of how far a surface moved.
+    same(render(beams, field, THETA, SHAPENET_FRAME, STANDARD, again.warm), cold)
 
 
 def test_the_map_marks_every_cell_with_surface() -> None:
