@@ -125,7 +125,7 @@ def _train_step(
     outputs = type(outputs)(outputs.logits.float(), outputs.codes.float(), outputs.directions.float())
     loss, parts = detection_loss(outputs, targets)
     optimiser.zero_grad(set_to_none=True)
-    loss.backward()  # type: ignore[no-untyped-call]
+    loss.backward()
     torch.nn.utils.clip_grad_norm_(net.parameters(), recipe.clip_norm)
     optimiser.step()
     return parts
