@@ -12,7 +12,7 @@ from shift3d.attack.objective import latent_penalty
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 
-SETTLE_M = 0.15
+SETTLE_M = 0.35
 """How far a shape's height may follow the ground, metres. Our choice, see `attack_shape`."""
 
 
