@@ -12,6 +12,9 @@ from torch import Tensor
 
 from shift3d.render.coarse import CoarseField, coarse_twin
 
+_WORTH_IT = 96
+"""Fewer points than this take as long to fetch the weights for as to evaluate: once, then, in float32."""
+
 
 class Field(Protocol):
     """Signed distance of one shape in the frame the decoder was trained in, negative inside."""
@@ -94,7 +97,7 @@ class ObjectField:
 
         Not differentiable.
         """
-        if self.coarse is None:
+        if self.coarse is None or len(x_object) < _WORTH_IT:
             return self(x_object)
         x_sdf = self._to_sdf(x_object)
         g = torch.cat([self.coarse(part) for part in x_sdf.split(self.batch)]) * self.scale_m
