@@ -58,7 +58,9 @@ def corners_3d(boxes: NDArray[np.floating]) -> Float:
     )
 
 
-def points_in_boxes(points: NDArray[np.floating], boxes: NDArray[np.floating], margin_m: float = 0.0) -> NDArray[np.bool_]:
+def points_in_boxes(
+    points: NDArray[np.floating], boxes: NDArray[np.floating], margin_m: float = 0.0
+) -> NDArray[np.bool_]:
     """Which points lie in which boxes.
 
     Args:

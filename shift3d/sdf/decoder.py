@@ -170,6 +170,26 @@ class Decoder(nn.Module):
                 nn.utils.parametrize.remove_parametrizations(layer, "weight")
         return self
 
+    def with_code_scale(self, factor: float) -> Decoder:
+        """Itself for codes that are `factor` times as long, in place: the same shapes up to rounding.
+
+        Folded decoders only. Scaling codes changes no shape and the size of a gradient step in shape by factor^-2.
+        """
+        with torch.no_grad():
+            for index in (0, self.architecture.skip_layer):
+                weight, _ = _parameters(self.layers[index])
+                self._split(index, weight)[1].div_(factor)
+        return self
+
+
+def without_subnormals(weight: Tensor) -> Tensor:
+    """The weight (any shape) with values below 1e-20 set to zero.
+
+    Weight norm leaves such values in units that died. They change no sum, but products with them are subnormal
+    numbers, and those made a backward pass through the decoder seven times slower (120 ms for 17 ms).
+    """
+    return torch.where(weight.abs() < 1e-20, torch.zeros_like(weight), weight)
+
 
 def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None = None) -> None:
     """Write the decoder's folded float32 weights to a safetensors file, atomically."""
@@ -178,7 +198,7 @@ def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None =
     tensors = {}
     for index, layer in enumerate(decoder.layers):
         weight, bias = _parameters(layer)
-        tensors[f"layers.{index}.weight"] = weight.detach().float().contiguous()
+        tensors[f"layers.{index}.weight"] = without_subnormals(weight.detach().float()).contiguous()
         tensors[f"layers.{index}.bias"] = bias.detach().float().contiguous()
     architecture = json.dumps(vars(decoder.architecture), sort_keys=True)
     partial = path.with_name(path.name + ".partial")
@@ -225,5 +245,5 @@ def decoder_from_tensors(tensors: dict[str, torch.Tensor], architecture: Archite
             raise InputError(what, where=where, remedy=f"expected {tuple(parameter.shape)}")
         if not bool(torch.isfinite(tensors[name]).all()):
             raise InputError(f"tensor {name} holds values that are not finite", where=where, remedy="copy it again")
-    decoder.load_state_dict({name: tensors[name] for name in decoder.state_dict()})
+    decoder.load_state_dict({name: without_subnormals(tensors[name]) for name in decoder.state_dict()})
     return decoder.eval().requires_grad_(False)
