@@ -24,7 +24,7 @@ def real_data() -> Callable[[str], Path]:
     def find(name: str) -> Path:
         root = Path(os.environ.get("SHIFT3D_REAL_DATA", REPOSITORY.parent / "shared" / "real"))
         if not (root / name).is_dir():
-            pytest.skip(f"no real data: {root.name}/{name} is absent (set SHIFT3D_REAL_DATA to the folder that holds it)")
+            pytest.skip(f"no real data: {root.name}/{name} is absent (SHIFT3D_REAL_DATA names its folder)")
         return root / name
 
     return find

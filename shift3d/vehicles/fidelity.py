@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import sys
 
 import numpy as np
 import torch
@@ -59,20 +58,3 @@ def unseen_chamfer_m(decoder: Decoder, count: int, steps: int = 400) -> NDArray[
         code = autodecode(decoder, samples, steps=steps, seed=index)
         results.append(decoded_chamfer_m(decoder, code, samples.scale_m, mesh, index))
     return np.array(results)
-
-
-def main(count: int) -> None:
-    """Print the medians over `count` training and `count` unseen vehicles, body types in turn."""
-    decoder = load_decoder()
-    measures = {"training": training_chamfer_m, "unseen, auto-decoded": unseen_chamfer_m}
-    for name, measure in measures.items():
-        values = 100.0 * measure(decoder, count)
-        print(
-            f"{name}: median {np.median(values):.2f} cm, worst {values.max():.2f} cm, {count} vehicles "
-            f"(symmetric Chamfer, mean of both directions)",
-            flush=True,
-        )
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 27)

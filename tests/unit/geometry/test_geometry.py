@@ -103,5 +103,5 @@ def test_iou_is_symmetric_and_invariant_under_rigid_motion(a: tuple, b: tuple, t
 
 
 def test_bad_boxes_are_named() -> None:
-    with pytest.raises(InputError, match="box 0 has dz = -1.0"):
+    with pytest.raises(InputError, match=r"box 0 has dz = -1\.0"):
         validate_boxes(np.array([[0, 0, 0, 1, 1, -1.0, 0]]), "labels")
