@@ -1,10 +1,9 @@
 """How well the decoder knows the family: Chamfer distances on vehicles it was trained on and on unseen ones.
 
-`python -m shift3d.vehicles.fidelity [count]` prints both medians; see `shift3d.sdf.chamfer` for the definition.
+`shift3d evaluate model=sdf` prints both medians; see `shift3d.sdf.chamfer` for the definition.
 """
 
 from __future__ import annotations
-
 
 import numpy as np
 import torch
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from shift3d.sdf.autodecode import autodecode
 from shift3d.sdf.chamfer import symmetric_chamfer
-from shift3d.sdf.decoder import Decoder, load_decoder
+from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.sdf.samples import sample_sdf
 from shift3d.seeding import generator
