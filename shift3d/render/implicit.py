@@ -76,7 +76,6 @@ def _change_of_g(field: ObjectField, x_object: Tensor, with_code: bool) -> tuple
         leaf = x_object.detach().requires_grad_()
         g = field(leaf)
         (gradient,) = torch.autograd.grad(g.sum(), leaf, retain_graph=with_code)
-    gradient = torch.nan_to_num(gradient, nan=0.0, posinf=0.0, neginf=0.0)
     change = ((x_object - x_object.detach()) * gradient).sum(-1)
     if with_code:
         change = change + (g - g.detach()).double()

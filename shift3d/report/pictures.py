@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from shift3d.sdf.decoder import Decoder
     from shift3d.task.assets import Assets
 
 __all__ = ["draw_case", "draw_curves", "draw_vehicles"]
@@ -72,7 +73,8 @@ def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.Dat
         mesh = vehicle_mesh(vehicle, assets.decoder, np.asarray(solution["latent_code"], np.float32), resolution=224)
         axes[row, 0].imshow(shaded(mesh, 0.9, 0.25, width_px=520, height_px=300, rgb=rgb))
         axes[row, 0].set_axis_off()
-        axes[row, 0].set_title(f"{spec.vehicle.replace('_', ' ')}, {method}", fontsize=9)
+        weight = f", lambda {spec.lambda_:g}" if method == "adversarial" and spec.lambda_ is not None else ""
+        axes[row, 0].set_title(f"{spec.vehicle.replace('_', ' ')}, {method}{weight}", fontsize=9)
         _draw_points(axes[row, 1], assets, spec, solution)
         axes[row, 1].set_title(f"score {score:.2f}", fontsize=9)
     figure.savefig(path)
@@ -113,40 +115,53 @@ def _from_above(points: NDArray[np.float64], theta: NDArray[np.float64]) -> tupl
     return seen[:, :2] / np.maximum(seen[:, 2:], 1e-3), seen[:, 2]
 
 
-def draw_curves(curves: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
-    """Threshold-recall curves of every vehicle, shape above pose, at the lambda that was chosen."""
-    modes, vehicles = ("shape", "pose"), list(dict.fromkeys(curves["vehicle"]))
+def draw_curves(scores: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
+    """Threshold-recall curves of every vehicle over all its scenes, shape above pose, at the lambda that was chosen."""
+    from shift3d.evaluation.recall_curve import recall_curve
+
+    vehicles = list(dict.fromkeys(scores["vehicle"]))
+    chosen = auc[auc["selected"]][["vehicle", "mode", "lambda", "method"]].drop_duplicates()
+    kept = scores[scores["score"].notna()].merge(chosen, on=["vehicle", "mode", "lambda", "method"])
     figure = _figure(11, 4.2)
     axes = figure.subplots(2, len(vehicles), sharex=True, sharey=True, squeeze=False)
-    chosen = auc[auc["selected"]]
-    for row, mode in enumerate(modes):
-        for column, vehicle in enumerate(vehicles):
-            here = chosen[(chosen["mode"] == mode) & (chosen["vehicle"] == vehicle)]
-            for method, colour in _COLOURS.items():
-                for _, group in here[here["method"] == method].iterrows():
-                    curve = curves[_same_group(curves, group)]
-                    label = f"{method.replace('_', ' + ')} {group['auc']:.2f}"
-                    axes[row, column].plot(curve["score_threshold"], curve["recall"], c=colour, lw=1.2, label=label)
-            axes[row, column].set_title(f"{vehicle.replace('_', ' ')}, {mode}", fontsize=8)
-            axes[row, column].legend(fontsize=6, loc="lower left", frameon=False)
+    for (mode, vehicle, method), group in kept.groupby(["mode", "vehicle", "method"], sort=False):
+        panel = axes[("shape", "pose").index(mode), vehicles.index(vehicle)]
+        curve = recall_curve(group["score"].to_numpy())
+        label = f"{method.replace('_', ' + ')} {group['score'].mean():.2f}"
+        panel.step(curve.score_threshold, curve.recall, where="post", c=_COLOURS[method], lw=1.2, label=label)
+        panel.set_title(f"{vehicle.replace('_', ' ')}, {mode}", fontsize=8)
+    for panel in axes.flat:
+        panel.legend(fontsize=6, loc="lower left", frameon=False)
     figure.supxlabel("score threshold", fontsize=9)
     figure.supylabel("recall", fontsize=9)
     figure.savefig(path)
 
 
-def _same_group(curves: pd.DataFrame, group: pd.Series) -> pd.Series:
-    same = curves["method"] == group["method"]
-    for name in ("dataset", "vehicle", "mode", "alpha", "detector", "accuracy", "scored_by"):
-        same &= curves[name] == group[name]
-    lambda_ = group["lambda"]
-    return same & (curves["lambda"].isna() if lambda_ is None or lambda_ != lambda_ else curves["lambda"] == lambda_)
+def _hardest_car(scores: pd.DataFrame, solutions: pd.DataFrame, decoder: Decoder) -> str:
+    """Id of the shape task whose score fell furthest, of those whose shape still is a car.
 
+    A car: in one piece, neither a side nor the volume more than a quarter off the baseline's, and a code at most
+    twice as long as the longest of the family. With a small lambda the search also finds wrecks.
+    """
+    from shift3d.vehicles.vehicle import Vehicle, baseline_vehicles, family_vehicles, vehicle_mesh
 
-def _hardest_shape(scores: pd.DataFrame) -> str:
-    """Id of the shape task whose score fell furthest."""
+    def volume_of(vehicle: Vehicle) -> float:
+        return float(vehicle_mesh(vehicle, decoder, resolution=64).volume)
+
+    longest = max(float(np.linalg.norm(vehicle.latent_code)) for vehicle in family_vehicles())
     first = scores[(scores["replicate"] == 0) & (scores["mode"] == "shape")]
     table = first.pivot(index="task_id", columns="method", values="score").dropna()
-    return str((table["baseline"] - table["adversarial"]).idxmax())
+    vehicles = first.drop_duplicates("task_id").set_index("task_id")["vehicle"]
+    codes = solutions[solutions["method"] == "adversarial"].set_index("task_id")["latent_code"]
+    for task_id in (table["adversarial"] - table["baseline"]).sort_values().index:
+        vehicle, code = baseline_vehicles()[vehicles[task_id]], np.asarray(codes[task_id], np.float32)
+        if np.linalg.norm(code) > 2.0 * longest:
+            continue
+        mesh = vehicle_mesh(vehicle, decoder, code, resolution=64)
+        size = np.append(mesh.extents / np.asarray(vehicle.size_m), mesh.volume / volume_of(vehicle))
+        if mesh.body_count == 1 and np.abs(size - 1.0).max() < 0.25:
+            return str(task_id)
+    raise InputError("no adversarial shape is a car", "final/solutions.parquet", "Give the sweep a larger lambda")
 
 
 def main(arguments: list[str]) -> None:
@@ -166,11 +181,12 @@ def main(arguments: list[str]) -> None:
     tables = {
         name: pd.read_parquet(out / "final" / f"{name}.parquet") for name in ("scores", "solutions", "curves", "auc")
     }
-    draw_curves(tables["curves"], tables["auc"], folder / "curves.png")
-    plan, task_id = read_plan(out), _hardest_shape(tables["scores"])
+    draw_curves(tables["scores"], tables["auc"], folder / "curves.png")
+    plan = read_plan(out)
+    assets = load_assets(plan.assets[0])
+    task_id = _hardest_car(tables["scores"], tables["solutions"], assets.decoder)
     (task,) = (task for task in plan.tasks if task.spec.task_id == task_id)
     own = {name: tables[name][tables[name]["task_id"] == task_id] for name in ("solutions", "scores")}
-    assets = load_assets(plan.assets[task.assets])
     draw_case(assets, task.spec, own["solutions"], own["scores"], folder / "case.png")
 
 
