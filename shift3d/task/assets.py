@@ -83,13 +83,16 @@ def load_assets(spec: AssetsSpec) -> Assets:
         InputError: naming the file that is missing or unusable.
     """
     weights_file(f"{spec.detector}.safetensors", spec.detector_weights)
-    return Assets(
+    assets = Assets(
         scenes=scene_set(_scene_config(spec.scenes)),
         decoder=load_decoder(spec.decoder_weights),
         detector_name=spec.detector,
         detector_weights=spec.detector_weights,
         vehicles=baseline_vehicles(),
     )
+    # Now, not at the first task: weights that do not fit stop the sweep in one line instead of failing every task.
+    assets.detector_of("float32")
+    return assets
 
 
 def _scene_config(values: Mapping[str, Any]) -> StreetConfig | KittiConfig:

@@ -175,3 +175,9 @@ def test_float64_search_agrees_with_float32(assets: Assets, shape: TaskResult) -
     assert exact["x_m"] == fast["x_m"]
     assert abs(exact["object_points"] - fast["object_points"]) <= 0.005 * exact["object_points"] + 1
     assert exact["score"] == pytest.approx(fast["score"], abs=0.02)
+
+
+def test_weights_of_another_network_are_refused_before_any_task() -> None:
+    foreign = Path(__file__).parents[3] / "shift3d" / "weights" / "sdf.safetensors"
+    with pytest.raises(InputError, match=r"sdf\.safetensors: tensor backbone.*the network has"):
+        load_assets(AssetsSpec(scenes=STREET, detector_weights=str(foreign)))
