@@ -25,11 +25,11 @@ BASELINE_CANDIDATES = 8
 CODE_NORM = 0.8
 """Mean length of the family's codes as shipped: they are scaled to it, and the decoder's code columns inversely.
 
-The attack's step alpha = 0.01 is a length in code units, and the paper does not say how long its codes are. As trained
-ours have a mean norm of 0.26, and one step throws a code off the family. No shape depends on it. Our choice, and a tuned
-one: four vehicles, one placement each, in the four test streets of the default sweep, 40 steps, lambda 1. Mean
-adversarial score over baseline, at norms 0.53, 0.69, 0.79 and 1.0: 0.54, 0.79, 0.62, 0.76 (height following the ground by
-at most 0.15 m); at 1.0 with the shipped 0.35 m: 0.79. Not monotonic: four objects are too few to rank these values.
+The attack's step alpha = 0.01 is a length in code units, and the paper does not say how long its codes are. As
+trained ours have a mean norm of 0.26, and one step throws a code off the family. No shape depends on it. Our choice,
+and a tuned one: four vehicles, one placement each, in the four test streets of the default sweep, 40 steps, lambda 1.
+Mean adversarial score over baseline, at norms 0.53, 0.69, 0.79 and 1.0: 0.54, 0.79, 0.62, 0.76 (height following the
+ground by at most 0.15 m); at 1.0 with the shipped 0.35 m: 0.79. Not monotonic: four objects are too few to rank these.
 """
 
 
