@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from shift3d.config import messages
 from shift3d.config.schema import AccuracyConfig, Config, KittiConfig, StreetConfig
 from shift3d.errors import InputError
+from shift3d.processor import has_fast_bfloat16
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
@@ -19,7 +20,8 @@ __all__ = ["Catalogue", "SceneEntry", "accuracy_settings", "read_catalogue", "sc
 
 
 # Precision of the detector while it is descended; what was found is scored in float32 or better whatever this
-# says. bfloat16 changes the direction of a step and nothing that is reported.
+# says. bfloat16 changes the direction of a step and nothing that is reported. A processor without instructions for
+# it plans with float32, which is faster there; the plan says which, so that all workers of a sweep do the same.
 _SEARCH_PRECISION = {"draft": "bfloat16", "standard": "bfloat16", "paper": "float32", "reference": "float64"}
 
 
@@ -102,7 +104,10 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
                 remedy=f"Give a {kind}, as {settings[name]!r}",
             )
         settings[name] = type(settings[name])(value)
-    return settings | {"detector": config.detector or _SEARCH_PRECISION[config.name]}
+    precision = config.detector or _SEARCH_PRECISION[config.name]
+    if config.detector is None and precision == "bfloat16" and not has_fast_bfloat16():
+        precision = "float32"
+    return settings | {"detector": precision}
 
 
 def read_catalogue(config: Config) -> Catalogue:

@@ -114,9 +114,8 @@ class HeadOutputs:
 class Heads(nn.Module):
     """1x1 convolutions for class, box and direction."""
 
-    def __init__(self, spec: BackboneSpec = WAYMO_BACKBONE) -> None:
+    def __init__(self, channels: int, anchors: int) -> None:
         super().__init__()
-        channels, anchors = spec.up_channels * len(spec.strides), spec.anchors_per_cell
         self.classes = nn.Conv2d(channels, anchors, 1)
         self.boxes = nn.Conv2d(channels, anchors * 7, 1)
         self.directions = nn.Conv2d(channels, anchors * 2, 1)

@@ -1,116 +1,111 @@
-"""PointPillars behind the Detector interface: exact windows, gradients to the points, boxes."""
+"""PointPillars as one module, for training and, with batch norms folded away, for inference."""
 
 from __future__ import annotations
 
 import copy
-from math import ceil, floor
-from typing import Literal
+from collections.abc import Sequence
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from shift3d.detectors.anchors import WAYMO_ANCHORS, AnchorSpec, anchor_boxes, anchor_indices
-from shift3d.detectors.base import BevWindow, Detections, Proposals
-from shift3d.detectors.box_coding import decode_boxes
-from shift3d.detectors.grid import full_window
-from shift3d.detectors.network import PointPillarsNet, core_in_window, fold_batch_norms
-from shift3d.detectors.nms import suppress
-from shift3d.errors import InputError
+from shift3d.detectors.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec, Heads
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.folding import folded_linear, folded_sequence
+from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars, assign_pillars
+from shift3d.detectors.network import AnchorNet, Precision, arithmetic
+from shift3d.detectors.pillar_net import PillarNet, decorate
 
-__all__ = ["PointPillars"]
-
-Precision = Literal["float32", "bfloat16", "float64"]
+__all__ = ["PointPillarsNet"]
 
 
-class PointPillars:
-    """A trained PointPillars for inference on CPU.
+class PointPillarsNet(AnchorNet):
+    """Points -> logits, codes, direction logits of every anchor in the window's core.
 
-    precision: "float32" (default); "bfloat16" runs the convolutions in half the bytes (an approximation: its
-    error is measured where it is offered); "float64" is the reference. The pillar network always runs in
-    float32 or better. Points are (N, 3) in the network frame; their dtype follows the precision.
+    Source: PointPillars (Lang et al. 2019) in the Waymo configuration that SHIFT3D follows; dynamic
+    voxelisation instead of at most 20 points a pillar (our choice: see shift3d.detectors.grid).
     """
 
     name = "pointpillars"
 
-    def __init__(
-        self, net: PointPillarsNet, precision: Precision = "float32", anchors: AnchorSpec = WAYMO_ANCHORS
-    ) -> None:
-        self.precision = precision
-        self.anchors = anchors
-        self.grid = net.grid
-        folded = fold_batch_norms(net)
-        self._dtype = torch.float64 if precision == "float64" else torch.float32
-        self._net = folded.to(self._dtype).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self._dense_dtype = torch.bfloat16 if precision == "bfloat16" else self._dtype
-        self._backbone = copy.deepcopy(self._net.backbone).to(self._dense_dtype)
-        self._heads = copy.deepcopy(self._net.heads).to(self._dense_dtype)
+    def __init__(self, spec: BackboneSpec = WAYMO_BACKBONE, grid: Grid = WAYMO_GRID) -> None:
+        super().__init__()
+        self.spec = spec
+        self.grid = grid
+        self.pillar_net = PillarNet(spec.in_channels)
+        self.backbone = Backbone(spec)
+        self.heads = Heads(spec.up_channels * len(spec.strides), spec.anchors_per_cell)
 
-    def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
-        """Smallest window whose proposals with anchor centres within radius_m equal the full scene's.
+    def canvas(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
+        """Pillar features on the dense grid: (B, C, H, W), channels last in memory, zero where no point is.
 
-        centre_xy: metres, network frame. The core covers the disc (a square, cut at the grid's border), the
-        window adds the receptive field; both are aligned to the backbone's total stride.
-
-        Raises: InputError if the disc does not meet the grid. Source: our choice, the paper is silent.
+        clouds: (N_b, 3) each, network frame. Differentiable w.r.t. the points.
         """
-        spans = []
-        for centre, origin, cells in (
-            (centre_xy[0], self.grid.x_min_m, self.grid.num_x),
-            (centre_xy[1], self.grid.y_min_m, self.grid.num_y),
-        ):
-            spans.append(self._span((centre - origin) / self.grid.cell_m, radius_m / self.grid.cell_m, cells))
-        if None in spans:
-            raise InputError(
-                f"no detector cell within {radius_m:g} m of ({centre_xy[0]:g}, {centre_xy[1]:g})",
-                where="detector window",
-                remedy="choose a centre inside the detector's range",
-            )
-        (x0, nx, cx0, cnx), (y0, ny, cy0, cny) = (span for span in spans if span is not None)
-        return BevWindow(x0, y0, nx, ny, cx0, cy0, cnx, cny)
+        height, width = windows[0].num_y, windows[0].num_x
+        decorated, flat_cells, counts, points_before, pillars_before = [], [], [], 0, 0
+        owner = []
+        for index, (points, window) in enumerate(zip(clouds, windows, strict=True)):
+            pillars = assign_pillars(points, self.grid, window)
+            decorated.append(decorate(points, pillars, self.grid))
+            rows = pillars.cell_y - window.y0 + index * height
+            flat_cells.append(rows * width + pillars.cell_x - window.x0)
+            counts.append(pillars.counts)
+            owner.append(pillars.pillar + pillars_before)
+            points_before += pillars.order.numel()
+            pillars_before += pillars.counts.numel()
+        channels = self.pillar_net.linear.out_features
+        dense = decorated[0].new_zeros(len(clouds) * height * width, channels)
+        if points_before:
+            empty = torch.empty(0, dtype=torch.int64)
+            joint = Pillars(empty, torch.cat(owner), torch.cat(counts), empty, empty)
+            features = self.pillar_net(torch.cat(decorated), joint)
+            dense = dense.index_copy(0, torch.cat(flat_cells), features)
+        return dense.view(len(clouds), height, width, channels).permute(0, 3, 1, 2)
 
-    def _span(self, centre: float, radius: float, cells: int) -> tuple[int, int, int, int] | None:
-        spec = self._net.backbone.spec
-        stride, margin = spec.total_strides[-1], spec.margin_cells
-        low, high = max(0, floor(centre - radius)), min(cells, ceil(centre + radius))
-        if low >= high:
-            return None
-        core_low, core_high = low // stride * stride, min(cells, -(-high // stride) * stride)
-        outer_low = max(0, (core_low - margin) // stride * stride)
-        outer_high = min(cells, -(-(core_high + margin) // stride) * stride)
-        return outer_low, outer_high - outer_low, core_low, core_high - core_low
+    def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
+        """Aligned to the backbone's total stride, inside the grid."""
+        stride = self.spec.total_strides[-1]
+        return max(0, low) // stride * stride, min(cells, -(-min(cells, high) // stride) * stride)
 
-    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
-        """Every anchor of the window's core (of the whole grid when window is None), scored.
+    def outer_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
+        """The core and the receptive field around it, aligned to the stride."""
+        stride, margin = self.spec.total_strides[-1], self.spec.margin_cells
+        low = max(0, (core_low - margin) // stride * stride)
+        return low, min(cells, -(-(core_high + margin) // stride) * stride)
 
-        points: (N, 3), network frame, metres; those out of range are ignored, none at all is a valid scene.
-        Differentiable w.r.t. points, through the logits; boxes are detached. Deterministic to the bit, also
-        under permutation of the points, for a fixed number of threads.
+    def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
+        """(B, 384, h, w) of the windows' cores; windows of equal shape. Differentiable w.r.t. points and weights."""
+        canvas = self.canvas(clouds, windows)
+        weight = self.backbone.blocks[0][0].weight  # type: ignore[index]
+        result: Tensor = self.backbone(canvas.to(weight.dtype), core_in_window(windows[0]))
+        return result
+
+    def inference(self, precision: Precision) -> PointPillarsNet:
+        """A copy in evaluation mode, batch norms and input gains folded in float64.
+
+        The pillar network always runs in float32 or better.
         """
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise InputError(f"points have shape {tuple(points.shape)}, not (N, 3)", where="detector input")
-        window = window or full_window(self.grid)
-        canvas = self._net.canvas([points.to(self._dtype)], [window])
-        features = self._backbone(canvas.to(self._dense_dtype), core_in_window(window))
-        logits = self._heads.logits(features)[0].to(self._dtype)
-        with torch.no_grad():
-            outputs = self._heads(features.detach())
-            codes, directions = outputs.codes[0].to(self._dtype), outputs.directions[0].to(self._dtype)
-            anchors = anchor_boxes(self.anchors, self.grid, window).to(self._dtype)
-            boxes = decode_boxes(codes, anchors, directions)
-        return Proposals(boxes.float(), logits, anchor_indices(self.anchors, self.grid, window))
+        exact, dense = arithmetic(precision)
+        folded = copy.deepcopy(self)
+        pillar_net = folded.pillar_net
+        gains: Tensor = pillar_net.feature_scale  # type: ignore[assignment]
+        pillar_net.linear = folded_linear(pillar_net.linear, pillar_net.norm, gains)
+        pillar_net.norm = nn.Identity()
+        pillar_net.feature_scale = torch.ones_like(gains)
+        for group in (folded.backbone.blocks, folded.backbone.ups):
+            for index, sequence in enumerate(group):
+                assert isinstance(sequence, nn.Sequential)
+                group[index] = folded_sequence(sequence)
+        folded = folded.eval().requires_grad_(False).to(exact)
+        for part in (folded.backbone, folded.heads):
+            part.to(dense).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return folded
 
-    def detect(
-        self,
-        points: Tensor,
-        window: BevWindow | None = None,
-        score_threshold: float = 0.1,
-        iou_threshold: float = 0.25,
-    ) -> Detections:
-        """Boxes after suppression, best first; at most 4096 before and 500 after. Not differentiable.
 
-        In a window, suppression sees the core's proposals alone.
-        Source: the public Waymo config (thresholds 0.1 and 0.25, 4096 and 500).
-        """
-        with torch.no_grad():
-            found = self.proposals(points, window)
-        return suppress(found, score_threshold, iou_threshold)
+def core_in_window(window: BevWindow) -> tuple[int, int, int, int]:
+    """(y0, x0, height, width) of the core in the window's own cells."""
+    return (
+        window.core_y0 - window.y0,
+        window.core_x0 - window.x0,
+        window.core_num_y,
+        window.core_num_x,
+    )

@@ -12,6 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from shift3d.processor import has_fast_bfloat16
 from shift3d.sdf.decoder import Field as DecoderField
 
 
@@ -46,6 +47,6 @@ def coarse_twin(field: object, dtype: torch.dtype) -> CoarseField | None:
     """The coarse form of a float32 decoder's field; None for other fields and where bfloat16 would be slow."""
     if not isinstance(field, DecoderField) or dtype != torch.float32 or field.dtype != torch.float32:
         return None
-    if field.skip_layer < 1 or not torch.ops.mkldnn._is_mkldnn_bf16_supported():
+    if field.skip_layer < 1 or not has_fast_bfloat16():
         return None
     return CoarseField(field)

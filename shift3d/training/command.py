@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MODELS", "evaluate", "train"]
 
-MODELS = ("sdf", "pointpillars")
+MODELS = ("sdf", "pointpillars", "sst")
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 
 
@@ -25,7 +26,7 @@ def train(model: str, out: Path, threads: int | None = None) -> int:
     """Train a shipped model from nothing but this package, or go on where an interrupted training stopped.
 
     Args:
-        model: one of MODELS; pointpillars needs the weights of sdf, whose vehicles it is trained on.
+        model: one of MODELS; the detectors need the weights of sdf, whose vehicles they are trained on.
         out: holds samples, scenes and checkpoints; the finished weights go to ``shift3d/weights``.
         threads: of the arithmetic; default every core.
 
@@ -33,7 +34,11 @@ def train(model: str, out: Path, threads: int | None = None) -> int:
         InputError: unknown model; a checkpoint of another recipe in ``out``.
     """
     threads = threads or os.cpu_count() or 1
-    trainers: dict[str, Callable[[Path, int], None]] = {"sdf": _train_sdf, "pointpillars": _train_pointpillars}
+    trainers: dict[str, Callable[[Path, int], None]] = {
+        "sdf": _train_sdf,
+        "pointpillars": partial(_train_detector, "pointpillars"),
+        "sst": partial(_train_detector, "sst"),
+    }
     start = time.monotonic()
     _known(model, trainers)(out, threads)
     print(f"{model}: trained in {(time.monotonic() - start) / 60:.0f} min, weights in {WEIGHTS_FOLDER.name}/")
@@ -71,10 +76,10 @@ def _train_sdf(out: Path, threads: int) -> None:
     export_sdf(train_sdf(out, threads=threads), WEIGHTS_FOLDER)
 
 
-def _train_pointpillars(out: Path, threads: int) -> None:
-    from shift3d.training.pointpillars import train_pointpillars
+def _train_detector(name: str, out: Path, threads: int) -> None:
+    from shift3d.training.detector import RECIPES, train_detector
 
-    train_pointpillars(out, threads=threads, weights_file=WEIGHTS_FOLDER / "pointpillars.safetensors")
+    train_detector(out, RECIPES[name], threads=threads, weights_file=WEIGHTS_FOLDER / f"{name}.safetensors")
 
 
 def _evaluate_sdf(kitti: str | None, scenes: int) -> None:

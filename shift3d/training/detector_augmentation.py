@@ -48,11 +48,14 @@ def window_around(grid: Grid, centre_xy: tuple[float, float], cells: int) -> Bev
     return BevWindow(x0, y0, cells, cells, x0, y0, cells, cells)
 
 
-def random_crop(scene: TrainingScene, grid: Grid, cells: int, rng: np.random.Generator) -> Crop:
-    """Cut, turn and vary. cells: side of the square window. The same rng state gives the same crop."""
+def random_crop(scene: TrainingScene, grid: Grid, cells: int, rng: np.random.Generator, jitter_m: float = 11.0) -> Crop:
+    """Cut, turn and vary. The same rng state gives the same crop.
+
+    cells: side of the square window. jitter_m: how far its centre lies from a vehicle at most, in x and y.
+    """
     angle, flip = rng.uniform(-np.pi, np.pi), rng.random() < 0.5
     scale = rng.uniform(0.92, 1.08)
-    centre = _centre(scene, rng)
+    centre = _centre(scene, jitter_m, rng)
     reach = (hypot(cells, cells) / 2 * grid.cell_m + 4.0) / scale
     near = np.hypot(scene.points[:, 0] - centre[0], scene.points[:, 1] - centre[1]) < reach
     points = _thinned(scene.points[near], scene.sensor_height_m, rng)
@@ -65,11 +68,11 @@ def random_crop(scene: TrainingScene, grid: Grid, cells: int, rng: np.random.Gen
     return Crop(points, boxes, counts >= FEW_POINTS, window)
 
 
-def _centre(scene: TrainingScene, rng: np.random.Generator) -> npt.NDArray[np.float64]:
+def _centre(scene: TrainingScene, jitter_m: float, rng: np.random.Generator) -> npt.NDArray[np.float64]:
     """Near a vehicle mostly, anywhere sometimes: crops without any vehicle teach what is none."""
     near = scene.boxes[np.hypot(scene.boxes[:, 0], scene.boxes[:, 1]) < VEHICLE_RADIUS_M]
     if len(near) and rng.random() < 0.85:
-        return np.asarray(near[rng.integers(len(near)), :2] + rng.uniform(-11, 11, 2), dtype=np.float64)
+        return np.asarray(near[rng.integers(len(near)), :2] + rng.uniform(-jitter_m, jitter_m, 2), dtype=np.float64)
     return rng.uniform(-45, 45, 2)
 
 

@@ -39,8 +39,10 @@ def sine_code_difference(codes: Tensor, wanted: Tensor) -> Tensor:
     return torch.cat((codes[:, :6] - wanted[:, :6], heading), dim=1)
 
 
-def detection_loss(outputs: HeadOutputs, targets: list[Targets]) -> tuple[Tensor, dict[str, float]]:
-    """Mean over the batch of class + 2 box + 0.2 direction, each over the number of positive anchors.
+def detection_loss(
+    outputs: HeadOutputs, targets: list[Targets], direction_weight: float = DIRECTION_WEIGHT
+) -> tuple[Tensor, dict[str, float]]:
+    """Mean over the batch of class + 2 box + direction_weight * direction, each over the number of positive anchors.
 
     Returns the loss and its parts. Source: public Waymo config of PointPillars.
     """
@@ -57,7 +59,7 @@ def detection_loss(outputs: HeadOutputs, targets: list[Targets]) -> tuple[Tensor
         direction_loss = functional.cross_entropy(
             outputs.directions[index][target.positives], target.directions, reduction="sum"
         )
-        total = total + class_loss + (BOX_WEIGHT * box_loss + DIRECTION_WEIGHT * direction_loss) / count
+        total = total + class_loss + (BOX_WEIGHT * box_loss + direction_weight * direction_loss) / count
         parts["class"] += float(class_loss.detach()) / len(targets)
         parts["box"] += float(box_loss.detach()) / count / len(targets)
         parts["direction"] += float(direction_loss.detach()) / count / len(targets)

@@ -5,11 +5,11 @@ import dataclasses
 import pytest
 import torch
 
+from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import full_window
-from shift3d.detectors.network import PointPillarsNet
-from shift3d.detectors.pointpillars import PointPillars
+from shift3d.detectors.pointpillars import PointPillarsNet
 from shift3d.errors import InputError
 
 SLIM = BackboneSpec(in_channels=8, channels=(8, 8, 8), up_channels=8)
@@ -38,12 +38,12 @@ def _scene(count: int = 20000, seed: int = 0) -> torch.Tensor:
 
 
 @pytest.fixture(scope="module")
-def slim() -> PointPillars:
-    return PointPillars(_random_net(SLIM))
+def slim() -> AnchorDetector:
+    return AnchorDetector(_random_net(SLIM))
 
 
 @pytest.fixture(scope="module")
-def full_scene(slim: PointPillars) -> tuple[torch.Tensor, torch.Tensor]:
+def full_scene(slim: AnchorDetector) -> tuple[torch.Tensor, torch.Tensor]:
     found = slim.proposals(_scene())
     return found.logits, found.boxes
 
@@ -69,7 +69,7 @@ def test_margin_is_the_receptive_field() -> None:
 
 @pytest.mark.parametrize("centre", [(10.0, -7.3), (-73.0, 74.0), (70.0, 20.0), (0.0, -74.5)])
 def test_a_window_gives_the_full_scene_s_proposals(
-    slim: PointPillars, full_scene: tuple[torch.Tensor, torch.Tensor], centre: tuple[float, float]
+    slim: AnchorDetector, full_scene: tuple[torch.Tensor, torch.Tensor], centre: tuple[float, float]
 ) -> None:
     window = slim.window_for(centre, 8.0)
     assert window.num_x % 4 == window.num_y % 4 == 0
@@ -80,7 +80,7 @@ def test_a_window_gives_the_full_scene_s_proposals(
     assert torch.allclose(part.boxes, boxes[part.anchor_index], atol=1e-4, rtol=1e-5)
 
 
-def test_a_window_reports_every_anchor_in_the_radius(slim: PointPillars) -> None:
+def test_a_window_reports_every_anchor_in_the_radius(slim: AnchorDetector) -> None:
     from shift3d.detectors.anchors import anchor_boxes
 
     window = slim.window_for((30.1, -12.2), 6.0)
@@ -90,7 +90,7 @@ def test_a_window_reports_every_anchor_in_the_radius(slim: PointPillars) -> None
     assert wanted <= set(slim.proposals(_scene(), window).anchor_index.tolist())
 
 
-def test_a_window_gives_the_full_scene_s_gradient(slim: PointPillars) -> None:
+def test_a_window_gives_the_full_scene_s_gradient(slim: AnchorDetector) -> None:
     window = slim.window_for((-68.0, 3.0), 5.0)
     gradients = []
     for where in (window, None):
@@ -104,12 +104,12 @@ def test_a_window_gives_the_full_scene_s_gradient(slim: PointPillars) -> None:
     assert torch.allclose(*gradients, atol=1e-5, rtol=0)
 
 
-def test_a_window_beyond_the_grid_is_refused(slim: PointPillars) -> None:
+def test_a_window_beyond_the_grid_is_refused(slim: AnchorDetector) -> None:
     with pytest.raises(InputError, match="detector window"):
         slim.window_for((100.0, 0.0), 5.0)
 
 
-def test_bitwise_equal_over_runs_and_permutations(slim: PointPillars) -> None:
+def test_bitwise_equal_over_runs_and_permutations(slim: AnchorDetector) -> None:
     window = slim.window_for((5.0, 5.0), 6.0)
     points = _scene()
     points[:6000, :2] = points[:6000, :2] * 0.1  # crowded pillars
@@ -132,12 +132,12 @@ def test_folding_changes_nothing() -> None:
     points = _scene().double()
     with torch.no_grad():
         outputs = net([points], [window])
-        folded = PointPillars(net, "float64").proposals(points, window)
+        folded = AnchorDetector(net, "float64").proposals(points, window)
     assert torch.allclose(outputs.logits[0], folded.logits, atol=1e-10, rtol=0)
 
 
 def test_gradient_equals_central_differences_in_float64() -> None:
-    detector = PointPillars(_random_net(SLIM), "float64")
+    detector = AnchorDetector(_random_net(SLIM), "float64")
     window = detector.window_for((3.0, 2.0), 2.0)
     generator = torch.Generator().manual_seed(5)
     cloud = torch.rand(400, 3, generator=generator, dtype=torch.float64) * torch.tensor([6.0, 6.0, 1.5])
@@ -159,7 +159,7 @@ def test_gradient_equals_central_differences_in_float64() -> None:
 
 
 @pytest.mark.parametrize("cloud", [torch.zeros(0, 3), torch.full((5, 3), 500.0)])
-def test_a_scene_without_points_in_range_is_valid(slim: PointPillars, cloud: torch.Tensor) -> None:
+def test_a_scene_without_points_in_range_is_valid(slim: AnchorDetector, cloud: torch.Tensor) -> None:
     window = slim.window_for((0.0, 0.0), 3.0)
     points = cloud.clone().requires_grad_()
     found = slim.proposals(points, window)
@@ -170,13 +170,13 @@ def test_a_scene_without_points_in_range_is_valid(slim: PointPillars, cloud: tor
 
 def test_bfloat16_stays_near_float32() -> None:
     net = _random_net(SLIM)
-    exact, rough = PointPillars(net), PointPillars(net, "bfloat16")
+    exact, rough = AnchorDetector(net), AnchorDetector(net, "bfloat16")
     window = exact.window_for((0.0, 0.0), 4.0)
     one, two = exact.proposals(_scene(), window), rough.proposals(_scene(), window)
     assert two.logits.dtype == torch.float32
     assert (one.logits - two.logits).abs().max() < 0.1 * one.logits.abs().max()
 
 
-def test_wrong_shape_is_refused(slim: PointPillars) -> None:
+def test_wrong_shape_is_refused(slim: AnchorDetector) -> None:
     with pytest.raises(InputError, match=r"\(N, 3\)"):
         slim.proposals(torch.zeros(5, 4))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from shift3d.detectors.pointpillars import PointPillars
+from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.weights import load_detector
 from shift3d.geometry.iou import iou_bev
 from shift3d.scenes.kitti import KittiScenes
@@ -19,11 +19,11 @@ WELL_SEEN = 100
 
 
 @pytest.fixture(scope="module")
-def detector() -> PointPillars:
+def detector() -> AnchorDetector:
     return load_detector("pointpillars")
 
 
-def _found(detector: PointPillars, scene: Scene, iou_threshold: float) -> np.ndarray:
+def _found(detector: AnchorDetector, scene: Scene, iou_threshold: float) -> np.ndarray:
     """For each well seen vehicle within the radius: the best score of a box that overlaps it enough, else 0."""
     points = torch.from_numpy(scene.points[scene.has_beam]) - torch.tensor([0.0, 0.0, scene.ground_z_m])
     found = detector.detect(points, detector.window_for((0.0, 0.0), RADIUS_M + 3.0))
@@ -35,7 +35,7 @@ def _found(detector: PointPillars, scene: Scene, iou_threshold: float) -> np.nda
 
 
 @pytest.mark.parametrize("sensor", ["hdl64", "waymo_top"])
-def test_finds_vehicles_of_held_out_streets(detector: PointPillars, sensor: str) -> None:
+def test_finds_vehicles_of_held_out_streets(detector: AnchorDetector, sensor: str) -> None:
     scenes = StreetScenes(sensor, count=2, split="test")
     scores = np.concatenate([_found(detector, scenes.load(name), 0.7) for name in scenes.names()])
     assert len(scores) >= 6
@@ -43,14 +43,14 @@ def test_finds_vehicles_of_held_out_streets(detector: PointPillars, sensor: str)
     assert 0.5 <= np.median(scores) <= 0.97  # neither blind nor saturated
 
 
-def test_finds_cars_of_real_frames(detector: PointPillars, real_data: Callable[[str], Path]) -> None:
+def test_finds_cars_of_real_frames(detector: AnchorDetector, real_data: Callable[[str], Path]) -> None:
     scenes = KittiScenes(real_data("kitti"), names=["000134", "004240", "002079"])
     scores = np.concatenate([_found(detector, scenes.load(name), 0.5) for name in scenes.names()])
     assert len(scores) >= 3
     assert np.mean(scores > 0.3) >= 0.6
 
 
-def test_an_empty_world_holds_no_vehicle(detector: PointPillars) -> None:
+def test_an_empty_world_holds_no_vehicle(detector: AnchorDetector) -> None:
     window = detector.window_for((0.0, 0.0), 10.0)
     found = detector.detect(torch.zeros(0, 3), window, score_threshold=0.3)
     assert len(found.scores) == 0

@@ -6,7 +6,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from shift3d.detectors.network import PointPillarsNet
+from shift3d.detectors.pointpillars import PointPillarsNet
 from shift3d.detectors.weights import load_detector, load_network
 from shift3d.errors import InputError
 

@@ -14,11 +14,11 @@ from shift3d.detectors.box_coding import decode_boxes
 from shift3d.detectors.grid import WAYMO_GRID
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
+from shift3d.training.detector import Recipe, one_cycle, train_on_scenes
 from shift3d.training.detector_augmentation import random_crop
 from shift3d.training.detector_losses import detection_loss, focal_loss, sine_code_difference
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
 from shift3d.training.detector_targets import IGNORED, NEGATIVE, POSITIVE, assign_targets, nearest_bev_iou
-from shift3d.training.pointpillars import Recipe, one_cycle, train_on_scenes
 
 WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
 ANCHORS = anchor_boxes(WAYMO_ANCHORS, WAYMO_GRID, WINDOW)
@@ -29,7 +29,7 @@ TINY = Recipe(
     crop_cells=32,
     batch=2,
     rim_cells=2,
-    backbone=BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4),
+    network=BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4),
 )
 
 
@@ -161,7 +161,7 @@ def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
         assert torch.equal(tensor, resumed.state_dict()[name]), name
     assert any(not torch.equal(a, b) for a, b in zip(straight.parameters(), start.parameters(), strict=True))
     with pytest.raises(InputError, match="another recipe"):
-        train_on_scenes(tmp_path / "b", Recipe(steps=7, backbone=TINY.backbone), mesh, inserted)
+        train_on_scenes(tmp_path / "b", Recipe(steps=7, network=TINY.network), mesh, inserted)
 
 
 def test_the_cache_is_written_once_and_read_back(tmp_path: Path) -> None:

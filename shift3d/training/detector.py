@@ -1,4 +1,4 @@
-"""Training of PointPillars: a fixed number of steps, resumable to the same weights."""
+"""Training of a detector on crops of scenes: a fixed number of steps, resumable to the same weights."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from tqdm import tqdm
 
 from shift3d.detectors.anchors import WAYMO_ANCHORS, anchor_boxes
 from shift3d.detectors.backbone import WAYMO_BACKBONE, BackboneSpec
-from shift3d.detectors.network import PointPillarsNet
+from shift3d.detectors.network import AnchorNet
+from shift3d.detectors.pointpillars import PointPillarsNet
+from shift3d.detectors.sst import SST_SPEC, SstNet, SstSpec
 from shift3d.errors import InputError
 from shift3d.scenes.sets import StreetScenes
 from shift3d.sdf.decoder import load_decoder
@@ -26,18 +28,21 @@ from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_s
 from shift3d.training.detector_targets import Targets, assign_targets
 from shift3d.training.inserted_vehicles import insertable_vehicles, with_inserted_vehicles
 
-__all__ = ["Recipe", "export_weights", "one_cycle", "train_on_scenes", "train_pointpillars"]
+__all__ = ["RECIPES", "Recipe", "export_weights", "one_cycle", "train_detector", "train_on_scenes"]
 
 
 @dataclass(frozen=True)
 class Recipe:
     """Everything that decides the trained weights, beside the scenes. Threads are not part of it.
 
-    steps: optimiser steps; the first `mesh_only_steps` use mesh scenes alone, after which each crop comes
-    from a scene with rendered insertions with probability `inserted_share`. crop_cells: side of the square
-    crops; batch: crops a step; rim_cells: anchors so close to a crop's edge are not trained.
+    network: sizes of the detector, which say what it is. steps: optimiser steps; the first `mesh_only_steps`
+    use mesh scenes alone, after which each crop comes from a scene with rendered insertions with probability
+    `inserted_share`. crop_cells: side of the square crops; batch: crops a step; rim_cells: anchors so close to
+    a crop's edge are not trained; jitter_m: how far a crop's centre lies from the vehicle it was chosen for.
+    bfloat16: take large products in half the bytes, which pays where the processor has instructions for it.
     """
 
+    network: BackboneSpec | SstSpec = WAYMO_BACKBONE
     steps: int = 7000
     mesh_only_steps: int = 2700
     inserted_share: float = 0.5
@@ -47,12 +52,42 @@ class Recipe:
     crop_cells: int = 112
     batch: int = 2
     rim_cells: int = 6
+    jitter_m: float = 11.0
     peak_rate: float = 1.5e-3
     weight_decay: float = 0.01
     warm_up_share: float = 0.3
     clip_norm: float = 10.0
+    direction_weight: float = 0.2
+    bfloat16: bool = True
     seed: int = 0
-    backbone: BackboneSpec = WAYMO_BACKBONE
+
+    @property
+    def detector(self) -> str:
+        """Name of the detector that these sizes belong to."""
+        return "sst" if isinstance(self.network, SstSpec) else "pointpillars"
+
+    def new_network(self) -> AnchorNet:
+        """An untrained network, from torch's global random state."""
+        return SstNet(self.network) if isinstance(self.network, SstSpec) else PointPillarsNet(self.network)
+
+
+RECIPES: dict[str, Recipe] = {
+    "pointpillars": Recipe(),
+    # Attention costs by the token and the dense layers by the cell, so that small crops around vehicles teach
+    # most for the time; weight decay is the published one, the peak rate fits batches of two (our choice).
+    "sst": Recipe(
+        network=SST_SPEC,
+        steps=6000,
+        mesh_only_steps=1500,
+        crop_cells=64,
+        jitter_m=6.0,
+        peak_rate=6e-4,
+        weight_decay=0.05,
+        warm_up_share=0.15,
+        direction_weight=1.0,
+        bfloat16=False,
+    ),
+}
 
 
 def one_cycle(step: int, recipe: Recipe) -> tuple[float, float]:
@@ -76,7 +111,7 @@ def train_on_scenes(
     threads: int = 1,
     checkpoint_every: int = 250,
     stop_after: int | None = None,
-) -> PointPillarsNet:
+) -> AnchorNet:
     """Train, or go on from out_dir's checkpoint, to recipe.steps (or stop_after, to be resumed).
 
     A resumed training gives the weights of an uninterrupted one: the crops of a step depend on the seed and
@@ -85,8 +120,9 @@ def train_on_scenes(
     Raises: InputError if the checkpoint belongs to another recipe.
     """
     torch.set_num_threads(threads)
+    torch.set_flush_denormal(True)  # subnormal weights, which a network may have many of, cost several times the time
     torch.manual_seed(recipe.seed)
-    net = PointPillarsNet(recipe.backbone)
+    net = recipe.new_network()
     net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimiser = torch.optim.AdamW(net.parameters(), lr=recipe.peak_rate, weight_decay=recipe.weight_decay)
     out_dir.mkdir(parents=True, exist_ok=True)
@@ -95,7 +131,7 @@ def train_on_scenes(
     end = recipe.steps if stop_after is None else min(recipe.steps, stop_after)
     smoothed: dict[str, float] = {}
     batches = _batches(net, recipe, range(done, end), mesh_scenes, inserted_scenes)
-    progress = tqdm(batches, initial=done, total=recipe.steps, desc="pointpillars", mininterval=5.0)
+    progress = tqdm(batches, initial=done, total=recipe.steps, desc=recipe.detector, mininterval=5.0)
     for step, crops, targets in progress:
         parts = _train_step(net, optimiser, recipe, step, crops, targets)
         for name, value in parts.items():
@@ -109,7 +145,7 @@ def train_on_scenes(
 
 
 def _train_step(
-    net: PointPillarsNet,
+    net: AnchorNet,
     optimiser: torch.optim.Optimizer,
     recipe: Recipe,
     step: int,
@@ -119,11 +155,11 @@ def _train_step(
     rate, momentum = one_cycle(step, recipe)
     for group in optimiser.param_groups:
         group["lr"], group["betas"] = rate, (momentum, 0.99)
-    canvas = net.canvas([torch.from_numpy(crop.points) for crop in crops], [crop.window for crop in crops])
-    with torch.autocast("cpu", torch.bfloat16):
-        outputs = net.heads(net.backbone(canvas))
+    clouds, windows = [torch.from_numpy(crop.points) for crop in crops], [crop.window for crop in crops]
+    with torch.autocast("cpu", torch.bfloat16, enabled=recipe.bfloat16):
+        outputs = net(clouds, windows)
     outputs = type(outputs)(outputs.logits.float(), outputs.codes.float(), outputs.directions.float())
-    loss, parts = detection_loss(outputs, targets)
+    loss, parts = detection_loss(outputs, targets, recipe.direction_weight)
     optimiser.zero_grad(set_to_none=True)
     loss.backward()
     torch.nn.utils.clip_grad_norm_(net.parameters(), recipe.clip_norm)
@@ -132,7 +168,7 @@ def _train_step(
 
 
 def _batches(
-    net: PointPillarsNet, recipe: Recipe, steps: range, mesh: Sequence[Path], inserted: Sequence[Path]
+    net: AnchorNet, recipe: Recipe, steps: range, mesh: Sequence[Path], inserted: Sequence[Path]
 ) -> Iterator[tuple[int, list[Crop], list[Targets]]]:
     """Crops and targets of each step, the next ones made in a thread while the network computes."""
 
@@ -149,16 +185,16 @@ def _batches(
             yield batch
 
 
-def _crop(
-    net: PointPillarsNet, recipe: Recipe, step: int, slot: int, mesh: Sequence[Path], inserted: Sequence[Path]
-) -> Crop:
-    rng = generator("pointpillars crop", recipe.seed, step, slot)
+def _crop(net: AnchorNet, recipe: Recipe, step: int, slot: int, mesh: Sequence[Path], inserted: Sequence[Path]) -> Crop:
+    rng = generator(f"{recipe.detector} crop", recipe.seed, step, slot)
     use_inserted = step >= recipe.mesh_only_steps and rng.random() < recipe.inserted_share
     files = inserted if use_inserted and len(inserted) else mesh
-    return random_crop(load_cached(files[int(rng.integers(len(files)))]), net.grid, recipe.crop_cells, rng)
+    return random_crop(
+        load_cached(files[int(rng.integers(len(files)))]), net.grid, recipe.crop_cells, rng, recipe.jitter_m
+    )
 
 
-def _targets(net: PointPillarsNet, crop: Crop, rim_cells: int) -> Targets:
+def _targets(net: AnchorNet, crop: Crop, rim_cells: int) -> Targets:
     anchors = anchor_boxes(WAYMO_ANCHORS, net.grid, crop.window)
     per_cell = len(WAYMO_ANCHORS.headings_rad)
     inner = torch.zeros(crop.window.num_y, crop.window.num_x, per_cell, dtype=torch.bool)
@@ -166,7 +202,7 @@ def _targets(net: PointPillarsNet, crop: Crop, rim_cells: int) -> Targets:
     return assign_targets(anchors, torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable), inner.reshape(-1))
 
 
-def _save(file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.optim.Optimizer, steps_done: int) -> None:
+def _save(file: Path, recipe: Recipe, net: AnchorNet, optimiser: torch.optim.Optimizer, steps_done: int) -> None:
     state = {
         "steps_done": steps_done,
         "recipe": repr(recipe),
@@ -176,7 +212,7 @@ def _save(file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.opt
     write_checkpoint(file, state)
 
 
-def _resume(file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.optim.Optimizer) -> int:
+def _resume(file: Path, recipe: Recipe, net: AnchorNet, optimiser: torch.optim.Optimizer) -> int:
     state = read_checkpoint(file)
     if state is None:
         return 0
@@ -189,38 +225,37 @@ def _resume(file: Path, recipe: Recipe, net: PointPillarsNet, optimiser: torch.o
     return int(state["steps_done"])
 
 
-def export_weights(net: PointPillarsNet, file: Path, recipe: Recipe) -> None:
+def export_weights(net: AnchorNet, file: Path, recipe: Recipe) -> None:
     """Write the weights as safetensors, with the recipe in the metadata, replacing the file in one step."""
     file.parent.mkdir(parents=True, exist_ok=True)
     partial = file.with_name(file.name + ".partial")
     tensors = {name: tensor.contiguous() for name, tensor in net.state_dict().items()}
-    save_file(tensors, partial, metadata={"model": "pointpillars", "recipe": repr(recipe)})
+    save_file(tensors, partial, metadata={"model": recipe.detector, "recipe": repr(recipe)})
     partial.replace(file)
 
 
-def train_pointpillars(
+def train_detector(
     out_dir: Path,
-    recipe: Recipe | None = None,
+    recipe: Recipe,
     threads: int = 1,
     weights_file: Path | None = None,
     vehicles_file: Path | None = None,
     decoder_file: Path | None = None,
-) -> PointPillarsNet:
+) -> AnchorNet:
     """The whole recipe: make scenes, train on mesh vehicles, then on inserted ones too, export.
 
     out_dir: scenes, checkpoint and weights; an interrupted training goes on from there. weights_file: where
-    the safetensors go (default out_dir/pointpillars.safetensors). threads: may change from call to call; the
+    the safetensors go (default out_dir/<detector>.safetensors). threads: may change from call to call; the
     weights then agree to rounding, not to the bit. vehicles_file, decoder_file: default the shipped ones.
 
     Raises: InputError when the shape decoder's weights are missing or the checkpoint is of another recipe.
     """
-    recipe = recipe or Recipe()
     mesh = mesh_scene_files(out_dir, recipe.mesh_scenes)
     train_on_scenes(out_dir, recipe, mesh, threads=threads, stop_after=recipe.mesh_only_steps)
     torch.set_num_threads(threads)
     inserted = inserted_scene_files(out_dir, mesh, recipe, vehicles_file, decoder_file)
     net = train_on_scenes(out_dir, recipe, mesh, inserted, threads=threads)
-    export_weights(net, weights_file or out_dir / "pointpillars.safetensors", recipe)
+    export_weights(net, weights_file or out_dir / f"{recipe.detector}.safetensors", recipe)
     return net
 
 

@@ -1,0 +1,167 @@
+"""SST, the single-stride sparse transformer, as one module for training and inference.
+
+Source: Embracing Single Stride 3D Object Detector with Sparse Transformer (Fan et al. 2022), in its public
+Waymo configuration with one frame and xyz alone.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from shift3d.detectors.backbone import Heads
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.folding import folded_linear, folded_sequence
+from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars, assign_pillars
+from shift3d.detectors.network import AnchorNet, Precision, arithmetic
+from shift3d.detectors.token_windows import Tokens
+from shift3d.detectors.voxel_encoder import VoxelEncoder, decorate_with_height
+from shift3d.detectors.window_transformer import SST_TRANSFORMER, TransformerSpec, WindowTransformer
+
+__all__ = ["SST_SPEC", "SstNet", "SstSpec"]
+
+
+@dataclass(frozen=True)
+class SstSpec:
+    """Sizes of SST. dilations: of the 3x3 convolutions on the dense map; out_channels: what the heads read."""
+
+    transformer: TransformerSpec = SST_TRANSFORMER
+    encoder_hidden: int = 64
+    dilations: tuple[int, ...] = (1, 1, 2)
+    out_channels: int = 384
+    anchors_per_cell: int = 2
+
+
+SST_SPEC = SstSpec()
+
+
+def _convolution(in_channels: int, channels: int, size: int, dilation: int = 1) -> list[nn.Module]:
+    return [
+        nn.Conv2d(in_channels, channels, size, padding=size // 2 * dilation, dilation=dilation, bias=False),
+        nn.BatchNorm2d(channels, eps=1e-3, momentum=0.01),
+        nn.ReLU(inplace=True),
+    ]
+
+
+class SstNet(AnchorNet):
+    """Points -> logits, codes, direction logits of every anchor in the window's core.
+
+    Every pillar is a token and every token attends: nothing is dropped, and nothing is shuffled, so that the
+    result does not depend on the order of the points (the public code shuffles, and drops in training).
+    """
+
+    name = "sst"
+
+    def __init__(self, spec: SstSpec = SST_SPEC, grid: Grid = WAYMO_GRID) -> None:
+        super().__init__()
+        self.spec = spec
+        self.grid = grid
+        width = spec.transformer.width
+        self.encoder = VoxelEncoder(spec.encoder_hidden, width)
+        self.transformer = WindowTransformer(spec.transformer)
+        layers = [module for dilation in spec.dilations for module in _convolution(width, width, 3, dilation)]
+        self.dense = nn.Sequential(*layers, *_convolution(width, spec.out_channels, 1))
+        self.heads = Heads(spec.out_channels, spec.anchors_per_cell)
+
+    def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
+        """[low, high) itself: any cell can be asked for alone."""
+        return max(0, low), min(cells, high)
+
+    def outer_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
+        """Cells of the axis on which the core depends: convolutions, then windows layer by layer."""
+        low, high = self._dense_span(core_low, core_high, cells)
+        low, high = self.transformer.needed_spans(low, high)[0]
+        return max(0, low), min(cells, high)
+
+    def _dense_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
+        reach = sum(self.spec.dilations)
+        return max(0, core_low - reach), min(cells, core_high + reach)
+
+    def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
+        """(B, out_channels, h, w) of the windows' cores. clouds: (N_b, 3), network frame.
+
+        Windows of a batch have the same shape; cores that are only a part of theirs, the same place too.
+        Differentiable w.r.t. points and weights.
+        """
+        encoded, tokens = self._encoded(clouds, windows)
+        spans = [self._core_spans(window) for window in windows]
+        # Tokens are let go by place on the grid, which differs within a batch: only a single scene is cut.
+        span_x, span_y = spans[0] if len(spans) == 1 else ((0, self.grid.num_x), (0, self.grid.num_y))
+        attended, tokens = self.transformer(encoded, tokens, span_x, span_y)
+        canvas = self._canvas(attended, tokens, spans)
+        dense = self.dense(canvas.to(self._dense_dtype()))
+        window, ((x0, _), (y0, _)) = windows[0], spans[0]
+        rows = slice(window.core_y0 - y0, window.core_y0 - y0 + window.core_num_y)
+        columns = slice(window.core_x0 - x0, window.core_x0 - x0 + window.core_num_x)
+        result: Tensor = dense[:, :, rows, columns]
+        return result
+
+    def _core_spans(self, window: BevWindow) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Cells (x, y) of the dense map: the core and what the convolutions read around it, in the window."""
+        x_low, x_high = self._dense_span(window.core_x0, window.core_x0 + window.core_num_x, self.grid.num_x)
+        y_low, y_high = self._dense_span(window.core_y0, window.core_y0 + window.core_num_y, self.grid.num_y)
+        return (
+            (max(window.x0, x_low), min(window.x0 + window.num_x, x_high)),
+            (max(window.y0, y_low), min(window.y0 + window.num_y, y_high)),
+        )
+
+    def _encoded(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> tuple[Tensor, Tokens]:
+        """Features (P, width) of every pillar of the batch, and where they lie."""
+        decorated, owner, counts, cells = [], [], [], []
+        pillars_before = 0
+        for index, (points, window) in enumerate(zip(clouds, windows, strict=True)):
+            pillars = assign_pillars(points, self.grid, window)
+            decorated.append(decorate_with_height(points, pillars, self.grid))
+            owner.append(pillars.pillar + pillars_before)
+            counts.append(pillars.counts)
+            batch = np.full(pillars.counts.numel(), index, dtype=np.int64)
+            cells.append((batch, pillars.cell_x.numpy(), pillars.cell_y.numpy()))
+            pillars_before += pillars.counts.numel()
+        tokens = Tokens(*(np.concatenate(values) for values in zip(*cells, strict=True)))
+        if not pillars_before:
+            return decorated[0].new_zeros(0, self.spec.transformer.width), tokens
+        empty = torch.empty(0, dtype=torch.int64)
+        joint = Pillars(empty, torch.cat(owner), torch.cat(counts), empty, empty)
+        return self.encoder(torch.cat(decorated), joint), tokens
+
+    def _canvas(self, features: Tensor, tokens: Tokens, spans: list[tuple[tuple[int, int], tuple[int, int]]]) -> Tensor:
+        """Features on the dense map, (B, C, h, w), channels last in memory, zero where no token is."""
+        x_low, y_low = (np.asarray([span[axis][0] for span in spans]) for axis in (0, 1))
+        width, height = (spans[0][axis][1] - spans[0][axis][0] for axis in (0, 1))
+        column, line = tokens.cell_x - x_low[tokens.batch], tokens.cell_y - y_low[tokens.batch]
+        flat = torch.from_numpy((tokens.batch * height + line) * width + column)
+        dense = features.new_zeros(len(spans) * height * width, features.shape[1]).index_copy(0, flat, features)
+        return dense.view(len(spans), height, width, -1).permute(0, 3, 1, 2)
+
+    def _dense_dtype(self) -> torch.dtype:
+        weight = self.dense[0].weight
+        assert isinstance(weight, Tensor)
+        return weight.dtype
+
+    def inference(self, precision: Precision) -> SstNet:
+        """A copy in evaluation mode, batch norms folded in float64, layers in their arithmetic.
+
+        The encoder, the sums and the norms of the transformer stay in float32 for bfloat16: only products are
+        taken in half the bytes.
+        """
+        exact, dense = arithmetic(precision)
+        folded = copy.deepcopy(self)
+        encoder = folded.encoder
+        scale: Tensor = encoder.feature_scale  # type: ignore[assignment]
+        encoder.first = folded_linear(encoder.first, encoder.first_norm, scale)
+        encoder.second = folded_linear(encoder.second, encoder.second_norm)
+        encoder.first_norm = encoder.second_norm = nn.Identity()
+        encoder.feature_scale = torch.ones_like(scale)
+        folded.dense = folded_sequence(folded.dense)
+        folded = folded.eval().requires_grad_(False).to(exact)
+        for layer in folded.transformer.modules():
+            if isinstance(layer, nn.Linear):
+                layer.to(dense)
+        folded.dense.to(dense).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        folded.heads.to(dense)
+        return folded

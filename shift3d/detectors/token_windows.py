@@ -1,0 +1,131 @@
+"""Tokens of a sparse bird's-eye map grouped by square windows, for attention within each window.
+
+Windows lie on the full grid's own lattice, so that a token's window does not depend on what part of the scene
+is looked at, nor on the order of the points. Windows with few tokens are padded to a short length, those with
+many to a long one; the longest is the window's area: nothing is ever dropped.
+Source: SST (Fan et al. 2022), section 3.3 (regional grouping and region shift).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+__all__ = ["Bucket", "Tokens", "WindowGroups", "aligned_span", "gather_rows", "group_by_window"]
+
+Ints = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """Where each of P tokens lies: batch, cell_x, cell_y, (P,) int64 each; cells of the full grid."""
+
+    batch: Ints
+    cell_x: Ints
+    cell_y: Ints
+
+    def take(self, rows: npt.NDArray[np.bool_]) -> Tokens:
+        """The tokens of a mask (P,), in their order."""
+        return Tokens(self.batch[rows], self.cell_x[rows], self.cell_y[rows])
+
+
+@dataclass(frozen=True)
+class Bucket:
+    """Windows padded to one length: slots [start, start + windows * length).
+
+    padding: (windows, 1, 1, length) bool, True where a key is a token and False where it is padding, or None
+    when every slot holds a token.
+    """
+
+    start: int
+    windows: int
+    length: int
+    padding: Tensor | None
+
+
+@dataclass(frozen=True)
+class WindowGroups:
+    """Slots of all buckets, one after the other, and the two maps between slots and tokens.
+
+    slot_token: (S,) int64, the token in each slot, P (one past the last) in padding.
+    token_slot: (P,) int64, its inverse. place: (P,) int64, y * window + x of a token within its window.
+    """
+
+    buckets: tuple[Bucket, ...]
+    slot_token: Tensor
+    token_slot: Tensor
+    place: Tensor
+
+
+def group_by_window(tokens: Tokens, window: int, shift: int, lengths: tuple[int, ...]) -> WindowGroups:
+    """Group tokens by windows of window x window cells, the lattice shifted back by `shift` cells.
+
+    lengths: padded lengths, rising; the window's area is added at the end if they stop short of it. Windows
+    come in the order of (length, batch, y, x), tokens within one in the order of their place.
+    """
+    column, line = tokens.cell_x + shift, tokens.cell_y + shift
+    place = line % window * window + column % window
+    # Any number that is the same for equal windows and rises with (batch, y, x) will do; cells are below 2**15.
+    owner = ((tokens.batch << 32) | (line // window << 16)) | column // window
+    order = np.lexsort((place, owner))
+    starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
+    counts = np.diff(starts, append=order.size)
+    padded = np.asarray(sorted({*(length for length in lengths if length < window**2), window**2}), dtype=np.int64)
+    length_of = padded[np.searchsorted(padded, counts)]
+    slot_token = np.empty(0, dtype=np.int64)
+    buckets = []
+    for length in padded.tolist():
+        chosen = np.flatnonzero(length_of == length)
+        if not chosen.size:
+            continue
+        column_of = np.arange(length)
+        filled = column_of[None] < counts[chosen, None]
+        rows = np.where(filled, starts[chosen, None] + column_of[None], 0)
+        tokens_of = np.where(filled, order[rows], order.size)
+        mask = None if filled.all() else torch.from_numpy(filled).view(chosen.size, 1, 1, length)
+        buckets.append(Bucket(slot_token.size, chosen.size, length, mask))
+        slot_token = np.concatenate((slot_token, tokens_of.reshape(-1)))
+    token_slot = np.empty(order.size, dtype=np.int64)
+    is_token = slot_token < order.size
+    token_slot[slot_token[is_token]] = np.flatnonzero(is_token)
+    return WindowGroups(
+        tuple(buckets), torch.from_numpy(slot_token), torch.from_numpy(token_slot), torch.from_numpy(place)
+    )
+
+
+def aligned_span(low: int, high: int, window: int, shift: int) -> tuple[int, int]:
+    """The whole windows that cover cells [low, high) along one axis, as [low, high)."""
+    return (low + shift) // window * window - shift, -(-(high + shift) // window) * window - shift
+
+
+class _GatherRows(torch.autograd.Function):
+    """Rows by index, where the backward pass is a gather too, because the index has a known inverse."""
+
+    @staticmethod
+    def forward(ctx, rows: Tensor, index: Tensor, inverse: Tensor) -> Tensor:  # type: ignore[no-untyped-def]
+        ctx.save_for_backward(index, inverse)
+        return _take(rows, index)
+
+    @staticmethod
+    def backward(ctx, grad: Tensor) -> tuple[Tensor, None, None]:  # type: ignore[no-untyped-def]
+        index, inverse = ctx.saved_tensors
+        return gather_rows(grad, inverse, index), None, None
+
+
+def _take(rows: Tensor, index: Tensor) -> Tensor:
+    """Rows (N, C) by index (M,) in 0..N, where N stands for a row of zeros."""
+    return torch.cat((rows, rows.new_zeros(1, rows.shape[1]))).index_select(0, index)
+
+
+def gather_rows(rows: Tensor, index: Tensor, inverse: Tensor) -> Tensor:
+    """rows (N, C) by index (M,), an index of N giving zeros: (M, C). Differentiable w.r.t. rows.
+
+    inverse: (N,) in 0..M, where index points back to, M for a row that is used nowhere. Each row is used at
+    most once: the gradient is then a gather as well, which is faster than adding and the same to the bit.
+    """
+    result: Tensor = _GatherRows.apply(rows, index, inverse)  # type: ignore[no-untyped-call]
+    return result
