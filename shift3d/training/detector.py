@@ -77,8 +77,8 @@ RECIPES: dict[str, Recipe] = {
     # most for the time; weight decay is the published one, the peak rate fits batches of two (our choice).
     "sst": Recipe(
         network=SST_SPEC,
-        steps=6000,
-        mesh_only_steps=1500,
+        steps=5000,
+        mesh_only_steps=1250,
         crop_cells=64,
         jitter_m=6.0,
         peak_rate=6e-4,
