@@ -1,10 +1,10 @@
-"""Training of the DeepSDF auto-decoder on the family of vehicles.
+"""Training of the DeepSDF auto-decoder, on the family of vehicles or on the samples of any meshes.
 
 Source: Park et al. 2019, section 4 and supplement (SHIFT3D trains "as the original DeepSDF paper"): clamped L1 with
 delta 0.1, 1e-4 times the squared norm of the codes, ramped in, codes drawn from N(0, 0.01^2), Adam with 5e-4 for
 the network and 1e-3 for the codes, weight norm. Ours, for a training of an hour on two cores: every step sees every
 shape, the learning rate falls as a cosine, no dropout, the wide layers run in bfloat16 over float32 weights, and
-vehicles are mirrored at random, being symmetric.
+vehicles of the family are mirrored at random, being symmetric.
 """
 
 from __future__ import annotations
@@ -29,7 +29,11 @@ from shift3d.training.sdf_shapes import ShapeSamples, shape_samples
 
 @dataclass(frozen=True)
 class SdfRecipe:
-    """Everything that decides the weights; two trainings of one recipe with as many threads agree."""
+    """Everything that decides the weights; two trainings of one recipe with as many threads agree.
+
+    source: "family", or what identifies the meshes that the shapes come from (`ShapeSamples.source`).
+    mirror: whether left and right are swapped at random; only for shapes that are symmetric.
+    """
 
     shapes: int = 270
     samples_a_shape: int = 100_000
@@ -43,6 +47,12 @@ class SdfRecipe:
     penalty_ramp: float = 0.05
     code_init_std: float = 0.01
     compute: str = "bfloat16"
+    source: str = "family"
+    mirror: bool = True
+
+
+# What the recipe of a checkpoint from before these fields says.
+_BEFORE_MESHES = {"source": "family", "mirror": True}
 
 
 class _Run:
@@ -100,7 +110,7 @@ class _Run:
 
     def restore(self, state: dict[str, Any], where: str) -> None:
         """Continue from a checkpoint of the same recipe. Raises InputError for another recipe."""
-        if state["recipe"] != asdict(self.recipe):
+        if {**_BEFORE_MESHES, **state["recipe"]} != asdict(self.recipe):
             raise InputError("checkpoint of another recipe", where=where, remedy="another out=, or delete it")
         self.decoder.load_state_dict(state["decoder"])
         with torch.no_grad():
@@ -116,13 +126,17 @@ def _batch(samples: ShapeSamples, recipe: SdfRecipe, step: int) -> tuple[Tensor,
     start = int(rng.integers(samples.points.shape[1] - recipe.batch_a_shape))
     chosen = slice(start, start + recipe.batch_a_shape)
     points = torch.from_numpy(samples.points[:, chosen].copy())
-    mirror = torch.from_numpy(rng.choice(np.array([-1.0, 1.0], np.float32), points.shape[:2]))
-    points[..., 1] *= mirror
+    if recipe.mirror:
+        points[..., 1] *= torch.from_numpy(rng.choice(np.array([-1.0, 1.0], np.float32), points.shape[:2]))
     return points, torch.from_numpy(samples.distances[:, chosen].copy())
 
 
 def train_sdf(
-    out_dir: Path | str, recipe: SdfRecipe | None = None, threads: int = 1, checkpoint_every: int = 1000
+    out_dir: Path | str,
+    recipe: SdfRecipe | None = None,
+    threads: int = 1,
+    checkpoint_every: int = 1000,
+    samples: ShapeSamples | None = None,
 ) -> Path:
     """Train, or go on with a training, and leave `sdf.pt` (decoder, codes, recipe) in `out_dir`.
 
@@ -131,6 +145,7 @@ def train_sdf(
         recipe: default the shipped one.
         threads: of the arithmetic; another number rounds differently and changes nothing else.
         checkpoint_every: steps between checkpoints; no influence on the result.
+        samples: of the shapes to train on; default the family's. The recipe's `shapes` and `source` are then theirs.
     Returns: the finished checkpoint.
     Raises: InputError when `out_dir` holds another recipe's training.
     Source: Park et al. 2019, section 4; see the module for what is ours.
@@ -138,7 +153,11 @@ def train_sdf(
     recipe = recipe or SdfRecipe()
     out = Path(out_dir)
     torch.set_num_threads(threads)
-    samples = shape_samples(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", threads)
+    torch.set_flush_denormal(True)  # units that die leave subnormal weights, whose products are many times slower
+    if samples is None:
+        samples = shape_samples(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", threads)
+    if (len(samples.points), samples.source) != (recipe.shapes, recipe.source):
+        raise InputError("samples of other shapes than the recipe's", where=str(out), remedy="those of its source")
     run = _Run(recipe)
     file = out / "sdf.pt"
     state = read_checkpoint(file)

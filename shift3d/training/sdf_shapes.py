@@ -1,4 +1,4 @@
-"""The shapes that the decoder is trained on: vehicles of the family, sampled once and kept in a file."""
+"""The shapes that the decoder is trained on, sampled once and kept in a file: here, vehicles of the family."""
 
 from __future__ import annotations
 
@@ -17,11 +17,15 @@ from shift3d.vehicles.family import VehicleSpec, build_mesh, family
 
 @dataclass(frozen=True)
 class ShapeSamples:
-    """Samples of S shapes, P each: points (S, P, 3), distances (S, P), float32, sdf units; scale_m (S,) float64."""
+    """Samples of S shapes, P each: points (S, P, 3), distances (S, P), float32, sdf units; scale_m (S,) float64.
+
+    source: "family", or what identifies the meshes they come from.
+    """
 
     points: NDArray[np.float32]
     distances: NDArray[np.float32]
     scale_m: NDArray[np.float64]
+    source: str = "family"
 
 
 def training_specs(shapes: int, seed: int) -> list[VehicleSpec]:

@@ -1,0 +1,41 @@
+"""The words that say how a mesh file's vehicle points and how large it is: forward= up= unit= length_m=."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from shift3d.errors import InputError
+
+if TYPE_CHECKING:
+    from shift3d.vehicles.mesh_frame import MeshFrame
+
+__all__ = ["FRAME_KEYS", "FRAME_TEXT", "mesh_frame", "whole_number"]
+
+FRAME_KEYS = ("forward", "up", "unit", "length_m")
+FRAME_TEXT = """\
+meshes: a PLY, OBJ, GLB or STL file, a folder of them, or a folder in ShapeNet's layout
+({synset}/{id}/models/model_normalized.obj). forward= and up= are axes of the files, by default ShapeNet's
+forward=-z up=+y (glTF's own are forward=+z up=+y). unit=m, cm, mm or in; normalised meshes take length_m=4.5
+instead. A mesh that is not closed is repaired, and said how, or refused."""
+
+
+def mesh_frame(values: dict[str, str], where: str) -> MeshFrame:
+    """The orientation and scale in a command's words. Raises: InputError for one that cannot be."""
+    from shift3d.vehicles.mesh_frame import MeshFrame
+
+    given: dict[str, str] = {key: values[key] for key in ("forward", "up", "unit") if key in values}
+    given = {key: value if key == "unit" or value[:1] in "+-" else f"+{value}" for key, value in given.items()}
+    length = values.get("length_m")
+    try:
+        length_m = None if length is None else float(length)
+    except ValueError as error:
+        raise InputError(f"length_m={length!r} is not a length", where=where, remedy="Give length_m=4.5") from error
+    return MeshFrame(**given, length_m=length_m)
+
+
+def whole_number(values: dict[str, str], key: str, default: int, where: str) -> int:
+    """The positive whole number behind a key. Raises: InputError for anything else."""
+    text = values.get(key, str(default))
+    if not text.isdigit() or int(text) < 1:
+        raise InputError(f"{key}={text!r} is not a number of {key}", where=where, remedy=f"Give {key}={default}")
+    return int(text)

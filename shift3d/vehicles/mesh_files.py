@@ -1,0 +1,93 @@
+"""Vehicle meshes in files: one PLY, OBJ, GLB or STL, a folder of them, or a folder in ShapeNet's layout."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from shift3d.errors import InputError
+
+SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
+SHAPENET_FILE = Path("models") / "model_normalized.obj"
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A file and the name that its vehicle gets."""
+
+    name: str
+    path: Path
+
+    def sha256(self) -> str:
+        """Hash of the file's bytes, hexadecimal."""
+        return hashlib.sha256(self.path.read_bytes()).hexdigest()
+
+
+def find_meshes(path: Path | str) -> list[MeshFile]:
+    """The meshes at a path, sorted by name.
+
+    In ShapeNet's layout, {synset}/{id}/models/model_normalized.obj at any depth below `path`, a vehicle is named by
+    its id and other files are left alone. Otherwise every mesh below `path` counts, named by its place below it
+    without the suffix.
+
+    Raises: InputError when there is no such path, it holds no mesh, or two of its meshes have one name.
+    """
+    root = Path(path).expanduser()
+    if root.is_file():
+        if root.suffix.lower() not in SUFFIXES:
+            raise InputError("not a mesh file", where=str(root), remedy=f"one of {', '.join(SUFFIXES)}")
+        return [MeshFile(_slug(root.stem), root)]
+    if not root.is_dir():
+        raise InputError("no such file or folder", where=str(root), remedy="a mesh or a folder of meshes")
+    found = [MeshFile(_slug(file.parents[1].name), file) for file in root.rglob(SHAPENET_FILE.as_posix())]
+    if not found:
+        files = [file for file in root.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file()]
+        found = [MeshFile(_slug(file.relative_to(root).with_suffix("").as_posix()), file) for file in files]
+    if not found:
+        raise InputError("no meshes below this folder", where=str(root), remedy=f"files: {', '.join(SUFFIXES)}")
+    found.sort(key=lambda mesh: (mesh.name, mesh.path))
+    for first, second in itertools.pairwise(found):
+        if first.name == second.name:
+            raise InputError(f"two meshes are named {first.name}", where=str(second.path), remedy="rename one")
+    return found
+
+
+def _slug(name: str) -> str:
+    """The name with nothing in it that a file name or a Hydra override could trip over."""
+    return "".join(letter if letter.isascii() and (letter.isalnum() or letter in "-_") else "_" for letter in name)
+
+
+def read_mesh(path: Path | str) -> trimesh.Trimesh:
+    """The triangles of a file, in the file's own axes and unit: all parts of a scene, moved to where its nodes say.
+
+    Textures and materials are not read. Vertices at one place are not merged: see `repair`.
+    Raises: InputError naming the file when it cannot be read, has no faces, or has coordinates that are not finite.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError("no such file", where=str(path), remedy="a mesh")
+    options: dict[str, Any] = {"skip_materials": True} if path.suffix.lower() in (".obj", ".glb", ".gltf") else {}
+    try:
+        scene = trimesh.load_scene(path, process=False, **options)
+        parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
+    except Exception as error:  # every format's reader has its own errors for a broken file
+        what = f"not a readable {path.suffix[1:].upper()} file ({type(error).__name__}: {error})"
+        raise InputError(what, where=str(path), remedy="export it again") from error
+    vertices = [np.asarray(part.vertices, np.float64) for part in parts]
+    starts = np.cumsum([0, *(len(part) for part in vertices)])
+    faces = [np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=False)]
+    if not sum(len(part) for part in faces):
+        raise InputError("the mesh has no faces", where=str(path), remedy="export triangles, not a point cloud")
+    mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise InputError("a face names a vertex that is not there", where=str(path), remedy="export it again")
+    if not np.isfinite(mesh.vertices[np.unique(mesh.faces)]).all():
+        raise InputError("coordinates that are not finite", where=str(path), remedy="export it again")
+    mesh.remove_unreferenced_vertices()
+    return mesh

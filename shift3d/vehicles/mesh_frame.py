@@ -1,0 +1,89 @@
+"""From a mesh file's axes and unit to the object frame: x forward, y left, z up, metres, origin at the box's centre."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+LENGTH_M = (2.0, 20.0)
+"""Lengths that a road vehicle can have: a microcar to a lorry. Outside them a unit or an orientation is wrong."""
+
+
+@dataclass(frozen=True)
+class MeshFrame:
+    """Which way a file's vehicle points, and how long its unit is.
+
+    forward, up: axes of the file, as in "-z". The default is ShapeNet's, version 1 and 2: up +y, front -z; glTF's own
+    convention is up +y, forward +z.
+    unit: of the file, a key of UNITS_M. length_m: instead of a unit, for normalised meshes: how long the vehicle is
+    from nose to tail, in metres.
+    """
+
+    forward: str = "-z"
+    up: str = "+y"
+    unit: str | None = None
+    length_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for key, axis in (("forward", self.forward), ("up", self.up)):
+            if axis not in AXES:
+                raise InputError(f"{key}={axis} is not an axis", where="orientation", remedy=f"{', '.join(AXES)}")
+        if self.forward[1] == self.up[1]:
+            what = f"forward={self.forward} and up={self.up} lie on one axis"
+            raise InputError(what, where="orientation", remedy="two different axes of the file")
+        if (self.unit is None) == (self.length_m is None):
+            raise InputError("the scale is open", where="scale", remedy="unit=m, cm, mm or in, or length_m=4.5: one")
+        if self.unit is not None and self.unit not in UNITS_M:
+            raise InputError(f"unknown unit {self.unit!r}", where="scale", remedy=f"{', '.join(UNITS_M)}")
+        if self.length_m is not None and not LENGTH_M[0] <= self.length_m <= LENGTH_M[1]:
+            remedy = f"between {LENGTH_M[0]:g} and {LENGTH_M[1]:g} metres"
+            raise InputError(f"length_m={self.length_m:g} is no vehicle's", where="scale", remedy=remedy)
+
+    def object_R_file(self) -> NDArray[np.float64]:
+        """(3, 3) rotation: rows are forward, left and up in the file's axes; always right-handed."""
+        forward, up = _axis(self.forward), _axis(self.up)
+        return np.stack([forward, np.cross(up, forward), up])
+
+    def to_object(self, mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
+        """A copy of a mesh in the object frame, metres, its box's centre at the origin.
+
+        Raises: InputError naming `where` (the file) when the mesh is flat, is longest in another direction than
+        forwards, or is no vehicle's size; the remedy then says which unit would give one.
+        """
+        vertices = np.asarray(mesh.vertices, np.float64) @ self.object_R_file().T
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        extent = high - low
+        if extent.min() < 1e-3 * extent.max() or extent.max() <= 0.0:
+            raise InputError("the mesh is flat", where=where, remedy="a vehicle has length, width and height")
+        self._check_direction(extent, where)
+        scale = self.length_m / extent[0] if self.length_m is not None else UNITS_M[self.unit or "m"]
+        _check_length(float(extent[0]), float(scale), where)
+        return trimesh.Trimesh((vertices - (low + high) / 2.0) * scale, mesh.faces, process=False)
+
+    def _check_direction(self, extent: NDArray[np.float64], where: str) -> None:
+        longest = int(np.argmax(extent))
+        if longest != 0:
+            axis = int(np.argmax(np.abs(self.object_R_file()[longest])))
+            what = f"longest along {'xyz'[axis]}, not along forward={self.forward}"
+            raise InputError(what, where=where, remedy=f"Give forward=+{'xyz'[axis]} or -{'xyz'[axis]}, and up=")
+
+
+def _axis(name: str) -> NDArray[np.float64]:
+    unit = np.zeros(3)
+    unit["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
+    return unit
+
+
+def _check_length(length: float, scale: float, where: str) -> None:
+    if LENGTH_M[0] <= length * scale <= LENGTH_M[1]:
+        return
+    fitting = [unit for unit, metres in UNITS_M.items() if LENGTH_M[0] <= length * metres <= LENGTH_M[1]]
+    remedy = f"Give unit={fitting[0]}" if fitting else "Give length_m=, how long the vehicle is in metres"
+    raise InputError(f"the vehicle would be {length * scale:g} m long", where=where, remedy=remedy)

@@ -1,0 +1,97 @@
+"""A folder of vehicles that a sweep can insert: vehicles.safetensors, its decoder sdf.safetensors, and sdf.json.
+
+The files are those of the shipped weights, so whatever reads these reads those.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.sdf.chamfer import symmetric_chamfer
+from shift3d.sdf.decoder import Decoder, save_decoder
+from shift3d.sdf.meshes import extract_mesh
+from shift3d.seeding import generator
+from shift3d.store.atomic import write_atomic
+
+VEHICLES_FILE, DECODER_FILE, FACTS_FILE = "vehicles.safetensors", "sdf.safetensors", "sdf.json"
+RESOLUTION = 257
+"""Nodes along the unit sphere's cube of the meshes that are measured: 2 cm for a car."""
+
+
+@dataclass(frozen=True)
+class FittedVehicle:
+    """A code for a mesh, and how well it draws it.
+
+    latent_code: (code,) float32. scale_m: metres per sdf unit. decoded: its surface, in the mesh's frame, metres.
+    chamfer_m: symmetric Chamfer distance between that and the mesh (`shift3d.sdf.chamfer`).
+    """
+
+    name: str
+    body_type: str
+    latent_code: NDArray[np.float32]
+    scale_m: float
+    decoded: trimesh.Trimesh
+    chamfer_m: float
+
+    def facts(self) -> dict[str, Any]:
+        """What `shift3d.vehicles.vehicle` reads of it: the object frame's origin is the decoded box's centre."""
+        low, high = np.asarray(self.decoded.bounds, np.float64)
+        return {
+            "body_type": self.body_type,
+            "scale_m": self.scale_m,
+            "sdf_R_object": np.eye(3).tolist(),
+            "sdf_t_object": ((low + high) / 2.0 / self.scale_m).tolist(),
+            "size_m": (high - low).tolist(),
+            "pieces": int(self.decoded.body_count),
+        }
+
+
+def fitted(
+    name: str, body_type: str, decoder: Decoder, code: NDArray[np.float32], scale_m: float, mesh: trimesh.Trimesh
+) -> FittedVehicle:
+    """Decode a code and measure it against the mesh that it stands for.
+
+    Args: mesh: object frame, metres, its box's centre at the origin, which is the origin of the sdf frame.
+    Raises: InputError when the code decodes to no surface.
+    """
+    decoded = extract_mesh(decoder.field(torch.from_numpy(code)), RESOLUTION)
+    decoded.vertices = decoded.vertices * scale_m
+    chamfer_m = symmetric_chamfer(decoded, mesh, generator("chamfer", name))
+    return FittedVehicle(name, body_type, code, scale_m, decoded, chamfer_m)
+
+
+def write_vehicle_set(
+    out: Path | str, decoder: Decoder, vehicles: list[FittedVehicle], provenance: dict[str, Any]
+) -> None:
+    """Write the three files of a vehicle set to a folder, each atomically, the vehicles last.
+
+    Every vehicle is stored twice, as the shipped ones are: by name (`baseline_vehicles`) and in one table in the same
+    order (`family_vehicles`, for training detectors on them).
+    Raises: InputError without vehicles, or when two have one name.
+    """
+    from safetensors.numpy import save
+
+    if len({vehicle.name for vehicle in vehicles}) != len(vehicles) or not vehicles:
+        raise InputError("no vehicles, or two of one name", where=str(out), remedy="one file for every vehicle")
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_decoder(decoder, folder / DECODER_FILE)
+    write_atomic(folder / FACTS_FILE, (json.dumps(provenance, indent=1) + "\n").encode())
+    baselines = {vehicle.name: vehicle.facts() for vehicle in vehicles}
+    tensors = {f"{vehicle.name}.latent_code": vehicle.latent_code.astype(np.float32) for vehicle in vehicles}
+    tensors["family.codes"] = np.stack([vehicle.latent_code for vehicle in vehicles]).astype(np.float32)
+    tensors["family.scale_m"] = np.array([vehicle.scale_m for vehicle in vehicles], np.float32)
+    tensors["family.size_m"] = np.array([facts["size_m"] for facts in baselines.values()], np.float32)
+    types = [vehicle.body_type for vehicle in vehicles]
+    family = {"body_types": types, "names": list(baselines), "count": len(vehicles), "source": "meshes"}
+    metadata = {"baselines": json.dumps(baselines), "family": json.dumps(family)}
+    write_atomic(folder / VEHICLES_FILE, save(tensors, metadata=metadata))
