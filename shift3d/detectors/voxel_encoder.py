@@ -43,7 +43,8 @@ class VoxelEncoder(nn.Module):
     def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
         """(K, 9) decorated points, metres, sorted by pillar -> (P, channels). Differentiable w.r.t. decorated.
 
-        Of points that tie for a maximum, each gets an equal share of the gradient.
+        Of points that tie for a maximum, each gets an equal share of the gradient. Points in one and the same
+        place tie up to a rounding that depends on their rows: what they get together is fixed, the shares are not.
         """
         scale: Tensor = self.feature_scale  # type: ignore[assignment]
         per_point = torch.relu(self.first_norm(self.first(decorated * scale)))

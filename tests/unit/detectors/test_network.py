@@ -1,4 +1,4 @@
-"""What the network must hold whatever its weights: exact windows, determinism, true gradients."""
+"""What both networks must hold whatever their weights: exact windows, determinism, true gradients."""
 
 import dataclasses
 
@@ -9,16 +9,23 @@ from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import full_window
+from shift3d.detectors.network import AnchorNet
 from shift3d.detectors.pointpillars import PointPillarsNet
+from shift3d.detectors.sst import SstNet, SstSpec
+from shift3d.detectors.window_transformer import TransformerSpec
 from shift3d.errors import InputError
 
-SLIM = BackboneSpec(in_channels=8, channels=(8, 8, 8), up_channels=8)
+SLIM = {
+    "pointpillars": BackboneSpec(in_channels=8, channels=(8, 8, 8), up_channels=8),
+    "sst": SstSpec(TransformerSpec(width=16, heads=2, feed_forward=32, blocks=2), encoder_hidden=8, out_channels=24),
+}
 
 
-def _random_net(spec: BackboneSpec, seed: int = 0) -> PointPillarsNet:
+def _random_net(name: str, seed: int = 0) -> AnchorNet:
     """Random weights with lively batch-norm statistics and logits of order one."""
     torch.manual_seed(seed)
-    net = PointPillarsNet(spec)
+    spec = SLIM[name]
+    net = SstNet(spec) if isinstance(spec, SstSpec) else PointPillarsNet(spec)
     for module in net.modules():
         if isinstance(module, torch.nn.BatchNorm1d | torch.nn.BatchNorm2d):
             torch.nn.init.normal_(module.running_mean, std=0.1)
@@ -37,9 +44,14 @@ def _scene(count: int = 20000, seed: int = 0) -> torch.Tensor:
     return points + torch.tensor([0.0, 0.0, 1.0])
 
 
+@pytest.fixture(scope="module", params=["pointpillars", "sst"])
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
 @pytest.fixture(scope="module")
-def slim() -> AnchorDetector:
-    return AnchorDetector(_random_net(SLIM))
+def slim(name: str) -> AnchorDetector:
+    return AnchorDetector(_random_net(name))
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +84,6 @@ def test_a_window_gives_the_full_scene_s_proposals(
     slim: AnchorDetector, full_scene: tuple[torch.Tensor, torch.Tensor], centre: tuple[float, float]
 ) -> None:
     window = slim.window_for(centre, 8.0)
-    assert window.num_x % 4 == window.num_y % 4 == 0
     part = slim.proposals(_scene(), window)
     logits, boxes = full_scene
     assert logits[part.anchor_index].std() > 0.1
@@ -121,13 +132,16 @@ def test_bitwise_equal_over_runs_and_permutations(slim: AnchorDetector) -> None:
         found = slim.proposals(leaf, window)
         torch.nn.functional.softplus(found.logits).sum().backward()
         assert leaf.grad is not None
-        results.append((found.logits, found.boxes, leaf.grad if back is None else leaf.grad[back]))
+        gradient = leaf.grad if back is None else leaf.grad[back]
+        # Of two points in one place, either may be the maximum by a rounding: what they get together is fixed.
+        together = torch.cat((gradient[:500] + gradient[20000:], gradient[500:20000]))
+        results.append((found.logits, found.boxes, together))
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
-def test_folding_changes_nothing() -> None:
-    net = _random_net(SLIM).double()
+def test_folding_changes_nothing(name: str) -> None:
+    net = _random_net(name).double()
     window = BevWindow(200, 200, 64, 48, 200, 200, 64, 48)
     points = _scene().double()
     with torch.no_grad():
@@ -136,8 +150,8 @@ def test_folding_changes_nothing() -> None:
     assert torch.allclose(outputs.logits[0], folded.logits, atol=1e-10, rtol=0)
 
 
-def test_gradient_equals_central_differences_in_float64() -> None:
-    detector = AnchorDetector(_random_net(SLIM), "float64")
+def test_gradient_equals_central_differences_in_float64(name: str) -> None:
+    detector = AnchorDetector(_random_net(name), "float64")
     window = detector.window_for((3.0, 2.0), 2.0)
     generator = torch.Generator().manual_seed(5)
     cloud = torch.rand(400, 3, generator=generator, dtype=torch.float64) * torch.tensor([6.0, 6.0, 1.5])
@@ -168,8 +182,8 @@ def test_a_scene_without_points_in_range_is_valid(slim: AnchorDetector, cloud: t
     assert detections.boxes.shape == (0, 7) and detections.scores.shape == (0,)
 
 
-def test_bfloat16_stays_near_float32() -> None:
-    net = _random_net(SLIM)
+def test_bfloat16_stays_near_float32(name: str) -> None:
+    net = _random_net(name)
     exact, rough = AnchorDetector(net), AnchorDetector(net, "bfloat16")
     window = exact.window_for((0.0, 0.0), 4.0)
     one, two = exact.proposals(_scene(), window), rough.proposals(_scene(), window)
