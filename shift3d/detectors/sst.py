@@ -134,7 +134,11 @@ class SstNet(AnchorNet):
         x_low, y_low = (np.asarray([span[axis][0] for span in spans]) for axis in (0, 1))
         width, height = (spans[0][axis][1] - spans[0][axis][0] for axis in (0, 1))
         column, line = tokens.cell_x - x_low[tokens.batch], tokens.cell_y - y_low[tokens.batch]
+        inside = (column >= 0) & (column < width) & (line >= 0) & (line < height)
         flat = torch.from_numpy((tokens.batch * height + line) * width + column)
+        if not inside.all():
+            kept = torch.from_numpy(inside)
+            features, flat = features[kept], flat[kept]
         dense = features.new_zeros(len(spans) * height * width, features.shape[1]).index_copy(0, flat, features)
         return dense.view(len(spans), height, width, -1).permute(0, 3, 1, 2)
 
