@@ -1,4 +1,4 @@
-"""Average precision of vehicle boxes in bird's-eye view, with objects and detections that do not count."""
+"""Average precision from detections taken best score first, with objects and detections that do not count."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from shift3d.geometry.iou import iou_bev
+from shift3d.evaluation.frames import Comparison
+from shift3d.evaluation.precision_recall import PrecisionRecall
 
-__all__ = ["AveragePrecision", "FrameMatches", "average_precision", "match_frame"]
+__all__ = ["FrameMatches", "area_exact", "area_r40", "greedy_curve", "match_frame"]
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -20,77 +21,96 @@ Flags = npt.NDArray[np.bool_]
 class FrameMatches:
     """What became of one frame's detections; those that do not count are left out.
 
-    scores: (K,) float64; is_true: (K,) bool, true positive or not; num_truth: vehicles that count.
+    scores: (K,) float64; is_true: (K,) bool, true positive or not; heading_accuracy: (K,) float64, 0 for those that
+    are not true; num_truth: vehicles that count.
     """
 
     scores: Floats
     is_true: Flags
+    heading_accuracy: Floats
     num_truth: int
 
 
-@dataclass(frozen=True)
-class AveragePrecision:
-    """value in [0, 1] (NaN without any vehicle that counts); recall and precision: (K,), best score first."""
-
-    value: float
-    recall: Floats
-    precision: Floats
-    num_truth: int
-
-
-def match_frame(
-    boxes: Floats,
-    scores: Floats,
-    truth: Floats,
-    truth_counts: Flags,
-    boxes_count: Flags,
-    iou_threshold: float,
-) -> FrameMatches:
+def match_frame(comparison: Comparison, truth_counts: Flags, boxes_count: Flags, iou_threshold: float) -> FrameMatches:
     """Match detections, best score first, each to the free vehicle it overlaps most.
 
-    boxes: (K, 7), scores: (K,), truth: (M, 7), one frame, metres. truth_counts: (M,), false for vehicles
-    that are ignored (too far, too few points): a detection that matches only such a one is neither right nor
-    wrong, and several may match the same one. boxes_count: (K,), false for detections outside the evaluated
-    region: they are dropped unless they match a vehicle that counts. A match needs BEV IoU >= iou_threshold.
+    truth_counts: (M,), false for vehicles that are ignored (too far, too few points): a detection that matches only
+    such a one is neither right nor wrong, and several may match the same one. boxes_count: (K,), in the order of
+    ``comparison.found``, false for detections outside the evaluated region: they are dropped unless they match a
+    vehicle that counts. A match needs IoU >= iou_threshold.
 
-    Source: KITTI's rules for ignored objects; greedy order as in KITTI and VOC.
+    Source: KITTI's rules for ignored objects; greedy by score as in VOC and nuScenes (our choice: KITTI's
+    development kit goes through the objects, which differs only where several detections overlap one object by
+    more than the threshold).
     """
-    overlap = iou_bev(boxes, truth) if len(boxes) and len(truth) else np.zeros((len(boxes), len(truth)))
+    overlap, scores = comparison.overlap, comparison.found.scores
     free = truth_counts.copy()
-    kept_scores: list[float] = []
-    is_true: list[bool] = []
-    for index in np.argsort(-scores, kind="stable"):
+    kept: list[tuple[float, bool, float]] = []
+    for index in range(len(scores)):
         enough = overlap[index] >= iou_threshold
         candidates = np.flatnonzero(enough & free)
         if candidates.size:
-            free[candidates[np.argmax(overlap[index, candidates])]] = False
-            kept_scores.append(float(scores[index]))
-            is_true.append(True)
+            best = candidates[np.argmax(overlap[index, candidates])]
+            free[best] = False
+            kept.append((float(scores[index]), True, float(comparison.heading_accuracy[index, best])))
         elif boxes_count[index] and not (enough & ~truth_counts).any():
-            kept_scores.append(float(scores[index]))
-            is_true.append(False)
-    return FrameMatches(np.asarray(kept_scores), np.asarray(is_true, dtype=bool), int(truth_counts.sum()))
+            kept.append((float(scores[index]), False, 0.0))
+    columns = list(zip(*kept)) or [(), (), ()]
+    return FrameMatches(
+        np.asarray(columns[0], dtype=np.float64),
+        np.asarray(columns[1], dtype=bool),
+        np.asarray(columns[2], dtype=np.float64),
+        int(truth_counts.sum()),
+    )
 
 
-def average_precision(frames: Iterable[FrameMatches]) -> AveragePrecision:
-    """Area under the precision-recall curve over all frames.
+def area_exact(recall: Floats, precision: Floats) -> float:
+    """Area under the curve: at every recall the highest precision there or beyond, over all recall steps.
 
-    Interpolation: at every recall, the highest precision at that recall or beyond, integrated over all recall
-    steps (VOC 2010 and later; no sampling at fixed recalls). Equal scores enter together.
+    Source: VOC 2010 and later; no sampling at fixed recalls.
+    """
+    envelope = np.maximum.accumulate(precision[::-1])[::-1]
+    return float(np.sum(np.diff(recall, prepend=0.0) * envelope))
+
+
+def area_r40(recall: Floats, precision: Floats) -> float:
+    """Mean over the recalls 1/40, 2/40, ..., 1 of the highest precision there or beyond, 0 where none is reached.
+
+    Source: KITTI's 40 recall positions (since 2019). The development kit looks for 41 score thresholds that come
+    closest to these recalls, which gives 9/40 for ten objects all found first; the definition itself gives 1, and is
+    what is computed here.
+    """
+    envelope = np.append(np.maximum.accumulate(precision[::-1])[::-1], 0.0)
+    # A recall of 3/40 in floating point must reach the position 3/40.
+    first = np.searchsorted(recall, np.arange(1, 41) / 40.0 - 1e-9)
+    return float(np.mean(envelope[first]))
+
+
+def greedy_curve(frames: Iterable[FrameMatches], at_40_recalls: bool) -> PrecisionRecall:
+    """The curve over all frames, and AP and APH: at KITTI's 40 recalls, or the exact area.
+
+    Equal scores enter together. APH counts each true detection by its heading accuracy in the precision; neither
+    KITTI nor VOC has it (our choice, after Waymo's).
     """
     matches = list(frames)
     num_truth = sum(frame.num_truth for frame in matches)
     scores = np.concatenate([np.empty(0), *(frame.scores for frame in matches)])
     is_true = np.concatenate([np.empty(0, dtype=bool), *(frame.is_true for frame in matches)])
-    order = np.argsort(-scores, kind="stable")
-    scores, is_true = scores[order], is_true[order]
+    accuracy = np.concatenate([np.empty(0), *(frame.heading_accuracy for frame in matches)])
+    order = np.lexsort((accuracy, is_true, -scores))
+    scores = scores[order]
     last_of_tie = np.append(np.diff(scores) != 0, True)[: scores.size]
-    true_positives = np.cumsum(is_true)[last_of_tie].astype(np.float64)
+    right = np.cumsum(is_true[order])[last_of_tie].astype(np.float64)
+    headings = np.cumsum(accuracy[order])[last_of_tie]
     answers = (np.arange(scores.size) + 1.0)[last_of_tie]
-    if num_truth == 0:
-        return AveragePrecision(float("nan"), np.empty(0), np.empty(0), 0)
-    recall = true_positives / num_truth
-    precision = true_positives / answers
-    envelope = np.maximum.accumulate(precision[::-1])[::-1]
-    value = float(np.sum(np.diff(recall, prepend=0.0) * envelope))
-    return AveragePrecision(value, recall, precision, num_truth)
+    recall, precision, heading_precision = right / max(num_truth, 1), right / answers, headings / answers
+    area = area_r40 if at_40_recalls else area_exact
+    return PrecisionRecall(
+        area(recall, precision) if num_truth else None,
+        area(recall, heading_precision) if num_truth else None,
+        scores[last_of_tie],
+        recall,
+        precision,
+        heading_precision,
+        num_truth,
+    )

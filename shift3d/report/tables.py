@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["auc_tables", "coverage", "stage_times", "sweep_report"]
+__all__ = ["aligned", "auc_tables", "coverage", "stage_times", "sweep_report"]
 
 _ROWS = (
     ("baseline", "baseline"),
@@ -36,7 +36,7 @@ def auc_tables(auc: pd.DataFrame) -> list[str]:
     tables = []
     for key, group in auc.groupby(["mode", *_VARIANT], sort=False):
         named = dict(zip(["mode", *_VARIANT], key))
-        variant = ", ".join(f"{name} {named[name]}" for name in several)
+        variant = ", ".join(f"{name.replace('_', ' ')} {named[name]}" for name in several)
         title = f"AUC, adversarial {named['mode']}" + (f" ({variant})" if variant else "")
         tables.append(_auc_table(title, group))
     # The paper shows shape before pose.
@@ -62,7 +62,17 @@ def _auc_table(title: str, auc: pd.DataFrame) -> str:
     if lambdas.notna().any():
         chosen = [f"{lambdas[v]:g}" if v in lambdas.index else "-" for v in vehicles]
         lines.append(["lambda", *chosen, "", ""])
-    return _aligned(title, ["", *vehicles, "mean", "of baseline"], lines)
+    return aligned(title, ["", *_short(vehicles), "mean", "of baseline"], lines)
+
+
+def _short(names: list[str], longest: int = 16) -> list[str]:
+    """Names that are too long for a column cut to beginnings that still tell them apart."""
+    if max(map(len, names)) <= longest:
+        return names
+    length = longest
+    while len({name[:length] for name in names}) < len(set(names)):
+        length += 1
+    return [name if len(name) <= length else f"{name[:length]}~" for name in names]
 
 
 def _mean(values: list[float | None]) -> float | None:
@@ -104,11 +114,11 @@ def stage_times(timings: pd.DataFrame, scores: pd.DataFrame) -> str:
         total = stages.get("total", stages.sum())
         for stage, milliseconds in stages.sort_values(ascending=False).items():
             lines.append([str(mode), str(stage), f"{milliseconds:.0f}", f"{milliseconds / total:.0%}"])
-    return _aligned("Time a task", ["mode", "stage", "ms", "share"], lines)
+    return aligned("Time a task", ["mode", "stage", "ms", "share"], lines)
 
 
-def _aligned(title: str, header: list[str], lines: list[list[str]]) -> str:
-    """Columns padded to their widest cell; the first to the left, the others to the right."""
+def aligned(title: str, header: list[str], lines: list[list[str]]) -> str:
+    """A printed table: columns padded to their widest cell; the first to the left, the others to the right."""
     cells = [header, *lines]
     widths = [max(len(line[i]) for line in cells) for i in range(len(header))]
 

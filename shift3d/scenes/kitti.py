@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import points_in_boxes
-from shift3d.scenes.kitti_files import CLASSES, Calibration, read_calibration, read_labels, read_points
+from shift3d.geometry.boxes import corners_3d, points_in_boxes
+from shift3d.scenes.kitti_files import CLASSES, Calibration, KittiLabel, read_calibration, read_labels, read_points
 from shift3d.scenes.scene import Labels, Scene
 
 NOMINAL_GROUND_Z_M = -1.73
@@ -39,6 +39,16 @@ class CameraView:
         pixels, depth = self.calibration.pixels(np.asarray(boxes)[:, :3])
         result: NDArray[np.bool_] = (pixels[:, 0] >= 0) & (pixels[:, 0] < IMAGE_SIZE[0]) & (depth > 0.0)
         return result
+
+    def height_px(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Height in the image of boxes (M, 7), cut at its upper and lower edge: (M,) float64, pixels.
+
+        A box that reaches behind the camera takes the whole height.
+        """
+        pixels, depth = self.calibration.pixels(corners_3d(boxes).reshape(-1, 3))
+        rows = np.clip(pixels[:, 1], 0.0, IMAGE_SIZE[1]).reshape(-1, 8)
+        height: NDArray[np.float64] = rows.max(axis=1, initial=0.0) - rows.min(axis=1, initial=IMAGE_SIZE[1])
+        return np.where((depth.reshape(-1, 8) > 0.1).all(axis=1), height, float(IMAGE_SIZE[1]))
 
 
 class KittiScenes:
@@ -111,11 +121,19 @@ class KittiScenes:
         """What camera 2 sees of one frame."""
         return CameraView(read_calibration(self.folder / "calib" / f"{name}.txt"))
 
+    def label_rows(self, name: str) -> list[KittiLabel]:
+        """The labels of one frame, in the order of the scene's, with what they say about the image.
+
+        Raises:
+            InputError: the label file is missing or malformed.
+        """
+        calibration = self.camera_view(name).calibration
+        return read_labels(self.folder / "label_2" / f"{name}.txt", calibration)
+
     def _labels(self, name: str, points: NDArray[np.float32]) -> Labels:
         if not self._has_labels:
             return Labels()
-        calibration = self.camera_view(name).calibration
-        rows = read_labels(self.folder / "label_2" / f"{name}.txt", calibration)
+        rows = self.label_rows(name)
         boxes = np.stack([row.box for row in rows]) if rows else np.zeros((0, 7))
         return Labels(
             boxes=boxes,

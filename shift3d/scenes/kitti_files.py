@@ -55,10 +55,30 @@ class Calibration:
 
 @dataclass(frozen=True)
 class KittiLabel:
-    """One row of a label file: KITTI name, and box (7,) in the LiDAR frame as everywhere in shift3d."""
+    """One row of a label file: KITTI name, and box (7,) in the LiDAR frame as everywhere in shift3d.
+
+    truncation: share of the object outside the image, 0 to 1. occlusion: 0 none, 1 partly, 2 largely, 3 unknown.
+    image_height_px: of its box in the image.
+    """
 
     name: str
     box: Float
+    truncation: float = 0.0
+    occlusion: int = 0
+    image_height_px: float = float("inf")
+
+    @property
+    def difficulty(self) -> int:
+        """0 easy, 1 moderate, 2 hard, 3 harder than that: the easiest of KITTI's classes that admits the object.
+
+        Source: KITTI's development kit: at least 40, 25, 25 pixels; occlusion up to 0, 1, 2; truncation up to
+        0.15, 0.3, 0.5.
+        """
+        limits = ((40.0, 0, 0.15), (25.0, 1, 0.30), (25.0, 2, 0.50))
+        for grade, (height_px, occlusion, truncation) in enumerate(limits):
+            if self.image_height_px >= height_px and self.occlusion <= occlusion and self.truncation <= truncation:
+                return grade
+        return len(limits)
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -142,7 +162,8 @@ def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
         values = _numbers(columns[1:], where)
         if not min(values[7:10]) > 0.0:
             raise InputError(f"box size {tuple(values[7:10])} (h, w, l)", where, "Sizes must be positive.")
-        labels.append(KittiLabel(columns[0], lidar_box(values[7:10], values[10:13], values[13], calibration)))
+        box = lidar_box(values[7:10], values[10:13], values[13], calibration)
+        labels.append(KittiLabel(columns[0], box, values[0], int(values[1]), values[6] - values[4]))
     return labels
 
 

@@ -7,14 +7,10 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from shift3d.errors import InputError
-
-if TYPE_CHECKING:
-    from shift3d.training.detector_evaluation import EvaluationRules
 
 __all__ = ["MODELS", "evaluate", "train"]
 
@@ -45,21 +41,18 @@ def train(model: str, out: Path, threads: int | None = None) -> int:
     return 0
 
 
-def evaluate(model: str, kitti: str | None = None, scenes: int = 200) -> int:
-    """Print how good a shipped model is.
+def evaluate(model: str) -> int:
+    """Print how good the shipped shape model is: Chamfer distance to vehicles it was trained on and to unseen ones.
 
-    pointpillars: average precision on ``scenes`` held-out procedural scenes and, given ``kitti``, the folder that
-    holds training/, on its labelled frames. sdf: Chamfer distance to vehicles of the training family and to unseen
-    ones.
+    Detectors have :func:`shift3d.report.evaluation.evaluate_detector`.
 
     Raises:
-        InputError: unknown model, missing weights or frames.
+        InputError: another model, or missing weights.
     """
-    evaluators: dict[str, Callable[[str | None, int], None]] = {
-        "sdf": _evaluate_sdf,
-        "pointpillars": _evaluate_pointpillars,
-    }
-    _known(model, evaluators)(kitti, scenes)
+    if model != "sdf":
+        remedy = f"Give model=sdf, or detector={model} scenes=street" if model in MODELS else "Give model=sdf"
+        raise InputError(f"model={model} is no shape model", "evaluate", remedy)
+    _evaluate_sdf()
     return 0
 
 
@@ -82,11 +75,10 @@ def _train_detector(name: str, out: Path, threads: int) -> None:
     train_detector(out, RECIPES[name], threads=threads, weights_file=WEIGHTS_FOLDER / f"{name}.safetensors")
 
 
-def _evaluate_sdf(kitti: str | None, scenes: int) -> None:
+def _evaluate_sdf() -> None:
     from shift3d.sdf.decoder import load_decoder
     from shift3d.vehicles.fidelity import training_chamfer_m, unseen_chamfer_m
 
-    del kitti, scenes  # a shape model sees no scene
     decoder = load_decoder()
     for name, measure in (("training vehicles", training_chamfer_m), ("unseen, auto-decoded", unseen_chamfer_m)):
         metres = measure(decoder, 27)  # three of each body type
@@ -95,29 +87,3 @@ def _evaluate_sdf(kitti: str | None, scenes: int) -> None:
             f"worst {100 * metres.max():.2f} cm, {len(metres)} vehicles",
             flush=True,
         )
-
-
-def _evaluate_pointpillars(kitti: str | None, scenes: int) -> None:
-    from shift3d.detectors.weights import load_detector
-    from shift3d.training.detector_evaluation import EvaluationRules, evaluate_kitti, evaluate_street
-
-    detector = load_detector("pointpillars")
-    rules = EvaluationRules()
-    street = evaluate_street(detector, scenes, rules=rules)
-    print(
-        f"pointpillars, {street.scenes} held-out street scenes: {_describe(rules)} {street.average_precision.value:.3f}"
-    )
-    if kitti is not None:
-        rules = EvaluationRules(iou_threshold=0.5)
-        real = evaluate_kitti(detector, Path(kitti).expanduser(), rules)
-        print(
-            f"pointpillars, {real.scenes} KITTI frames, cars in view: {_describe(rules)} "
-            f"{real.average_precision.value:.3f}"
-        )
-
-
-def _describe(rules: EvaluationRules) -> str:
-    return (
-        f"BEV AP at IoU {rules.iou_threshold:g} of vehicles within {rules.max_range_m:g} m "
-        f"with at least {rules.min_points} points"
-    )

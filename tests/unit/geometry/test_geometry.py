@@ -71,6 +71,19 @@ def test_iou_by_hand() -> None:
     assert iou_bev(unit, turned)[0, 0] == pytest.approx(octagon / (8 - octagon))
 
 
+def test_iou_3d_of_boxes_above_each_other() -> None:
+    """Same footprint, heights 2: half of it shared is 1 / 3, a quarter 0.5 / 3.5; a box inside another is its share."""
+    base = np.array([[1.0, 2.0, 0.0, 4.0, 2.0, 2.0, 0.7]])
+    others = np.repeat(base, 5, axis=0)
+    others[:, 2] = [0.0, 1.0, -1.5, 2.0, 3.0]
+    np.testing.assert_allclose(iou_3d(base, others)[0], [1.0, 1 / 3, 0.5 / 3.5, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(iou_bev(base, others)[0], 1.0, atol=1e-12)
+    inner = base.copy()
+    inner[0, 5] = 0.5
+    assert iou_3d(base, inner)[0, 0] == pytest.approx(0.25)
+    assert iou_3d(base, others).dtype == np.float64 and iou_3d(np.zeros((0, 7)), others).shape == (0, 5)
+
+
 def test_iou_of_just_touching_empty_and_no_boxes() -> None:
     unit = np.array([[0, 0, 0, 2.0, 2.0, 2.0, 0.0]])
     touching = np.array([[2.0, 0, 0, 2.0, 2.0, 2.0, 0.0]])

@@ -1,0 +1,175 @@
+"""Average precision by Waymo's definition: score cut-offs, best assignment at each, area under what results.
+
+Source: the public metrics library of the Waymo Open Dataset (detection_metrics.cc, matcher.cc, metrics_utils.cc and
+the settings of compute_detection_metrics_main.cc). It was read, not copied. What differs here: IoU enters the
+assignment exactly and not rounded to a thousandth, and range is horizontal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+
+from shift3d.evaluation.frames import Comparison
+from shift3d.evaluation.precision_recall import PrecisionRecall
+
+__all__ = ["LEVELS", "SCORE_CUTOFFS", "Assignment", "WaymoRules", "area_with_gaps", "assign", "waymo_curve"]
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+SCORE_CUTOFFS: Floats = np.arange(101) / 100.0
+LARGEST_GAP = 0.05  # of recall, between neighbouring points of the curve
+# LEVEL_1 is more than five points, LEVEL_2 at least one. No label of ours says that an object is hard.
+LEVELS = {"LEVEL_1": 6, "LEVEL_2": 1}
+
+
+@dataclass(frozen=True)
+class WaymoRules:
+    """What counts.
+
+    level: "LEVEL_1" or "LEVEL_2". credit_harder: what becomes of a detection that is assigned to an object of
+    LEVEL_2 while LEVEL_1 is evaluated. True: it is right, as in Waymo's library (whose recall is then right ones
+    over right ones plus missed LEVEL_1 objects). False: it is neither right nor wrong.
+    """
+
+    level: str = "LEVEL_1"
+    credit_harder: bool = True
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """A frame's detections within a range and what each is assigned to, at every score cut-off.
+
+    comparison: the frame, cut to the range. num_found: (101,) int64, detections that reach each cut-off (they come
+    best first). matched: num_found -> (num_found,) int64, index of the object each is assigned to, or -1.
+    """
+
+    comparison: Comparison
+    num_found: Ints
+    matched: dict[int, Ints]
+
+
+def assign(comparison: Comparison, iou_threshold: float, min_range_m: float, max_range_m: float) -> Assignment:
+    """Assign detections to objects so that the sum of their IoU is largest, separately at every score cut-off.
+
+    Only pairs with IoU >= iou_threshold may be assigned. Objects without a point do not exist; detections and
+    objects at min_range_m <= range < max_range_m take part, each by its own centre.
+    """
+    truth, found = comparison.truth, comparison.found
+    objects = (truth.num_points >= 1) & (truth.range_m >= min_range_m) & (truth.range_m < max_range_m)
+    boxes = (found.range_m >= min_range_m) & (found.range_m < max_range_m)
+    cut = _select(comparison, boxes, objects)
+    weights = np.where(cut.overlap >= iou_threshold, cut.overlap, 0.0)
+    num_found = (cut.found.scores[None, :] >= SCORE_CUTOFFS[:, None]).sum(axis=1)
+    possible = weights > 0.0
+    conflict_free = bool((possible.sum(axis=0) <= 1).all() and (possible.sum(axis=1) <= 1).all())
+    if conflict_free:  # the best assignment of fewer detections is then a part of that of all
+        everything = _best_assignment(weights)
+        matched = {int(number): everything[:number] for number in np.unique(num_found)}
+    else:
+        matched = {int(number): _best_assignment(weights[:number]) for number in np.unique(num_found)}
+    return Assignment(cut, num_found.astype(np.int64), matched)
+
+
+def _best_assignment(weights: Floats) -> Ints:
+    matched = np.full(len(weights), -1, dtype=np.int64)
+    rows, columns = np.flatnonzero((weights > 0).any(axis=1)), np.flatnonzero((weights > 0).any(axis=0))
+    if rows.size:
+        chosen, objects = linear_sum_assignment(weights[np.ix_(rows, columns)], maximize=True)
+        real = weights[rows[chosen], columns[objects]] > 0.0
+        matched[rows[chosen[real]]] = columns[objects[real]]
+    return matched
+
+
+def _select(comparison: Comparison, boxes: Flags, objects: Flags) -> Comparison:
+    truth, found = comparison.truth, comparison.found
+    return Comparison(
+        type(truth)(
+            truth.boxes[objects],
+            truth.num_points[objects],
+            truth.counts[objects],
+            truth.difficulty[objects],
+            tuple(name for name, kept in zip(truth.names, objects) if kept),
+        ),
+        type(found)(found.boxes[boxes], found.scores[boxes], found.labelled[boxes], found.image_height_px[boxes]),
+        comparison.overlap[np.ix_(boxes, objects)],
+        comparison.heading_accuracy[np.ix_(boxes, objects)],
+    )
+
+
+def waymo_curve(assignments: Iterable[Assignment], rules: WaymoRules) -> PrecisionRecall:
+    """Precision and recall at the 101 cut-offs over all frames, and the areas AP and APH.
+
+    APH: each right detection enters the precision with its heading accuracy; recall is not weighted. Where recall is
+    0, precision is 1. AP and APH are None without an object to find.
+    """
+    right, wrong, missed = (np.zeros(len(SCORE_CUTOFFS), dtype=np.int64) for _ in range(3))
+    heading_sum = np.zeros(len(SCORE_CUTOFFS))
+    num_truth = 0
+    for assignment in assignments:
+        truth = assignment.comparison.truth
+        num_truth += int((truth.counts & (truth.num_points >= LEVELS[rules.level])).sum())
+        counted = {number: _count(assignment, number, rules) for number in assignment.matched}
+        right += [counted[number][0] for number in assignment.num_found.tolist()]
+        wrong += [counted[number][1] for number in assignment.num_found.tolist()]
+        missed += [counted[number][2] for number in assignment.num_found.tolist()]
+        heading_sum += [counted[number][3] for number in assignment.num_found.tolist()]
+    recall = right / np.maximum(right + missed, 1)
+    precision = np.where(right == 0, 1.0, right / np.maximum(right + wrong, 1))
+    heading_precision = np.where(right == 0, 1.0, heading_sum / np.maximum(right + wrong, 1))
+    return PrecisionRecall(
+        area_with_gaps(recall, precision) if num_truth else None,
+        area_with_gaps(recall, heading_precision) if num_truth else None,
+        SCORE_CUTOFFS,
+        recall,
+        precision,
+        heading_precision,
+        num_truth,
+    )
+
+
+def _count(assignment: Assignment, number: int, rules: WaymoRules) -> tuple[int, int, int, float]:
+    """Right, wrong, missed, and the sum of the heading accuracies of the right ones."""
+    matched, truth = assignment.matched[number], assignment.comparison.truth
+    asked = truth.counts & (truth.num_points >= LEVELS[rules.level])
+    rewarded = truth.counts if rules.credit_harder else asked
+    rows = np.flatnonzero(matched >= 0)
+    rows = rows[rewarded[matched[rows]]]
+    wrong = int(((matched < 0) & assignment.comparison.found.labelled[:number]).sum())
+    unmatched = np.ones(len(asked), dtype=bool)
+    unmatched[matched[matched >= 0]] = False
+    # A sum in a fixed order, whatever the number of frames a worker had.
+    heading = float(sum(assignment.comparison.heading_accuracy[rows, matched[rows]].tolist()))
+    return len(rows), wrong, int((asked & unmatched).sum()), heading
+
+
+def area_with_gaps(recall: Sequence[float] | Floats, precision: Sequence[float] | Floats) -> float:
+    """Area under a precision-recall curve as Waymo's library takes it.
+
+    Of points with equal recall the highest precision stays; precision at a recall is the highest there or beyond;
+    trapezoids between points. Where neighbouring points are further apart than LARGEST_GAP, points every
+    LARGEST_GAP below the higher recall take its precision, so that a steep line is drawn over one gap at most.
+    At recall 0, the precision is that of the point before it.
+    """
+    best = {0.0: 1.0}
+    for r, p in zip(np.asarray(recall, dtype=np.float64).tolist(), np.asarray(precision, dtype=np.float64).tolist()):
+        best[r] = max(best.get(r, 0.0), p)
+    points: list[tuple[float, float]] = []
+    previous, highest = 0.0, 0.0
+    for r in sorted(best, reverse=True):
+        while previous - r > LARGEST_GAP + 1e-6:
+            previous -= LARGEST_GAP
+            points.append((previous, highest))
+        highest = max(highest, best[r])
+        points.append((r, highest))
+        previous = r
+    if len(points) > 1:  # the point at recall 0 was put there, not measured
+        points[-1] = (points[-1][0], points[-2][1])
+    return float(sum(0.5 * (r1 - r0) * (p1 + p0) for (r1, p1), (r0, p0) in pairwise(points)))
