@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from shift3d.sdf.decoder import Decoder
     from shift3d.task.assets import Assets
 
-__all__ = ["draw_case", "draw_curves", "draw_vehicles"]
+__all__ = ["draw_case", "draw_curves", "draw_family", "draw_vehicles"]
 
 _POSE = ["x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad"]
 _COLOURS = {"baseline": "#4878a8", "random": "#7f7f7f", "adversarial_noise": "#e0a030", "adversarial": "#c03030"}
 _RED = (0.75, 0.3, 0.27)
+_SIDE, _THREE_QUARTERS = (np.pi / 2, 0.05), (0.7, 0.3)
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -49,10 +50,34 @@ def draw_vehicles(path: Path) -> None:
     axes = figure.subplots(2, len(vehicles))
     for column, (name, vehicle) in enumerate(vehicles.items()):
         mesh = vehicle_mesh(vehicle, decoder, resolution=256)
-        for row, (azimuth, elevation) in enumerate(((np.pi / 2, 0.05), (0.7, 0.3))):
+        for row, (azimuth, elevation) in enumerate((_SIDE, _THREE_QUARTERS)):
             axes[row, column].imshow(shaded(mesh, azimuth, elevation, width_px=420, height_px=220))
             axes[row, column].set_axis_off()
         axes[0, column].set_title(f"{name.replace('_', ' ')}, {vehicle.size_m[0]:.2f} m", fontsize=9)
+    figure.savefig(path)
+
+
+def draw_family(path: Path, columns: int = 5) -> None:
+    """One vehicle of every body type as built: from the side, and three quarters from the front.
+
+    The first vehicles of the family that the shipped decoder was trained on.
+    """
+    from shift3d.vehicles.family import BODY_TYPES, build_mesh, family
+    from shift3d.vehicles.picture import shaded
+    from shift3d.vehicles.vehicle import family_seed
+
+    bands = -(-len(BODY_TYPES) // columns)
+    figure = _figure(11, 2.9 * bands)
+    axes = figure.subplots(2 * bands, columns)
+    for panel in axes.flat:
+        panel.set_axis_off()
+    for index, spec in enumerate(family(len(BODY_TYPES), family_seed())):
+        band, column = divmod(index, columns)
+        mesh = build_mesh(spec)
+        for row, view in enumerate((_SIDE, _THREE_QUARTERS)):
+            axes[2 * band + row, column].imshow(shaded(mesh, *view, width_px=420, height_px=220, span_m=5.8))
+        size = f"{spec.length_m:.2f} x {spec.width_m:.2f} x {spec.height_m:.2f} m"
+        axes[2 * band, column].set_title(f"{spec.body_type.replace('_', ' ')}, {size}", fontsize=8)
     figure.savefig(path)
 
 
@@ -66,7 +91,7 @@ def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.Dat
 
     figure = _figure(11, 4.6)
     axes = figure.subplots(2, 2, width_ratios=(1, 1.6))
-    vehicle = assets.vehicle(spec.vehicle)
+    vehicle = assets.vehicle(spec)
     for row, (method, rgb) in enumerate((("baseline", (0.28, 0.47, 0.66)), ("adversarial", _RED))):
         solution = solutions[solutions["method"] == method].iloc[0]
         score = float(scores[scores["method"] == method].iloc[0]["score"])
@@ -178,9 +203,13 @@ def main(arguments: list[str]) -> None:
         raise InputError("no finished sweep", str(out), "Run make sweep first")
     folder.mkdir(parents=True, exist_ok=True)
     draw_vehicles(folder / "vehicles.png")
+    draw_family(folder / "family.png")
     tables = {
         name: pd.read_parquet(out / "final" / f"{name}.parquet") for name in ("scores", "solutions", "curves", "auc")
     }
+    # What the attacked detector says; others may have scored the same objects.
+    for name in ("scores", "auc"):
+        tables[name] = tables[name][tables[name]["scored_by"] == tables[name]["detector"]]
     draw_curves(tables["scores"], tables["auc"], folder / "curves.png")
     plan = read_plan(out)
     assets = load_assets(plan.assets[0])
