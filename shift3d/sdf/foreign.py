@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,59 +12,195 @@ import torch
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import Architecture, Decoder, decoder_from_tensors
+from shift3d.sdf.decoder import Decoder, decoder_from_tensors, without_subnormals
+from shift3d.sdf.deepsdf_network import DeepSdfNetwork, NetworkSpecs
+
+__all__ = ["Experiment", "experiment_files", "load_experiment", "load_foreign_decoder"]
+
+_NETWORK = "deep_sdf_decoder"
+_LAYOUT = "Give a folder in the original DeepSDF layout"
 
 
-def _read(path: Path) -> Any:
-    if not path.is_file():
-        raise InputError("no such file", where=str(path), remedy="a folder in the original DeepSDF layout")
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
-        raise InputError(
-            "not a readable checkpoint of tensors only", where=str(path), remedy="copy it again"
-        ) from error
+@dataclass(frozen=True)
+class Experiment:
+    """A trained auto-decoder of the original repository.
+
+    decoder: folded float32 weights, eval mode, requires_grad False; a `Decoder` where the network is of the published
+    kind, which renders faster. codes: (N, code) float32 as trained. instances: N names, in code order. epoch: of the
+    weights, as the file says it.
+    """
+
+    decoder: Decoder | DeepSdfNetwork
+    codes: Tensor
+    instances: tuple[str, ...]
+    epoch: int | None
 
 
-def load_foreign_decoder(folder: Path | str, checkpoint: str = "latest") -> tuple[Decoder, Tensor]:
-    """The decoder and the codes (N, code) float32 of a checkpoint in the original layout.
+def load_foreign_decoder(folder: Path | str, checkpoint: str = "latest") -> tuple[Decoder | DeepSdfNetwork, Tensor]:
+    """Decoder and codes (N, code) of `load_experiment`."""
+    experiment = load_experiment(folder, checkpoint)
+    return experiment.decoder, experiment.codes
 
-    The original always ends in tanh, whatever `use_tanh` says. Weight-norm pairs (weight_g, weight_v) are folded; a
-    `module.` prefix is dropped. Never unpickles anything but tensors.
-    Raises: InputError naming the file when something is missing, or the network is not the published kind.
+
+def experiment_files(folder: Path | str, checkpoint: str = "latest") -> tuple[Path, Path, Path]:
+    """specs.json, the network's weights and the codes of a checkpoint ("latest", or an epoch: "2000").
+
+    Raises: InputError naming the file that is missing, and the checkpoints that there are.
     """
     folder = Path(folder)
-    specs_file = folder / "specs.json"
-    if not specs_file.is_file():
-        raise InputError("no such file", where=str(specs_file), remedy="a folder in the original DeepSDF layout")
-    specs = json.loads(specs_file.read_text())
-    network = specs["NetworkSpecs"]
-    unsupported = [key for key in ("xyz_in_all", "latent_dropout") if network.get(key)]
-    layer_norms = bool(network.get("norm_layers")) and not network.get("weight_norm", False)
-    if unsupported or layer_norms or len(network.get("latent_in", [])) != 1:
-        raise InputError(
-            "not the published network", where=f"{specs_file}: NetworkSpecs", remedy="weight norm, one skip"
+    specs = folder / "specs.json"
+    if not specs.is_file():
+        raise InputError("no such file", where=str(specs), remedy=_LAYOUT)
+    files = []
+    for part in ("ModelParameters", "LatentCodes"):
+        path = folder / part / f"{checkpoint}.pth"
+        if not path.is_file():
+            there = sorted(found.stem for found in (folder / part).glob("*.pth"))
+            remedy = f"Checkpoints there: {', '.join(there)}" if there else _LAYOUT
+            raise InputError("no such file", where=str(path), remedy=remedy)
+        files.append(path)
+    return specs, files[0], files[1]
+
+
+def load_experiment(folder: Path | str, checkpoint: str = "latest") -> Experiment:
+    """A checkpoint in the original layout, with the values of the original code up to rounding.
+
+    checkpoint: "latest" or an epoch. Weight-norm pairs, of old and new torch, are folded; a `module.` prefix is
+    dropped. Never unpickles anything but tensors and plain values.
+
+    Raises: InputError naming file and key where something is missing, foreign, of another shape or not finite, where
+        weights and codes are of different epochs, or for a network that is not the original one.
+    """
+    specs_file, weights_file, codes_file = experiment_files(folder, checkpoint)
+    values, specs = _read_specs(specs_file)
+    weights, codes = _read(weights_file), _read(codes_file)
+    epochs = weights.get("epoch"), codes.get("epoch")
+    if None not in epochs and epochs[0] != epochs[1]:
+        what = f"is of epoch {epochs[1]}, the weights are of epoch {epochs[0]}"
+        raise InputError(what, where=str(codes_file), remedy="Give codes and weights of one checkpoint")
+    table = _codes(codes, specs.code_length, codes_file)
+    names = _instances(values, len(table), specs_file)
+    return Experiment(_network(weights, specs, weights_file), table, names, epochs[0])
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
+        raise InputError("not a readable checkpoint of tensors only", str(path), "Copy it again") from error
+    if not isinstance(content, dict):
+        raise InputError(f"holds a {type(content).__name__}, no table by name", where=str(path), remedy=_LAYOUT)
+    return content
+
+
+def _read_specs(path: Path) -> tuple[dict[str, Any], NetworkSpecs]:
+    try:
+        values = json.loads(path.read_text())
+        network = values["NetworkSpecs"]
+        specs = NetworkSpecs(
+            code_length=int(values["CodeLength"]),
+            dims=tuple(int(width) for width in network["dims"]),
+            norm_layers=tuple(int(layer) for layer in network.get("norm_layers") or ()),
+            latent_in=tuple(int(layer) for layer in network.get("latent_in") or ()),
+            weight_norm=bool(network.get("weight_norm")),
+            xyz_in_all=bool(network.get("xyz_in_all")),
+            use_tanh=bool(network.get("use_tanh")),
         )
-    architecture = Architecture(
-        code_length=int(specs["CodeLength"]),
-        width=int(network["dims"][0]),
-        hidden_layers=len(network["dims"]),
-        skip_layer=int(network["latent_in"][0]),
-    )
-    state = _read(folder / "ModelParameters" / f"{checkpoint}.pth")["model_state_dict"]
-    state = {name.removeprefix("module."): value for name, value in state.items()}
+    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError, AttributeError) as error:
+        what = f"no readable description of a network ({type(error).__name__}: {error})"
+        raise InputError(what, where=str(path), remedy="It needs CodeLength and NetworkSpecs with dims") from error
+    name = values.get("NetworkArch", _NETWORK)
+    if name != _NETWORK:
+        raise InputError(f"NetworkArch is {name!r}", where=str(path), remedy=f"Only {_NETWORK} is known")
+    sizes = [size for layer in range(specs.layers) for size in specs.size(layer)]
+    if not specs.dims or specs.code_length < 1 or min(sizes) < 1:
+        what = f"NetworkSpecs gives a layer of size {min(sizes)}"
+        raise InputError(what, where=str(path), remedy="dims must leave room for latent_in and xyz_in_all")
+    return values, specs
+
+
+def _codes(content: dict[str, Any], length: int, path: Path) -> Tensor:
+    """(N, code) from the three forms there are: an embedding's state, a tensor N x 1 x code, a list of tensors."""
+    found = content.get("latent_codes")
+    if isinstance(found, dict):
+        found = found.get("weight")
+    if isinstance(found, list | tuple) and found and all(isinstance(code, Tensor) for code in found):
+        found = torch.stack([code.detach().reshape(-1) for code in found]) if _equal_sizes(found) else None
+    if not isinstance(found, Tensor) or found.ndim < 2:
+        raise InputError("no table of latent_codes", where=str(path), remedy="latent_codes: N x code, or a list")
+    table = found.detach().reshape(len(found), -1).float()
+    if table.shape[1] != length or not len(table):
+        what = f"latent_codes are {len(table)} codes of length {table.shape[1]}"
+        raise InputError(what, where=str(path), remedy=f"specs.json says CodeLength {length}")
+    if not bool(torch.isfinite(table).all()):
+        raise InputError("latent_codes hold values that are not finite", where=str(path), remedy="Copy it again")
+    return table
+
+
+def _equal_sizes(codes: list[Tensor] | tuple[Tensor, ...]) -> bool:
+    return len({code.numel() for code in codes}) == 1
+
+
+def _instances(values: dict[str, Any], count: int, path: Path) -> tuple[str, ...]:
+    """The names in specs.json; the original keeps them in its split files: then numbers, as shape_00042."""
+    listed = values.get("Instances")
+    if listed is None:
+        return tuple(f"shape_{index:05d}" for index in range(count))
+    names = tuple(str(name) for name in listed) if isinstance(listed, list) else ()
+    if len(names) != count or len(set(names)) != count:
+        what = f"Instances are {len(set(names))} names for {count} codes"
+        raise InputError(what, where=str(path), remedy="One name a code, in code order, each once")
+    return names
+
+
+def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> Decoder | DeepSdfNetwork:
+    state = content.get("model_state_dict")
+    if not isinstance(state, dict):
+        raise InputError("no model_state_dict", where=str(path), remedy=_LAYOUT)
+    left: dict[str, Any] = {str(name).removeprefix("module."): value for name, value in state.items()}
     tensors = {}
-    for index in range(architecture.hidden_layers + 1):
-        tensors[f"layers.{index}.bias"] = state[f"lin{index}.bias"]
-        tensors[f"layers.{index}.weight"] = _folded(state, f"lin{index}")
-    codes = _read(folder / "LatentCodes" / f"{checkpoint}.pth")["latent_codes"]
-    table = codes["weight"] if isinstance(codes, dict) else torch.stack([code.reshape(-1) for code in codes])
-    return decoder_from_tensors(tensors, architecture, str(folder)), table.float()
+    for layer in range(specs.layers):
+        tensors[f"layers.{layer}.weight"] = _folded(left, f"lin{layer}", path)
+        tensors[f"layers.{layer}.bias"] = _take(left, f"lin{layer}.bias", path)
+        if specs.normed(layer):
+            for part in ("weight", "bias"):
+                tensors[f"norms.{layer}.{part}"] = _take(left, f"bn{layer}.{part}", path)
+    if left:
+        what = f"tensor {min(left)} belongs to another network than specs.json describes"
+        raise InputError(what, where=str(path), remedy="Give the specs.json that it was trained with")
+    if architecture := specs.published():
+        return decoder_from_tensors(tensors, architecture, str(path))
+    network = DeepSdfNetwork(specs)
+    for name, expected in network.state_dict().items():
+        if tensors[name].shape != expected.shape or not bool(torch.isfinite(tensors[name]).all()):
+            what = f"{_original(name)} has shape {tuple(tensors[name].shape)}, or values that are not finite"
+            raise InputError(what, where=str(path), remedy=f"expected {tuple(expected.shape)}")
+        tensors[name] = without_subnormals(tensors[name])
+    network.load_state_dict(tensors)
+    return network.eval().requires_grad_(False)
 
 
-def _folded(state: dict[str, Tensor], name: str) -> Tensor:
-    if f"{name}.weight" in state:
-        return state[f"{name}.weight"].clone()
-    direction: Tensor = state[f"{name}.weight_v"]
-    scale = state[f"{name}.weight_g"] / direction.norm(dim=1, keepdim=True)
-    return torch.mul(direction, scale)
+def _original(name: str) -> str:
+    return name.replace("layers.", "lin").replace("norms.", "bn")
+
+
+def _take(left: dict[str, Any], name: str, path: Path) -> Tensor:
+    value = left.pop(name, None)
+    if not isinstance(value, Tensor):
+        raise InputError(f"tensor {name} is missing", where=str(path), remedy="specs.json asks for it")
+    return value.float()
+
+
+def _folded(left: dict[str, Any], name: str, path: Path) -> Tensor:
+    """A layer's weight, from the pair that weight norm keeps where there is one (length, direction)."""
+    for length, direction in (
+        ("weight_g", "weight_v"),
+        ("parametrizations.weight.original0", "parametrizations.weight.original1"),
+    ):
+        if f"{name}.{length}" in left or f"{name}.{direction}" in left:
+            g, v = _take(left, f"{name}.{length}", path), _take(left, f"{name}.{direction}", path)
+            if v.ndim != 2 or g.numel() != len(v):
+                what = f"{name}: {tuple(g.shape)} lengths for directions {tuple(v.shape)}"
+                raise InputError(what, where=str(path), remedy="one length a row")
+            return torch.mul(v, g.reshape(-1, 1) / v.norm(dim=1, keepdim=True))
+    return _take(left, f"{name}.weight", path)
