@@ -79,10 +79,11 @@ def assign_pillars(points: Tensor, grid: Grid, window: BevWindow) -> Pillars:
     starts = np.flatnonzero(np.diff(flat, prepend=-1))
     counts = np.diff(starts, append=flat.size)
     cells = flat[starts]
+    # Grouped on the CPU wherever the points are: sorting must give the same order on every device.
     return Pillars(
-        order=torch.from_numpy(rows[by_value]),
-        pillar=torch.from_numpy(np.repeat(np.arange(starts.size), counts)),
-        counts=torch.from_numpy(counts),
-        cell_x=torch.from_numpy(cells % grid.num_x),
-        cell_y=torch.from_numpy(cells // grid.num_x),
+        order=torch.from_numpy(rows[by_value]).to(points.device),
+        pillar=torch.from_numpy(np.repeat(np.arange(starts.size), counts)).to(points.device),
+        counts=torch.from_numpy(counts).to(points.device),
+        cell_x=torch.from_numpy(cells % grid.num_x).to(points.device),
+        cell_y=torch.from_numpy(cells // grid.num_x).to(points.device),
     )

@@ -120,14 +120,15 @@ class SstNet(AnchorNet):
             owner.append(pillars.pillar + pillars_before)
             counts.append(pillars.counts)
             batch = np.full(pillars.counts.numel(), index, dtype=np.int64)
-            cells.append((batch, pillars.cell_x.numpy(), pillars.cell_y.numpy()))
+            cells.append((batch, pillars.cell_x.cpu().numpy(), pillars.cell_y.cpu().numpy()))
             pillars_before += pillars.counts.numel()
         tokens = Tokens(*(np.concatenate(values) for values in zip(*cells, strict=True)))
         if not pillars_before:
             return decorated[0].new_zeros(0, self.spec.transformer.width), tokens
         empty = torch.empty(0, dtype=torch.int64)
         joint = Pillars(empty, torch.cat(owner), torch.cat(counts), empty, empty)
-        return self.encoder(torch.cat(decorated), joint), tokens
+        with torch.autocast(decorated[0].device.type, enabled=False):  # bfloat16 knows a coordinate to 0.3 m at 70 m
+            return self.encoder(torch.cat(decorated), joint), tokens
 
     def _canvas(self, features: Tensor, tokens: Tokens, spans: list[tuple[tuple[int, int], tuple[int, int]]]) -> Tensor:
         """Features on the dense map, (B, C, h, w), channels last in memory, zero where no token is."""
@@ -135,9 +136,9 @@ class SstNet(AnchorNet):
         width, height = (spans[0][axis][1] - spans[0][axis][0] for axis in (0, 1))
         column, line = tokens.cell_x - x_low[tokens.batch], tokens.cell_y - y_low[tokens.batch]
         inside = (column >= 0) & (column < width) & (line >= 0) & (line < height)
-        flat = torch.from_numpy((tokens.batch * height + line) * width + column)
+        flat = torch.from_numpy((tokens.batch * height + line) * width + column).to(features.device)
         if not inside.all():
-            kept = torch.from_numpy(inside)
+            kept = torch.from_numpy(inside).to(features.device)
             features, flat = features[kept], flat[kept]
         dense = features.new_zeros(len(spans) * height * width, features.shape[1]).index_copy(0, flat, features)
         return dense.view(len(spans), height, width, -1).permute(0, 3, 1, 2)

@@ -60,6 +60,14 @@ class WindowGroups:
     token_slot: Tensor
     place: Tensor
 
+    def to(self, device: torch.device) -> WindowGroups:
+        """The same groups with their tensors on a device."""
+        buckets = tuple(
+            Bucket(b.start, b.windows, b.length, None if b.padding is None else b.padding.to(device))
+            for b in self.buckets
+        )
+        return WindowGroups(buckets, self.slot_token.to(device), self.token_slot.to(device), self.place.to(device))
+
 
 def group_by_window(tokens: Tokens, window: int, shift: int, lengths: tuple[int, ...]) -> WindowGroups:
     """Group tokens by windows of window x window cells, the lattice shifted back by `shift` cells.

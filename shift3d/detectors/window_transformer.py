@@ -138,7 +138,7 @@ class WindowTransformer(nn.Module):
             if dropped:
                 groups = {}
             if shift not in groups:
-                groups[shift] = group_by_window(tokens, spec.window, shift, spec.lengths)
+                groups[shift] = group_by_window(tokens, spec.window, shift, spec.lengths).to(features.device)
             if len(tokens.batch):
                 positions = codes.to(features.dtype).index_select(0, groups[shift].place)
                 features = layer(features, positions, groups[shift])
@@ -156,7 +156,7 @@ def _within(
     )  # fmt: skip
     if inside.all():
         return features, tokens, False
-    kept = torch.from_numpy(inside.nonzero()[0])
-    back = torch.full((len(inside),), kept.numel(), dtype=torch.int64)
-    back[kept] = torch.arange(kept.numel())
+    kept = torch.from_numpy(inside.nonzero()[0]).to(features.device)
+    back = torch.full((len(inside),), kept.numel(), dtype=torch.int64, device=features.device)
+    back[kept] = torch.arange(kept.numel(), device=features.device)
     return gather_rows(features, kept, back), tokens.take(inside), True
