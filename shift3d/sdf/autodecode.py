@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from shift3d.processor import has_fast_bfloat16
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.samples import SdfSamples
 from shift3d.seeding import derive_seed
@@ -19,7 +20,7 @@ def autodecode(
     clamp: float = 0.1,
     code_penalty: float = 1e-5,
     seed: int = 0,
-    compute_dtype: torch.dtype = torch.bfloat16,
+    compute_dtype: torch.dtype | None = None,
 ) -> Tensor:
     """A latent code (code,) float32 that explains the samples.
 
@@ -30,10 +31,12 @@ def autodecode(
             (there with twice the steps and four times the points).
         clamp, code_penalty: those of the training. rate and code_penalty are the published ones (5e-3, 1e-4) in the
             units of the shipped codes, which are three times as long as trained.
-        compute_dtype: of the wide layers, as in the training.
+        compute_dtype: of the wide layers; default bfloat16 where the processor is fast at it, else float32.
         seed: of the first code, N(0, 0.01^2), and of the batches.
     Differentiable w.r.t.: nothing. Source: Park et al. 2019, section 4.2 (auto-decoder inference).
     """
+    if compute_dtype is None:
+        compute_dtype = torch.bfloat16 if has_fast_bfloat16() else torch.float32
     source = torch.Generator().manual_seed(derive_seed("autodecode", seed) % 2**63)
     points, distances = torch.from_numpy(samples.points), torch.from_numpy(samples.distances)
     z = (0.01 * torch.randn(decoder.architecture.code_length, generator=source)).requires_grad_(True)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from shift3d.processor import has_fast_bfloat16
 from shift3d.sdf.decoder import Decoder
@@ -17,9 +18,11 @@ from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.sdf import SdfRecipe, train_sdf
 from shift3d.training.sdf_export import CODE_NORM
 from shift3d.training.sdf_meshes import MeshShapes, mesh_shapes
+from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.mesh_vehicle import read_mesh_vehicle
+from shift3d.vehicles.side_by_side import write_side_by_side
 from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
 
 STEPS = 5_000
@@ -73,14 +76,16 @@ def train_on_meshes(
 def export_mesh_training(
     checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, seconds: float
 ) -> list[FittedVehicle]:
-    """Decode every training shape, measure it against its mesh, and write the vehicle set."""
+    """Decode every training shape, measure it against its mesh, picture both, and write the vehicle set."""
     state = read_checkpoint(checkpoint)
     assert state is not None
     decoder, codes = _scaled(state)
     vehicles = []
-    for facts, code, scale_m in zip(shapes.facts, codes, shapes.samples.scale_m, strict=True):
+    rows = zip(shapes.facts, codes, shapes.samples.scale_m, strict=True)
+    for facts, code, scale_m in tqdm(rows, total=len(codes), desc="measuring vehicles"):
         vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)
         done = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
+        write_side_by_side(out / PICTURES / f"{vehicle.name}.png", vehicle.mesh, done.decoded)
         facts["chamfer_cm"] = round(100.0 * done.chamfer_m, 3)
         vehicles.append(done)
     chamfer_cm = [facts["chamfer_cm"] for facts in shapes.facts]

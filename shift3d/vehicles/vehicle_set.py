@@ -23,8 +23,8 @@ from shift3d.seeding import generator
 from shift3d.store.atomic import write_atomic
 
 VEHICLES_FILE, DECODER_FILE, FACTS_FILE = "vehicles.safetensors", "sdf.safetensors", "sdf.json"
-RESOLUTION = 257
-"""Nodes along the unit sphere's cube of the meshes that are measured: 2 cm for a car."""
+RESOLUTION = 129
+"""Nodes along the unit sphere's cube of the meshes that are measured: 4 cm for a car."""
 
 
 @dataclass(frozen=True)

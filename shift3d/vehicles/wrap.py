@@ -10,16 +10,17 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import label
+from scipy.ndimage import binary_dilation, label
 from skimage.measure import marching_cubes
 
 from shift3d.errors import InputError
 from shift3d.sdf.chamfer import distance_to_surface
-from shift3d.sdf.samples import signed_distance
 
 SEAL_M = (0.05, 0.10, 0.20)
 """Widths of gaps that are bridged, tried in turn until the inside no longer floods."""
-CELLS_A_SEAL = 4
+CELL_M = 0.025
+"""Grid spacing: half the narrowest gap, so that no path leads through the wall between two nodes."""
+COARSE = 4
 FILLED_SHARE = 0.15
 
 Grid = NDArray[np.float64]
@@ -32,8 +33,12 @@ def wrapped(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, float, 
         over it from the mesh.
     Raises: InputError naming `where` when the inside floods whatever the width.
     """
+    low = np.asarray(mesh.bounds[0]) - max(SEAL_M) - 2.0 * CELL_M
+    counts = np.ceil((np.asarray(mesh.bounds[1]) + max(SEAL_M) + 2.0 * CELL_M - low) / CELL_M)
+    counts = (-(-counts // COARSE) * COARSE + 1).astype(np.int64)
+    away = _distances(mesh, low, tuple(counts), max(SEAL_M) / 2.0 + 3.0 * CELL_M)
     for seal_m in SEAL_M:
-        outer = _closing(mesh, seal_m)
+        outer = _closing(away, low, seal_m)
         if outer is not None and outer.volume > FILLED_SHARE * np.prod(np.ptp(mesh.vertices, axis=0)):
             points, _ = trimesh.sample.sample_surface(outer, 5000, seed=np.random.default_rng(0))
             return outer, seal_m, distance_to_surface(np.asarray(points), mesh)
@@ -41,31 +46,47 @@ def wrapped(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, float, 
     raise InputError(what, where=where, remedy="close its holes by hand, or leave it out")
 
 
-def _closing(mesh: trimesh.Trimesh, seal_m: float) -> trimesh.Trimesh | None:
-    """The surface for one width, None where nothing is left of it."""
-    cell, half = seal_m / CELLS_A_SEAL, seal_m / 2.0
-    low = np.asarray(mesh.bounds[0]) - 4.0 * half
-    shape = tuple(int(n) for n in np.ceil((mesh.bounds[1] + 4.0 * half - low) / cell) + 1)
-    nodes = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1).reshape(-1, 3) * cell + low
-    away = distance_to_surface(nodes, mesh).reshape(shape)
+def _distances(mesh: trimesh.Trimesh, low: NDArray[np.float64], counts: tuple[int, ...], reach_m: float) -> Grid:
+    """Distance of every node to the mesh where it is below `reach_m`; elsewhere some distance that is not below it.
+
+    A distance changes by no more than the way: what a coarse node says rules most fine nodes out.
+    """
+    shape = tuple(int(count) for count in counts)
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
+    coarse = distance_to_surface(index[::COARSE, ::COARSE, ::COARSE].reshape(-1, 3) * CELL_M + low, mesh)
+    coarse = coarse.reshape([(n - 1) // COARSE + 1 for n in shape])
+    nearest = (index + COARSE // 2) // COARSE
+    at_least = coarse[tuple(np.moveaxis(nearest, -1, 0))]
+    at_least = at_least - np.linalg.norm(index - nearest * COARSE, axis=-1) * CELL_M
+    near = at_least < reach_m
+    away = np.maximum(at_least, reach_m)
+    away[near] = distance_to_surface(index[near] * CELL_M + low, mesh)
+    return np.asarray(away, np.float64)
+
+
+def _closing(away: Grid, low: NDArray[np.float64], seal_m: float) -> trimesh.Trimesh | None:
+    """The surface for one width from the nodes' distances, None where nothing is left of it."""
+    half = seal_m / 2.0
     regions, _ = label(away > half)
     outside = regions == regions[0, 0, 0]
     # Nodes of flooded air and of the wall around it keep their distance, so that the surface lies between the nodes;
     # air that was not reached counts as solid.
-    dilated = np.where(outside | (away <= half), away - half, -np.abs(away - half))
-    skin = _surface(dilated, cell, low)
+    dilated = np.where(outside | (away <= half), away - half, half - away)
+    skin = _surface(dilated, low)
     if skin is None:
         return None
-    near = (~outside) & (dilated > -half - 3.0 * cell)
-    eroded = np.where(outside, half + dilated, -half)
-    eroded[near] = signed_distance(skin, nodes.reshape(*shape, 3)[near]) + half
-    return _surface(eroded, cell, low)
+    depth = np.full(away.shape, half + CELL_M)
+    inside = ~outside & binary_dilation(outside, iterations=int(np.ceil(half / CELL_M)) + 2)
+    depth[inside] = distance_to_surface(np.argwhere(inside) * CELL_M + low, skin)
+    depth[outside] = -np.maximum(away - half, 0.0)[outside]
+    return _surface(half - depth, low)
 
 
-def _surface(values: Grid, cell: float, low: NDArray[np.float64]) -> trimesh.Trimesh | None:
+def _surface(values: Grid, low: NDArray[np.float64]) -> trimesh.Trimesh | None:
+    """The zero surface of values on the grid, negative inside, normals outwards."""
     if not values.min() < 0.0 < values.max():
         return None
-    vertices, faces, _, _ = marching_cubes(values, 1e-9, spacing=(cell,) * 3)
+    vertices, faces, _, _ = marching_cubes(values, 1e-9, spacing=(CELL_M,) * 3)
     surface = trimesh.Trimesh(vertices + low, faces[:, ::-1], process=True)
     surface.update_faces(uncollapsed(surface))
     if surface.volume < 0.0:

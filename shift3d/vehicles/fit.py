@@ -1,0 +1,94 @@
+"""Vehicles from meshes by a decoder as it is: each mesh's code found by auto-decoding, and the vehicle set of them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from shift3d.errors import InputError
+from shift3d.sdf.autodecode import autodecode
+from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
+from shift3d.sdf.samples import sample_sdf
+from shift3d.seeding import generator
+from shift3d.vehicles.mesh_files import MeshFile, find_meshes
+from shift3d.vehicles.mesh_frame import MeshFrame
+from shift3d.vehicles.mesh_vehicle import read_mesh_vehicle
+from shift3d.vehicles.side_by_side import write_side_by_side
+from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
+
+SAMPLES, STEPS, POINTS_A_STEP = 50_000, 300, 1_024
+PICTURES = "pictures"
+
+
+def fit_meshes(
+    path: Path | str, frame: MeshFrame, out: Path | str, decoder_file: Path | str | None = None, steps: int = STEPS
+) -> list[FittedVehicle]:
+    """Find a code for every mesh at a path and write the vehicle set, with a picture of each beside its mesh.
+
+    Args:
+        path: a mesh, or a folder (`find_meshes`). frame: its orientation and scale.
+        out: folder of the vehicle set, whose sdf.json says what was repaired and how far each code is off.
+        decoder_file: default the shipped one. It draws what it was trained on, and nothing far from that well.
+        steps: of the search for a code.
+    Returns: the vehicles, sorted by name.
+    Raises: InputError for a mesh that cannot be used; among several, such a mesh is left out and said so.
+    """
+    source = Path(decoder_file).expanduser() if decoder_file is not None else DEFAULT_WEIGHTS
+    decoder = load_decoder(source)
+    files = find_meshes(path)
+    vehicles: list[FittedVehicle] = []
+    facts: list[dict[str, Any]] = []
+    refused: dict[str, str] = {}
+    for file in tqdm(files, desc="fitting meshes", disable=len(files) == 1):
+        try:
+            vehicle, known = _fit(file, frame, decoder, steps, Path(out))
+        except InputError as error:
+            if len(files) == 1:
+                raise
+            refused[str(file.path)] = str(error)
+            tqdm.write(f"left out: {error}")
+            continue
+        vehicles.append(vehicle)
+        facts.append(known)
+    if not vehicles:
+        first = next(iter(refused.values()))
+        raise InputError(f"none of {len(files)} meshes can be used", where=str(path), remedy=f"The first: {first}")
+    chamfer_cm = [known["chamfer_cm"] for known in facts]
+    provenance = {
+        "model": "codes auto-decoded from meshes",
+        "decoder": str(source),
+        "steps": steps,
+        "points_a_step": POINTS_A_STEP,
+        "frame": asdict(frame),
+        "chamfer_median_cm": float(np.median(chamfer_cm)),
+        "chamfer_worst_cm": float(np.max(chamfer_cm)),
+        "extraction_resolution": RESOLUTION,
+        "vehicles": facts,
+        "refused": refused,
+    }
+    write_vehicle_set(out, decoder, vehicles, provenance)
+    return vehicles
+
+
+def _fit(
+    file: MeshFile, frame: MeshFrame, decoder: Decoder, steps: int, out: Path
+) -> tuple[FittedVehicle, dict[str, Any]]:
+    start = time.monotonic()
+    vehicle = read_mesh_vehicle(file, frame)
+    samples = sample_sdf(vehicle.mesh, SAMPLES, generator("mesh fit", vehicle.name))
+    code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
+    done = fitted(vehicle.name, vehicle.body_type, decoder, code, samples.scale_m, vehicle.mesh)
+    write_side_by_side(out / PICTURES / f"{vehicle.name}.png", vehicle.mesh, done.decoded)
+    facts = {
+        **vehicle.facts(),
+        "sha256": file.sha256(),
+        "chamfer_cm": round(100.0 * done.chamfer_m, 3),
+        "code_norm": round(float(np.linalg.norm(code)), 4),
+        "seconds": round(time.monotonic() - start, 1),
+    }
+    return done, facts
