@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
 
 __all__ = ["TrainingScene", "cache_scenes", "from_scene", "load_cached", "network_points"]
 
 KEPT_RADIUS_M = 80.0
+EVERYWHERE_RAD = (0.0, float(np.pi))
+MARGIN_M = 0.1  # mirrors and antennas stand out of a box
 
 
 @dataclass(frozen=True)
@@ -34,13 +37,36 @@ def network_points(scene: Scene) -> npt.NDArray[np.float32]:
     return scene.points - np.array((0.0, 0.0, scene.ground_z_m), dtype=np.float32)
 
 
-def from_scene(scene: Scene) -> TrainingScene:
-    """Keep what training needs: points with a beam within 80 m and the boxes of class vehicle."""
+def from_scene(scene: Scene, sector_rad: tuple[float, float] = EVERYWHERE_RAD) -> TrainingScene:
+    """Keep what training needs: points with a beam within 80 m and the boxes of class vehicle.
+
+    sector_rad: (centre, half width) of the azimuths that have labels, as in `SceneSet.placement_sector_rad`. Where
+    there are none, a vehicle would be trained as background: all points outside go, but for those on vehicles whose
+    centre is inside, and so do vehicles whose centre is outside, with their points.
+    """
     points = network_points(scene)[scene.has_beam]
     points = points[np.abs(points[:, :2]).max(axis=1) < KEPT_RADIUS_M]
     boxes = scene.labels.of_class("vehicle").astype(np.float32).reshape(-1, 7)
     boxes[:, 2] -= np.float32(scene.ground_z_m)
+    if sector_rad[1] < np.pi:
+        points, boxes = _labelled_part(points, boxes, sector_rad)
     return TrainingScene(points, boxes, -float(scene.ground_z_m))
+
+
+def _labelled_part(
+    points: npt.NDArray[np.float32], boxes: npt.NDArray[np.float32], sector_rad: tuple[float, float]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    centre, half_width = sector_rad
+
+    def within(xy: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
+        offset = np.arctan2(xy[:, 1], xy[:, 0]) - centre
+        inside: npt.NDArray[np.bool_] = np.abs((offset + np.pi) % (2 * np.pi) - np.pi) <= half_width
+        return inside
+
+    labelled = within(boxes)
+    on_vehicle = points_in_boxes(points, boxes, MARGIN_M)
+    kept = (within(points) | on_vehicle[labelled].any(axis=0)) & ~on_vehicle[~labelled].any(axis=0)
+    return points[kept], boxes[labelled]
 
 
 def cache_scenes(folder: Path, names: Iterable[str], build: Callable[[str], TrainingScene]) -> list[Path]:

@@ -27,6 +27,11 @@ class Targets:
     codes: Tensor
     directions: Tensor
 
+    def to(self, device: torch.device) -> Targets:
+        """The same targets on a device."""
+        parts = (self.labels, self.positives, self.codes, self.directions)
+        return Targets(*(part.to(device) for part in parts))
+
 
 def _axis_aligned(boxes: Tensor) -> Tensor:
     """Boxes snapped to the nearest axis: (N, 4) x0, y0, x1, y1."""

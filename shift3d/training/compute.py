@@ -1,0 +1,72 @@
+"""Where a training computes, and with what arithmetic."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+
+from shift3d.errors import InputError
+from shift3d.processor import has_fast_bfloat16
+
+__all__ = ["DEVICES", "Compute", "choose_compute"]
+
+DEVICES = ("auto", "cpu", "cuda")
+
+
+@dataclass(frozen=True)
+class Compute:
+    """A device, and the threads of its arithmetic on the CPU.
+
+    On the CPU a training gives the same bytes again for the same threads; on CUDA sums may be taken in another order
+    from run to run. The CUDA path has not been run yet: its tests are skipped where there is no CUDA.
+    """
+
+    device: torch.device
+    threads: int = 1
+
+    @property
+    def fast_bfloat16(self) -> bool:
+        """Whether mixed precision pays: CUDA, or a processor that multiplies bfloat16 by itself."""
+        return self.device.type == "cuda" or has_fast_bfloat16()
+
+    @property
+    def crops_ahead(self) -> int:
+        """How many steps' data are made in advance: a GPU computes faster than one core prepares."""
+        return 1 if self.device.type == "cpu" else max(1, min(8, os.cpu_count() or 1))
+
+    def autocast(self, wanted: bool) -> torch.autocast:
+        """bfloat16 for large products where it is wanted and pays."""
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=wanted and self.fast_bfloat16)
+
+    def prepare(self) -> None:
+        """Set torch's global switches: threads, deterministic kernels, and no subnormal numbers.
+
+        Units that die leave subnormal weights, whose products are several times slower; flushing them changes bytes.
+        """
+        torch.set_num_threads(self.threads)
+        torch.set_flush_denormal(True)
+        if self.device.type == "cuda":
+            torch.backends.cudnn.deterministic = True
+            torch.backends.cudnn.benchmark = False
+
+    def facts(self, bfloat16: bool) -> dict[str, str | int | bool]:
+        """What of this changes bytes, for a provenance file."""
+        name = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else "cpu"
+        mixed = bfloat16 and self.fast_bfloat16
+        return {"device": name, "threads": self.threads, "mixed_bfloat16": mixed, "flush_denormal": True}
+
+
+def choose_compute(device: Literal["auto", "cpu", "cuda"] | str = "auto", threads: int = 1) -> Compute:
+    """The device by name; auto is CUDA where there is one.
+
+    Raises: InputError for an unknown name, or cuda where there is none.
+    """
+    if device not in DEVICES:
+        raise InputError(f"unknown device {device!r}", where="device=", remedy=f"Choose from {', '.join(DEVICES)}")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("this torch finds no CUDA device", where="device=cuda", remedy="Give device=cpu or auto")
+    on_cuda = device == "cuda" or (device == "auto" and torch.cuda.is_available())
+    return Compute(torch.device("cuda" if on_cuda else "cpu"), threads)

@@ -1,0 +1,61 @@
+"""How a training tells what it does: curves for whoever records them, and an end between two steps when asked."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import FrameType
+
+__all__ = ["CurvePoint", "Report", "StopRequest", "Stopwatch", "stop_on_signal"]
+
+CurvePoint = tuple[int, Mapping[str, float]]
+"""A step (1 for the first), and values by name: parts of the loss, the learning rate."""
+Report = Callable[[Sequence[CurvePoint]], None]
+"""Called after every checkpoint with the points since the one before: what is reported never has to be taken back."""
+
+
+class StopRequest:
+    """Whether a training has been asked to end. Asked twice, it ends at once, without a last checkpoint."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """A signal handler."""
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+
+
+@contextlib.contextmanager
+def stop_on_signal() -> Iterator[StopRequest]:
+    """SIGINT and SIGTERM only set a flag while this is open, so that a training can finish its step and save.
+
+    In a thread other than the main one signals stay as they are, and nothing is ever asked.
+    """
+    request = StopRequest()
+    if threading.current_thread() is not threading.main_thread():
+        yield request
+        return
+    before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield request
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class Stopwatch:
+    """Seconds of a training over all its interruptions."""
+
+    def __init__(self, before_s: float = 0.0) -> None:
+        self._before_s = before_s
+        self._start = time.monotonic()
+
+    @property
+    def seconds(self) -> float:
+        """So far."""
+        return self._before_s + time.monotonic() - self._start
