@@ -46,11 +46,12 @@ class Metric:
 def evaluate(frames: Sequence[DetectedFrame]) -> Iterator[Metric]:
     """Every metric of the frames, in a fixed order.
 
-    Waymo's for both levels, all ranges; KITTI's by its difficulties where labels have them, else by Waymo's levels;
-    the project's own. Each in both views, at both IoU thresholds. Frames without labels are refused nowhere:
-    a metric without an object to find has no value.
+    Waymo's for both levels, all ranges; KITTI's by its difficulties where there is a camera, else by Waymo's levels;
+    the project's own. Each in both views, at both IoU thresholds. A metric without an object to find has no value.
     """
-    graded = any((frame.truth.difficulty >= 0).any() for frame in frames)
+    graded = any(
+        (frame.truth.difficulty >= 0).any() or np.isfinite(frame.found.image_height_px).any() for frame in frames
+    )
     for view in VIEWS:
         comparisons = [compare(frame, view) for frame in frames]
         for iou_threshold in IOU_THRESHOLDS:

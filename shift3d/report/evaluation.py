@@ -16,8 +16,8 @@ import numpy as np
 import pyarrow as pa
 
 import shift3d
-from shift3d.config.catalogue import weights_file
-from shift3d.detectors.weights import load_detector
+from shift3d.detectors.weights import WEIGHTS_FOLDER, load_detector
+from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame
 from shift3d.evaluation.metrics import Metric, evaluate
 from shift3d.report.evaluation_table import draw_curves, metric_table
@@ -27,11 +27,12 @@ from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION, evaluation_table
 from shift3d.store.tables import write_table
 from shift3d.training.detector_evaluation import SCORE_FLOOR, Answer, detect_scenes
+from shift3d.training.stored_answers import answers_of
 
 if TYPE_CHECKING:
     from shift3d.detectors.base import Detector
 
-__all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "evaluation_tables"]
+__all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "evaluation_tables", "write_evaluation"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,11 @@ class StreetChoice:
         """Name in the tables and in the folder's name."""
         return f"street-{self.sensor}-{self.split}" + (f"-seed{self.seed}" if self.seed else "")
 
+    @property
+    def identity(self) -> dict[str, object]:
+        """What decides which scene lies behind a name."""
+        return {"sensor": self.sensor, "split": self.split, "seed": self.seed}
+
     def open(self) -> SceneSet:
         """The scenes. Raises InputError for an unknown sensor or split."""
         return StreetScenes(self.sensor, self.seed, self.count, self.split)
@@ -60,6 +66,11 @@ class KittiChoice:
     root: str
     count: int | None = None
     dataset = "kitti"
+
+    @property
+    def identity(self) -> dict[str, object]:
+        """What decides which frame lies behind a name."""
+        return {"root": str(Path(self.root).expanduser().resolve())}
 
     def open(self) -> SceneSet:
         """The frames. Raises InputError for a missing or incomplete folder."""
@@ -78,7 +89,8 @@ def evaluate_detector(
     """Detect in every scene once, write the folder ``out``, and return what is printed.
 
     ``out`` gets spec.json, detections.parquet, truth.parquet, metrics.parquet, curves.parquet, curves.png, the same
-    bytes whatever the number of workers, and timings.parquet, which differs from run to run.
+    bytes whatever the number of workers, and timings.parquet, which differs from run to run. ``out``/scenes holds the
+    answer for each scene: the same call again detects only where one is missing.
 
     Args:
         name: a detector, with its shipped weights or those of the file ``weights``.
@@ -86,33 +98,51 @@ def evaluate_detector(
         score_threshold: detections below it are not kept.
 
     Raises:
-        InputError: unknown detector, missing weights or scenes, a full disk.
+        InputError: unknown detector, missing weights or scenes, another evaluation in ``out``, a full disk.
     """
-    load_detector(name, weights)  # what is wrong with it is said before anything is computed
-    digest = _digest(weights_file(f"{name}.safetensors", weights))
-    opened: Callable[[], Detector] = partial(load_detector, name, weights)
-    found = detect_scenes(opened, scenes.open, workers, score_threshold)
-    answers = list(_with_progress(found, len(scenes.open().names()), f"{name}, {workers} at a time"))
-    frames = [answer.frame for answer in answers]
-    metrics = list(evaluate(frames))
-    for table_name, table in evaluation_tables(name, scenes.dataset, answers, metrics).items():
-        write_table(out / f"{table_name}.parquet", table)
+    file = Path(weights).expanduser() if weights else WEIGHTS_FOLDER / f"{name}.safetensors"
+    load_detector(name, file)  # what is wrong with it is said before anything is computed
     spec = {
         "schema_version": EVALUATION_SCHEMA_VERSION,
         "shift3d": shift3d.__version__,
         "detector": name,
-        "weights_blake2b": digest,
+        "weights_blake2b": _digest(file),
         "dataset": scenes.dataset,
-        "scenes": [frame.scene for frame in frames],
+        "scenes": scenes.identity,
         "score_threshold": score_threshold,
     }
-    write_atomic(out / "spec.json", json.dumps(spec, indent=1).encode() + b"\n")
+    _claim(out / "spec.json", spec)
+    opened: Callable[[], Detector] = partial(load_detector, name, file)
+    detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
+    scene_names = scenes.open().names()
+    found = answers_of(scene_names, out / "scenes", detect)
+    answers = list(_with_progress(found, len(scene_names), f"{name}, {workers} at a time"))
+    return write_evaluation(name, scenes.dataset, answers, out)
+
+
+def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out: Path) -> str:
+    """Compute every metric of the answers, write tables and picture to ``out``, and return what is printed.
+
+    Raises:
+        InputError: the disk is full or not writable.
+    """
+    metrics = list(evaluate([answer.frame for answer in answers]))
+    for name, table in evaluation_tables(detector, dataset, answers, metrics).items():
+        write_table(out / f"{name}.parquet", table)
     picture = io.BytesIO()
-    draw_curves(metrics, f"{name} on {scenes.dataset}, {len(frames)} scenes", picture)
+    draw_curves(metrics, f"{detector} on {dataset}, {len(answers)} scenes", picture)
     write_atomic(out / "curves.png", picture.getvalue())
     took = np.median([answer.detect_ms for answer in answers])
-    title = f"{name} on {scenes.dataset}: {len(frames)} scenes, {took:.0f} ms a detection (median, one thread)"
+    title = f"{detector} on {dataset}: {len(answers)} scenes, {took:.0f} ms a detection (median, one thread)"
     return f"{metric_table(title, metrics)}\n{out}: every metric, curves, detections and truth as Parquet"
+
+
+def _claim(file: Path, spec: dict[str, object]) -> None:
+    """Write what is evaluated, or refuse a folder that holds the evaluation of something else."""
+    content = json.dumps(spec, indent=1).encode() + b"\n"
+    if file.exists() and file.read_bytes() != content:
+        raise InputError("holds another evaluation", str(file.parent), "Give another out=, or remove the folder")
+    write_atomic(file, content)
 
 
 def evaluation_tables(

@@ -82,8 +82,9 @@ def detect_scenes(
     open_scenes: Callable[[], SceneSet],
     workers: int = 1,
     score_threshold: float = SCORE_FLOOR,
+    names: list[str] | None = None,
 ) -> Iterator[Answer]:
-    """Detect in every scene of a set; answers come in the set's order.
+    """Detect in every scene of a set, or in those of ``names``; answers come in that order.
 
     open_detector, open_scenes: called once in every process; with several workers both must be picklable. Every
     process computes on one thread: with more, sums would be taken in another order and the bits would change.
@@ -91,7 +92,9 @@ def detect_scenes(
     Raises:
         InputError: a scene cannot be read, or the detector not be opened.
     """
-    names = open_scenes().names()
+    names = open_scenes().names() if names is None else names
+    if not names:
+        return
     if min(workers, len(names)) <= 1:
         with _one_thread():
             detector, scenes = open_detector(), open_scenes()

@@ -1,0 +1,75 @@
+"""``shift3d evaluate``: what it refuses, what it completes, and one frame from end to end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from shift3d.cli.evaluate import evaluate_words
+from shift3d.cli.main import main
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "detector= is missing"),
+        (["detector=pointpilars"], "pointpilars"),
+        (["detector=pointpillars", "scenes=moon"], "scenes='moon' is unknown"),
+        (["detector=pointpillars", "scenes=kitti"], "root= is missing"),
+        (["detector=pointpillars", "root=x"], "root= means nothing for scenes=street"),
+        (["detector=pointpillars", "scenes=kitti", "root=x", "split=val"], "split= means nothing for scenes=kitti"),
+        (["detector=pointpillars", "scenes=kitti", "root=nowhere"], "no folder training/velodyne"),
+        (["detector=pointpillars", "split=holdout"], "unknown split 'holdout'"),
+        (["detector=pointpillars", "count=0"], "count='0' is not a whole number from 1"),
+        (["detector=pointpillars", "workers=two"], "workers='two' is not a whole number"),
+        (["detector=pointpillars", "score_threshold=1.5"], "score_threshold='1.5' is not in [0, 1)"),
+        (["detector=pointpillars", "weights=nowhere.safetensors"], "nowhere.safetensors"),
+        (["model=pointpillars"], "Give model=sdf, or detector=pointpillars scenes=street"),
+        (["model=sdf", "count=3"], "cannot read 'count=3'"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_cannot_be_used_is_one_line(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    if not any(word.startswith("model=") for word in words):
+        words = [*words, f"out={tmp_path / 'out'}"]
+    assert main(["evaluate", *words]) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err and len(captured.err.strip().splitlines()) == 1
+    assert not (tmp_path / "out" / "metrics.parquet").exists()
+
+
+def test_completion() -> None:
+    assert evaluate_words("scenes=") == ["scenes=street", "scenes=kitti"]
+    assert "detector=pointpillars" in evaluate_words("detector=")
+    assert evaluate_words("s") == ["scenes=", "sensor=", "split=", "score_threshold="]
+    assert evaluate_words("root=") == []
+
+
+def test_one_real_frame_and_the_same_command_again(
+    real_data: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = real_data("kitti") / "training"
+    name = min(path.stem for path in (frames / "label_2").glob("*.txt") if "Car" in path.read_text())
+    for part, suffix in (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt")):
+        (tmp_path / "training" / part).mkdir(parents=True)
+        (tmp_path / "training" / part / f"{name}.{suffix}").symlink_to(frames / part / f"{name}.{suffix}")
+    out = tmp_path / "out"
+    words = ["evaluate", "detector=pointpillars", "scenes=kitti", f"root={tmp_path}", "count=1", f"out={out}"]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "pointpillars on kitti: 1 scenes" in printed and "moderate" in printed
+    metrics = pd.read_parquet(out / "metrics.parquet")
+    assert set(metrics["protocol"]) == {"waymo", "waymo_strict", "kitti", "shift3d"}
+    assert metrics["value"].dropna().between(0.0, 1.0).all() and metrics["value"].notna().any()
+    before = {path.name: path.read_bytes() for path in out.glob("*.*")}
+    assert main(words) == 0  # from what is stored: the times are those of the first run
+    assert {path.name: path.read_bytes() for path in out.glob("*.*")} == before
+    assert json.loads(before["spec.json"])["detector"] == "pointpillars"
+    assert main([*words, "score_threshold=0.2"]) == 2
+    assert "holds another evaluation" in capsys.readouterr().err

@@ -1,0 +1,61 @@
+"""Answers on disk: the same bits back, only missing ones detected again, foreign files refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_scenes import PointDetector, SmallScenes
+
+from shift3d.errors import InputError
+from shift3d.training.detector_evaluation import Answer, detect_frame
+from shift3d.training.stored_answers import answers_of, read_answer, write_answer
+
+NAMES = [f"small-{index}" for index in range(4)]
+
+
+def _detect(names: list[str]) -> Iterator[Answer]:
+    for name in names:
+        yield detect_frame(PointDetector(), SmallScenes(), name)
+
+
+def _arrays(answer: Answer) -> list[bytes]:
+    parts = (*vars(answer.frame.truth).values(), *vars(answer.frame.found).values())
+    return [part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode() for part in parts]
+
+
+def test_written_and_read_again_it_is_the_same_to_the_bit(tmp_path: Path) -> None:
+    (answer,) = _detect(["small-1"])
+    write_answer(tmp_path / "a.npz", answer)
+    again = read_answer(tmp_path / "a.npz")
+    assert _arrays(again) == _arrays(answer) and again.frame.scene == "small-1"
+    assert (again.scene_ms, again.detect_ms) == (answer.scene_ms, answer.detect_ms)
+
+
+def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    whole = [_arrays(answer) for answer in _detect(NAMES)]
+    begun = answers_of(NAMES, tmp_path, _detect)
+    next(begun)
+    next(begun)
+    begun.close()
+    (tmp_path / "small-0.npz").unlink()  # missing in the middle of what is there
+    asked: list[str] = []
+
+    def detect(names: list[str]) -> Iterator[Answer]:
+        asked.extend(names)
+        return _detect(names)
+
+    assert [_arrays(answer) for answer in answers_of(NAMES, tmp_path, detect)] == whole
+    assert asked == ["small-0", "small-2", "small-3"]
+    assert [_arrays(answer) for answer in answers_of(NAMES, tmp_path, detect)] == whole
+    assert len(asked) == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.npz" for name in NAMES]
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x03\x04 torn"])
+def test_a_file_that_is_no_answer_is_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "small-0.npz").write_bytes(content)
+    with pytest.raises(InputError, match=r"small-0\.npz"):
+        list(answers_of(NAMES, tmp_path, _detect))
