@@ -3,20 +3,41 @@
 from __future__ import annotations
 
 import hashlib
-import json
+import typing
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.config import messages
-from shift3d.config.schema import AccuracyConfig, Config, KittiConfig, StreetConfig
+from shift3d.config.schema import (
+    AccuracyConfig,
+    Config,
+    DetectorConfig,
+    DetectorName,
+    KittiConfig,
+    StreetConfig,
+    VehicleConfig,
+    VehicleSetConfig,
+)
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
+    from shift3d.vehicles.sources import VehicleSource
 
-__all__ = ["Catalogue", "SceneEntry", "accuracy_settings", "read_catalogue", "scene_set", "weights_file"]
+__all__ = [
+    "Catalogue",
+    "SceneEntry",
+    "accuracy_settings",
+    "file_hash",
+    "read_catalogue",
+    "scene_set",
+    "scoring_detectors",
+    "vehicle_source",
+    "weights_file",
+]
 
 
 # Precision of the detector while it is descended; what was found is scored in float32 or better whatever this
@@ -39,16 +60,17 @@ class Catalogue:
     """What a sweep's tasks refer to, by content.
 
     scene_arguments: how the scenes were made or chosen. sector_rad: (centre, half width) of the azimuths in
-    which the scene set lets vehicles be placed. vehicles: name to hash. Hashes are 128-bit BLAKE2b, hex.
+    which the scene set lets vehicles be placed. vehicles: name to hash; a hash is worked out when it is asked for.
+    detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
     accuracy: every setting behind a preset's name.
     """
 
     scenes: tuple[SceneEntry, ...]
     scene_arguments: dict[str, Any]
     sector_rad: tuple[float, float]
-    vehicles: dict[str, str]
+    vehicles: Mapping[str, str]
     decoder_hash: str
-    detector_hash: str
+    detectors: dict[str, str]
     accuracy: dict[str, Any]
 
 
@@ -66,13 +88,48 @@ def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
     return KittiScenes(Path(config.root).expanduser(), names=scenes.names()[: config.count])
 
 
+def vehicle_source(config: VehicleConfig) -> VehicleSource:
+    """The vehicles that settings describe, whatever their ``name``. Files are read when something is asked of it."""
+    from shift3d.vehicles.sources import DeepSdfVehicles, VehicleSet
+
+    if isinstance(config, VehicleSetConfig):
+        return VehicleSet(config.folder)
+    return DeepSdfVehicles(**config.model_dump(exclude={"kind", "name"}))
+
+
 def weights_file(name: str, override: str | None) -> Path:
-    """A file of weights: the one given, or the one that ships. Raises InputError where it is missing."""
-    path = Path(override) if override else Path(__file__).resolve().parents[1] / "weights" / name
+    """A detector's file of weights: the one given, or the one that ships. Raises InputError where it is missing."""
+    path = _weights_path(name, override)
     if not path.is_file():
-        remedy = "Check the path" if override else "Fetch it with the repository, or train it: make train"
-        raise InputError("weights file not found", where=str(path), remedy=remedy)
+        remedy = "Check the path" if override else f'Fetch it with the repository, or: make train ARGS="model={name}"'
+        raise InputError(f"no weights of {name}", where=str(path), remedy=remedy)
     return path
+
+
+def _weights_path(name: str, override: str | None) -> Path:
+    if override:
+        return Path(override).expanduser()
+    return Path(__file__).resolve().parents[1] / "weights" / f"{name}.safetensors"
+
+
+def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
+    """Detectors that score every solution, name to weights (None: those that ship), the attacked one first.
+
+    Those that ``scored_by`` names; where it is null, those whose weights ship or are given, so that a detector
+    without weights stops nobody who did not ask for it.
+
+    Raises:
+        InputError: weights of a detector that was asked for are missing.
+    """
+    weights = config.weights_by_name()
+    others: list[str] = list(config.scored_by or ())
+    if config.scored_by is None:
+        known: tuple[str, ...] = typing.get_args(DetectorName)
+        others = [name for name in known if weights.get(name) or _weights_path(name, None).is_file()]
+    names = list(dict.fromkeys([config.name, *others]))
+    for name in names:
+        weights_file(name, weights.get(name))
+    return {name: weights.get(name) for name in names}
 
 
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
@@ -121,32 +178,40 @@ def read_catalogue(config: Config) -> Catalogue:
     for name in scenes.names():
         scene = scenes.load(name)
         entries.append(SceneEntry(name, scene.dataset, scene.content_hash()))
+    source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names"})
     return Catalogue(
         scenes=tuple(entries),
         scene_arguments=arguments,
         sector_rad=(float(scenes.placement_sector_rad[0]), float(scenes.placement_sector_rad[1])),
-        vehicles=_vehicle_hashes(),
-        decoder_hash=_file_hash(weights_file("sdf.safetensors", config.vehicle.decoder_weights)),
-        detector_hash=_file_hash(weights_file(f"{config.detector.name}.safetensors", config.detector.weights)),
+        vehicles=_VehicleHashes(source),
+        decoder_hash=source.decoder_hash(),
+        detectors={name: file_hash(weights_file(name, path)) for name, path in detectors.items()},
         accuracy=accuracy_settings(config.accuracy),
     )
 
 
-def _vehicle_hashes() -> dict[str, str]:
-    import numpy as np
+class _VehicleHashes(Mapping[str, str]):
+    """Name to hash, worked out when it is asked for: a vehicle of an experiment has to be decoded for it."""
 
-    from shift3d.vehicles.vehicle import baseline_vehicles
+    def __init__(self, source: VehicleSource) -> None:
+        self._source = source
 
-    hashes = {}
-    for name, vehicle in baseline_vehicles().items():
-        digest = hashlib.blake2b(json.dumps([name, float(vehicle.scale_m)]).encode(), digest_size=16)
-        for array in (vehicle.latent_code, vehicle.sdf_R_object, vehicle.sdf_t_object, vehicle.size_m):
-            digest.update(np.asarray(array, dtype=np.float64).tobytes())
-        hashes[name] = digest.hexdigest()
-    return hashes
+    def __getitem__(self, name: str) -> str:
+        from shift3d.vehicles.sources import vehicle_hash
+
+        if name not in self._source.names():
+            raise KeyError(name)
+        return vehicle_hash(self._source.vehicle(name))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._source.names())
+
+    def __len__(self) -> int:
+        return len(self._source.names())
 
 
-def _file_hash(path: Path) -> str:
+def file_hash(path: Path) -> str:
+    """128-bit BLAKE2b of a file's bytes, hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()

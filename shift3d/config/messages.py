@@ -31,7 +31,7 @@ def from_validation(error: ValidationError, where: str) -> InputError:
     """The first failure of a pydantic validation, naming the field, what it may be, and the remedy."""
     first = error.errors(include_url=False)[0]
     # A discriminated union puts its tag into the path: 'scenes.street.count' is the user's 'scenes.count'.
-    tags = {"street", "kitti", "ray", "local", "mlflow", "none"}
+    tags = {"street", "kitti", "set", "deepsdf", "ray", "local", "mlflow", "none"}
     path = [str(part) for part in first["loc"]]
     field = ".".join(part for i, part in enumerate(path) if not (i == 1 and part in tags))
     value, kind = first["input"], first["type"]

@@ -10,6 +10,7 @@ __all__ = [
     "AccuracyConfig",
     "AttackConfig",
     "Config",
+    "DeepSdfVehicleConfig",
     "DetectorConfig",
     "EffectsConfig",
     "KittiConfig",
@@ -20,6 +21,7 @@ __all__ = [
     "RayRunnerConfig",
     "StreetConfig",
     "VehicleConfig",
+    "VehicleSetConfig",
 ]
 
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
@@ -51,18 +53,46 @@ class KittiConfig(_Record):
     names: list[str] | None
 
 
-class VehicleConfig(_Record):
-    """One of the baseline vehicles and the decoder that draws it."""
+class VehicleSetConfig(_Record):
+    """One vehicle of a folder with vehicles.safetensors and sdf.safetensors; folder null: those that ship."""
 
+    kind: Literal["set"]
     name: str
-    decoder_weights: str | None
+    folder: str | None
+
+
+class DeepSdfVehicleConfig(_Record):
+    """One instance of an experiment in the layout of the original DeepSDF repository."""
+
+    kind: Literal["deepsdf"]
+    name: str
+    folder: str
+    checkpoint: str
+    forward: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    length_m: Positive | dict[str, Positive]
+    code_norm: Positive | None
+
+
+VehicleConfig = VehicleSetConfig | DeepSdfVehicleConfig
+DetectorName = Literal["pointpillars", "sst"]
 
 
 class DetectorConfig(_Record):
-    """The detector under attack."""
+    """The detector under attack, and those that score what was found.
 
-    name: Literal["pointpillars"]
+    weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
+    scored_by: names; None: every detector whose weights are there. The attacked one scores always, and first.
+    """
+
+    name: DetectorName
     weights: str | None
+    scored_by: list[DetectorName] | None
+    other_weights: dict[DetectorName, str | None]
+
+    def weights_by_name(self) -> dict[str, str | None]:
+        """Files of weights that were given, by the detector's name; None: those that ship."""
+        return {**{str(name): path for name, path in self.other_weights.items()}, self.name: self.weights}
 
 
 class PlacementConfig(_Record):
@@ -150,7 +180,7 @@ class Config(_Record):
     """
 
     scenes: Annotated[StreetConfig | KittiConfig, Field(discriminator="kind")]
-    vehicle: VehicleConfig
+    vehicle: Annotated[VehicleConfig, Field(discriminator="kind")]
     detector: DetectorConfig
     attack: AttackConfig
     accuracy: AccuracyConfig

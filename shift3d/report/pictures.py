@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from shift3d.sdf.decoder import Decoder
+    from shift3d.sdf.deepsdf_network import DeepSdfNetwork
     from shift3d.task.assets import Assets
 
 __all__ = ["draw_case", "draw_curves", "draw_family", "draw_vehicles"]
@@ -162,7 +163,7 @@ def draw_curves(scores: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
     figure.savefig(path)
 
 
-def _hardest_car(scores: pd.DataFrame, solutions: pd.DataFrame, decoder: Decoder) -> str:
+def _hardest_car(scores: pd.DataFrame, solutions: pd.DataFrame, decoder: Decoder | DeepSdfNetwork) -> str:
     """Id of the shape task whose score fell furthest, of those whose shape still is a car.
 
     A car: in one piece, neither a side nor the volume more than a quarter off the baseline's, and a code at most

@@ -6,7 +6,7 @@ import pyarrow as pa
 
 __all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
 _SPEC_FIELDS = [

@@ -32,7 +32,7 @@ METHODS = {
     "shape": ("baseline", "random", "adversarial_noise", "adversarial"),
     "pose": ("baseline", "random", "adversarial"),
 }
-_PLAN_GROUP = GROUP_COLUMNS[:8]  # what a task alone determines
+_PLAN_GROUP = GROUP_COLUMNS[:9]  # what a task alone determines, and the detector that scores it
 
 
 @dataclass(frozen=True)
@@ -141,8 +141,9 @@ def _planned(plan: Plan) -> dict[tuple[Any, ...], int]:
     for task in plan.tasks:
         spec = task.spec
         method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
-        key = (plan.sweep, spec.dataset, spec.vehicle, *method)
-        counts[key] = counts.get(key, 0) + 1
+        for scored_by in spec.scored_by:
+            key = (plan.sweep, spec.dataset, spec.vehicle, *method, scored_by)
+            counts[key] = counts.get(key, 0) + 1
     return counts
 
 
@@ -156,7 +157,7 @@ def _gaps(rows: list[dict[str, Any]], planned: dict[tuple[Any, ...], int]) -> li
             if (*key, method) not in seen:
                 empty = {"auc": None, "scores": 0, "tasks_scored": 0, "tasks_planned": count}
                 losses = {"mean_adversarial_loss": None, "mean_latent_distance": None, "selected": False}
-                gaps.append({**group, "scored_by": group["detector"], "method": method, **empty, **losses})
+                gaps.append({**group, "method": method, **empty, **losses})
     return gaps
 
 
@@ -165,7 +166,10 @@ def _rule_key(group: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def _selected(scored: pd.DataFrame) -> dict[tuple[Any, ...], float | None]:
-    """The paper's choice of lambda for every vehicle, from the scenes that were scored under every lambda."""
+    """The paper's choice of lambda for every vehicle, from the scenes that were scored under every lambda.
+
+    From the attacked detector's loss, whoever else scores: lambda belongs to the search.
+    """
     rows = scored[(scored["method"] == "adversarial") & (scored["mode"] == "shape")]
     rows = rows[(rows["scored_by"] == rows["detector"]) & rows["adversarial_loss"].notna()]
     chosen: dict[tuple[Any, ...], float | None] = {}

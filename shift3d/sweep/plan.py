@@ -72,10 +72,11 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
         first = first or config
         key = _assets_key(config)
         if key not in catalogues:
-            loaded = _assets(config)
+            catalogue = catalogue_of(config)
+            loaded = _assets(config, catalogue)
             if loaded not in assets:
                 assets.append(loaded)
-            catalogues[key] = (catalogue_of(config), assets.index(loaded))
+            catalogues[key] = (catalogue, assets.index(loaded))
         catalogue, index = catalogues[key]
         for spec in _specs(config, catalogue, where):
             tasks.setdefault(spec.task_id, PlannedTask(spec, index))
@@ -88,22 +89,38 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
 
 def _assets_key(config: Config) -> str:
     parts = (config.scenes, config.detector, config.accuracy)
-    return json.dumps([part.model_dump(mode="json") for part in parts] + [config.vehicle.decoder_weights])
+    return json.dumps([part.model_dump(mode="json") for part in parts] + [_vehicles(config)])
 
 
-def _assets(config: Config) -> AssetsSpec:
+def _vehicles(config: Config) -> dict[str, Any]:
+    return config.vehicle.model_dump(mode="json", exclude={"name"})
+
+
+def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
+    given = config.detector.weights_by_name()
     return AssetsSpec(
         scenes=config.scenes.model_dump(mode="json"),
-        detector=config.detector.name,
-        detector_weights=config.detector.weights,
-        decoder_weights=config.vehicle.decoder_weights,
+        vehicles=_vehicles(config),
+        detectors={name: given.get(name) for name in catalogue.detectors},
+        hashes={"decoder": catalogue.decoder_hash, **catalogue.detectors},
     )
 
 
+def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
+    """A vehicle by its name, or by a beginning of it that is no other's."""
+    name, names, where = config.vehicle.name, list(catalogue.vehicles), f"{where}, vehicle.name"
+    fitting = [found for found in names if found.startswith(name)]
+    if name in names or len(fitting) == 1:
+        return name if name in names else fitting[0]
+    if fitting:
+        what = f"{len(fitting)} vehicles have a name that begins with {name!r}"
+        raise InputError(what, where=where, remedy=f"One of: {', '.join(fitting)}")
+    raise messages.choice_error("vehicle", name, names, where)
+
+
 def _specs(config: Config, catalogue: Catalogue, where: str) -> list[TaskSpec]:
-    vehicle = config.vehicle.name
-    if vehicle not in catalogue.vehicles:
-        raise messages.choice_error("vehicle", vehicle, catalogue.vehicles, f"{where}, vehicle.name")
+    vehicle = _vehicle_name(config, catalogue, where)
+    vehicle_hash = catalogue.vehicles[vehicle]
     scenes = [entry for entry in catalogue.scenes if config.scene in (None, entry.name)]
     if not scenes and config.scene is not None:
         raise messages.choice_error("scene", config.scene, [e.name for e in catalogue.scenes], f"{where}, scene")
@@ -133,9 +150,10 @@ def _specs(config: Config, catalogue: Catalogue, where: str) -> list[TaskSpec]:
             attack=AttackSpec(**attack),
             placement=placement,
             scene_hash=entry.content_hash,
-            vehicle_hash=catalogue.vehicles[vehicle],
+            vehicle_hash=vehicle_hash,
             decoder_hash=catalogue.decoder_hash,
-            detector_hash=catalogue.detector_hash,
+            scored_by=tuple(catalogue.detectors),
+            detector_hashes=catalogue.detectors,
         )
         for entry in scenes
     ]

@@ -1,4 +1,4 @@
-"""What a worker holds in memory and every task reads: scenes, vehicles, decoder and detector."""
+"""What a worker holds in memory and every task reads: scenes, vehicles, decoder and detectors."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 import torch
 
-from shift3d.config.catalogue import scene_set, weights_file
-from shift3d.config.schema import KittiConfig, StreetConfig
+from shift3d.config.catalogue import file_hash, scene_set, vehicle_source, weights_file
+from shift3d.config.schema import DeepSdfVehicleConfig, KittiConfig, StreetConfig, VehicleSetConfig
 from shift3d.detectors.base import Detector
 from shift3d.detectors.weights import load_detector
 from shift3d.errors import InputError
@@ -18,9 +18,11 @@ from shift3d.render.beams import Beams
 from shift3d.render.settings import RenderSettings
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
-from shift3d.sdf.decoder import Decoder, load_decoder
+from shift3d.sdf.decoder import Decoder
+from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.task.spec import AssetsSpec, TaskSpec
-from shift3d.vehicles.vehicle import Vehicle, baseline_vehicles
+from shift3d.vehicles.sources import VehicleSource, vehicle_hash
+from shift3d.vehicles.vehicle import Vehicle
 
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
 # Tasks come grouped by vehicle, so that the same scenes come round again; a scene with its beams is 15 MB.
@@ -31,30 +33,36 @@ _SCENES_KEPT = 16
 class Assets:
     """Loaded once a worker; never changed by a task.
 
-    scenes: the set that names are looked up in. decoder, detector: float32, as shipped. vehicles: by name.
-    Precision twins and scenes with their beams are made on first use and kept.
+    scenes, vehicles: the sets that names are looked up in. decoder: float32, as shipped. detectors: name to a file of
+    weights (None: those that ship). Precision twins and scenes with their beams are made on first use and kept.
     """
 
     scenes: SceneSet
-    decoder: Decoder
-    detector_name: str
-    detector_weights: str | None
-    vehicles: Mapping[str, Vehicle]
-    _scenes: OrderedDict[str, tuple[Scene, Beams]] = field(default_factory=OrderedDict)
-    _decoders: dict[torch.dtype, Decoder] = field(default_factory=dict)
-    _detectors: dict[str, Detector] = field(default_factory=dict)
+    vehicles: VehicleSource
+    decoder: Decoder | DeepSdfNetwork
+    detectors: Mapping[str, str | None]
+    _scenes: OrderedDict[str, tuple[Scene, Beams, str]] = field(default_factory=OrderedDict)
+    _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
+    _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)
+    _vehicle_hashes: dict[str, str] = field(default_factory=dict)
 
-    def scene(self, name: str) -> tuple[Scene, Beams]:
-        """A scene and its beams. Raises InputError for an unknown name or a bad frame."""
+    def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
+        """A task's scene and its beams.
+
+        Raises: InputError for an unknown name, a bad frame, or one that is not what the task was planned with.
+        """
+        name = spec.scene
         if name not in self._scenes:
             scene = self.scenes.load(name)
-            self._scenes[name] = (scene, Beams.from_scene(scene))
+            self._scenes[name] = (scene, Beams.from_scene(scene), scene.content_hash())
             if len(self._scenes) > _SCENES_KEPT:
                 self._scenes.popitem(last=False)
         self._scenes.move_to_end(name)
-        return self._scenes[name]
+        scene, beams, found = self._scenes[name]
+        _require(f"scene {name}", spec.scene_hash, found)
+        return scene, beams
 
-    def decoder_of(self, dtype: torch.dtype) -> Decoder:
+    def decoder_of(self, dtype: torch.dtype) -> Decoder | DeepSdfNetwork:
         """The decoder with its parameters in a dtype."""
         if dtype not in self._decoders:
             import copy
@@ -63,41 +71,61 @@ class Assets:
             self._decoders[dtype] = self.decoder if same else copy.deepcopy(self.decoder).to(dtype)
         return self._decoders[dtype]
 
-    def detector_of(self, precision: str) -> Detector:
-        """The detector with its arithmetic in a precision: bfloat16, float32 or float64."""
-        if precision not in self._detectors:
-            self._detectors[precision] = load_detector(self.detector_name, self.detector_weights, precision)  # type: ignore[arg-type]
-        return self._detectors[precision]
+    def detector_of(self, name: str, precision: str) -> Detector:
+        """A detector with its arithmetic in a precision: bfloat16, float32 or float64."""
+        if (name, precision) not in self._detectors:
+            self._detectors[name, precision] = load_detector(name, self.detectors.get(name), precision)  # type: ignore[arg-type]
+        return self._detectors[name, precision]
 
-    def vehicle(self, name: str) -> Vehicle:
-        """A vehicle by name. Raises InputError for an unknown one."""
-        if name not in self.vehicles:
-            raise InputError(f"unknown vehicle {name!r}", "task", f"Choose from {', '.join(sorted(self.vehicles))}")
-        return self.vehicles[name]
+    def vehicle(self, spec: TaskSpec) -> Vehicle:
+        """A task's vehicle.
+
+        Raises: InputError for an unknown one, or one that is not what the task was planned with.
+        """
+        name = spec.vehicle
+        vehicle = self.vehicles.vehicle(name)
+        if name not in self._vehicle_hashes:
+            self._vehicle_hashes[name] = vehicle_hash(vehicle)
+        _require(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
+        return vehicle
+
+
+def _require(what: str, planned: str | None, found: str) -> None:
+    """Refuse content with another hash than was planned; a spec made by hand may state none."""
+    if planned and planned != found:
+        remedy = "Restore it, or start a new sweep in another folder with out=DIR"
+        raise InputError("changed after the sweep was planned", where=what, remedy=remedy)
 
 
 def load_assets(spec: AssetsSpec) -> Assets:
     """Load everything that tasks of a sweep share.
 
     Raises:
-        InputError: naming the file that is missing or unusable.
+        InputError: naming the file that is missing or unusable, or weights that are not those of the plan.
     """
-    weights_file(f"{spec.detector}.safetensors", spec.detector_weights)
-    assets = Assets(
-        scenes=scene_set(_scene_config(spec.scenes)),
-        decoder=load_decoder(spec.decoder_weights),
-        detector_name=spec.detector,
-        detector_weights=spec.detector_weights,
-        vehicles=baseline_vehicles(),
-    )
+    for name, path in spec.detectors.items():
+        _require(f"the weights of {name}", spec.hashes.get(name), file_hash(weights_file(name, path)))
+    source = vehicle_source(_vehicle_config(spec.vehicles))
+    _require("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
+    assets = Assets(scene_set(_scene_config(spec.scenes)), source, source.decoder(), spec.detectors)
     # Now, not at the first task: weights that do not fit stop the sweep in one line instead of failing every task.
-    assets.detector_of("float32")
+    for name in spec.detectors:
+        assets.detector_of(name, "float32")
     return assets
 
 
 def _scene_config(values: Mapping[str, Any]) -> StreetConfig | KittiConfig:
     kinds: dict[str, type[StreetConfig] | type[KittiConfig]] = {"street": StreetConfig, "kitti": KittiConfig}
     return kinds[values["kind"]](**values)
+
+
+def _vehicle_config(values: Mapping[str, Any]) -> VehicleSetConfig | DeepSdfVehicleConfig:
+    kinds: dict[str, type[VehicleSetConfig] | type[DeepSdfVehicleConfig]] = {
+        "set": VehicleSetConfig,
+        "deepsdf": DeepSdfVehicleConfig,
+    }
+    # Without the name of one vehicle: the source is the same for all of them.
+    return kinds[values["kind"]](**{**values, "name": ""})
 
 
 def render_settings(spec: TaskSpec) -> RenderSettings:

@@ -42,8 +42,8 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
         InputError: a scene or vehicle that cannot be loaded, or a folder that cannot be written.
     Source: design section 5.
     """
-    scene, _ = assets.scene(spec.scene)
-    vehicle = assets.vehicle(spec.vehicle)
+    scene, _ = assets.scene(spec)
+    vehicle = assets.vehicle(spec)
     theta = torch.tensor([solution[name] for name in _POSE], dtype=torch.float64)
     problem = build_problem(spec, assets, theta)
     code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)

@@ -25,28 +25,26 @@ class Rows:
         self._seen: set[tuple[str, int]] = set()
 
     def add(self, candidate: Candidate, baseline_code: Tensor, scored: Scored) -> None:
-        """One object that was scored, with the solution that renders it again."""
+        """One object that was scored: a row for each detector, and the solution that renders it again."""
         measured, theta = scored.measurement, [float(value) for value in candidate.theta]
         check, rendering = measured.check, measured.rendering
         pose = dict(zip(_POSE, theta, strict=True))
         # Summed in float64 and in a fixed order: the same bytes whatever the build of torch does.
         offset = candidate.code.double().numpy() - baseline_code.double().numpy()
-        self._scores.append(
-            self._row(candidate.method, candidate.replicate, candidate.status)
-            | pose
-            | {
-                "score": scored.score,
-                "adversarial_loss": float(measured.adversarial),
-                "latent_distance": math.sqrt(math.fsum(float(v) ** 2 for v in offset)),
-                "range_m": math.hypot(theta[0], theta[1]),
-                "object_points": rendering.object_points,
-                "overlap_ok": check.overlap_ok,
-                "contact_ok": check.contact_ok,
-                "best_step": candidate.best_step,
-                "max_residual_m": rendering.max_residual_m,
-                "unresolved_beams": rendering.unresolved_beams,
-            }
-        )
+        same: Row = pose | {
+            "latent_distance": math.sqrt(math.fsum(float(v) ** 2 for v in offset)),
+            "range_m": math.hypot(theta[0], theta[1]),
+            "object_points": rendering.object_points,
+            "overlap_ok": check.overlap_ok,
+            "contact_ok": check.contact_ok,
+            "best_step": candidate.best_step,
+            "max_residual_m": rendering.max_residual_m,
+            "unresolved_beams": rendering.unresolved_beams,
+        }
+        for name in self._spec.scored_by:
+            answer = scored.answers[name]
+            row = self._row(name, candidate.method, candidate.replicate, candidate.status)
+            self._scores.append(row | same | {"score": answer.score, "adversarial_loss": answer.adversarial_loss})
         self._solutions.append(
             {
                 "method": candidate.method,
@@ -61,9 +59,9 @@ class Rows:
             self.time(candidate.method, stage, milliseconds)
 
     def skip(self, method: str, replicate: int, status: str) -> None:
-        """A row without a score, unless there is one already: gaps are stated, never silent."""
+        """A row a detector without a score, unless there is one already: gaps are stated, never silent."""
         if (method, replicate) not in self._seen:
-            self._scores.append(self._row(method, replicate, status))
+            self._scores += [self._row(name, method, replicate, status) for name in self._spec.scored_by]
 
     def attack(self, found: AttackResult) -> None:
         """The time that the search took, by stage."""
@@ -83,9 +81,9 @@ class Rows:
         ]
         return TaskResult(self._scores, self._solutions, timings)
 
-    def _row(self, method: str, replicate: int, status: str) -> Row:
+    def _row(self, scored_by: str, method: str, replicate: int, status: str) -> Row:
         return {
-            "scored_by": self._spec.detector,
+            "scored_by": scored_by,
             "method": method,
             "replicate": replicate,
             "status": status,

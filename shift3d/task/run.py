@@ -35,7 +35,7 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
     it runs. A scene with no place for the vehicle gives rows with status "no_placement" and no score.
 
     Raises:
-        InputError: a scene or vehicle that cannot be loaded.
+        InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
     Source: SHIFT3D Algorithm 1, sections Setup and Evaluation Metrics.
     """
     start = time.perf_counter()
@@ -47,9 +47,10 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
             rows.skip(method, replicate, "no_placement")
     else:
         problem = build_problem(spec, assets, placement.theta)
-        searched = assets.detector_of(search_precision(spec))
+        searched = assets.detector_of(spec.detector, search_precision(spec))
+        others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
         for candidate in _candidates(spec, problem, searched, rows):
-            scored = score_object(problem, candidate.code, candidate.theta, spec.attack.detection_radius_m)
+            scored = score_object(problem, candidate.code, candidate.theta, spec.attack.detection_radius_m, others)
             rows.add(candidate, problem.code0, scored)
         for method, replicate in _planned(spec):
             rows.skip(method, replicate, "no_random_pose")
@@ -71,8 +72,8 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
 
     Whatever the task's mode, weights of the loss, accuracy or detector. Source: our choice: the paper is silent.
     """
-    scene, beams = assets.scene(spec.scene)
-    vehicle = assets.vehicle(spec.vehicle)
+    scene, beams = assets.scene(spec)
+    vehicle = assets.vehicle(spec)
     limits = PlacementLimits(
         spec.placement.min_range_m,
         spec.placement.max_range_m,
@@ -93,15 +94,15 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProble
     Raises:
         InputError: a scene or vehicle that cannot be loaded.
     """
-    scene, beams = assets.scene(spec.scene)
-    vehicle = assets.vehicle(spec.vehicle)
+    scene, beams = assets.scene(spec)
+    vehicle = assets.vehicle(spec)
     settings = render_settings(spec)
     return AttackProblem(
         beams=beams,
         ground_z_m=scene.ground_z_m,
         field_of=assets.decoder_of(settings.dtype).field,
         vehicle=vehicle,
-        detector=assets.detector_of(score_precision(spec)),
+        detector=assets.detector_of(spec.detector, score_precision(spec)),
         theta0=theta,
         code0=torch.from_numpy(vehicle.latent_code).to(settings.dtype),
         constraints=_constraints(spec),

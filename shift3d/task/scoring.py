@@ -1,15 +1,26 @@
-"""What the detector makes of one object: its score, its loss, and whether it may stand there."""
+"""What detectors make of one object: score and loss of each, and whether it may stand there."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.attack.objective import SCORE_RADIUS_M, detection_score, object_box
+from shift3d.attack.objective import (
+    SCORE_RADIUS_M,
+    adversarial_loss,
+    detection_score,
+    object_box,
+    to_network_frame,
+    window_around,
+)
 from shift3d.attack.problem import AttackProblem, Measurement, measure
+from shift3d.detectors.base import Detector, Proposals
 from shift3d.detectors.nms import suppress
 
 # Scores below this count as 0: their boxes are not even candidates for suppression. Recall curves are drawn
@@ -32,30 +43,58 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Scored:
-    """What a candidate came to.
+class Answer:
+    """What one detector makes of an object.
 
-    score: of the best box after suppression within the detection radius, 0 if none. measurement: its rendering,
-    loss and constraints. milliseconds: by stage.
+    score: of the best box after suppression within the detection radius, 0 if none. adversarial_loss: L_adv.
     """
 
     score: float
+    adversarial_loss: float
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What a candidate came to.
+
+    answers: by the detector's name, the attacked one first. measurement: its rendering and constraints.
+    milliseconds: by stage; the attacked detector's is "detector", another's "scored_by_<name>".
+    """
+
+    answers: dict[str, Answer]
     measurement: Measurement
     milliseconds: dict[str, float]
 
 
-def score_object(problem: AttackProblem, code: Tensor, theta: Tensor, radius_m: float) -> Scored:
-    """Render one code (d,) at one pose (6,) afresh (no warm start) and score it.
+def score_object(
+    problem: AttackProblem,
+    code: Tensor,
+    theta: Tensor,
+    radius_m: float,
+    others: Mapping[str, Detector] | None = None,
+) -> Scored:
+    """Render one code (d,) at one pose (6,) afresh (no warm start), once, and score it with every detector.
 
-    radius_m: how near the object's centre the centre of a detecting box lies, metres.
+    radius_m: how near the object's centre the centre of a detecting box lies, metres. others: detectors by name that
+    score the same rendering, beside the problem's own.
     Source: SHIFT3D, Evaluation Metrics.
     """
     with torch.no_grad():
         measurement = measure(problem, code, theta, radius_m=SCORE_RADIUS_M)
-        start = time.perf_counter()
-        detections = suppress(measurement.proposals, SCORE_FLOOR, SUPPRESSION_IOU)
         box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
-        score = detection_score(detections, box, radius_m)
-    spent = dict(measurement.milliseconds)
-    spent["detector"] += 1e3 * (time.perf_counter() - start)
-    return Scored(score, measurement, spent)
+        start = time.perf_counter()
+        answers = {problem.detector.name: _answer(measurement.proposals, box, radius_m)}
+        spent = dict(measurement.milliseconds)
+        spent["detector"] += 1e3 * (time.perf_counter() - start)
+        points = to_network_frame(measurement.rendering.points, problem.ground_z_m)
+        for name, detector in (others or {}).items():
+            start = time.perf_counter()
+            proposals = detector.proposals(points, window_around(detector, theta, SCORE_RADIUS_M))
+            answers[name] = _answer(proposals, box, radius_m)
+            spent[f"scored_by_{name}"] = 1e3 * (time.perf_counter() - start)
+    return Scored(answers, measurement, spent)
+
+
+def _answer(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> Answer:
+    detections = suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU)
+    return Answer(detection_score(detections, box, radius_m), float(adversarial_loss(proposals, box)))

@@ -19,7 +19,7 @@ from shift3d.seeding import derive_seed
 __all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec"]
 
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
-SPEC_VERSION = 1
+SPEC_VERSION = 2
 
 Mode = Literal["shape", "pose"]
 Row = dict[str, Any]
@@ -76,8 +76,9 @@ class TaskSpec:
     lambda_: weight of the latent distance; None for a pose task, which has no such term (any value given is
     dropped, so that a sweep over lambda holds each pose task once). alpha: step size. accuracy: a preset's
     name, with accuracy_settings the values that differ from or refine it. effects: names, in physical order.
-    scene_arguments: what the scene was made from, for the reader of a plan. The hashes are 128-bit
-    BLAKE2b, hex.
+    scene_arguments: what the scene was made from, for the reader of a plan. scored_by: detectors that score every
+    solution; the attacked one is put first, whether it is named or not. detector_hashes: of each of them, by name.
+    The hashes are 128-bit BLAKE2b, hex.
     """
 
     vehicle: str
@@ -98,16 +99,19 @@ class TaskSpec:
     scene_hash: str = ""
     vehicle_hash: str = ""
     decoder_hash: str = ""
-    detector_hash: str = ""
+    scored_by: tuple[str, ...] = ()
+    detector_hashes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "scored_by", tuple(dict.fromkeys((self.detector, *self.scored_by))))
         if self.mode == "pose":
             object.__setattr__(self, "lambda_", None)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain nested dictionaries, ready for JSON."""
         values = {name: getattr(self, name) for name in _FIELD_NAMES}
-        values["effects"] = list(self.effects)
+        values["effects"], values["scored_by"] = list(self.effects), list(self.scored_by)
+        values["detector_hashes"] = dict(self.detector_hashes)
         values["accuracy_settings"] = dict(self.accuracy_settings)
         values["scene_arguments"] = dict(self.scene_arguments)
         values["attack"] = dict(vars(self.attack))
@@ -122,7 +126,7 @@ class TaskSpec:
         version = values.pop("spec_version")
         if version != SPEC_VERSION:
             raise ValueError(f"task spec version {version}, this is version {SPEC_VERSION}")
-        values["effects"] = tuple(values["effects"])
+        values["effects"], values["scored_by"] = tuple(values["effects"]), tuple(values["scored_by"])
         values["attack"] = AttackSpec(**values["attack"])
         values["placement"] = PlacementSpec(**values["placement"])
         return TaskSpec(**values)
@@ -174,12 +178,13 @@ class TaskResult:
 class AssetsSpec:
     """What a worker loads once: plain values, no path that a task's id depends on.
 
-    scenes: name of the scene set and its constructor's arguments (``config.build.scene_set`` reads it).
-    detector_weights, decoder_weights: a file, or None for the weights that ship with shift3d.
+    scenes, vehicles: settings of the scene set and of the source of vehicles, as their schemas have them.
+    detectors: name to a file of weights, or None for the weights that ship with shift3d. hashes: what "decoder" and
+    the detectors had when the sweep was planned; one that is not there is not compared.
     """
 
     scenes: Mapping[str, Any]
-    detector: str = "pointpillars"
-    detector_weights: str | None = None
-    decoder_weights: str | None = None
+    vehicles: Mapping[str, Any] = field(default_factory=lambda: {"kind": "set", "folder": None})
+    detectors: Mapping[str, str | None] = field(default_factory=lambda: {"pointpillars": None})
+    hashes: Mapping[str, str] = field(default_factory=dict)
     threads: int = 1

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from shift3d.sdf.decoder import Decoder
+    from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 
 BASELINES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
 CODE_LENGTH = 256
@@ -145,7 +146,10 @@ def family_seed(path: Path | str | None = None) -> int:
 
 
 def vehicle_mesh(
-    vehicle: Vehicle, decoder: Decoder, z: Tensor | NDArray[np.float32] | None = None, resolution: int = 128
+    vehicle: Vehicle,
+    decoder: Decoder | DeepSdfNetwork,
+    z: Tensor | NDArray[np.float32] | None = None,
+    resolution: int = 128,
 ) -> trimesh.Trimesh:
     """The vehicle's decoded surface.
 

@@ -36,7 +36,6 @@ def run(spec: TaskSpec, assets: dict[str, float]) -> TaskResult:
         score = float(rng.uniform(0.5, 1.0)) * (assets["weight"] if method.startswith("adv") else 1.0)
         row = {
                 **key,
-                "scored_by": spec.detector,
                 "score": score,
                 "adversarial_loss": score,
                 "range_m": 20.0,
@@ -49,7 +48,7 @@ def run(spec: TaskSpec, assets: dict[str, float]) -> TaskResult:
                 "max_residual_m": 0.0,
                 "unresolved_beams": 0,
         }  # fmt: skip
-        scores.append(row)
+        scores += [{**row, "scored_by": name} for name in spec.scored_by]
         solutions.append({**key, "latent_code": rng.normal(size=4).astype("float32")})
     if f"{spec.vehicle}/{spec.scene}/{spec.mode}" == os.environ.get("SHIFT3D_TEST_BAD_ROW"):
         scores[0]["score"] = float("nan")
@@ -82,7 +81,7 @@ def catalogue(config: Config) -> Catalogue:
         sector_rad=(0.0, 3.14),
         vehicles={name: f"hash-{name}" for name in ("coupe", "sports_car", "suv", "convertible", "beach_wagon")},
         decoder_hash="decoder",
-        detector_hash="detector",
+        detectors={config.detector.name: "detector"},
         accuracy={},
     )
 

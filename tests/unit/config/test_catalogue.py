@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from shift3d.config.catalogue import accuracy_settings, scene_set, weights_file
-from shift3d.config.schema import AccuracyConfig, KittiConfig, StreetConfig
+import shift3d
+from shift3d.config.catalogue import accuracy_settings, scene_set, scoring_detectors, weights_file
+from shift3d.config.schema import AccuracyConfig, DetectorConfig, KittiConfig, StreetConfig
 from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS
 
@@ -43,5 +44,34 @@ def test_street_scenes_by_settings() -> None:
 def test_missing_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=str(tmp_path / "kitti")):
         scene_set(KittiConfig(kind="kitti", root=str(tmp_path / "kitti"), count=None, names=None)).names()
-    with pytest.raises(InputError, match="weights file not found"):
-        weights_file("sdf.safetensors", str(tmp_path / "absent.safetensors"))
+    with pytest.raises(InputError, match=r"absent\.safetensors: no weights of sst\. Check the path"):
+        weights_file("sst", str(tmp_path / "absent.safetensors"))
+
+
+def attacked(name: str, scored_by: list[str] | None, **weights: str | None) -> DetectorConfig:
+    own = weights.pop(name, None)
+    return DetectorConfig(name=name, weights=own, scored_by=scored_by, other_weights=weights)  # type: ignore[arg-type]
+
+
+def test_the_attacked_detector_scores_first_and_always(tmp_path: Path) -> None:
+    file = tmp_path / "sst.safetensors"
+    file.touch()
+    both = {"pointpillars": None, "sst": str(file)}
+    assert list(scoring_detectors(attacked("pointpillars", None, sst=str(file))).items()) == list(both.items())
+    assert list(scoring_detectors(attacked("sst", None, sst=str(file)))) == ["sst", "pointpillars"]
+    assert scoring_detectors(attacked("sst", [], sst=str(file))) == {"sst": str(file)}
+    assert list(scoring_detectors(attacked("sst", ["pointpillars", "sst"], sst=str(file)))) == ["sst", "pointpillars"]
+    assert list(scoring_detectors(attacked("pointpillars", ["sst"], sst=str(file)))) == ["pointpillars", "sst"]
+
+
+def test_a_detector_without_weights_is_left_out_unless_it_is_asked_for(tmp_path: Path) -> None:
+    shipped = [
+        name
+        for name in ("pointpillars", "sst")
+        if (Path(shift3d.__file__).parent / "weights" / f"{name}.safetensors").is_file()
+    ]
+    assert list(scoring_detectors(attacked("pointpillars", None, sst=None))) == shipped
+    with pytest.raises(InputError, match=r"absent: no weights of sst"):
+        scoring_detectors(attacked("pointpillars", ["sst"], sst=str(tmp_path / "absent")))
+    with pytest.raises(InputError, match=r"absent: no weights of sst"):
+        scoring_detectors(attacked("sst", None, sst=str(tmp_path / "absent")))

@@ -68,6 +68,23 @@ def test_every_sweep_is_valid(name: str) -> None:
     assert list(expand(compose_sweep(name, overrides)))
 
 
+def test_cars_of_an_experiment_take_the_place_of_the_sweeps_own() -> None:
+    words = ["scenes.root=somewhere", "vehicle=deepsdf", "vehicle.folder=there", "vehicle.name=van_1,suv_2"]
+    configs = list(expand(compose_sweep("kitti", [*words, "vehicle.length_m={default:4.5,van:4.9}"])))
+    assert {(config.vehicle.kind, config.vehicle.name) for config in configs} == {
+        ("deepsdf", "van_1"),
+        ("deepsdf", "suv_2"),
+    }
+    assert len(configs) == 2 * 2 * 2
+    assert configs[0].settings()["vehicle"]["length_m"] == {"default": 4.5, "van": 4.9}
+
+
+def test_a_sweep_of_sst_is_one_override() -> None:
+    pointpillars, sst = (list(expand(compose_sweep("default", words))) for words in ([], ["detector=sst"]))
+    assert len(pointpillars) == len(sst)
+    assert {config.detector.name for config in sst} == {"sst"}
+
+
 def test_accuracy_lists_every_setting_of_the_renderer() -> None:
     configs = list(expand(compose_sweep("smoke", ["vehicle=suv", "mode=shape"])))
     assert set(configs[0].accuracy.render) == {field.name for field in dataclasses.fields(RenderSettings)}
@@ -80,7 +97,7 @@ def test_every_option_of_every_group_is_valid() -> None:
         for axis in composed.axes:
             if axis.key == folder.name:
                 for value in axis.values:
-                    known = {"root": "somewhere"} if value.get("kind") == "kitti" else {}
+                    known = {key: "somewhere" for key, default in value.items() if default == "???"}
                     validate({**composed.base, folder.name: {**value, **known}}, "here")
         assert options
 
@@ -111,6 +128,10 @@ def test_configuration_names_no_code() -> None:
         (["runner.workers=1,2"], "cannot be an axis"),
         (["runner=rey"], "Did you mean 'ray'?"),
         (["scenes=kitti"], "scenes.root is required. Add scenes.root=VALUE"),
+        (["vehicle=deepsdf", "vehicle.name=a"], "vehicle.folder is required. Add vehicle.folder=VALUE"),
+        (["vehicle=deepsdf", "vehicle.name=a", "vehicle.folder=b", "vehicle.length_m=-1"], "vehicle.length_m"),
+        (["detector=ssd"], "Did you mean 'sst'?"),
+        (["detector.scored_by=[ssd]"], "Did you mean 'sst'?"),
         (["accuracy.render={step:0.05}"], "accuracy.render cannot be set as a whole"),
         (["~scenes"], "cannot be removed"),
         (["+extra=3"], "there is no setting extra"),

@@ -62,6 +62,22 @@ def test_a_vehicle_without_a_score_is_a_dash() -> None:
     assert cells(table, "baseline") == ["-", "0.500", "0.500", "1.00"]
 
 
+def test_long_names_are_cut_where_they_still_differ() -> None:
+    names = ["sedan_119033fe083145e22f31600ac759c763", "sedan_119033fe083145e22f31699999999999", "suv"]
+    (table,) = auc_tables(pd.DataFrame([auc_row(name, "baseline", 0.5) for name in names]))
+    header = table.splitlines()[1].split()
+    assert header[2] == "suv" and len(set(header[:2])) == 2
+    assert all(name.startswith(cut.rstrip("~")) for name, cut in zip(names, header))
+
+
+def test_a_table_for_each_detector_that_scores() -> None:
+    rows = [auc_row("suv", "baseline", 0.5), auc_row("suv", "baseline", 0.7, scored_by="sst")]
+    first, second = auc_tables(pd.DataFrame(rows))
+    assert first.splitlines()[0] == "AUC, adversarial shape (scored by pointpillars)"
+    assert second.splitlines()[0] == "AUC, adversarial shape (scored by sst)"
+    assert cells(second, "baseline")[0] == "0.700"
+
+
 def test_coverage_names_what_did_not_run() -> None:
     scores = pd.DataFrame(
         {"task_id": ["a", "a", "b"], "score": [0.5, 0.5, None], "status": ["ok", "ok", "no_placement"]}

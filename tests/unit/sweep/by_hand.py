@@ -18,7 +18,7 @@ def catalogue(config: Config) -> Catalogue:
         sector_rad=(0.5, 1.0),
         vehicles={name: f"{name}-hash" for name in VEHICLES},
         decoder_hash="d",
-        detector_hash="p",
+        detectors={config.detector.name: "p"},
         accuracy={"step_m": 0.02},
     )
 

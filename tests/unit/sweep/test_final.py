@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from by_hand import score_row
+from by_hand import catalogue, score_row
 
+from shift3d.config.compose import compose_sweep
 from shift3d.store.log import CommitLog
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.final import FinalTables, write_final
-from shift3d.sweep.plan import Plan
+from shift3d.sweep.plan import Plan, make_plan
 from shift3d.sweep.worker import attempt_row
 
 
@@ -80,6 +82,37 @@ def test_gaps_are_rows(out: Path, suv_plan: Plan) -> None:
     pose = final.frame("auc").query("mode == 'pose'")
     assert pose["method"].tolist() == ["baseline", "random", "adversarial"]
     assert pose["auc"].isna().all() and (pose["tasks_planned"] == 2).all() and (pose["tasks_scored"] == 0).all()
+
+
+def test_each_scoring_detector_has_its_own_figures(out: Path) -> None:
+    """The second detector says 0.5 of everything and its loss prefers lambda 10: the choice stays the attacked one's.
+
+    One pose task has no score: its gap is a row for each detector.
+    """
+    detectors = {"pointpillars": "p", "sst": "s"}
+    composed = compose_sweep("default", ["vehicle=suv", "scene=north"])
+    plan = make_plan(composed, lambda config: dataclasses.replace(catalogue(config), detectors=detectors))[0]
+    log = CommitLog(out, plan.spec_hash)
+    rows = [row for task in plan.tasks[:2] for row in rows_of(task, plan.sweep)]
+    second = [{**row, "scored_by": "sst", "score": 0.5, "adversarial_loss": 9.0 / row["lambda"]} for row in rows]
+    log.commit(
+        tuple(task.spec.task_id for task in plan.tasks[:2]),
+        (plan.tasks[2].spec.task_id,),
+        {"scores": table_from_rows("scores", rows + second)},
+    )
+    final = write_final(out, plan, log.entries)
+    auc = final.frame("auc")
+    shape = auc[(auc["mode"] == "shape") & (auc["method"] == "adversarial")]
+    assert shape.groupby("scored_by")["auc"].max().to_dict() == pytest.approx({"pointpillars": 0.2, "sst": 0.5})
+    assert set(shape.loc[shape["selected"], "lambda"]) == {1.0} and shape["selected"].sum() == 2
+    gaps = auc[auc["mode"] == "pose"]
+    assert gaps.groupby("scored_by")["method"].apply(list).to_dict() == {
+        name: ["baseline", "random", "adversarial"] for name in detectors
+    }
+    bev = final.frame("bev").query("method == 'adversarial' and `lambda` == 1")
+    assert bev.set_index("scored_by")["mean_reduction"].to_dict() == pytest.approx({"pointpillars": 0.6, "sst": 0.0})
+    curves = final.frame("curves").query("method == 'adversarial' and `lambda` == 1 and scored_by == 'sst'")
+    assert curves.loc[curves["recall"] > 0, "score_threshold"].max() <= 0.5
 
 
 def test_nothing_but_failures_is_still_a_sweep(out: Path, suv_plan: Plan) -> None:

@@ -27,7 +27,8 @@ def test_shape_under_two_lambda_and_pose_once(default_plan: Plan) -> None:
 
 def test_the_spec_holds_what_the_catalogue_says(suv_plan: Plan) -> None:
     spec = suv_plan.tasks[0].spec
-    assert (spec.scene_hash, spec.vehicle_hash, spec.decoder_hash, spec.detector_hash) == ("n", "suv-hash", "d", "p")
+    assert (spec.scene_hash, spec.vehicle_hash, spec.decoder_hash) == ("n", "suv-hash", "d")
+    assert spec.scored_by == ("pointpillars",) and spec.detector_hashes == {"pointpillars": "p"}
     assert (spec.placement.sector_centre_rad, spec.placement.sector_half_width_rad) == (0.5, 1.0)
     assert spec.accuracy_settings == {"step_m": 0.02}
     assert (spec.attack.steps, spec.alpha, spec.placement.min_object_points) == (40, 0.01, 300)
@@ -42,10 +43,13 @@ def test_other_settings_weights_and_names_change_the_hash(suv_plan: Plan) -> Non
     composed = compose_sweep("default", ["vehicle=suv"])
     others = [
         make_plan(compose_sweep("default", ["vehicle=suv", "seed=1"]), catalogue)[0],
-        make_plan(composed, lambda config: dataclasses.replace(catalogue(config), detector_hash="new"))[0],
+        make_plan(composed, lambda config: dataclasses.replace(catalogue(config), detectors={"pointpillars": "new"}))[
+            0
+        ],
+        make_plan(composed, lambda config: dataclasses.replace(catalogue(config), decoder_hash="new"))[0],
         make_plan(dataclasses.replace(composed, name="other"), catalogue)[0],
     ]
-    assert len({plan.spec_hash for plan in [suv_plan, *others]}) == 4
+    assert len({plan.spec_hash for plan in [suv_plan, *others]}) == 5
 
 
 def test_unknown_scene_and_vehicle() -> None:
@@ -53,6 +57,10 @@ def test_unknown_scene_and_vehicle() -> None:
         make_plan(compose_sweep("default", ["scene=nort"]), catalogue)
     with pytest.raises(InputError, match="unknown vehicle 'tram'"):
         make_plan(compose_sweep("default", ["vehicle.name=tram"]), catalogue)
+    with pytest.raises(InputError, match=r"2 vehicles have a name that begins with 'co'\. One of: coupe, convertible"):
+        make_plan(compose_sweep("default", ["vehicle.name=co"]), catalogue)
+    short = make_plan(compose_sweep("default", ["vehicle.name=beach"]), catalogue)[0]
+    assert {task.spec.vehicle for task in short.tasks} == {"beach_wagon"}
     one = make_plan(compose_sweep("default", ["scene=south"]), catalogue)[0]
     assert {task.spec.scene for task in one.tasks} == {"south"}
 
@@ -60,6 +68,30 @@ def test_unknown_scene_and_vehicle() -> None:
 def test_what_is_loaded_is_shared_between_tasks_that_need_the_same() -> None:
     plan = make_plan(compose_sweep("default", ["scenes.sensor=hdl64,waymo_top", "vehicle=suv"]), catalogue)[0]
     assert [assets.scenes["sensor"] for assets in plan.assets] == ["hdl64", "waymo_top"]
+
+
+def test_what_was_planned_goes_along_to_be_compared(suv_plan: Plan) -> None:
+    (assets,) = suv_plan.assets
+    assert assets.hashes == {"decoder": "d", "pointpillars": "p"}
+    assert assets.vehicles == {"kind": "set", "folder": None} and assets.detectors == {"pointpillars": None}
+
+
+def test_every_scoring_detectors_weights_change_the_tasks() -> None:
+    composed = compose_sweep("default", ["vehicle=suv"])
+    plans = [
+        make_plan(composed, lambda config, found=found: dataclasses.replace(catalogue(config), detectors=found))[0]
+        for found in ({"pointpillars": "p"}, {"pointpillars": "p", "sst": "s"}, {"pointpillars": "p", "sst": "t"})
+    ]
+    assert len({plan.spec_hash for plan in plans}) == 3
+    assert plans[1].tasks[0].spec.scored_by == ("pointpillars", "sst")
+
+
+def test_a_folder_of_an_older_version_is_refused(out: Path, suv_plan: Plan) -> None:
+    open_folder(out, suv_plan)
+    text = (out / "spec.yaml").read_text()
+    (out / "spec.yaml").write_text(text.replace("schema_version: 2", "schema_version: 1"))
+    with pytest.raises(InputError, match=r"has schema version 1, this is version 2\. Use the version of shift3d"):
+        open_folder(out, suv_plan)
 
 
 def test_folder_and_back(out: Path, suv_plan: Plan) -> None:

@@ -18,7 +18,7 @@ CHANGES: dict[str, Any] = {
     "dataset": "kitti",
     "lambda_": 10.0,
     "alpha": 0.1,
-    "detector": "other",
+    "detector": "sst",
     "accuracy": "paper",
     "base_seed": 1,
     "replicate": 1,
@@ -30,7 +30,8 @@ CHANGES: dict[str, Any] = {
     "scene_hash": "a",
     "vehicle_hash": "a",
     "decoder_hash": "a",
-    "detector_hash": "a",
+    "scored_by": ("pointpillars", "sst"),
+    "detector_hashes": {"pointpillars": "a"},
 }
 
 
@@ -43,13 +44,20 @@ def test_every_field_changes_the_id() -> None:
 
 def test_the_id_is_pinned() -> None:
     """A change of this value makes every finished sweep unresumable: raise SPEC_VERSION with it."""
-    assert SPEC.task_id == "ad6afcc384dc243a7e0addf63c612dae"
+    assert SPEC.task_id == "bdee91829ca728609f3ed64f115c5350"
 
 
 def test_pose_has_no_lambda() -> None:
     one, ten = (dataclasses.replace(SPEC, mode="pose", lambda_=value) for value in (1.0, 10.0))
     assert one.lambda_ is None
     assert one.task_id == ten.task_id != SPEC.task_id
+
+
+def test_the_attacked_detector_is_the_first_that_scores() -> None:
+    named = dataclasses.replace(SPEC, scored_by=("sst", "pointpillars"))
+    assert named.scored_by == ("pointpillars", "sst") and SPEC.scored_by == ("pointpillars",)
+    assert dataclasses.replace(SPEC, scored_by=("pointpillars",)).task_id == SPEC.task_id
+    assert named.task_id == dataclasses.replace(SPEC, scored_by=("sst",)).task_id
 
 
 def test_json_and_back() -> None:
@@ -66,7 +74,7 @@ def test_order_of_arguments_is_no_part_of_the_id() -> None:
     assert one.task_id == two.task_id
 
 
-@pytest.mark.parametrize("name", ["lambda_", "alpha", "detector", "accuracy", "attack"])
+@pytest.mark.parametrize("name", ["lambda_", "alpha", "detector", "accuracy", "attack", "scored_by"])
 def test_tasks_that_are_compared_stand_in_one_place(name: str) -> None:
     other = dataclasses.replace(SPEC, **{name: CHANGES[name]})
     assert other.placement_seed == SPEC.placement_seed

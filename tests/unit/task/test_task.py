@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from toy_detector import WaveDetector
 
 from shift3d.config.catalogue import accuracy_settings
 from shift3d.config.schema import AccuracyConfig
@@ -20,6 +21,7 @@ from shift3d.task.assets import Assets, load_assets
 from shift3d.task.export import export_solution
 from shift3d.task.run import run_task
 from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskResult, TaskSpec
+from shift3d.vehicles.sources import vehicle_hash
 
 STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 1}
 SHORT = AttackSpec(steps=3, noise_replicates=2)
@@ -134,7 +136,7 @@ def test_export_renders_the_solution_again(shape: TaskResult, assets: Assets, tm
     (scored,) = by_method(shape, "adversarial")
     export_solution(make_spec(), solution, assets, tmp_path)
 
-    scene, _ = assets.scene(make_spec().scene)
+    scene, _ = assets.scene(make_spec())
     points = np.fromfile(tmp_path / "scene.bin", dtype="<f4").reshape(-1, 4)
     hits = np.load(tmp_path / "hit_mask.npy", allow_pickle=False)
     assert len(points) == len(scene.points) == len(hits)
@@ -180,4 +182,59 @@ def test_float64_search_agrees_with_float32(assets: Assets, shape: TaskResult) -
 def test_weights_of_another_network_are_refused_before_any_task() -> None:
     foreign = Path(__file__).parents[3] / "shift3d" / "weights" / "sdf.safetensors"
     with pytest.raises(InputError, match=r"sdf\.safetensors: tensor backbone.*the network has"):
-        load_assets(AssetsSpec(scenes=STREET, detector_weights=str(foreign)))
+        load_assets(AssetsSpec(scenes=STREET, detectors={"pointpillars": str(foreign)}))
+
+
+def test_content_that_changed_after_planning_is_refused(assets: Assets) -> None:
+    scene, _ = assets.scene(make_spec())
+    planned = {"scene_hash": scene.content_hash(), "vehicle_hash": vehicle_hash(assets.vehicle(make_spec()))}
+    assert assets.scene(make_spec(**planned))[0] is scene
+    for field in planned:
+        name = field.removesuffix("_hash")
+        with pytest.raises(InputError, match=rf"{name} \S+: changed after the sweep was planned.*out=DIR"):
+            run_task(make_spec(**{**planned, field: "another"}), assets)
+    for what in ("decoder", "pointpillars"):
+        with pytest.raises(InputError, match=rf"{what}: changed after the sweep was planned"):
+            load_assets(AssetsSpec(scenes=STREET, hashes={what: "another"}))
+
+
+def with_second_detector(assets: Assets, name: str) -> Assets:
+    """The same assets, and a small detector under the second one's name: its weights need not ship for this."""
+    wave = WaveDetector()
+    wave.name = name
+    both = dataclasses.replace(assets, detectors={**assets.detectors, name: None})
+    return dataclasses.replace(
+        both, _detectors={**assets._detectors, (name, "float32"): wave, (name, "bfloat16"): wave}
+    )
+
+
+def test_every_solution_is_scored_by_every_detector_on_one_rendering(assets: Assets, shape: TaskResult) -> None:
+    spec = make_spec(scored_by=("sst",), attack=AttackSpec(steps=1, noise_replicates=1))
+    result = run_task(spec, with_second_detector(assets, "sst"))
+    first, second = ([row for row in result.scores if row["scored_by"] == name] for name in ("pointpillars", "sst"))
+    assert len(first) == len(second) == len(result.solutions) == 4
+    for one, other in zip(first, second):
+        differing = {key for key in one if one[key] != other[key]}
+        assert differing == {"scored_by", "score", "adversarial_loss"}
+        assert 0.0 < other["score"] < 1.0
+    assert first[0] == by_method(shape, "baseline")[0]
+    stages = {(row["method"], row["stage"]): row["calls"] for row in result.timings}
+    assert stages["adversarial_noise", "scored_by_sst"] == stages["adversarial_noise", "detector"] == 1
+
+
+def test_any_detector_can_be_attacked(assets: Assets) -> None:
+    spec = make_spec(detector="sst", scored_by=("pointpillars",), attack=AttackSpec(steps=2, noise_replicates=0))
+    result = run_task(spec, with_second_detector(assets, "sst"))
+    assert [row["scored_by"] for row in result.scores] == ["sst", "pointpillars"] * 3
+    start, found = (
+        next(row for row in by_method(result, method) if row["scored_by"] == "sst")
+        for method in ("baseline", "adversarial")
+    )
+    assert found["status"] == "ok" and found["adversarial_loss"] < start["adversarial_loss"]
+
+
+def test_a_gap_is_a_row_for_every_detector(assets: Assets) -> None:
+    nowhere = PlacementSpec(min_range_m=49.0, max_range_m=50.0, attempts=1)
+    spec = make_spec(placement=nowhere, scored_by=("sst",))
+    result = run_task(spec, with_second_detector(assets, "sst"))
+    assert [row["scored_by"] for row in result.scores] == ["pointpillars", "sst"] * 5

@@ -1,0 +1,206 @@
+"""Where a sweep's vehicles come from: a set of vehicle files, or the codes of a DeepSDF experiment."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from shift3d.errors import InputError
+from shift3d.sdf.decoder import Decoder, load_decoder
+from shift3d.sdf.deepsdf_network import DeepSdfNetwork
+from shift3d.sdf.foreign import Experiment, experiment_files, load_experiment
+from shift3d.sdf.meshes import extract_mesh
+from shift3d.vehicles.mesh_frame import MeshFrame
+from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles
+
+__all__ = ["DeepSdfVehicles", "VehicleSet", "VehicleSource", "vehicle_hash"]
+
+_T = TypeVar("_T")
+MEASURED_RESOLUTION = 129
+"""Grid nodes along the unit sphere's cube when a vehicle's box is measured; 257 gives the same to 2 mm."""
+_ROUNDED_M = 3  # decimals: sizes enter a task's id, and machines differ in the last bits
+
+
+class VehicleSource(Protocol):
+    """Vehicles by name, and the decoder that draws them."""
+
+    def names(self) -> list[str]:
+        """Every vehicle's name, in a fixed order."""
+        ...
+
+    def vehicle(self, name: str) -> Vehicle:
+        """One of them. Raises InputError for an unknown name."""
+        ...
+
+    def decoder(self) -> Decoder | DeepSdfNetwork:
+        """float32, eval mode, no gradients to its weights. Raises InputError for unusable files."""
+        ...
+
+    def decoder_hash(self) -> str:
+        """128-bit BLAKE2b, hex, of everything that the decoder's values depend on."""
+        ...
+
+
+def vehicle_hash(vehicle: Vehicle) -> str:
+    """128-bit BLAKE2b, hex, of everything that a task reads of a vehicle."""
+    digest = hashlib.blake2b(json.dumps([vehicle.name, float(vehicle.scale_m)]).encode(), digest_size=16)
+    for array in (vehicle.latent_code, vehicle.sdf_R_object, vehicle.sdf_t_object, vehicle.size_m):
+        digest.update(np.asarray(array, dtype=np.float64).tobytes())
+    return digest.hexdigest()
+
+
+class VehicleSet:
+    """A folder with vehicles.safetensors and their decoder, sdf.safetensors; None: the vehicles that ship."""
+
+    def __init__(self, folder: Path | str | None = None) -> None:
+        self._folder = DEFAULT_VEHICLES.parent if folder is None else Path(folder).expanduser()
+
+    @functools.cached_property
+    def _vehicles(self) -> dict[str, Vehicle]:
+        return baseline_vehicles(self._folder / DEFAULT_VEHICLES.name)
+
+    def names(self) -> list[str]:
+        """See `VehicleSource`."""
+        return list(self._vehicles)
+
+    def vehicle(self, name: str) -> Vehicle:
+        """See `VehicleSource`."""
+        return _known(name, self._vehicles, self._folder)
+
+    def decoder(self) -> Decoder:
+        """See `VehicleSource`."""
+        return load_decoder(self._folder / "sdf.safetensors")
+
+    def decoder_hash(self) -> str:
+        """See `VehicleSource`."""
+        path = self._folder / "sdf.safetensors"
+        if not path.is_file():
+            raise InputError("no such file", where=str(path), remedy='train it: make train ARGS="model=sdf"')
+        return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
+
+
+class DeepSdfVehicles:
+    """The instances of a DeepSDF experiment, each scaled to a length and measured as the decoder draws it.
+
+    Args:
+        folder: in the original layout. checkpoint: "latest", or an epoch.
+        forward, up: axes of the sdf frame. The default is ShapeNet's, as pictures of the decoded surfaces show.
+        length_m: from nose to tail, of every vehicle, or by the beginning of a name (the longest that fits), with
+            "default" for the others. Normalised meshes have no size of their own.
+        code_norm: mean length that the experiment's codes are scaled to, the decoder's code columns inversely; None
+            leaves them as trained. No shape depends on it, but a step of the attack does: alpha is a length in code
+            units. None is the default because the paper states alpha = 0.01 for codes of this very training.
+
+    Raises: InputError for an axis or a length that cannot be used.
+    Source: SHIFT3D, Setup ("manually scaled each baseline object" to realistic dimensions).
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        checkpoint: str = "latest",
+        forward: str = "-z",
+        up: str = "+y",
+        length_m: float | Mapping[str, float] = 4.5,
+        code_norm: float | None = None,
+    ) -> None:
+        self._folder = Path(folder).expanduser()
+        self._checkpoint, self._code_norm = checkpoint, code_norm
+        self._forward, self._up = forward, up
+        self._lengths = {"": length_m} if isinstance(length_m, float | int) else dict(length_m)
+        self._lengths = {"" if key == "default" else key: float(length) for key, length in self._lengths.items()}
+        for length in self._lengths.values():
+            MeshFrame(forward, up, length_m=length)
+        self._measured: dict[str, Vehicle] = {}
+
+    @functools.cached_property
+    def _experiment(self) -> Experiment:
+        return load_experiment(self._folder, self._checkpoint)
+
+    @functools.cached_property
+    def _code_scale(self) -> float:
+        """Factor from codes as trained to codes as used."""
+        if self._code_norm is None:
+            return 1.0
+        return self._code_norm / float(self._experiment.codes.double().norm(dim=1).mean())
+
+    @functools.cached_property
+    def _scaled(self) -> Decoder | DeepSdfNetwork:
+        decoder, factor = self._experiment.decoder, self._code_scale
+        return decoder if factor == 1.0 else decoder.with_code_scale(factor)
+
+    def names(self) -> list[str]:
+        """See `VehicleSource`."""
+        return list(self._experiment.instances)
+
+    def decoder(self) -> Decoder | DeepSdfNetwork:
+        """See `VehicleSource`. The same object every time."""
+        return self._scaled
+
+    def decoder_hash(self) -> str:
+        """See `VehicleSource`."""
+        digest = hashlib.blake2b(repr(self._code_norm).encode(), digest_size=16)
+        for path in experiment_files(self._folder, self._checkpoint):
+            digest.update(hashlib.blake2b(path.read_bytes(), digest_size=16).digest())
+        return digest.hexdigest()
+
+    def vehicle(self, name: str) -> Vehicle:
+        """See `VehicleSource`. The first call for a name decodes its surface: some seconds.
+
+        The origin of its object frame is the centre of the decoded box, and its size the box's, to the millimetre.
+        """
+        if name not in self._measured:
+            index = _known(name, {name: i for i, name in enumerate(self.names())}, self._folder)
+            code = self._experiment.codes[index] * self._code_scale
+            self._measured[name] = self._measure(name, code)
+        return self._measured[name]
+
+    def _measure(self, name: str, code: Tensor) -> Vehicle:
+        length_m = self._length_of(name)
+        sdf_R_object = MeshFrame(self._forward, self._up, length_m=length_m).object_R_file().T
+        mesh = extract_mesh(self._scaled.field(code), MEASURED_RESOLUTION)
+        decoded = np.asarray(mesh.vertices, np.float64) @ sdf_R_object
+        low, high = decoded.min(axis=0), decoded.max(axis=0)
+        self._check_direction(high - low, sdf_R_object, name)
+        scale_m = round(float(length_m / (high - low)[0]), 4)
+        size = np.round((high - low) * scale_m, _ROUNDED_M)
+        centre = np.round((low + high) / 2.0 * scale_m, _ROUNDED_M) / scale_m
+        return Vehicle(
+            name=name,
+            body_type=name.split("_")[0],
+            latent_code=code.numpy().astype(np.float32),
+            scale_m=scale_m,
+            sdf_R_object=sdf_R_object,
+            sdf_t_object=sdf_R_object @ centre,
+            size_m=(float(size[0]), float(size[1]), float(size[2])),
+        )
+
+    def _length_of(self, name: str) -> float:
+        fitting = [key for key in self._lengths if name.startswith(key)]
+        if not fitting:
+            what = f"vehicle.length_m says nothing about {name}"
+            raise InputError(what, where=str(self._folder), remedy="Add default=4.5 to it")
+        return self._lengths[max(fitting, key=len)]
+
+    def _check_direction(self, extent: NDArray[np.float64], sdf_R_object: NDArray[np.float64], name: str) -> None:
+        longest = int(np.argmax(extent))
+        if longest != 0:
+            axis = "xyz"[int(np.argmax(np.abs(sdf_R_object[:, longest])))]
+            what = f"{name} is longest along {axis}, not along vehicle.forward={self._forward}"
+            raise InputError(what, where=str(self._folder), remedy=f"Give vehicle.forward=+{axis} or -{axis}")
+
+
+def _known(name: str, found: Mapping[str, _T], folder: Path) -> _T:
+    if name not in found:
+        first = ", ".join(list(found)[:12])
+        more = f", ... ({len(found)} in all)" if len(found) > 12 else ""
+        raise InputError(f"unknown vehicle {name!r}", where=str(folder), remedy=f"Choose from {first}{more}")
+    return found[name]
