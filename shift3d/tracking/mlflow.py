@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["SweepRecord", "mirror", "serve_command"]
+__all__ = ["SweepRecord", "mirror", "patience", "serve_command"]
 
 # An MLflow that is away must not hold a finished sweep up for MLflow's own default of minutes.
 _PATIENCE = {
@@ -57,7 +57,7 @@ def mirror(record: SweepRecord, uri: str, experiment: str) -> str | None:
 
     A sweep's results are in its folder: whatever goes wrong here is a warning and never the sweep's failure.
     """
-    with _patience():
+    with patience():
         try:
             _write(record, uri, experiment)
         except Exception as error:
@@ -155,7 +155,8 @@ def serve_command(uri: str, port: int, workers: int = 1) -> list[str]:
 
 
 @contextlib.contextmanager
-def _patience() -> Iterator[None]:
+def patience() -> Iterator[None]:
+    """MLflow gives up after seconds, not minutes, while this is open."""
     added = {name: value for name, value in _PATIENCE.items() if name not in os.environ}
     os.environ.update(added)
     try:

@@ -24,7 +24,11 @@ from shift3d.errors import InputError
 from shift3d.sdf.decoder import Architecture, Decoder
 from shift3d.seeding import derive_seed
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
+from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
 from shift3d.training.sdf_shapes import ShapeSamples, shape_samples
+
+CURVE_STEPS = 100
 
 
 @dataclass(frozen=True)
@@ -58,12 +62,16 @@ _BEFORE_MESHES = {"source": "family", "mirror": True}
 class _Run:
     """The state of one training: decoder, codes, optimiser, step."""
 
-    def __init__(self, recipe: SdfRecipe) -> None:
+    def __init__(self, recipe: SdfRecipe, compute: Compute | None = None) -> None:
+        self.compute = compute or choose_compute("cpu")
+        # Mixed precision only where it pays; which it was stands in the checkpoint.
+        mixed = recipe.compute == "bfloat16" and self.compute.fast_bfloat16
+        self.wide_dtype = torch.bfloat16 if mixed else torch.float32
         torch.manual_seed(derive_seed("sdf training", recipe.seed) % 2**63)
         self.recipe = recipe
-        self.decoder = Decoder(Architecture())
+        self.decoder = Decoder(Architecture()).to(self.compute.device)
         codes = torch.randn(recipe.shapes, self.decoder.architecture.code_length) * recipe.code_init_std
-        self.codes = torch.nn.Parameter(codes)
+        self.codes = torch.nn.Parameter(codes.to(self.compute.device))
         groups = [
             {"params": list(self.decoder.parameters()), "lr": recipe.network_rate},
             {"params": [self.codes], "lr": recipe.code_rate},
@@ -71,6 +79,7 @@ class _Run:
         self.optimizer = torch.optim.Adam(groups, fused=True)
         self.step = 0
         self.losses: list[float] = []
+        self.watch = Stopwatch()
         self.note = "one schedule from the first step to the last"
 
     def set_rates(self) -> None:
@@ -83,9 +92,10 @@ class _Run:
 
     def advance(self, points: Tensor, distances: Tensor) -> float:
         """One step on points (S, P, 3) and distances (S, P) of all shapes; returns the data loss."""
-        recipe = self.recipe
+        recipe, device = self.recipe, self.compute.device
+        points, distances = points.to(device), distances.to(device)
         self.set_rates()
-        predicted = self.decoder.grouped(self.codes, points, getattr(torch, recipe.compute))
+        predicted = self.decoder.grouped(self.codes, points, self.wide_dtype)
         target = distances.clamp(-recipe.clamp, recipe.clamp)
         data = (predicted.clamp(-recipe.clamp, recipe.clamp) - target).abs().mean()
         ramp = min(1.0, self.step / (recipe.penalty_ramp * recipe.steps))
@@ -106,6 +116,8 @@ class _Run:
             "optimizer": self.optimizer.state_dict(),
             "losses": self.losses,
             "note": self.note,
+            "seconds": self.watch.seconds,
+            "compute": self.compute.facts(self.recipe.compute == "bfloat16"),
         }
 
     def restore(self, state: dict[str, Any], where: str) -> None:
@@ -118,6 +130,11 @@ class _Run:
         self.optimizer.load_state_dict(state["optimizer"])
         self.step, self.losses = int(state["step"]), list(state["losses"])
         self.note = str(state.get("note", self.note))
+        self.watch = Stopwatch(float(state.get("seconds", 0.0)))
+
+    def curve_point(self) -> CurvePoint:
+        """The last hundred steps' mean loss, and the network's learning rate."""
+        return self.step, {"loss": self.losses[-1], "learning_rate": float(self.optimizer.param_groups[0]["lr"])}
 
 
 def _batch(samples: ShapeSamples, recipe: SdfRecipe, step: int) -> tuple[Tensor, Tensor]:
@@ -137,6 +154,8 @@ def train_sdf(
     threads: int = 1,
     checkpoint_every: int = 1000,
     samples: ShapeSamples | None = None,
+    compute: Compute | None = None,
+    report: Report | None = None,
 ) -> Path:
     """Train, or go on with a training, and leave `sdf.pt` (decoder, codes, recipe) in `out_dir`.
 
@@ -144,40 +163,52 @@ def train_sdf(
         out_dir: holds the sampled shapes, the checkpoint and `progress.json`; the same folder and recipe resume.
         recipe: default the shipped one.
         threads: of the arithmetic; another number rounds differently and changes nothing else.
-        checkpoint_every: steps between checkpoints; no influence on the result.
+        checkpoint_every: steps between checkpoints; no influence on the result. SIGINT and SIGTERM also write one.
         samples: of the shapes to train on; default the family's. The recipe's `shapes` and `source` are then theirs.
+        compute: default the CPU with `threads` threads. report: is given the curve's points after every checkpoint.
     Returns: the finished checkpoint.
-    Raises: InputError when `out_dir` holds another recipe's training.
+    Raises: InputError when `out_dir` holds another recipe's training; KeyboardInterrupt when asked to stop.
     Source: Park et al. 2019, section 4; see the module for what is ours.
     """
     recipe = recipe or SdfRecipe()
     out = Path(out_dir)
-    torch.set_num_threads(threads)
-    torch.set_flush_denormal(True)  # units that die leave subnormal weights, whose products are many times slower
+    compute = compute or choose_compute("cpu", threads)
+    compute.prepare()
     if samples is None:
         samples = shape_samples(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", threads)
     if (len(samples.points), samples.source) != (recipe.shapes, recipe.source):
         raise InputError("samples of other shapes than the recipe's", where=str(out), remedy="those of its source")
-    run = _Run(recipe)
+    run = _Run(recipe, compute)
     file = out / "sdf.pt"
     state = read_checkpoint(file)
     if state is not None:
         run.restore(state, str(file))
+    _advance_to_end(run, samples, file, checkpoint_every, report)
+    return file
+
+
+def _advance_to_end(run: _Run, samples: ShapeSamples, file: Path, every: int, report: Report | None) -> None:
+    """All steps that are left, with checkpoints."""
+    steps = run.recipe.steps
     recent: list[float] = []
-    with tqdm(total=recipe.steps, initial=run.step, desc="training sdf", mininterval=10.0) as bar:
-        while run.step < recipe.steps:
-            recent.append(run.advance(*_batch(samples, recipe, run.step)))
+    curve: list[CurvePoint] = []
+    bar = tqdm(total=steps, initial=run.step, desc="training sdf", mininterval=10.0)
+    with stop_on_signal() as stop, bar:
+        while run.step < steps:
+            recent.append(run.advance(*_batch(samples, run.recipe, run.step)))
             bar.update()
-            if run.step % 100 == 0:
+            if run.step % CURVE_STEPS == 0:
                 run.losses.append(float(np.mean(recent)))
+                curve.append(run.curve_point())
                 bar.set_postfix(loss=f"{run.losses[-1]:.5f}", refresh=False)
                 recent = []
-            if run.step % checkpoint_every == 0 or run.step == recipe.steps:
+            if run.step % every == 0 or run.step == steps or stop.asked:
                 write_checkpoint(file, run.state())
-                progress = {
-                    "step": run.step,
-                    "of": recipe.steps,
-                    "loss": run.losses[-1] if run.losses else None,
-                }
-                (out / "progress.json").write_text(json.dumps(progress))
-    return file
+                loss = run.losses[-1] if run.losses else None
+                (file.parent / "progress.json").write_text(json.dumps({"step": run.step, "of": steps, "loss": loss}))
+                tqdm.write(f"step {run.step} of {steps}  loss {loss}  ({file.name} written)")
+                if report is not None and curve:
+                    report(curve)
+                curve = []
+            if stop.asked and run.step < steps:
+                raise KeyboardInterrupt

@@ -15,6 +15,7 @@ from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder, save_decoder
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.training.checkpoints import read_checkpoint
+from shift3d.training.provenance import versions
 from shift3d.training.sdf_shapes import shape_scales, training_specs
 from shift3d.vehicles.family import VehicleSpec
 from shift3d.vehicles.vehicle import BASELINES
@@ -109,7 +110,9 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
         "code_scale": factor,
         "loss_every_100_steps": [round(float(loss), 6) for loss in state["losses"]],
         "note": state.get("note", "one uninterrupted schedule"),
-        "torch": torch.__version__,
+        "training_seconds": round(float(state.get("seconds", 0.0)), 1),
+        "compute": state.get("compute"),
+        "versions": versions(),
     }
     save_decoder(decoder, target / "sdf.safetensors", {"step": str(state["step"]), "recipe": json.dumps(recipe)})
     partial = target / "vehicles.safetensors.partial"

@@ -15,6 +15,8 @@ from tqdm import tqdm
 from shift3d.processor import has_fast_bfloat16
 from shift3d.sdf.decoder import Decoder
 from shift3d.training.checkpoints import read_checkpoint
+from shift3d.training.compute import Compute
+from shift3d.training.progress import Report
 from shift3d.training.sdf import SdfRecipe, train_sdf
 from shift3d.training.sdf_export import CODE_NORM
 from shift3d.training.sdf_meshes import MeshShapes, mesh_shapes
@@ -59,6 +61,8 @@ def train_on_meshes(
     threads: int = 1,
     steps: int = STEPS,
     samples_a_shape: int = SAMPLES_A_SHAPE,
+    compute: Compute | None = None,
+    report: Report | None = None,
 ) -> list[FittedVehicle]:
     """Train a decoder of the published size on the meshes at a path, or go on; leave the vehicle set in `out`.
 
@@ -68,7 +72,7 @@ def train_on_meshes(
     start = time.monotonic()
     shapes = mesh_shapes(path, frame, samples_a_shape, SEED, out / "shapes", threads)
     recipe = mesh_recipe(shapes, steps)
-    checkpoint = train_sdf(out, recipe, threads, checkpoint_every=250, samples=shapes.samples)
+    checkpoint = train_sdf(out, recipe, threads, 250, shapes.samples, compute, report)
     seconds = time.monotonic() - start
     return export_mesh_training(checkpoint, shapes, frame, out, seconds)
 
