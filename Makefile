@@ -41,7 +41,7 @@ check: .venv/.dev  ## lint, format, types, layers
 ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 	$(BIN)/shift3d ui $(ARGS)
 
-train: .venv/.runtime  ## train shipped weights: ARGS="model=sdf" or ARGS="model=pointpillars"
+train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars or sst; shift3d train --help says what else
 	$(BIN)/shift3d train $(ARGS)
 
 pictures: .venv/.runtime  ## draw the README's pictures again

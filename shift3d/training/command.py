@@ -1,44 +1,91 @@
-"""What ``shift3d train`` and ``shift3d evaluate`` do: train the shipped weights again, and say how good they are."""
+"""What ``shift3d train`` and ``shift3d evaluate model=sdf`` do."""
 
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from shift3d.errors import InputError
 
-__all__ = ["MODELS", "evaluate", "train"]
+if TYPE_CHECKING:
+    from shift3d.scenes.sets import SceneSet
+    from shift3d.training.compute import Compute
+    from shift3d.training.detector_recipe import Recipe
+    from shift3d.training.progress import Report
+
+__all__ = ["MODELS", "TrainOptions", "detector_recipe", "evaluate", "train"]
 
 MODELS = ("sdf", "pointpillars", "sst")
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 
 
-def train(model: str, out: Path, threads: int | None = None) -> int:
-    """Train a shipped model from nothing but this package, or go on where an interrupted training stopped.
+@dataclass(frozen=True)
+class TrainOptions:
+    """What `shift3d train` was given beside the model.
+
+    out: holds samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda.
+    scenes: "street" or "kitti"; root: of KITTI; count: scenes, None for the recipe's (street) or every frame (kitti).
+    steps: None for the recipe's. start_from: a weights file to start from, or "shipped".
+    """
+
+    out: Path
+    threads: int | None = None
+    device: str = "auto"
+    scenes: str = "street"
+    root: str | None = None
+    count: int | None = None
+    steps: int | None = None
+    start_from: str | None = None
+
+    @property
+    def shipped(self) -> bool:
+        """Whether this is the recipe of the shipped weights, on its scenes: only then are they written over."""
+        return (self.scenes, self.count, self.steps, self.start_from) == ("street", None, None, None)
+
+    def compute(self) -> Compute:
+        """Device and threads. Raises: InputError for a device that is not there."""
+        from shift3d.training.compute import choose_compute
+
+        return choose_compute(self.device, self.threads or os.cpu_count() or 1)
+
+
+def train(model: str, options: TrainOptions, report: Report | None = None) -> Path:
+    """Train a model, or go on where an interrupted training stopped; returns the finished weights.
+
+    The recipe of the shipped weights, from nothing but this package, goes to ``shift3d/weights``; anything else, and
+    so everything that real frames went into, to ``options.out``.
 
     Args:
-        model: one of MODELS; the detectors need the weights of sdf, whose vehicles they are trained on.
-        out: holds samples, scenes and checkpoints; the finished weights go to ``shift3d/weights``.
-        threads: of the arithmetic; default every core.
+        model: one of MODELS; the detectors insert vehicles that the weights of sdf draw.
+        report: is given the curves' points after every checkpoint.
 
     Raises:
-        InputError: unknown model; a checkpoint of another recipe in ``out``.
+        InputError: unknown model, or an option that is not for it; a checkpoint of another recipe in ``out``.
     """
-    threads = threads or os.cpu_count() or 1
-    trainers: dict[str, Callable[[Path, int], None]] = {
-        "sdf": _train_sdf,
-        "pointpillars": partial(_train_detector, "pointpillars"),
-        "sst": partial(_train_detector, "sst"),
-    }
-    start = time.monotonic()
-    _known(model, trainers)(out, threads)
-    print(f"{model}: trained in {(time.monotonic() - start) / 60:.0f} min, weights in {WEIGHTS_FOLDER.name}/")
-    return 0
+    if model not in MODELS:
+        raise InputError(f"unknown model {model!r}", "model=", f"Choose from {', '.join(MODELS)}")
+    if model == "sdf":
+        if not options.shipped:
+            remedy = "Leave out scenes=, count=, steps= and start_from=, or give vehicles=PATH"
+            raise InputError("sdf is trained on vehicles, not on scenes", "train", remedy)
+        return _train_sdf(options, report)
+    return _train_detector(model, options, report)
+
+
+def detector_recipe(name: str, options: TrainOptions) -> Recipe:
+    """The recipe of a detector with the given number of steps and of procedural scenes."""
+    from shift3d.training.detector_recipe import RECIPES, scaled_to_steps
+
+    recipe = RECIPES[name]
+    if options.steps is not None:
+        recipe = scaled_to_steps(recipe, options.steps)
+    if options.scenes == "street" and options.count is not None:
+        recipe = replace(recipe, mesh_scenes=options.count, inserted_scenes=min(recipe.inserted_scenes, options.count))
+    return recipe
 
 
 def evaluate(model: str) -> int:
@@ -56,23 +103,52 @@ def evaluate(model: str) -> int:
     return 0
 
 
-def _known(model: str, table: dict[str, Callable[..., None]]) -> Callable[..., None]:
-    if model not in table:
-        raise InputError(f"unknown model {model!r}", "model=", f"Choose from {', '.join(MODELS)}")
-    return table[model]
-
-
-def _train_sdf(out: Path, threads: int) -> None:
+def _train_sdf(options: TrainOptions, report: Report | None) -> Path:
     from shift3d.training.sdf import train_sdf
     from shift3d.training.sdf_export import export_sdf
 
-    export_sdf(train_sdf(out, threads=threads), WEIGHTS_FOLDER)
+    compute = options.compute()
+    checkpoint = train_sdf(options.out, threads=compute.threads, compute=compute, report=report)
+    export_sdf(checkpoint, WEIGHTS_FOLDER)
+    return WEIGHTS_FOLDER / "sdf.safetensors"
 
 
-def _train_detector(name: str, out: Path, threads: int) -> None:
-    from shift3d.training.detector import RECIPES, train_detector
+def _train_detector(name: str, options: TrainOptions, report: Report | None) -> Path:
+    from shift3d.training.detector import train_detector
 
-    train_detector(out, RECIPES[name], threads=threads, weights_file=WEIGHTS_FOLDER / f"{name}.safetensors")
+    weights = (WEIGHTS_FOLDER if options.shipped else options.out) / f"{name}.safetensors"
+    start_from = None
+    if options.start_from is not None:
+        shipped = WEIGHTS_FOLDER / f"{name}.safetensors"
+        start_from = shipped if options.start_from == "shipped" else Path(options.start_from).expanduser()
+    train_detector(
+        options.out,
+        detector_recipe(name, options),
+        weights_file=weights,
+        scenes=_scene_set(options),
+        start_from=start_from,
+        compute=options.compute(),
+        report=report,
+    )
+    return weights
+
+
+def _scene_set(options: TrainOptions) -> SceneSet | None:
+    """The scenes to train on, None for the recipe's own streets."""
+    from shift3d.scenes.kitti import KittiScenes
+
+    if options.scenes == "street":
+        if options.root is not None:
+            raise InputError("root= means nothing for scenes=street", "train", "Give scenes=kitti root=PATH")
+        return None
+    if options.scenes != "kitti":
+        remedy = "Give scenes=street or scenes=kitti root=PATH"
+        raise InputError(f"scenes={options.scenes!r} is unknown", "train", remedy)
+    if not options.root:
+        raise InputError("root= is missing", "train", "Give root=PATH, the folder that holds KITTI's training/")
+    root = Path(options.root).expanduser()
+    everything = KittiScenes(root)
+    return everything if options.count is None else KittiScenes(root, everything.names()[: options.count])
 
 
 def _evaluate_sdf() -> None:
