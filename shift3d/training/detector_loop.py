@@ -140,7 +140,7 @@ def train_on_scenes(
                     f"{name} {value:.3g}" for name, value in (run.curve[-1][1] if run.curve else {}).items()
                 )
                 tqdm.write(f"step {run.done} of {recipe.steps}  {shown}  ({CHECKPOINT} written)")
-            if stop.asked and run.done < end:
+            if stop.asked and run.done < recipe.steps:
                 raise KeyboardInterrupt
     run.net.eval()
     return run.net

@@ -1,0 +1,196 @@
+"""Training on scenes of any set: resumed, interrupted, recorded, and never over the weights that ship."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from shift3d.detectors.backbone import BackboneSpec
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.pointpillars import PointPillarsNet
+from shift3d.detectors.sst import SstNet, SstSpec
+from shift3d.detectors.window_transformer import TransformerSpec
+from shift3d.errors import InputError
+from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.labels import Labels
+from shift3d.scenes.scene import Scene
+from shift3d.training import command, detector_loop
+from shift3d.training.checkpoints import read_checkpoint
+from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.detector import train_detector
+from shift3d.training.detector_loop import train_on_scenes
+from shift3d.training.detector_recipe import RECIPES, Recipe, scaled_to_steps
+from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene
+from shift3d.training.progress import CurvePoint
+
+PILLARS = BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4)
+TOKENS = SstSpec(TransformerSpec(width=8, heads=2, feed_forward=8, blocks=1), encoder_hidden=4, out_channels=8)
+TINY = Recipe(network=PILLARS, steps=6, mesh_only_steps=6, inserted_scenes=0, crop_cells=32, rim_cells=2)
+RECIPE = {"pointpillars": TINY, "sst": dataclasses.replace(TINY, network=TOKENS, bfloat16=False)}
+both = pytest.mark.parametrize("recipe", RECIPE.values(), ids=RECIPE.keys())
+
+WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
+BOX = (8.0, 0.0, -0.93, 4.0, 1.8, 1.6, 0.0)
+
+
+def _cloud(seed: int = 0, count: int = 3000) -> np.ndarray:
+    """Ground around the sensor, and a car-sized block of points ahead of it."""
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform((-30, -30, -1.75), (30, 30, -1.71), (count, 3))
+    block = np.asarray(BOX[:3]) + rng.uniform(-0.5, 0.5, (300, 3)) * BOX[3:6]
+    return np.concatenate((ground, block)).astype(np.float32)
+
+
+def _scene(name: str) -> TrainingScene:
+    points = _cloud(int(name)) + np.array((0, 0, 1.73), np.float32)
+    return TrainingScene(points, np.array([BOX], np.float32) + np.float32([0, 0, 1.73, 0, 0, 0, 0]), 1.73)
+
+
+def _kitti(root: Path) -> Path:
+    """Two frames in KITTI's layout, camera axes along the LiDAR's, a car 8 m ahead."""
+    axes = "0 -1 0 0 0 0 -1 0 1 0 0 0"
+    lines = f"P2: 700 0 600 0 0 700 180 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {axes}\n"
+    car = "Car 0.00 0 0.0 500 150 600 200 1.60 1.80 4.00 0.00 1.73 8.00 -1.570796\n"
+    for part in ("velodyne", "calib", "label_2"):
+        (root / "training" / part).mkdir(parents=True)
+    for name in ("000003", "000008"):
+        points = np.concatenate((_cloud(int(name)), np.full((3300, 1), 0.3)), axis=1)
+        points.astype("<f4").tofile(root / "training" / "velodyne" / f"{name}.bin")
+        (root / "training" / "calib" / f"{name}.txt").write_text(lines)
+        (root / "training" / "label_2" / f"{name}.txt").write_text(car)
+    return root
+
+
+@both
+def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_training(
+    recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(detector_loop, "CURVE_STEPS", 1)
+    files = cache_scenes(tmp_path / "scenes", ["0", "1"], _scene)
+    straight = train_on_scenes(tmp_path / "straight", recipe, files)
+    told: list[CurvePoint] = []
+    advance = detector_loop._train_step
+
+    def advance_and_be_ended(run: Any, step: int, *batch: Any) -> dict[str, float]:
+        if step == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return advance(run, step, *batch)
+
+    before = signal.getsignal(signal.SIGTERM)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(detector_loop, "_train_step", advance_and_be_ended)
+        train_on_scenes(tmp_path / "cut", recipe, files, report=told.extend)
+    assert signal.getsignal(signal.SIGTERM) is before
+    state = read_checkpoint(tmp_path / "cut" / "checkpoint.pt")
+    assert state is not None and state["steps_done"] == 3
+    resumed = train_on_scenes(tmp_path / "cut", recipe, files, report=told.extend)
+    for name, tensor in straight.state_dict().items():
+        assert torch.equal(tensor, resumed.state_dict()[name]), name
+    assert [step for step, _ in told] == [1, 2, 3, 4, 5, 6]
+    assert {"class", "box", "direction", "learning_rate"} <= told[-1][1].keys()
+
+
+def test_a_folder_of_other_scenes_is_refused(tmp_path: Path) -> None:
+    files = cache_scenes(tmp_path / "scenes", ["0"], _scene)
+    train_on_scenes(tmp_path / "out", TINY, files, stop_after=1, data="kitti-1")
+    with pytest.raises(InputError, match="another set of scenes"):
+        train_on_scenes(tmp_path / "out", TINY, files, data="kitti-2")
+
+
+@both
+def test_weights_of_real_frames_go_to_the_given_folder_alone(
+    recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(RECIPES, recipe.detector, recipe)
+    monkeypatch.setattr(command, "WEIGHTS_FOLDER", tmp_path / "shipped")
+    out = tmp_path / "out"
+    options = command.TrainOptions(out, threads=1, device="cpu", scenes="kitti", root=str(_kitti(tmp_path)), steps=2)
+    weights = command.train(recipe.detector, options)
+    assert weights == out / f"{recipe.detector}.safetensors"
+    assert load_file(weights).keys() == recipe.new_network().state_dict().keys()
+    assert not (tmp_path / "shipped").exists()
+    facts = json.loads(weights.with_suffix(".json").read_text())
+    assert facts["scenes"] == {"dataset": "kitti", "count": 2, "names": ["000003", "000008"]}
+    assert facts["steps"] == facts["recipe"]["steps"] == 2 and facts["recipe"]["seed"] == 0
+    assert facts["compute"]["device"] == "cpu" and facts["training_seconds"] > 0
+    assert facts["versions"]["torch"] == torch.__version__
+
+
+def test_only_the_shipped_recipe_writes_the_shipped_weights(tmp_path: Path) -> None:
+    assert command.TrainOptions(tmp_path, threads=3, device="cpu").shipped
+    for other in ({"scenes": "kitti"}, {"count": 3}, {"steps": 3}, {"start_from": "shipped"}):
+        assert not command.TrainOptions(tmp_path, **other).shipped
+    with pytest.raises(InputError, match="not on scenes"):
+        command.train("sdf", command.TrainOptions(tmp_path, scenes="kitti"))
+    with pytest.raises(InputError, match="root= is missing"):
+        command.train("sst", command.TrainOptions(tmp_path, scenes="kitti"))
+
+
+def test_scenes_without_a_vehicle_are_refused(tmp_path: Path) -> None:
+    root = _kitti(tmp_path)
+    for file in (root / "training" / "label_2").glob("*.txt"):
+        file.write_text("")
+    with pytest.raises(InputError, match="no scene has a labelled vehicle"):
+        train_detector(tmp_path / "out", TINY, scenes=KittiScenes(root))
+
+
+def test_only_the_labelled_sector_is_trained_on() -> None:
+    """A car inside keeps points beyond the edge, one outside loses those within it, and the rest is cut."""
+    edge = np.tan(0.6) * 10.0
+    inside, outside = (10.0, edge - 0.5, 0.8, 4.0, 1.8, 1.6, 0.0), (10.0, edge + 0.5, 0.8, 4.0, 1.8, 1.6, 0.0)
+    points = np.array([[10, 0, 0], [10, edge - 0.2, 0.8], [10, edge + 0.2, 0.8], [-10, 0, 0], [1, 9, 0]], np.float32)
+
+    def cut(box: tuple[float, ...]) -> TrainingScene:
+        labels = Labels(np.array([box]), ("vehicle",), np.array([2], np.int32))
+        return from_scene(Scene("a", "toy", points, np.zeros_like(points), 0.0, labels), (0.0, 0.6))
+
+    assert cut(inside).points.tolist() == points[:3].tolist() and len(cut(inside).boxes) == 1
+    assert cut(outside).points.tolist() == points[:1].tolist() and len(cut(outside).boxes) == 0
+
+
+def test_fewer_steps_keep_the_share_without_insertions() -> None:
+    short = scaled_to_steps(RECIPES["pointpillars"], 700)
+    assert (short.steps, short.mesh_only_steps) == (700, 270)
+    assert short == dataclasses.replace(RECIPES["pointpillars"], steps=700, mesh_only_steps=270)
+
+
+def test_a_device_that_is_not_there_is_refused() -> None:
+    with pytest.raises(InputError, match="unknown device"):
+        choose_compute("tpu")
+    if not torch.cuda.is_available():
+        assert choose_compute("auto").device.type == "cpu"
+        with pytest.raises(InputError, match="no CUDA"):
+            choose_compute("cuda")
+
+
+def test_points_are_encoded_in_float32_under_autocast() -> None:
+    cloud = torch.from_numpy(_cloud() + np.array((0, 0, 1.73), np.float32))
+    pillars, tokens = PointPillarsNet(PILLARS), SstNet(TOKENS)
+    with torch.no_grad():
+        exact = pillars.canvas([cloud], [WINDOW]), tokens._encoded([cloud], [WINDOW])[0]
+        with torch.autocast("cpu", torch.bfloat16):
+            mixed = pillars.canvas([cloud], [WINDOW]), tokens._encoded([cloud], [WINDOW])[0]
+            logits = [net([cloud], [WINDOW]).logits for net in (pillars, tokens)]
+    assert all(torch.equal(a, b) for a, b in zip(exact, mixed, strict=True))
+    assert all(torch.isfinite(values.float()).all() for values in logits)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@both
+def test_training_on_cuda_follows_the_cpu(recipe: Recipe, tmp_path: Path) -> None:
+    files = cache_scenes(tmp_path / "scenes", ["0", "1"], _scene)
+    exact = dataclasses.replace(recipe, bfloat16=False, steps=2, mesh_only_steps=2)
+    curves: dict[str, list[CurvePoint]] = {"cpu": [], "cuda": []}
+    for device, told in curves.items():
+        compute = Compute(torch.device(device))
+        train_on_scenes(tmp_path / device, exact, files, compute=compute, report=told.extend)
+    assert curves["cuda"][-1][1] == pytest.approx(curves["cpu"][-1][1], rel=1e-3)
