@@ -17,12 +17,10 @@ from scipy.sparse.csgraph import connected_components
 
 from shift3d.errors import InputError
 from shift3d.sdf.samples import is_closed, winding_number
-from shift3d.vehicles.wrap import SEAL_M, uncollapsed, wrapped
+from shift3d.vehicles.wrap import SOLID_SHARE, uncollapsed, wrapped
 
 SIDED_SHARE = 0.99
 """Share of the surface that must have outside on its outer and inside on its inner side, not to be wrapped."""
-SOLID_SHARE = 0.15
-"""Least share of its box that a vehicle fills: a saloon car fills about half, an open-wheeled car a third."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,8 @@ class RepairReport:
     """What was found and done.
 
     watertight: whether the mesh was closed as it came, vertices merged. open_edges: edges of only one face then.
-    merged_vertices, dropped_faces, flipped_pieces, filled_holes: counts of the repairs.
+    merged_vertices, dropped_faces, flipped_pieces, filled_holes: counts of the repairs. widest_hole_m: across the
+    largest that was filled, so that a missing floor is not taken for a crack.
     wrapped: whether the surface is a new one; then seal_m is how wide the gaps are that it bridges, and departure_m
     and departure_p99_m the mean and 99th percentile of its distance from the mesh's faces, metres.
     """
@@ -41,6 +40,7 @@ class RepairReport:
     dropped_faces: int = 0
     flipped_pieces: int = 0
     filled_holes: int = 0
+    widest_hole_m: float = 0.0
     wrapped: bool = False
     seal_m: float = 0.0
     departure_m: float = 0.0
@@ -56,7 +56,7 @@ class RepairReport:
             for count, what in (
                 (self.dropped_faces, "degenerate or repeated faces dropped"),
                 (self.flipped_pieces, "pieces turned outside out"),
-                (self.filled_holes, "holes filled"),
+                (self.filled_holes, f"holes filled, the widest {100 * self.widest_hole_m:.1f} cm"),
             )
             if count
         ]
@@ -82,10 +82,9 @@ def repaired(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, Repair
     if is_closed(mesh):
         mesh, report = _turned(mesh, report)
         if sided_share(mesh) >= SIDED_SHARE:
-            _check_solid(mesh, where, "is it a body?")
+            _check_solid(mesh, where)
             return mesh, report
     outer, seal_m, off = wrapped(mesh, where)
-    _check_solid(outer, where, f"holes wider than {100 * max(SEAL_M):.0f} cm must be closed by hand")
     return outer, replace(
         report,
         wrapped=True,
@@ -112,22 +111,29 @@ def _cleaned(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, RepairReport]:
 
 
 def _stitched(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimesh, RepairReport]:
-    """Windings made one within each piece, then small holes filled."""
+    """Windings made one within each piece, then holes of three or four edges filled."""
     trimesh.repair.fix_winding(mesh)
-    loops = _open_loops(mesh)
+    before = _hole_widths_m(mesh)
     trimesh.repair.fill_holes(mesh)
-    return mesh, replace(report, filled_holes=loops - _open_loops(mesh))
+    after = _hole_widths_m(mesh)
+    filled = [width for corners, width in before.items() if corners not in after]
+    return mesh, replace(report, filled_holes=len(filled), widest_hole_m=max(filled, default=0.0))
 
 
-def _open_loops(mesh: trimesh.Trimesh) -> int:
-    """How many connected runs of edges with only one face there are: holes, if nothing is odd about them."""
+def _hole_widths_m(mesh: trimesh.Trimesh) -> dict[frozenset[int], float]:
+    """Width of every connected run of edges with only one face (a hole, if nothing is odd), by its vertices."""
     single = mesh.edges_unique[np.bincount(mesh.edges_unique_inverse) == 1]
     if not len(single):
-        return 0
+        return {}
     count = len(mesh.vertices)
     graph = coo_matrix((np.ones(len(single)), single.T), shape=(count, count))
     _, labels = connected_components(graph, directed=False)
-    return len(np.unique(labels[single[:, 0]]))
+    corners = np.unique(single)
+    runs = [corners[labels[corners] == run] for run in np.unique(labels[corners])]
+    return {
+        frozenset(int(corner) for corner in run): float(np.linalg.norm(np.ptp(mesh.vertices[run], axis=0)))
+        for run in runs
+    }
 
 
 def _pieces(mesh: trimesh.Trimesh) -> NDArray[np.int64]:
@@ -173,8 +179,8 @@ def sided_share(mesh: trimesh.Trimesh, count: int = 4000, step_m: float = 1e-3) 
     return float(((outer < 0.5) & (inner > 0.5)).mean())
 
 
-def _check_solid(mesh: trimesh.Trimesh, where: str, remedy: str) -> None:
+def _check_solid(mesh: trimesh.Trimesh, where: str) -> None:
     share = float(mesh.volume / np.prod(np.ptp(mesh.vertices, axis=0)))
     if share < SOLID_SHARE:
         what = f"the mesh encloses {100 * share:.0f} % of its box, too little for a vehicle"
-        raise InputError(what, where=where, remedy=remedy)
+        raise InputError(what, where=where, remedy="leave it out: it is a part, a frame or a scene")

@@ -17,11 +17,16 @@ from shift3d.errors import InputError
 from shift3d.sdf.chamfer import distance_to_surface
 
 SEAL_M = (0.05, 0.10, 0.20)
-"""Widths of gaps that are bridged, tried in turn until the inside no longer floods."""
+"""Widths of gaps that are bridged: of these, the narrowest at which the inside does not flood."""
+LAST_SEAL_M = 0.40
+"""Where it floods at all of those: cars whose wheel arches or windows are open."""
 CELL_M = 0.025
 """Grid spacing: half the narrowest gap, so that no path leads through the wall between two nodes."""
 COARSE = 4
-FILLED_SHARE = 0.15
+SOLID_SHARE = 0.30
+"""Least share of its box that a vehicle fills. Closed cars fill 0.4 to 0.65; one that is flooded, 0.25 or less."""
+UNFLOODED_SHARE = 0.85
+"""A width that encloses less than this of what the widest does has let the flood in somewhere."""
 
 Grid = NDArray[np.float64]
 
@@ -33,17 +38,28 @@ def wrapped(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, float, 
         over it from the mesh.
     Raises: InputError naming `where` when the inside floods whatever the width.
     """
-    low = np.asarray(mesh.bounds[0]) - max(SEAL_M) - 2.0 * CELL_M
-    counts = np.ceil((np.asarray(mesh.bounds[1]) + max(SEAL_M) + 2.0 * CELL_M - low) / CELL_M)
-    counts = (-(-counts // COARSE) * COARSE + 1).astype(np.int64)
-    away = _distances(mesh, low, tuple(counts), max(SEAL_M) / 2.0 + 3.0 * CELL_M)
-    for seal_m in SEAL_M:
-        outer = _closing(away, low, seal_m)
-        if outer is not None and outer.volume > FILLED_SHARE * np.prod(np.ptp(mesh.vertices, axis=0)):
-            points, _ = trimesh.sample.sample_surface(outer, 5000, seed=np.random.default_rng(0))
-            return outer, seal_m, distance_to_surface(np.asarray(points), mesh)
-    what = f"the mesh encloses no solid, not even with gaps of {100 * max(SEAL_M):.0f} cm bridged"
+    box_m3 = float(np.prod(np.ptp(mesh.vertices, axis=0)))
+    for seals_m in (SEAL_M, (LAST_SEAL_M,)):
+        surfaces = _closings(mesh, seals_m)
+        volume = [surface.volume if surface is not None else 0.0 for surface in surfaces]
+        if volume[-1] < SOLID_SHARE * box_m3:
+            continue
+        best = next(index for index, enclosed in enumerate(volume) if enclosed > UNFLOODED_SHARE * volume[-1])
+        surface = surfaces[best]
+        assert surface is not None
+        points, _ = trimesh.sample.sample_surface(surface, 5000, seed=np.random.default_rng(0))
+        return surface, seals_m[best], distance_to_surface(np.asarray(points), mesh)
+    what = f"the mesh encloses no solid, not even with gaps of {100 * LAST_SEAL_M:.0f} cm bridged"
     raise InputError(what, where=where, remedy="close its holes by hand, or leave it out")
+
+
+def _closings(mesh: trimesh.Trimesh, seals_m: tuple[float, ...]) -> list[trimesh.Trimesh | None]:
+    """The surface for each width, which share one grid of distances."""
+    low = np.asarray(mesh.bounds[0]) - max(seals_m) - 2.0 * CELL_M
+    counts = np.ceil((np.asarray(mesh.bounds[1]) + max(seals_m) + 2.0 * CELL_M - low) / CELL_M)
+    counts = (-(-counts // COARSE) * COARSE + 1).astype(np.int64)
+    away = _distances(mesh, low, tuple(counts), max(seals_m) / 2.0 + 3.0 * CELL_M)
+    return [_closing(away, low, seal_m) for seal_m in seals_m]
 
 
 def _distances(mesh: trimesh.Trimesh, low: NDArray[np.float64], counts: tuple[int, ...], reach_m: float) -> Grid:
