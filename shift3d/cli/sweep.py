@@ -32,7 +32,9 @@ examples:
   shift3d sweep default scenes.count=20          more streets
   shift3d sweep default vehicle=suv mode=shape attack.lambda=0.1,1,10
   shift3d sweep default accuracy=draft,standard  one axis more
+  shift3d sweep default detector=sst             attack SST, and let PointPillars score what it found
   shift3d sweep kitti scenes.root=PATH out=runs/kitti
+  shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
   shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder"""
 
 
