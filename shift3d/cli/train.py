@@ -35,19 +35,19 @@ examples:
   shift3d train model=pointpillars                 7,000 steps, an hour on two quiet cores with bfloat16
   shift3d train model=sst                          5,000 steps, some hours on one core
   shift3d train model=sst device=cuda              the same on a GPU (not run there yet)
-  shift3d train model=pointpillars scenes=street count=20 steps=300 out=DIR    a quick try
+  shift3d train model=pointpillars scenes=street count=20 inserted=0 steps=300 out=DIR    a quick try
   shift3d train model=pointpillars scenes=kitti root=PATH start_from=shipped steps=500 out=DIR
                                                    adapt the shipped weights to real frames, vehicles inserted
   shift3d train model=sdf vehicles=PATH length_m=4.5 out=DIR
                                                    a decoder of your own meshes and their codes, into DIR
 
 detectors: half of the crops of the later steps hold vehicles that the shipped sdf weights draw, on ground that is
-free. Of frames that are labelled in part (KITTI: in the camera's view) only that part is trained on.
+free (inserted=0: none). Of frames that are labelled in part (KITTI: in the camera's view) only that part is trained on.
 mixed precision: bfloat16 on CUDA and on processors that multiply it; elsewhere float32. mlflow=none writes no curves.
 
 {FRAME_TEXT}"""
 
-_SCENE_KEYS = ("scenes", "root", "count", "start_from")
+_SCENE_KEYS = ("scenes", "root", "count", "inserted", "start_from")
 _KEYS = ("model", "out", "threads", "device", "mlflow", "steps", *_SCENE_KEYS, "vehicles", *FRAME_KEYS)
 _STORE, _EXPERIMENT = "sqlite:///mlflow.db", "shift3d-training"
 
@@ -55,7 +55,7 @@ _STORE, _EXPERIMENT = "sqlite:///mlflow.db", "shift3d-training"
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     text = (
         "model=sdf|pointpillars|sst [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] [mlflow=URI|none]; "
-        "detectors: [scenes=street|kitti] [root=PATH] [count=N] [start_from=FILE|shipped]; "
+        "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped]; "
         f"sdf: vehicles=PATH [{'=] ['.join(FRAME_KEYS)}=]"
     )
     parser.add_argument("words", nargs="*", metavar="key=value", help=text)
@@ -96,6 +96,7 @@ def _options(values: dict[str, str]) -> TrainOptions:
         root=values.get("root"),
         count=_number(values, "count"),
         steps=_number(values, "steps"),
+        inserted=0 if values.get("inserted") == "0" else _number(values, "inserted"),
         start_from=values.get("start_from"),
     )
 

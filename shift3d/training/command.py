@@ -29,7 +29,8 @@ class TrainOptions:
 
     out: holds samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda.
     scenes: "street" or "kitti"; root: of KITTI; count: scenes, None for the recipe's (street) or every frame (kitti).
-    steps: None for the recipe's. start_from: a weights file to start from, or "shipped".
+    steps, inserted (scenes with rendered insertions): None for the recipe's.
+    start_from: a weights file to start from, or "shipped".
     """
 
     out: Path
@@ -39,12 +40,14 @@ class TrainOptions:
     root: str | None = None
     count: int | None = None
     steps: int | None = None
+    inserted: int | None = None
     start_from: str | None = None
 
     @property
     def shipped(self) -> bool:
         """Whether this is the recipe of the shipped weights, on its scenes: only then are they written over."""
-        return (self.scenes, self.count, self.steps, self.start_from) == ("street", None, None, None)
+        given = (self.count, self.steps, self.inserted, self.start_from)
+        return self.scenes == "street" and all(value is None for value in given)
 
     def compute(self) -> Compute:
         """Device and threads. Raises: InputError for a device that is not there."""
@@ -70,7 +73,7 @@ def train(model: str, options: TrainOptions, report: Report | None = None) -> Pa
         raise InputError(f"unknown model {model!r}", "model=", f"Choose from {', '.join(MODELS)}")
     if model == "sdf":
         if not options.shipped:
-            remedy = "Leave out scenes=, count=, steps= and start_from=, or give vehicles=PATH"
+            remedy = "Leave out scenes=, count=, steps=, inserted= and start_from=, or give vehicles=PATH"
             raise InputError("sdf is trained on vehicles, not on scenes", "train", remedy)
         return _train_sdf(options, report)
     return _train_detector(model, options, report)
@@ -85,6 +88,9 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
         recipe = scaled_to_steps(recipe, options.steps)
     if options.scenes == "street" and options.count is not None:
         recipe = replace(recipe, mesh_scenes=options.count, inserted_scenes=min(recipe.inserted_scenes, options.count))
+    if options.inserted is not None:
+        vehicles = min(recipe.inserted_vehicles, max(1, options.inserted))
+        recipe = replace(recipe, inserted_scenes=options.inserted, inserted_vehicles=vehicles)
     return recipe
 
 

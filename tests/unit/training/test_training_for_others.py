@@ -127,7 +127,7 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
 
 def test_only_the_shipped_recipe_writes_the_shipped_weights(tmp_path: Path) -> None:
     assert command.TrainOptions(tmp_path, threads=3, device="cpu").shipped
-    for other in ({"scenes": "kitti"}, {"count": 3}, {"steps": 3}, {"start_from": "shipped"}):
+    for other in ({"scenes": "kitti"}, {"count": 3}, {"steps": 3}, {"inserted": 0}, {"start_from": "shipped"}):
         assert not command.TrainOptions(tmp_path, **other).shipped
     with pytest.raises(InputError, match="not on scenes"):
         command.train("sdf", command.TrainOptions(tmp_path, scenes="kitti"))
