@@ -37,7 +37,8 @@ examples:
   shift3d train model=sst device=cuda              the same on a GPU (not run there yet)
   shift3d train model=pointpillars scenes=street count=20 inserted=0 steps=300 out=DIR    a quick try
   shift3d train model=pointpillars scenes=kitti root=PATH start_from=shipped steps=500 out=DIR
-                                                   adapt the shipped weights to real frames, vehicles inserted
+                                                   adapt the shipped weights to real frames, vehicles inserted,
+                                                   at a fifth of the learning rate
   shift3d train model=sdf vehicles=PATH length_m=4.5 out=DIR
                                                    a decoder of your own meshes and their codes, into DIR
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["MODELS", "TrainOptions", "detector_recipe", "evaluate", "train"]
 
 MODELS = ("sdf", "pointpillars", "sst")
+ADAPTING_SHARE = 0.2
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 
 
@@ -80,7 +81,7 @@ def train(model: str, options: TrainOptions, report: Report | None = None) -> Pa
 
 
 def detector_recipe(name: str, options: TrainOptions) -> Recipe:
-    """The recipe of a detector with the given number of steps and of procedural scenes."""
+    """The recipe with the given numbers of steps and scenes, and a fifth of the learning rate for adapting weights."""
     from shift3d.training.detector_recipe import RECIPES, scaled_to_steps
 
     recipe = RECIPES[name]
@@ -88,6 +89,9 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
         recipe = scaled_to_steps(recipe, options.steps)
     if options.scenes == "street" and options.count is not None:
         recipe = replace(recipe, mesh_scenes=options.count, inserted_scenes=min(recipe.inserted_scenes, options.count))
+    if options.start_from is not None:
+        # A peak as high as from random weights would undo the start (our choice).
+        recipe = replace(recipe, peak_rate=ADAPTING_SHARE * recipe.peak_rate)
     if options.inserted is not None:
         vehicles = min(recipe.inserted_vehicles, max(1, options.inserted))
         recipe = replace(recipe, inserted_scenes=options.inserted, inserted_vehicles=vehicles)

@@ -38,6 +38,9 @@ __all__ = [
     "train_on_scenes",
 ]
 
+CURVE_POINTS = 30
+"""About how many points of the curve stand in the provenance."""
+
 
 def train_detector(
     out_dir: Path,
@@ -103,6 +106,8 @@ def _facts(
 ) -> dict[str, Any]:
     """The provenance of finished weights."""
     names = [] if scenes is None else scenes.names()
+    curve = list(state.get("curve", []))[::-1]
+    curve = curve[:: max(1, len(curve) // CURVE_POINTS)][::-1]  # the last one is among them
     street = {"dataset": "street-mixed", "split": "train", "count": recipe.mesh_scenes}
     return {
         "model": recipe.detector,
@@ -113,9 +118,7 @@ def _facts(
         "compute": compute.facts(recipe.bfloat16),
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
         "curve": [
-            {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}}
-            for step, values in state.get("curve", [])
-            if step % 250 == 0
+            {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}} for step, values in curve
         ],
     }
 

@@ -121,6 +121,7 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
     facts = json.loads(weights.with_suffix(".json").read_text())
     assert facts["scenes"] == {"dataset": "kitti", "count": 2, "names": ["000003", "000008"]}
     assert facts["steps"] == facts["recipe"]["steps"] == 2 and facts["recipe"]["seed"] == 0
+    assert [point["step"] for point in facts["curve"]] == [2] and facts["curve"][0]["class"] > 0
     assert facts["compute"]["device"] == "cpu" and facts["training_seconds"] > 0
     assert facts["versions"]["torch"] == torch.__version__
 
@@ -133,6 +134,13 @@ def test_only_the_shipped_recipe_writes_the_shipped_weights(tmp_path: Path) -> N
         command.train("sdf", command.TrainOptions(tmp_path, scenes="kitti"))
     with pytest.raises(InputError, match="root= is missing"):
         command.train("sst", command.TrainOptions(tmp_path, scenes="kitti"))
+
+
+def test_adapting_weights_takes_a_fifth_of_the_rate(tmp_path: Path) -> None:
+    fresh = command.detector_recipe("sst", command.TrainOptions(tmp_path))
+    adapting = command.detector_recipe("sst", command.TrainOptions(tmp_path, start_from="shipped"))
+    assert fresh == RECIPES["sst"]
+    assert adapting == dataclasses.replace(fresh, peak_rate=0.2 * fresh.peak_rate)
 
 
 def test_scenes_without_a_vehicle_are_refused(tmp_path: Path) -> None:
