@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.sdf.decoder import Decoder
 from shift3d.training.checkpoints import read_checkpoint
@@ -80,19 +81,31 @@ def train_on_meshes(
 def export_mesh_training(
     checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, seconds: float
 ) -> list[FittedVehicle]:
-    """Decode every training shape, measure it against its mesh, picture both, and write the vehicle set."""
+    """Decode every training shape, measure it against its mesh, picture both, and write the vehicle set.
+
+    A code that draws no surface, as after a few steps, is left out and said so.
+    Raises: InputError when none draws one.
+    """
     state = read_checkpoint(checkpoint)
     assert state is not None
     decoder, codes = _scaled(state)
-    vehicles = []
+    vehicles, known, refused = [], [], dict(shapes.refused)
     rows = zip(shapes.facts, codes, shapes.samples.scale_m, strict=True)
-    for facts, code, scale_m in tqdm(rows, total=len(codes), desc="measuring vehicles"):
+    for facts, code, scale_m in tqdm(rows, total=len(codes), desc="measuring vehicles", mininterval=5.0):
         vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)
-        done = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
+        try:
+            done = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
+        except InputError as error:
+            refused[facts["file"]] = str(error)
+            tqdm.write(f"left out: {facts['name']}: {error}")
+            continue
         write_side_by_side(out / PICTURES / f"{vehicle.name}.png", vehicle.mesh, done.decoded)
-        facts["chamfer_cm"] = round(100.0 * done.chamfer_m, 3)
         vehicles.append(done)
-    chamfer_cm = [facts["chamfer_cm"] for facts in shapes.facts]
+        known.append({**facts, "chamfer_cm": round(100.0 * done.chamfer_m, 3)})
+    if not vehicles:
+        what = f"after {state['step']} steps no vehicle has a surface"
+        raise InputError(what, where=str(checkpoint), remedy="train longer: steps=, in another out=")
+    chamfer_cm = [facts["chamfer_cm"] for facts in known]
     provenance = {
         "model": "DeepSDF auto-decoder, trained on meshes",
         "recipe": state["recipe"],
@@ -101,10 +114,10 @@ def export_mesh_training(
         "chamfer_median_cm": float(np.median(chamfer_cm)),
         "chamfer_worst_cm": float(np.max(chamfer_cm)),
         "extraction_resolution": RESOLUTION,
-        "training_seconds": round(seconds, 1),
+        "training_seconds": round(float(state.get("seconds", seconds)), 1),
         "loss_every_100_steps": [round(float(loss), 6) for loss in state["losses"]],
-        "vehicles": shapes.facts,
-        "refused": shapes.refused,
+        "vehicles": known,
+        "refused": refused,
         "torch": torch.__version__,
     }
     write_vehicle_set(out, decoder, vehicles, provenance)

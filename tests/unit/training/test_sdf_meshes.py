@@ -1,0 +1,97 @@
+"""Meshes from files as training shapes: sampled once, refused by name, trained on, and written as a vehicle set."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from shift3d.errors import InputError
+from shift3d.training.checkpoints import read_checkpoint
+from shift3d.training.sdf import SdfRecipe, train_sdf
+from shift3d.training.sdf_meshes import MeshShapes, mesh_shapes
+from shift3d.training.sdf_on_meshes import export_mesh_training, mesh_recipe
+from shift3d.vehicles.mesh_frame import MeshFrame
+
+FRAME = MeshFrame("+x", "+z", "m")
+SAMPLES = 800
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two boxes and a ball of a car's size, one of the boxes an open sheet."""
+    root = tmp_path / "meshes"
+    root.mkdir()
+    trimesh.creation.box((4.0, 1.8, 1.4)).export(root / "suv_box.ply")
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    ball.apply_scale([2.2, 1.0, 0.8])
+    ball.export(root / "egg.stl")
+    sheet = trimesh.Trimesh([[0, 0, 0], [4, 0, 0.5], [4, 2, 0], [0, 2, 0.5]], [[0, 1, 2], [0, 2, 3]])
+    sheet.export(root / "sheet.ply")
+    return root
+
+
+def sampled(folder: Path, seed: int = 1) -> MeshShapes:
+    return mesh_shapes(folder, FRAME, SAMPLES, seed, folder.parent / "cache", 1)
+
+
+def test_usable_meshes_are_sampled_and_the_others_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shapes = sampled(folder)
+    assert [facts["name"] for facts in shapes.facts] == ["egg", "suv_box"]
+    assert [facts["body_type"] for facts in shapes.facts] == ["vehicle", "suv"]
+    assert list(shapes.refused) == [str(folder / "sheet.ply")]
+    assert "encloses no solid" in shapes.refused[str(folder / "sheet.ply")]
+    assert "left out" in capsys.readouterr().out
+    assert shapes.samples.points.shape == (2, SAMPLES, 3)
+    points, scale = shapes.samples.points[1].astype(np.float64), shapes.samples.scale_m[1]
+    q = np.abs(points) * scale - np.array([2.0, 0.9, 0.7])
+    exact = np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
+    assert shapes.samples.distances[1] * scale == pytest.approx(exact, abs=1e-5)
+
+
+def test_samples_are_kept_until_a_mesh_or_the_seed_changes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first = sampled(folder)
+    capsys.readouterr()
+    again = sampled(folder)
+    assert capsys.readouterr().out == ""
+    assert again.samples.source == first.samples.source
+    assert np.array_equal(again.samples.points, first.samples.points)
+    assert again.facts == first.facts
+    assert sampled(folder, seed=2).samples.source != first.samples.source
+    trimesh.creation.box((4.1, 1.8, 1.4)).export(folder / "suv_box.ply")
+    assert sampled(folder).samples.source != first.samples.source
+
+
+def test_folder_with_nothing_usable_says_why(folder: Path) -> None:
+    for name in ("suv_box.ply", "egg.stl"):
+        (folder / name).unlink()
+    with pytest.raises(InputError, match=r"none of 1 meshes.*sheet\.ply"):
+        sampled(folder)
+
+
+def test_training_takes_the_samples_of_its_recipe_and_no_others(folder: Path, tmp_path: Path) -> None:
+    shapes = sampled(folder)
+    recipe = dataclasses.replace(mesh_recipe(shapes, steps=2), batch_a_shape=32, compute="float32")
+    assert (recipe.shapes, recipe.mirror, recipe.source) == (2, False, shapes.samples.source)
+    state = read_checkpoint(train_sdf(tmp_path / "out", recipe, samples=shapes.samples))
+    assert state is not None
+    assert state["codes"].shape == (2, 256)
+    with pytest.raises(InputError, match="other shapes"):
+        train_sdf(tmp_path / "other", SdfRecipe(shapes=2), samples=shapes.samples)
+
+
+def test_decoder_that_has_learnt_nothing_is_not_exported(folder: Path, tmp_path: Path) -> None:
+    shapes = sampled(folder)
+    recipe = dataclasses.replace(mesh_recipe(shapes, steps=1), batch_a_shape=8, compute="float32")
+    checkpoint = train_sdf(tmp_path / "out", recipe, samples=shapes.samples)
+    state = read_checkpoint(checkpoint)
+    assert state is not None
+    state["decoder"]["layers.8.bias"] = torch.full((1,), 9.0)
+    torch.save(state, checkpoint)
+    with pytest.raises(InputError, match="no vehicle has a surface"):
+        export_mesh_training(checkpoint, shapes, FRAME, tmp_path / "out", 0.0)
+    assert not (tmp_path / "out" / "vehicles.safetensors").exists()
