@@ -8,6 +8,8 @@ import pytest
 import torch
 
 from shift3d.detectors.anchor_detector import AnchorDetector
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.sst import SstNet
 from shift3d.detectors.weights import load_detector
 from shift3d.geometry.iou import iou_bev
 from shift3d.scenes.kitti import KittiScenes
@@ -21,6 +23,11 @@ WELL_SEEN = 100
 @pytest.fixture(scope="module")
 def detector() -> AnchorDetector:
     return load_detector("pointpillars")
+
+
+@pytest.fixture(scope="module")
+def street() -> Scene:
+    return StreetScenes("waymo_top", count=1, split="test").load("street-test-waymo_top-000000")
 
 
 def _found(detector: AnchorDetector, scene: Scene, iou_threshold: float) -> np.ndarray:
@@ -54,3 +61,38 @@ def test_an_empty_world_holds_no_vehicle(detector: AnchorDetector) -> None:
     window = detector.window_for((0.0, 0.0), 10.0)
     found = detector.detect(torch.zeros(0, 3), window, score_threshold=0.3)
     assert len(found.scores) == 0
+
+
+def _scores(detector: AnchorDetector, points: torch.Tensor, window: BevWindow) -> torch.Tensor:
+    with torch.no_grad():
+        return torch.sigmoid(detector.proposals(points, window).logits)
+
+
+def _untrained_sst() -> AnchorDetector:
+    """SST at its published size, scores spread over [0, 1]: its weights do not ship yet."""
+    torch.manual_seed(0)
+    net = SstNet()
+    torch.nn.init.normal_(net.heads.classes.weight, std=3.0)
+    torch.nn.init.zeros_(net.heads.classes.bias)  # type: ignore[arg-type]
+    return AnchorDetector(net)
+
+
+@pytest.mark.parametrize("make", [load_detector, _untrained_sst])
+def test_scores_are_the_same_to_the_bit(make: Callable[[], AnchorDetector], street: Scene) -> None:
+    """Ten runs, each with the points in another order, on one thread; and to rounding on two."""
+    detector = make()
+    points = torch.from_numpy(street.points[street.has_beam]) - torch.tensor([0.0, 0.0, street.ground_z_m])
+    vehicle = street.labels.boxes[street.labels.mask("vehicle")][0]
+    window = detector.window_for((float(vehicle[0]), float(vehicle[1])), 5.0)
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        first = _scores(detector, points, window)
+        assert first.max() - first.min() > 0.1
+        for seed in range(9):
+            order = torch.randperm(len(points), generator=torch.Generator().manual_seed(seed))
+            assert torch.equal(_scores(detector, points[order], window), first)
+        torch.set_num_threads(2)
+        assert (_scores(detector, points, window) - first).abs().max() <= 1e-5
+    finally:
+        torch.set_num_threads(threads)
