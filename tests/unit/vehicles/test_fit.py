@@ -1,0 +1,67 @@
+"""A mesh auto-decoded into a vehicle set that a sweep can read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from shift3d.cli.main import main
+from shift3d.errors import InputError
+from shift3d.sdf.chamfer import symmetric_chamfer
+from shift3d.sdf.decoder import load_decoder
+from shift3d.seeding import generator
+from shift3d.vehicles import vehicle_set
+from shift3d.vehicles.family import build_mesh, sample_spec
+from shift3d.vehicles.vehicle import baseline_vehicles, family_vehicles, vehicle_mesh
+
+
+@pytest.fixture
+def hatchback(tmp_path: Path) -> Path:
+    """A vehicle of the family that the decoder was never given, in millimetres, nose along -z, roof along +y."""
+    mesh = build_mesh(sample_spec("hatchback", generator("fit test")), resolution_m=0.05)
+    x, y, z = np.asarray(mesh.vertices).T * 1000.0
+    file = tmp_path / "hatchback of mine.obj"
+    trimesh.Trimesh(np.column_stack([-y, z, -x]), mesh.faces).export(file)
+    return file
+
+
+def test_fitted_mesh_is_a_vehicle_like_those_that_ship(
+    hatchback: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
+    out = tmp_path / "set"
+    assert main(["fit", str(hatchback), "unit=mm", f"out={out}", "steps=60"]) == 0
+    assert "1 vehicles in" in capsys.readouterr().out
+    (vehicle,) = baseline_vehicles(out / "vehicles.safetensors").values()
+    assert (vehicle.name, vehicle.body_type) == ("hatchback_of_mine", "hatchback")
+    mesh = build_mesh(sample_spec("hatchback", generator("fit test")), resolution_m=0.05)
+    assert vehicle.size_m == pytest.approx(tuple(np.ptp(mesh.vertices, axis=0)), abs=0.12)
+    decoded = vehicle_mesh(vehicle, load_decoder(out / "sdf.safetensors"), resolution=65)
+    assert decoded.bounds.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
+    chamfer_cm = 100 * symmetric_chamfer(decoded, mesh, generator("fit test chamfer"), 4000)
+    facts = json.loads((out / "sdf.json").read_text())
+    assert facts["vehicles"][0]["chamfer_cm"] == pytest.approx(chamfer_cm, abs=1.0)
+    assert chamfer_cm < 3.0
+    assert (out / "pictures" / "hatchback_of_mine.png").stat().st_size > 1000
+    (trained,) = family_vehicles(out / "vehicles.safetensors")
+    assert np.array_equal(trained.latent_code, vehicle.latent_code)
+
+
+def test_metres_where_the_file_has_millimetres_are_one_line_with_the_remedy(
+    hatchback: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fit", str(hatchback), "unit=m", f"out={tmp_path / 'set'}"]) == 2
+    said = capsys.readouterr().err
+    assert "hatchback of mine.obj" in said
+    assert "Give unit=mm" in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "set").exists()
+
+
+def test_set_needs_vehicles_of_different_names(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no vehicles"):
+        vehicle_set.write_vehicle_set(tmp_path, load_decoder(), [], {})
