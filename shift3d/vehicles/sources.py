@@ -99,8 +99,8 @@ class DeepSdfVehicles:
             leaves them as trained. No shape depends on it, but the attack does: alpha and lambda are in code units, and
             the paper does not say how long its codes are. conf/ has 1.5, our choice. The codes of the 57 real cars are
             0.59 long as trained, and a unit of code then moves their surface by 0.9 m (root mean square), against
-            0.35 m for the shipped vehicles: five steps led to twice the code's length off the car, and to shapes that
-            a random direction of that length explains as well. At 1.5 a unit moves both kinds of surface alike.
+            0.35 m for the shipped vehicles: five steps led to twice the code's length off the car. At 1.5 a unit
+            moves both kinds of surface alike; it was chosen for that, not by what an attack then reaches.
 
     Raises: InputError for an axis or a length that cannot be used.
     Source: SHIFT3D, Setup ("manually scaled each baseline object" to realistic dimensions).
