@@ -92,8 +92,8 @@ def export_mesh_training(
     vehicles, known, refused = [], [], dict(shapes.refused)
     rows = zip(shapes.facts, codes, shapes.samples.scale_m, strict=True)
     for facts, code, scale_m in tqdm(rows, total=len(codes), desc="measuring vehicles", mininterval=5.0):
-        vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)
         try:
+            vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)
             done = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
         except InputError as error:
             refused[facts["file"]] = str(error)

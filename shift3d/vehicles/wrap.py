@@ -23,8 +23,8 @@ LAST_SEAL_M = 0.40
 CELL_M = 0.025
 """Grid spacing: half the narrowest gap, so that no path leads through the wall between two nodes."""
 COARSE = 4
-SOLID_SHARE = 0.30
-"""Least share of its box that a vehicle fills. Closed cars fill 0.4 to 0.65; one that is flooded, 0.25 or less."""
+FILLED_SHARE = 0.30
+"""Least share of its box that a wrapped vehicle fills. Most cars fill 0.4 to 0.65; flooded ones were seen at 0.27."""
 UNFLOODED_SHARE = 0.85
 """A width that encloses less than this of what the widest does has let the flood in somewhere."""
 
@@ -42,7 +42,7 @@ def wrapped(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, float, 
     for seals_m in (SEAL_M, (LAST_SEAL_M,)):
         surfaces = _closings(mesh, seals_m)
         volume = [surface.volume if surface is not None else 0.0 for surface in surfaces]
-        if volume[-1] < SOLID_SHARE * box_m3:
+        if volume[-1] < FILLED_SHARE * box_m3:
             continue
         best = next(index for index, enclosed in enumerate(volume) if enclosed > UNFLOODED_SHARE * volume[-1])
         surface = surfaces[best]
