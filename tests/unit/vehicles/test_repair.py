@@ -180,6 +180,14 @@ def test_what_encloses_nothing_is_refused(mesh: trimesh.Trimesh) -> None:
     assert caught.value.remedy
 
 
+def test_closed_solid_that_fills_little_of_its_box_is_a_vehicle() -> None:
+    mesh, report = repaired(
+        trimesh.util.concatenate([body((4.0, 1.8, 0.4)), body((1.0, 0.1, 1.0), (0, 0, 0.8))]), "bed"
+    )
+    assert not report.wrapped
+    assert mesh.volume == pytest.approx(4.0 * 1.8 * 0.4 + 0.1)
+
+
 def test_thin_frame_is_no_vehicle() -> None:
     bars = [body((4.0, 0.1, 0.1), (0, y, z)) for y in (-0.9, 0.9) for z in (0.0, 1.3)]
     with pytest.raises(InputError, match=r"frame\.stl"):
