@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from shift3d.config.schema import Config
+from shift3d.signals import stop_signals
 from shift3d.store.log import CommitLog
 from shift3d.sweep.commit import Committer
 from shift3d.sweep.final import FinalTables, write_final
@@ -116,12 +116,5 @@ def _stop_on_signals(committer: Committer, progress: Progress) -> Iterator[_Stop
             if not committer.busy:
                 raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():
+    with stop_signals(handle):
         yield stop
-        return
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

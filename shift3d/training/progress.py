@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import FrameType
+
+from shift3d.signals import stop_signals
 
 __all__ = ["CurvePoint", "Report", "StopRequest", "Stopwatch", "stop_on_signal"]
 
@@ -37,15 +37,8 @@ def stop_on_signal() -> Iterator[StopRequest]:
     In a thread other than the main one signals stay as they are, and nothing is ever asked.
     """
     request = StopRequest()
-    if threading.current_thread() is not threading.main_thread():
+    with stop_signals(request):
         yield request
-        return
-    before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield request
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 class Stopwatch:
