@@ -101,7 +101,7 @@ def weights_file(name: str, override: str | None) -> Path:
     """A detector's file of weights: the one given, or the one that ships. Raises InputError where it is missing."""
     path = _weights_path(name, override)
     if not path.is_file():
-        remedy = "Check the path" if override else f'Fetch it with the repository, or: make train ARGS="model={name}"'
+        remedy = "Check the path" if override else f'Give a file of them, or: make train ARGS="model={name}"'
         raise InputError(f"no weights of {name}", where=str(path), remedy=remedy)
     return path
 

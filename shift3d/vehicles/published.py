@@ -1,6 +1,8 @@
 """Published dimensions of production vehicles by body type: what the procedural family is checked against.
 
-Makers' data sheets, rounded to a centimetre (ground clearance to 5 mm), of models sold between 2010 and 2025.
+Of models sold between 2010 and 2025, rounded to a centimetre (ground clearance to 5 mm), written down from general
+knowledge; a handful were compared with published pages. Models were added after the first comparison with the family,
+where one of its quantities lay outside: the table says that such vehicles exist, and is no independent test.
 Width is without mirrors, height without roof rails, a convertible's with its roof closed. Ground clearance is given
 where the maker states it, and see CLEARANCE_TOLERANCE_M. Tyres are the common size, sidewall code and rim.
 """
