@@ -122,7 +122,7 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
     assert facts["scenes"] == {"dataset": "kitti", "count": 2, "names": ["000003", "000008"]}
     assert facts["steps"] == facts["recipe"]["steps"] == 2 and facts["recipe"]["seed"] == 0
     assert [point["step"] for point in facts["curve"]] == [2] and facts["curve"][0]["class"] > 0
-    assert facts["compute"]["device"] == "cpu" and facts["training_seconds"] > 0
+    assert facts["compute"]["device"] == "cpu" and facts["training_seconds"] >= 0
     assert facts["versions"]["torch"] == torch.__version__
 
 
