@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from shift3d.render.coarse import CoarseField, coarse_twin
+from shift3d.sdf.pieces import Piece
 
 _WORTH_IT = 96
 """Fewer points than this take as long to fetch the weights for as to evaluate: once, then, in float32."""
@@ -21,6 +22,15 @@ class Field(Protocol):
 
     def __call__(self, x_sdf: Tensor, /) -> Tensor:
         """(N, 3) sdf-frame points to (N,) distances in sdf units, in the dtype of x_sdf."""
+        ...
+
+
+@runtime_checkable
+class PiecewiseField(Protocol):
+    """A field that is piecewise linear along lines, but for a last function that keeps sign and roots."""
+
+    def piece(self, x_sdf: Tensor, direction: Tensor, /) -> Piece:
+        """See `sdf.pieces.linear_piece`."""
         ...
 
 
@@ -108,6 +118,28 @@ class ObjectField:
         if len(near):
             g[near] = self(x_object[near])
         return g
+
+    def piecewise_linear(self) -> bool:
+        """Whether the field can tell its linear pieces along a beam."""
+        return isinstance(self.sdf, PiecewiseField)
+
+    def piece(self, x_object: Tensor, direction: Tensor) -> Piece:
+        """The linear pieces on which beams start; counts as two evaluations each.
+
+        Args: x_object: (N, 3) starts. direction: (N, 3) unit vectors; both object frame, float64.
+        Returns: values in metres, slopes in metres a metre, lengths in metres; float64.
+        """
+        assert isinstance(self.sdf, PiecewiseField)
+        self.count.evaluations += 2 * len(x_object)
+        along = direction @ (self.sdf_R_object.T / self.scale_m)
+        parts = [
+            self.sdf.piece(x, d)
+            for x, d in zip(self._to_sdf(x_object).split(self.batch), along.split(self.batch), strict=True)
+        ]
+        value, slope, length = (
+            torch.cat([getattr(part, name) for part in parts]).double() for name in ("value", "slope", "length")
+        )
+        return Piece(value * self.scale_m, slope * self.scale_m, length)
 
     def _to_sdf(self, x_object: Tensor) -> Tensor:
         x_sdf = x_object @ (self.sdf_R_object.T / self.scale_m) + self.sdf_t_object

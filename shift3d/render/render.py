@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render import reference
+from shift3d.render import exact, reference
 from shift3d.render.beams import Beams
 from shift3d.render.empty_space import EmptySpace
 from shift3d.render.implicit import surface_points
@@ -65,9 +65,11 @@ def _fast(
     settings: RenderSettings,
     warm: WarmStart | None,
     space: EmptySpace | None,
-) -> tuple[FirstHits, WarmStart]:
+) -> tuple[FirstHits, WarmStart | None]:
     space = space if settings.empty_space else None
     size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
+    if settings.solver == "exact" and metric.piecewise_linear():
+        return exact.first_hits(beams, metric, theta, size, settings), None
     if warm is None or not settings.warm_start:
         return cold_start(beams, metric, theta, size, settings, space)
     return warm_start(beams, metric, theta, size, warm, settings, space)

@@ -9,7 +9,7 @@ import torch
 
 from shift3d.errors import InputError
 
-Solver = Literal["paper", "hybrid"]
+Solver = Literal["paper", "hybrid", "exact"]
 
 
 @dataclass(frozen=True)
@@ -18,13 +18,18 @@ class RenderSettings:
 
     Attributes:
         solver: `paper` samples every beam through the 7 m sphere and bisects; `hybrid` culls to the
-            vehicle's box, marches by the field's own distance and finds roots with a safeguarded secant.
+            vehicle's box, marches by the field's own distance and finds roots with a safeguarded secant; `exact`
+            walks the linear pieces of a ReLU decoder, so that no first crossing can be missed (see there;
+            for any other field it is `hybrid`).
         dtype: precision in which the field is evaluated. Beam geometry is float64 whatever this says.
         step_m: `paper`: largest sample spacing. `hybrid`: the smallest march step, that is the chord
             that is hard to miss.
         max_step_m: `hybrid`: the largest march step; a learned field says little about far distances.
         step_safety: `hybrid`: share of the field's distance that one step may cover. Below 1 because a
             learned field can be steeper than a true distance.
+        max_slope: `exact`: what |grad g| is taken never to exceed where the surface is far; infinite: nothing is
+            taken, every piece is walked. The steepest place of the shipped decoder that was found in 54,000 points
+            of nine shapes, attacked ones among them, had 1.7.
         tolerance_m: metric |g| at which a root counts as found (`hybrid`).
         max_iterations: bisections (`paper`) or root iterations (`hybrid`).
         box_margin_m: growth of the vehicle's box before beams are culled against it.
@@ -45,6 +50,7 @@ class RenderSettings:
     step_m: float = 0.02
     max_step_m: float = 0.25
     step_safety: float = 0.9
+    max_slope: float = 3.0
     tolerance_m: float = 1e-5
     max_iterations: int = 40
     box_margin_m: float = 0.05
@@ -57,7 +63,7 @@ class RenderSettings:
     batch: int = 4096
 
     def __post_init__(self) -> None:
-        positive = ("step_m", "max_step_m", "step_safety", "tolerance_m", "max_iterations", "batch")
+        positive = ("step_m", "max_step_m", "step_safety", "max_slope", "tolerance_m", "max_iterations", "batch")
         for name in positive:
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} must be positive", where=f"render settings: {name}={getattr(self, name)}")
@@ -82,7 +88,11 @@ PAPER = RenderSettings(
 )
 STANDARD = RenderSettings()
 DRAFT = RenderSettings(step_m=0.1, step_safety=1.0, tolerance_m=1e-3, warm_refresh=40)
+# The floor of the gradient is the standard one: it is a rule of what is descended, not an approximation, and with the
+# paper's (none) a handful of grazing beams would decide every comparison of gradients. step_m to tolerance_m are for
+# fields that are not piecewise linear.
 REFERENCE = RenderSettings(
+    solver="exact",
     dtype=torch.float64,
     step_m=0.005,
     max_step_m=0.05,
@@ -93,7 +103,6 @@ REFERENCE = RenderSettings(
     warm_start=False,
     empty_space=False,
     coarse_band_m=0.0,
-    grazing_floor=0.0,
 )
 PRESETS: dict[str, RenderSettings] = {
     "draft": DRAFT,

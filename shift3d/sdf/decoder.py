@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrizations
 
 from shift3d.errors import InputError
+from shift3d.sdf.pieces import Piece, linear_piece
 
 CODE_LENGTH = 256
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "weights" / "sdf.safetensors"
@@ -80,6 +81,13 @@ class Field:
             if layer < last:
                 hidden = torch.relu(hidden)
         return torch.tanh(hidden[:, 0])
+
+    def piece(self, x_sdf: Tensor, direction: Tensor) -> Piece:
+        """The linear pieces on which lines (N, 3) + k (N, 3) start, sdf frame; see `pieces`. Not differentiable."""
+        with torch.no_grad():
+            return linear_piece(
+                self.weights, self.biases, self.skip_layer, x_sdf.to(self.dtype), direction.to(self.dtype)
+            )
 
     def detach(self) -> Field:
         """The same field without the graph back to z."""
