@@ -14,6 +14,7 @@ SDF_RADIUS = 1.05
 _FACE_SPACING_M = 0.2
 _BALL_SPACING_M = 0.45
 _ROUNDS = 6
+_LOOK_AGAIN_M = 0.005
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,11 @@ def sdf_ball_box(field: ObjectField) -> Box:
 
 
 def checked_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Box:
+    """The box of `guarded_box` alone."""
+    return guarded_box(field, size_m, margin_m).box
+
+
+def guarded_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Guard:
     """The vehicle's box grown by a margin and, where the field is inside at a check point, further.
 
     A shape under attack can outgrow the box of its baseline. Checked are the faces of the grown box, every
@@ -62,15 +68,41 @@ def checked_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Box:
     for _ in range(_ROUNDS):
         beyond = outside[((outside < box.lower) | (outside > box.upper)).any(-1)]
         check = torch.cat((_face_lattice(box), beyond))
-        inside = check[field.estimate(check) <= 0]
+        g = field.estimate(check).double()
+        inside = check[g <= 0]
         if len(inside) == 0:
-            return box
+            return Guard(box, check, g, torch.zeros_like(g))
         reach = _FACE_SPACING_M + margin_m
         box = Box(
             torch.maximum(torch.minimum(box.lower, inside.amin(0) - reach), ball.lower),
             torch.minimum(torch.maximum(box.upper, inside.amax(0) + reach), ball.upper),
         )
-    return ball
+    nothing = torch.empty(0, dtype=torch.float64)
+    return Guard(ball, nothing.reshape(0, 3), nothing, nothing)
+
+
+@dataclass(frozen=True)
+class Guard:
+    """A checked box and the places (P, 3) where it was checked.
+
+    g: (P,) distances found there. drift_m: (P,) how far the surface may have moved since each was looked at.
+    """
+
+    box: Box
+    points: Tensor
+    g: Tensor
+    drift_m: Tensor
+
+    def after(self, field: ObjectField, moved_m: float) -> Guard | None:
+        """The guard after the surface moved by up to `moved_m`: None where something may have left the box.
+
+        Only places that the surface can have come near are looked at again. A NaN counts as having left.
+        """
+        drift = self.drift_m + moved_m
+        near = torch.nonzero(~(self.g > drift + _LOOK_AGAIN_M)).squeeze(1)
+        g = self.g.clone()
+        g[near], drift[near] = field.estimate(self.points[near]).double(), 0.0
+        return Guard(self.box, self.points, g, drift) if bool((g > 0).all()) else None
 
 
 def _ball_lattice(ball: Box) -> Tensor:

@@ -19,6 +19,8 @@ formula; there, a beam with dg/dk exactly 0 gets no gradient instead of NaN.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -27,10 +29,13 @@ from shift3d.render.beams import Beams
 from shift3d.render.object_field import ObjectField
 from shift3d.render.rendering import FirstHits, GrazingShare
 
+_POLISH_M = 0.002
+_POLISH_SLOPE = 0.05
+
 
 def surface_points(
-    beams: Beams, hits: FirstHits, field: ObjectField, theta: Tensor, grazing_floor: float
-) -> tuple[Tensor, GrazingShare]:
+    beams: Beams, hits: FirstHits, field: ObjectField, theta: Tensor, grazing_floor: float, polish: bool = False
+) -> tuple[Tensor, FirstHits, GrazingShare]:
     """Hit points as functions of pose and latent code.
 
     Args:
@@ -39,23 +44,26 @@ def surface_points(
         field: metric distance in the object frame; may depend on a latent code.
         theta: (6,) pose, scene frame.
         grazing_floor: smallest |e . grad g| to divide by.
+        polish: g and its slope are at hand here: take the Newton step that they make, where it is shorter than 2 mm.
 
     Returns:
-        (M, 3) float64 points, scene frame, metres; and the share of the gradient that grazing beams carry.
+        (M, 3) float64 points, scene frame, metres; the hits, polished, their residual being the one before that
+        step; and the share of the gradient that grazing beams carry.
 
     Differentiable w.r.t. theta and whatever the field depends on.
     Source: SHIFT3D eqs. dl_dz to theta_final and supplement, Gradient Calculation.
     """
     origins, directions = beams.origins[hits.index], beams.directions[hits.index]
-    fixed = origins + hits.range_m[:, None] * directions
     share = GrazingShare()
     with_code = len(hits.index) > 0 and field.depends_on_code()
-    if len(hits.index) == 0 or not torch.is_grad_enabled() or not (with_code or theta.requires_grad):
-        return fixed, share
+    if len(hits.index) == 0 or not wants_gradient(theta, with_code):
+        return origins + hits.range_m[:, None] * directions, hits, share
     pose = theta.double()
-    x_object = object_from_scene(fixed, pose)
-    change, gradient = _change_of_g(field, x_object, with_code)
+    x_object = object_from_scene(origins + hits.range_m[:, None] * directions, pose)
+    change, gradient, g = _change_of_g(field, x_object, with_code)
     slope = (gradient * (directions @ scene_R_object(pose.detach()))).sum(-1)
+    if polish:
+        hits = _polished(hits, g, slope)
     # Hits go from outside to inside, so the slope is negative; a wrong sign is noise about zero.
     steep = -slope.neg().clamp_min(grazing_floor)
     inverse = torch.where(steep < 0, 1.0 / torch.where(steep < 0, steep, 1.0), 0.0)
@@ -63,11 +71,23 @@ def surface_points(
     share.beams = int((slope.abs() < grazing_floor).sum())
     if range_m.requires_grad:
         range_m.register_hook(_measure(share, inverse.abs(), slope.abs() < grazing_floor))
-    return origins + range_m[:, None] * directions, share
+    return origins + range_m[:, None] * directions, hits, share
 
 
-def _change_of_g(field: ObjectField, x_object: Tensor, with_code: bool) -> tuple[Tensor, Tensor]:
-    """g - g* as a function of pose and code (value 0), and its gradient in the object frame (constant).
+def wants_gradient(theta: Tensor, with_code: bool) -> bool:
+    """Whether anything can ask for the gradient of a rendering."""
+    return torch.is_grad_enabled() and (with_code or theta.requires_grad)
+
+
+def _polished(hits: FirstHits, g: Tensor, slope: Tensor) -> FirstHits:
+    """One Newton step with the exact slope; none on beams that graze, where it may lead anywhere."""
+    step = -g / slope.clamp_max(-_POLISH_SLOPE)
+    step = torch.where((slope <= -_POLISH_SLOPE) & (step.abs() <= _POLISH_M), step, 0.0)
+    return replace(hits, range_m=hits.range_m + step, residual_m=g.abs())
+
+
+def _change_of_g(field: ObjectField, x_object: Tensor, with_code: bool) -> tuple[Tensor, Tensor, Tensor]:
+    """g - g* as a function of pose and code (value 0); its gradient in the object frame, and g*, constants.
 
     The pose enters through grad g . (x - x*), which has the same derivative as g itself and saves a second
     pass through the decoder; the code enters through the decoder.
@@ -79,7 +99,7 @@ def _change_of_g(field: ObjectField, x_object: Tensor, with_code: bool) -> tuple
     change = ((x_object - x_object.detach()) * gradient).sum(-1)
     if with_code:
         change = change + (g - g.detach()).double()
-    return change, gradient
+    return change, gradient, g.detach().double()
 
 
 def _measure(share: GrazingShare, inverse: Tensor, grazing: Tensor):  # type: ignore[no-untyped-def]

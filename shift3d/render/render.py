@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render import exact, reference
+from shift3d.render import exact, march, reference
 from shift3d.render.beams import Beams
 from shift3d.render.empty_space import EmptySpace
-from shift3d.render.implicit import surface_points
+from shift3d.render.implicit import surface_points, wants_gradient
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.rendering import FirstHits, Rendering
 from shift3d.render.settings import STANDARD, RenderSettings
@@ -49,6 +49,8 @@ def render(
         raise InputError("a pose is six finite numbers: x, y, z, yaw, pitch, roll", where=f"pose {theta.tolist()}")
     metric = ObjectField.of(field, vehicle, settings.dtype, settings.batch, settings.coarse_band_m)
     state = None
+    if settings.unchecked_m and not wants_gradient(theta, metric.depends_on_code()):
+        settings = settings.with_(unchecked_m=0.0)
     with torch.no_grad():
         if settings.solver == "paper":
             hits = reference.first_hits(beams, metric, theta, settings)
@@ -70,6 +72,8 @@ def _fast(
     size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
     if settings.solver == "exact" and metric.piecewise_linear():
         return exact.first_hits(beams, metric, theta, size, settings), None
+    if settings.solver == "march":
+        return march.first_hits(beams, metric, theta, size, settings), None
     if warm is None or not settings.warm_start:
         return cold_start(beams, metric, theta, size, settings, space)
     return warm_start(beams, metric, theta, size, warm, settings, space)
@@ -85,7 +89,8 @@ def assemble(
 ) -> Rendering:
     """The scene with the hit points in place, differentiable where gradients are wanted."""
     evaluations, coarse = field.count.evaluations, field.count.coarse
-    surface, grazing = surface_points(beams, hits, field, theta, settings.grazing_floor)
+    polish = settings.unchecked_m > 0
+    surface, hits, grazing = surface_points(beams, hits, field, theta, settings.grazing_floor, polish)
     points = beams.points
     if len(hits.index):
         points = points.index_copy(0, hits.index, surface.to(points.dtype))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 
 from shift3d.errors import InputError
 
-Solver = Literal["paper", "hybrid", "exact"]
+Solver = Literal["paper", "hybrid", "exact", "march"]
+Root = Literal["anderson_bjorck", "itp", "bisection"]
 
 
 @dataclass(frozen=True)
@@ -20,9 +21,10 @@ class RenderSettings:
         solver: `paper` samples every beam through the 7 m sphere and bisects; `hybrid` culls to the
             vehicle's box, marches by the field's own distance and finds roots with a safeguarded secant; `exact`
             walks the linear pieces of a ReLU decoder, so that no first crossing can be missed (see there;
-            for any other field it is `hybrid`).
+            for any other field it is `hybrid`); `march` is the paper's search inside the vehicle's box.
+        root: `hybrid`: how the root in a bracket is found, see `roots` and `itp`.
         dtype: precision in which the field is evaluated. Beam geometry is float64 whatever this says.
-        step_m: `paper`: largest sample spacing. `hybrid`: the smallest march step, that is the chord
+        step_m: `paper`, `march`: largest sample spacing. `hybrid`: the smallest march step, that is the chord
             that is hard to miss.
         max_step_m: `hybrid`: the largest march step; a learned field says little about far distances.
         step_safety: `hybrid`: share of the field's distance that one step may cover. Below 1 because a
@@ -31,7 +33,9 @@ class RenderSettings:
             taken, every piece is walked. The steepest place of the shipped decoder that was found in 54,000 points
             of nine shapes, attacked ones among them, had 1.7.
         tolerance_m: metric |g| at which a root counts as found (`hybrid`).
-        max_iterations: bisections (`paper`) or root iterations (`hybrid`).
+        unchecked_m: a last secant step of at most this length is not evaluated where a gradient is taken afterwards,
+            which evaluates the root anyway and takes one more Newton step from it; 0: every root is evaluated.
+        max_iterations: bisections (`paper`, `march`) or root iterations (`hybrid`).
         box_margin_m: growth of the vehicle's box before beams are culled against it.
         sphere_chord_only: `paper`: sample only the part of a beam inside the 7 m sphere. The paper
             samples the whole beam; outside the sphere g is positive, so this changes no hit as long as
@@ -46,12 +50,14 @@ class RenderSettings:
     """
 
     solver: Solver = "hybrid"
+    root: Root = "anderson_bjorck"
     dtype: torch.dtype = torch.float32
     step_m: float = 0.02
     max_step_m: float = 0.25
     step_safety: float = 0.9
     max_slope: float = 3.0
     tolerance_m: float = 1e-5
+    unchecked_m: float = 1e-3
     max_iterations: int = 40
     box_margin_m: float = 0.05
     sphere_chord_only: bool = False
@@ -63,11 +69,21 @@ class RenderSettings:
     batch: int = 4096
 
     def __post_init__(self) -> None:
+        for name, known in (("solver", get_args(Solver)), ("root", get_args(Root))):
+            if getattr(self, name) not in known:
+                found = f"{name} is {getattr(self, name)!r}"
+                raise InputError(found, where="render settings", remedy=f"one of {', '.join(known)}")
         positive = ("step_m", "max_step_m", "step_safety", "max_slope", "tolerance_m", "max_iterations", "batch")
         for name in positive:
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} must be positive", where=f"render settings: {name}={getattr(self, name)}")
-        if self.box_margin_m < 0 or self.grazing_floor < 0 or self.coarse_band_m < 0 or self.warm_refresh < 0:
+        if (
+            self.unchecked_m < 0
+            or self.box_margin_m < 0
+            or self.grazing_floor < 0
+            or self.coarse_band_m < 0
+            or self.warm_refresh < 0
+        ):
             raise InputError("margins, floors and counts must not be negative", where="render settings")
 
     def with_(self, **changes: object) -> RenderSettings:
@@ -79,6 +95,7 @@ PAPER = RenderSettings(
     solver="paper",
     step_m=0.1,
     tolerance_m=1e-6,
+    unchecked_m=0.0,
     max_iterations=30,
     grazing_floor=0.0,
     warm_start=False,
@@ -98,6 +115,7 @@ REFERENCE = RenderSettings(
     max_step_m=0.05,
     step_safety=0.5,
     tolerance_m=1e-9,
+    unchecked_m=0.0,
     max_iterations=80,
     box_margin_m=0.3,
     warm_start=False,

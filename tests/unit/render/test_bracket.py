@@ -59,10 +59,10 @@ def test_a_tangent_ray_is_a_miss() -> None:
 def test_g_exactly_zero_is_outside() -> None:
     # Distance in steps of exactly a quarter: samples fall on the surface itself.
     settings = FLOAT64.with_(step_m=0.25, max_step_m=0.25)
-    touching = march(lambda x: x[:, 0].abs(), torch.zeros(1), settings)
+    touching = march(lambda x: x[:, 0].abs(), torch.zeros(64), settings)
     assert not touching.found.any()
-    entering = march(lambda x: -x[:, 0], torch.zeros(1), settings)
-    assert entering.found.all() and float(entering.g_outer) == 0.0
+    entering = march(lambda x: -x[:, 0], torch.zeros(64), settings)
+    assert entering.found.all() and (entering.g_outer == 0.0).all()
 
 
 def test_sensor_inside_is_undecided() -> None:
@@ -106,3 +106,17 @@ def test_clearance_is_the_lowest_pass() -> None:
     assert torch.allclose(brackets.clearance, torch.tensor([0.1, 0.3]).double(), atol=0.03)
     # A hit that is approached directly has passed nothing.
     assert torch.isinf(march(sphere(1.0), torch.zeros(1)).clearance).all()
+
+
+@pytest.mark.parametrize("copies", [1, 7, 31, 33, 200])
+def test_few_rays_find_what_many_find(copies: int) -> None:
+    # The last rays of a march are looked at ahead of time: their brackets hold the same surfaces.
+    scene = union(sphere(0.5), box((0.015, 0.6, 0.5), (-0.8, 0.0, 0.0)), sphere(0.3, (2.0, 0.4, 0.0)))
+    offsets = torch.linspace(-0.9, 0.9, 41).double()
+    many = march(scene, offsets.repeat(20))
+    for offset, found, outer, inner in zip(offsets, many.found, many.outer, many.inner):
+        few = march(scene, offset.repeat(copies))
+        assert few.found.all() if found else not few.found.any()
+        if found:
+            # Both brackets hold the first crossing.
+            assert (few.outer <= inner + 1e-9).all() and (outer <= few.inner + 1e-9).all()
