@@ -1,0 +1,188 @@
+"""What people read of a measured frontier: the printed table, the page, the picture and the advice."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from shift3d.errors import InputError
+from shift3d.report.frontier_advice import advice
+from shift3d.report.frontier_figure import work_precision_figure
+from shift3d.report.numbers import factor, length, milliseconds, share
+from shift3d.report.pareto import MISPLACED_M, effective_error_m
+from shift3d.report.tables import aligned
+from shift3d.store.atomic import write_atomic
+from shift3d.store.frontier_table import machine_of, read_frontier
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["advice", "frontier_html", "frontier_lines", "work_precision_figure", "write_report"]
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of the tables: of which column of the frame, as what, and what it means."""
+
+    header: str
+    source: str
+    cell: Callable[[Any], str]
+    meaning: str
+    printed: bool = True  # on the terminal too, which has less room than the page
+
+
+_COLUMNS = (
+    _Column("time", "ms_median", milliseconds, "of one rendering, median"),
+    _Column("from", "ms_low", milliseconds, "lower quartile of the time", False),
+    _Column("to", "ms_high", milliseconds, "upper quartile of the time", False),
+    _Column("x paper", "ratio_to_paper", factor, "times as fast as paper, the published algorithm"),
+    _Column("evals", "evaluations_per_beam", factor, "decoder evaluations a beam through the object's ball"),
+    _Column("missed", "missed_hits", share, "hits that were not found"),
+    _Column("2 cm", "missed_hits_2cm", share, "the same, of the hits whose chord is at least 2 cm"),
+    _Column("wrong", "wrong_surface", share, "hits on a surface that is not the first"),
+    _Column("false", "false_hits", share, "hits where there is none"),
+    _Column("p50", "depth_p50_m", length, "depth error of hits on the right surface, median"),
+    _Column("p99", "depth_p99_m", length, "the same, 99th percentile"),
+    _Column("max", "depth_max_m", length, "the same, maximum"),
+    _Column("|g|", "residual_max_m", length, "largest distance of the field at a hit", False),
+    _Column("error", "error_m", length, f"all in one, see below; a beam misplaced counts {MISPLACED_M:g} m"),
+    _Column("cosine", "gradient_cosine", "{:.6f}".format, "of the loss's gradient with that of reference"),
+    _Column("norm", "gradient_norm_ratio", "{:.4f}".format, "length of that gradient over that of reference", False),
+    _Column("score", "score_delta", "{:.1e}".format, "mean change of the final score, without sign", False),
+    _Column("AUC", "auc_delta", "{:+.1e}".format, "change of the AUC"),
+    _Column("detector", "detector_ms_median", milliseconds, "forward and backward, median", False),
+    _Column("step", "step_ms_median", milliseconds, "a whole attack step, median"),
+    _Column("step x", "step_ratio_to_paper", factor, "times as fast as the published step"),
+    _Column("open", "unresolved_beams", "{:,}".format, "beams that could not be decided", False),
+    _Column("front", "pareto", lambda flag: "*" if flag else "", "no setting that could be used instead is better"),
+)
+_RULE = (
+    "A setting is dominated, and grey, where another one on the same scenes takes no more time, has no larger error, "
+    "and is better in one of the two. A warm setting needs a previous rendering, so it dominates warm ones only. "
+    f"The error is a bound on the mean error of a beam's depth: half of the median, 0.49 of the 99th percentile, 0.01 "
+    f"of the maximum, and {MISPLACED_M:g} m for every beam that missed, hit a wrong surface, or hit nothing that is "
+    "there. On the diagrams an error of zero has its place left of the dashed line."
+)
+
+
+def frontier_lines(frame: pd.DataFrame) -> str:
+    """The printed table: a block a scene set, the fastest setting first.
+
+    Columns for which nothing was measured are left out, and some that only the page and the Parquet file show.
+
+    Args:
+        frame: the frontier's table.
+    """
+    blocks = []
+    for scenes, rows, columns in _sets(frame):
+        columns = [column for column in columns if column.printed]
+        renders, beams = rows["renders"].max(), rows["beams"].max()
+        title = f"What accuracy costs on the {scenes} scenes ({renders:,} renderings, {beams:,} beams; * on the front)"
+        header = [scenes, *(column.header for column in columns)]
+        blocks.append(aligned(title, header, [[str(row["setting"]), *_cells(row, columns)] for row in rows.iloc]))
+    return "\n\n".join(blocks)
+
+
+def _sets(frame: pd.DataFrame) -> list[tuple[str, pd.DataFrame, list[_Column]]]:
+    frame = frame.assign(error_m=effective_error_m(frame))
+    columns = [column for column in _COLUMNS if frame[column.source].notna().any()]
+    return [
+        (str(scenes), frame[frame["scenes"] == scenes].sort_values("ms_median", kind="stable"), columns)
+        for scenes in dict.fromkeys(frame["scenes"])
+    ]
+
+
+def _cells(row: pd.Series, columns: list[_Column]) -> list[str]:
+    return ["-" if pd.isna(row[column.source]) else column.cell(row[column.source]) for column in columns]
+
+
+def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
+    """A page that needs nothing but itself: diagrams, advice, the table and what its columns mean.
+
+    Args:
+        frame: the frontier's table.
+        machine: what it was measured on, by name.
+    """
+    told = advice(frame).split("\n\n")
+    measured = ", ".join(f"{name} {value}" for name, value in machine.items()) or "not recorded"
+    parts = ["<h1>What accuracy costs in time</h1>", f"<p>Measured on: {html.escape(measured)}.</p>"]
+    for (scenes, rows, columns), paragraph in zip(_sets(frame), told):
+        picture = base64.b64encode(_png(work_precision_figure(frame, scenes))).decode()
+        parts += [
+            f"<h2>{html.escape(scenes)}</h2>",
+            f"<p>{html.escape(paragraph)}</p>",
+            f'<img src="data:image/png;base64,{picture}" alt="Time of a rendering against its error, '
+            f'{html.escape(scenes)} scenes">',
+            _html_table(rows, columns),
+        ]
+    meanings = "".join(
+        f"<dt>{html.escape(column.header)}</dt><dd>{html.escape(column.meaning)}</dd>" for column in _sets(frame)[0][2]
+    )
+    parts += ["<h2>What the numbers mean</h2>", f"<p>{html.escape(_RULE)}</p>", f"<dl>{meanings}</dl>"]
+    return _PAGE.replace("BODY", "\n".join(parts))
+
+
+def _html_table(rows: pd.DataFrame, columns: list[_Column]) -> str:
+    lines = ["<div><table><tr><th>setting</th>" + "".join(f"<th>{html.escape(c.header)}</th>" for c in columns)]
+    for row in rows.iloc:
+        kind = ("" if row["pareto"] else "dominated ") + ("preset" if pd.notna(row["preset"]) else "")
+        cells = "".join(f"<td>{html.escape(cell)}</td>" for cell in _cells(row, columns))
+        lines.append(f'<tr class="{kind.strip()}"><td>{html.escape(str(row["setting"]))}</td>{cells}')
+    return "</tr>\n".join(lines) + "</tr></table></div>"
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>What accuracy costs in time</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>
+body { font: 15px/1.5 sans-serif; max-width: 78rem; margin: 2rem auto; padding: 0 1rem; color: #202020;
+       background: #ffffff; }
+p, dl { max-width: 50rem; }
+img { max-width: 100%; height: auto; }
+div { overflow-x: auto; }
+table { border-collapse: collapse; font-size: 12px; font-variant-numeric: tabular-nums; white-space: nowrap; }
+th, td { padding: 2px 7px; text-align: right; border-bottom: 1px solid #e4e4e4; }
+th:first-child, td:first-child { text-align: left; }
+.dominated td { color: #707070; }
+.preset td:first-child { font-weight: bold; }
+dt { float: left; clear: left; width: 6rem; font-weight: bold; }
+dd { margin-left: 6.5rem; }
+</style></head><body>
+BODY
+</body></html>
+"""
+
+
+def _png(figure: Figure) -> bytes:
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", metadata={"Software": ""})
+    return picture.getvalue()
+
+
+def write_report(folder: Path) -> str:
+    """Write report.html, frontier.png and advice.txt beside folder/frontier.parquet, each whole or not at all.
+
+    The same table gives the same bytes. The report can be written again from the table alone.
+
+    Returns:
+        What is printed: the table and the advice.
+
+    Raises:
+        InputError: no frontier there, or not one of this version; a disk that is full or not writable.
+    """
+    table = read_frontier(folder / "frontier.parquet")
+    if not table.num_rows:
+        raise InputError("holds no setting", str(folder / "frontier.parquet"), "Run make frontier again")
+    frame = table.to_pandas()
+    told = advice(frame)
+    write_atomic(folder / "advice.txt", f"{told}\n".encode())
+    write_atomic(folder / "frontier.png", _png(work_precision_figure(frame)))
+    write_atomic(folder / "report.html", frontier_html(frame, machine_of(table)).encode())
+    return f"{frontier_lines(frame)}\n\n{told}"
