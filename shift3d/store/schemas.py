@@ -6,7 +6,7 @@ import pyarrow as pa
 
 __all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
 _SPEC_FIELDS = [
@@ -55,13 +55,21 @@ _SCORES = _schema(
         ("status", pa.string()),
         ("max_residual_m", pa.float64()),
         ("unresolved_beams", pa.int32()),
+        # What the accuracy preset's error came to on some of the row's own beams, see task/audit.py.
+        ("audited_beams", pa.int32()),
+        ("audited_hits", pa.int32()),
+        ("missed_hits", pa.int32()),
+        ("false_hits", pa.int32()),
+        ("wrong_surface", pa.int32()),
+        ("depth_error_max_m", pa.float64()),
     ],
-    # Null where nothing could be placed (status says so), and where the verification at reference accuracy
-    # has not been run.
+    # Null where nothing could be placed (status says so), where the verification at reference accuracy has not been
+    # run, and where a method is not audited.
     nullable={
         *_NULLABLE, "score", "adversarial_loss", "latent_distance", *(n for n, _ in _POSE), "range_m",
         "object_points", "overlap_ok", "contact_ok", "best_step", "score_reference", "stable",
-        "max_residual_m", "unresolved_beams",
+        "max_residual_m", "unresolved_beams", "audited_beams", "audited_hits", "missed_hits", "false_hits",
+        "wrong_surface", "depth_error_max_m",
     },
 )  # fmt: skip
 

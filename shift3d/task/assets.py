@@ -15,6 +15,7 @@ from shift3d.detectors.base import Detector
 from shift3d.detectors.weights import load_detector
 from shift3d.errors import InputError
 from shift3d.render.beams import Beams
+from shift3d.render.empty_space import EmptySpace
 from shift3d.render.settings import RenderSettings
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
@@ -27,6 +28,8 @@ from shift3d.vehicles.vehicle import Vehicle
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
 # Tasks come grouped by vehicle, so that the same scenes come round again; a scene with its beams is 15 MB.
 _SCENES_KEPT = 16
+# A map of a car is 1 MB and takes seconds.
+_SPACES_KEPT = 64
 
 
 @dataclass
@@ -34,7 +37,8 @@ class Assets:
     """Loaded once a worker; never changed by a task.
 
     scenes, vehicles: the sets that names are looked up in. decoder: float32, as shipped. detectors: name to a file of
-    weights (None: those that ship). Precision twins and scenes with their beams are made on first use and kept.
+    weights (None: those that ship). Precision twins, scenes with their beams, and maps
+    of vehicles are made on first use and kept.
     """
 
     scenes: SceneSet
@@ -45,6 +49,7 @@ class Assets:
     _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)
     _vehicle_hashes: dict[str, str] = field(default_factory=dict)
+    _spaces: OrderedDict[tuple[str, RenderSettings], EmptySpace] = field(default_factory=OrderedDict)
 
     def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
         """A task's scene and its beams.
@@ -88,6 +93,25 @@ class Assets:
             self._vehicle_hashes[name] = vehicle_hash(vehicle)
         _require(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
         return vehicle
+
+    def space_of(self, spec: TaskSpec, settings: RenderSettings) -> EmptySpace | None:
+        """A map of the task's vehicle at these settings, None where they use none.
+
+        Made once a vehicle: it depends on its code alone. Whether there is one depends on the settings, never on what
+        ran before, so that a task's bytes do not.
+        """
+        if not settings.empty_space or settings.solver != "hybrid":
+            return None
+        key = (spec.vehicle, settings)
+        if key not in self._spaces:
+            vehicle = self.vehicle(spec)
+            code = torch.from_numpy(vehicle.latent_code).to(settings.dtype)
+            with torch.no_grad():
+                self._spaces[key] = EmptySpace.of(self.decoder_of(settings.dtype).field(code), vehicle, settings)
+            if len(self._spaces) > _SPACES_KEPT:
+                self._spaces.popitem(last=False)
+        self._spaces.move_to_end(key)
+        return self._spaces[key]
 
 
 def _require(what: str, planned: str | None, found: str) -> None:

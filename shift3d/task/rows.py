@@ -8,6 +8,7 @@ import numpy as np
 from torch import Tensor
 
 from shift3d.attack.records import AttackResult
+from shift3d.task.audit import Audit
 from shift3d.task.scoring import Candidate, Scored
 from shift3d.task.spec import Row, TaskResult, TaskSpec
 
@@ -24,8 +25,11 @@ class Rows:
         self._timings: dict[tuple[str, str], tuple[float, int]] = {}
         self._seen: set[tuple[str, int]] = set()
 
-    def add(self, candidate: Candidate, baseline_code: Tensor, scored: Scored) -> None:
-        """One object that was scored: a row for each detector, and the solution that renders it again."""
+    def add(self, candidate: Candidate, baseline_code: Tensor, scored: Scored, audit: Audit | None = None) -> None:
+        """One object that was scored: a row for each detector, and the solution that renders it again.
+
+        audit: what its rendering's accuracy came to, where that was measured.
+        """
         measured, theta = scored.measurement, [float(value) for value in candidate.theta]
         check, rendering = measured.check, measured.rendering
         pose = dict(zip(_POSE, theta, strict=True))
@@ -41,6 +45,9 @@ class Rows:
             "max_residual_m": rendering.max_residual_m,
             "unresolved_beams": rendering.unresolved_beams,
         }
+        if audit is not None:
+            same |= audit.columns()
+            self.time(candidate.method, "audit", audit.milliseconds)
         for name in self._spec.scored_by:
             answer = scored.answers[name]
             row = self._row(name, candidate.method, candidate.replicate, candidate.status)

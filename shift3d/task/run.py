@@ -21,6 +21,7 @@ from shift3d.render.settings import STANDARD
 from shift3d.scenes.scene import Scene
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets, render_settings, score_precision, search_precision
+from shift3d.task.audit import AUDITED, audit
 from shift3d.task.rows import Rows
 from shift3d.task.scoring import Candidate, score_object
 from shift3d.task.spec import TaskResult, TaskSpec
@@ -51,7 +52,8 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
         others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
         for candidate in _candidates(spec, problem, searched, rows):
             scored = score_object(problem, candidate.code, candidate.theta, spec.attack.detection_radius_m, others)
-            rows.add(candidate, problem.code0, scored)
+            checked = audit(spec, assets, problem, candidate, scored) if candidate.method in AUDITED else None
+            rows.add(candidate, problem.code0, scored, checked)
         for method, replicate in _planned(spec):
             rows.skip(method, replicate, "no_random_pose")
     rows.time("adversarial", "total", 1e3 * (time.perf_counter() - start))
@@ -85,7 +87,8 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", spec.placement_seed)
     constraints, others = _constraints(spec), _other_vehicles(scene)
-    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others)
+    space = assets.space_of(spec, STANDARD)
+    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others, space)
 
 
 def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:
@@ -109,6 +112,7 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProble
         settings=settings,
         travel_m=spec.attack.max_shift_m,
         others=_other_vehicles(scene),
+        space=assets.space_of(spec, settings),
     )
 
 

@@ -19,7 +19,7 @@ from shift3d.seeding import derive_seed
 __all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec"]
 
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
-SPEC_VERSION = 2
+SPEC_VERSION = 3
 
 Mode = Literal["shape", "pose"]
 Row = dict[str, Any]
