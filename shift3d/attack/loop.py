@@ -48,10 +48,10 @@ def descend(
     variable = search.start.detach().clone().requires_grad_()
     trace: list[StepRecord] = []
     best_step, best_loss, best = 0, float("inf"), search.parameters(search.start.detach())
-    status, warm = "no_valid_step", None
+    status, warm, follower = "no_valid_step", None, problem.follower()
     for step in range(steps + 1):
         code, theta = search.parameters(variable)
-        measurement = measure(problem, code, theta, warm)
+        measurement = measure(problem, code, theta, warm, follower=follower)
         warm = measurement.rendering.warm
         loss = measurement.adversarial + search.penalty(variable)
         gradient, milliseconds = _gradient(loss, variable) if step < steps else (None, 0.0)

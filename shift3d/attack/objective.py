@@ -87,7 +87,9 @@ def proposal_score(proposals: Proposals, box: np.ndarray, radius_m: float = DETE
     return float(torch.sigmoid(proposals.logits.detach()[torch.from_numpy(near)].max())) if near.any() else 0.0
 
 
-def window_around(detector: Detector, theta: Tensor, radius_m: float) -> BevWindow:
-    """The detector's exact window around an object at pose theta (6,)."""
+def window_around(detector: Detector, theta: Tensor, radius_m: float | None) -> BevWindow | None:
+    """The detector's exact window around an object at pose theta (6,); None (the whole scene) for radius_m None."""
+    if radius_m is None:
+        return None
     x, y = (float(value) for value in theta.detach()[:2])
     return detector.window_for((x, y), radius_m)

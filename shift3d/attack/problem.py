@@ -20,6 +20,7 @@ from shift3d.attack.objective import (
     window_around,
 )
 from shift3d.detectors.base import Detector, Proposals
+from shift3d.detectors.incremental import Follower, follow
 from shift3d.render.beams import Beams
 from shift3d.render.empty_space import EmptySpace
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
@@ -90,6 +91,12 @@ class AttackProblem:
         """The map of empty space, if it belongs to this code."""
         return self.space if torch.equal(code, self.code0) else None
 
+    def follower(self) -> Follower:
+        """A follower of the detector wherever an attack may move the object."""
+        window = window_around(self.detector, self.theta0, ATTACK_RADIUS_M + self.travel_m)
+        assert window is not None
+        return follow(self.detector, window)
+
     def points_near(self) -> Tensor:
         """(M, 3) original returns that the object can reach wherever it is moved."""
         if not self._near:
@@ -118,11 +125,13 @@ def measure(
     code: Tensor,
     theta: Tensor,
     warm: WarmStart | None = None,
-    radius_m: float = ATTACK_RADIUS_M,
+    radius_m: float | None = ATTACK_RADIUS_M,
+    follower: Follower | None = None,
 ) -> Measurement:
     """Render, detect, and check the constraints.
 
-    radius_m: how far around the object proposals are looked at.
+    radius_m: how far around the object proposals are looked at; None: the whole scene, as the paper does.
+    follower: of this problem's detector, to be asked in its place: what an earlier measurement computed is reused.
 
     Differentiable w.r.t. code and theta, through `adversarial`. Source: SHIFT3D, Algorithm 1.
     """
@@ -131,7 +140,11 @@ def measure(
     rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings, warm, problem.space_for(code))
     rendered = time.perf_counter()
     points = to_network_frame(rendering.points, problem.ground_z_m)
-    proposals = problem.detector.proposals(points, window_around(problem.detector, theta, radius_m))
+    window = window_around(problem.detector, theta, radius_m)
+    if follower is None or window is None:
+        proposals = problem.detector.proposals(points, window)
+    else:
+        proposals = follower.proposals(points, window, live=rendering.hit_mask)
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
     loss = adversarial_loss(proposals, box)
     score = proposal_score(proposals, box)

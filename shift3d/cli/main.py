@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from shift3d.cli import evaluate, export, fit, plan, sweep, train, ui
+from shift3d.cli import evaluate, export, fit, frontier, plan, sweep, train, ui
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
 
@@ -22,6 +22,7 @@ COMMANDS: tuple[Command, ...] = (
     fit.COMMAND,
     train.COMMAND,
     evaluate.COMMAND,
+    frontier.COMMAND,
     ui.COMMAND,
 )
 

@@ -193,6 +193,12 @@ def _refuse_interpolations(values: Any, where: str, path: str = "") -> None:
 
 def validate(values: Values, where: str) -> Config:
     """Check settings against the schema. Raises InputError naming the field and what it may be."""
+    if "frontier" in values:
+        raise InputError(
+            "it measures what accuracy costs and has no tasks",
+            where=where,
+            remedy="Run it with: make frontier, or shift3d frontier",
+        )
     if missing := _missing(values):
         raise InputError(f"{missing} is required", where=where, remedy=f"Add {missing}=VALUE to the command")
     try:

@@ -10,9 +10,12 @@ from torch import Tensor
 from shift3d.detectors.anchors import WAYMO_ANCHORS, AnchorSpec, anchor_boxes, anchor_indices
 from shift3d.detectors.base import BevWindow, Detections, Proposals
 from shift3d.detectors.box_coding import decode_boxes
+from shift3d.detectors.cell_backbone import CellBackbone
 from shift3d.detectors.grid import full_window
+from shift3d.detectors.incremental import Follower, PillarFollower, WindowFollower
 from shift3d.detectors.network import AnchorNet, Precision, arithmetic
 from shift3d.detectors.nms import suppress
+from shift3d.detectors.pointpillars import PointPillarsNet
 from shift3d.errors import InputError
 
 __all__ = ["AnchorDetector"]
@@ -33,6 +36,7 @@ class AnchorDetector:
         self.grid = net.grid
         self._dtype = arithmetic(precision)[0]
         self._net = net.inference(precision)
+        self._cells: CellBackbone | None = None  # its matrices, made when first asked for
 
     def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
         """Smallest window whose proposals with anchor centres within radius_m equal the full scene's.
@@ -78,11 +82,23 @@ class AnchorDetector:
         features = self._net.features([points.to(self._dtype)], [window])
         logits = self._net.heads.logits(features)[0].to(self._dtype)
         with torch.no_grad():
-            outputs = self._net.heads(features.detach())
-            codes, directions = outputs.codes[0].to(self._dtype), outputs.directions[0].to(self._dtype)
+            codes, directions = self._net.heads.codes_and_directions(features.detach())
+        return self._proposals(logits, codes[0].to(self._dtype), directions[0].to(self._dtype), window)
+
+    def _proposals(self, logits: Tensor, codes: Tensor, directions: Tensor, window: BevWindow) -> Proposals:
+        with torch.no_grad():
             anchors = anchor_boxes(self.anchors, self.grid, window).to(self._dtype)
             boxes = decode_boxes(codes, anchors, directions)
         return Proposals(boxes.float(), logits, anchor_indices(self.anchors, self.grid, window))
+
+    def following(self, window: BevWindow) -> Follower:
+        """Proposals inside a window for many editions of one scene, at the cost of what differs between them."""
+        net = self._net
+        if not (isinstance(net, PointPillarsNet) and PillarFollower.can_follow(net, window)):
+            return WindowFollower(self, window)  # SST: attention over the tokens of a window has no such locality
+        if self._cells is None:
+            self._cells = CellBackbone(net.backbone, net.heads, self._dtype)
+        return PillarFollower(net, self._cells, window, self.proposals, self._proposals)
 
     def detect(
         self,

@@ -10,12 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from shift3d.detectors.base import BevWindow
 
-__all__ = ["WAYMO_GRID", "Grid", "Pillars", "assign_pillars", "full_window"]
+__all__ = ["WAYMO_GRID", "Grid", "Pillars", "assign_pillars", "cells_of", "full_window"]
 
 
 @dataclass(frozen=True)
@@ -56,14 +57,15 @@ def full_window(grid: Grid) -> BevWindow:
     return BevWindow(0, 0, grid.num_x, grid.num_y, 0, 0, grid.num_x, grid.num_y)
 
 
-def assign_pillars(points: Tensor, grid: Grid, window: BevWindow) -> Pillars:
-    """Group points by pillar; points outside the window, the height range or not finite are left out.
+def cells_of(
+    points: Tensor, grid: Grid, window: BevWindow
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """(N,) column and line of every point's cell in the full grid, whole numbers, and whether the point counts.
 
-    points: (N, 3) float, network frame. Nothing here is differentiable: a point on a pillar's edge flips with
-    the floor, and the gradient of that flip is zero.
+    points: (N, 3) float, network frame. A point that is outside the window or the height range or is not finite
+    does not count. The same cells whatever the precision: computed in float64.
     """
-    xyz = points.detach().to("cpu", torch.float64).numpy()  # the same cells whatever the precision
-    x, y, z = xyz[:, 0], xyz[:, 1], xyz[:, 2]
+    x, y, z = points.detach().to("cpu", torch.float64).numpy().T
     with np.errstate(invalid="ignore"):
         cell_x = np.floor((x - grid.x_min_m) / grid.cell_m)
         cell_y = np.floor((y - grid.y_min_m) / grid.cell_m)
@@ -72,9 +74,20 @@ def assign_pillars(points: Tensor, grid: Grid, window: BevWindow) -> Pillars:
             & (cell_y >= window.y0) & (cell_y < window.y0 + window.num_y)
             & (z >= grid.z_min_m) & (z < grid.z_max_m)
         )  # fmt: skip
+    return cell_x, cell_y, inside
+
+
+def assign_pillars(points: Tensor, grid: Grid, window: BevWindow) -> Pillars:
+    """Group points by pillar; points outside the window, the height range or not finite are left out.
+
+    points: (N, 3) float, network frame. Nothing here is differentiable: a point on a pillar's edge flips with
+    the floor, and the gradient of that flip is zero.
+    """
+    cell_x, cell_y, inside = cells_of(points, grid, window)
     rows = np.nonzero(inside)[0]
     flat = cell_y[rows].astype(np.int64) * grid.num_x + cell_x[rows].astype(np.int64)
-    by_value = np.lexsort((z[rows], y[rows], x[rows], flat))
+    x, y, z = points.detach().to("cpu", torch.float64).numpy()[rows].T
+    by_value = np.lexsort((z, y, x, flat))
     flat = flat[by_value]
     starts = np.flatnonzero(np.diff(flat, prepend=-1))
     counts = np.diff(starts, append=flat.size)

@@ -1,25 +1,64 @@
-"""Exact overlap of oriented boxes; the polygon clipping is shapely's."""
+"""Exact overlap of oriented boxes."""
 
 from __future__ import annotations
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
-
-from shift3d.geometry.boxes import corners_bev
 
 Float = NDArray[np.float64]
 
 
-def _overlap_areas(a: Float, b: Float, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float:
-    """Footprint intersection areas (P,) of the pairs (a[rows], b[columns]).
+def _overlap_areas(a: Float, b: Float) -> Float:
+    """Footprint intersection areas (P,) of boxes a (P, 7) and b (P, 7), pair by pair; exactly 0 where they are apart.
 
-    Coordinates are taken relative to box a before clipping, so that boxes far from the origin lose no digits.
+    Box b is taken into the frame of box a, so that boxes far from the origin lose no digits.
     """
-    origin = a[rows][:, None, :2]
-    polygons_a = shapely.polygons(corners_bev(a)[rows] - origin)
-    polygons_b = shapely.polygons(corners_bev(b)[columns] - origin)
-    return np.asarray(shapely.area(shapely.intersection(polygons_a, polygons_b)), dtype=np.float64)
+    half_a, half_b = a[:, 3:5] / 2.0, b[:, 3:5] / 2.0
+    centre = _turned(b[:, :2] - a[:, :2], -a[:, 6])
+    turn = b[:, 6] - a[:, 6]
+    apart = _apart(centre, turn, half_a, half_b) | _apart(_turned(centre, -turn), turn, half_b, half_a)
+    near = np.flatnonzero(~apart)
+    corners = _turned(_SIGNS * half_b[near, None, :], turn[near, None]) + centre[near, None, :]
+    areas = np.zeros(len(a))
+    areas[near] = _area_within(corners, half_a[near])
+    return areas
+
+
+_SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+def _turned(xy: Float, angle_rad: Float) -> Float:
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    return np.stack((cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]), axis=-1)
+
+
+def _apart(centre: Float, turn_rad: Float, half: Float, half_other: Float) -> NDArray[np.bool_]:
+    """Whether an axis of a box at the origin separates it from another, which is centred there and turned so."""
+    cos, sin = np.abs(np.cos(turn_rad))[:, None], np.abs(np.sin(turn_rad))[:, None]
+    apart = np.abs(centre) >= half + cos * half_other + sin * half_other[:, ::-1]
+    return np.asarray(apart.any(axis=1))
+
+
+def _area_within(corners: Float, half: Float) -> Float:
+    """Areas (P,) of convex quadrilaterals (P, 4, 2), counter-clockwise, within |x| <= half_x, |y| <= half_y.
+
+    Every point is moved to the nearest one of the rectangle: what is outside falls on its border, where it encloses
+    nothing, and the area that the moved outline encloses is that of the intersection. Between the places where an edge
+    crosses a line of the rectangle the moved edge is straight, so that the formula for polygons holds.
+    """
+    edges = np.roll(corners, -1, axis=1) - corners
+    bounds = np.concatenate((half, -half), axis=1)[:, None, :]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        crossings = (bounds - np.tile(corners, 2)) / np.tile(edges, 2)
+    crossings = np.sort(np.clip(np.nan_to_num(crossings), 0.0, 1.0), axis=2)
+    moved = np.empty((len(corners), 4, 5, 2))
+    moved[:, :, 0] = corners
+    moved[:, :, 1:] = corners[:, :, None] + crossings[..., None] * edges[:, :, None]
+    limit = half[:, None, None]
+    outline = np.clip(moved, -limit, limit).reshape(-1, 20, 2)
+    x, y = outline[..., 0], outline[..., 1]
+    following = np.roll(outline, -1, axis=1)
+    return np.asarray(0.5 * (x * following[..., 1] - y * following[..., 0]).sum(axis=1))
 
 
 def _pairs_in_reach(a: Float, b: Float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -46,7 +85,7 @@ def iou_bev(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
     a, b = _as_boxes(a), _as_boxes(b)
     result = np.zeros((len(a), len(b)))
     rows, columns = _pairs_in_reach(a, b)
-    overlap = _overlap_areas(a, b, rows, columns)
+    overlap = _overlap_areas(a[rows], b[columns])
     union = (a[:, 3] * a[:, 4])[rows] + (b[:, 3] * b[:, 4])[columns] - overlap
     result[rows, columns] = np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0.0)
     return np.clip(result, 0.0, 1.0)
@@ -59,7 +98,7 @@ def iou_3d(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
     rows, columns = _pairs_in_reach(a, b)
     top = np.minimum((a[:, 2] + a[:, 5] / 2.0)[rows], (b[:, 2] + b[:, 5] / 2.0)[columns])
     bottom = np.maximum((a[:, 2] - a[:, 5] / 2.0)[rows], (b[:, 2] - b[:, 5] / 2.0)[columns])
-    overlap = _overlap_areas(a, b, rows, columns) * np.clip(top - bottom, 0.0, None)
+    overlap = _overlap_areas(a[rows], b[columns]) * np.clip(top - bottom, 0.0, None)
     union = np.prod(a[:, 3:6], axis=1)[rows] + np.prod(b[:, 3:6], axis=1)[columns] - overlap
     result[rows, columns] = np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0.0)
     return np.clip(result, 0.0, 1.0)

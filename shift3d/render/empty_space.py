@@ -28,6 +28,7 @@ _CHECKS = 4000
 _MARGIN = 1.5
 _LEAST_ERROR_M = 0.005
 _CLEAN_M = 0.4
+_PLAIN_SLOPE = 0.2
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ class Sight:
         """Rays (m,) that plainly enter the object, where (m,) they cross, and the slope (m,) there.
 
         Plainly: from the first doubtful sample to the first that is surely inside the distance only falls, over at
-        most 0.4 m. Anything else is for a march to decide.
+        most 0.4 m, and at no flat angle. Anything else is for a march to decide.
         """
         doubtful, inside = self.distance_m < self.doubt_m, self.distance_m < -self.doubt_m
         first, entered = doubtful.byte().argmax(1), inside.byte().argmax(1)
@@ -136,7 +137,9 @@ class Sight:
         g1, g0 = self.distance_m[rows, after].double(), self.distance_m[rows, after - 1].double()
         slope = (g1 - g0) / SAMPLE_M
         share = torch.where(g0 > g1, g0 / (g0 - g1).clamp_min(1e-9), 0.5)
-        return rows, self.near_m[rows] + (after - 1 + share) * SAMPLE_M, slope.clamp_max(-0.02)
+        steep = slope < -_PLAIN_SLOPE
+        guess = self.near_m[rows] + (after - 1 + share) * SAMPLE_M
+        return rows[steep], guess[steep], slope[steep]
 
     def closest(self) -> tuple[Tensor, Tensor]:
         """(M,) least distance along each ray, as far as the map can vouch for it, and where that is."""

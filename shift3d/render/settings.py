@@ -56,7 +56,7 @@ class RenderSettings:
     max_step_m: float = 0.25
     step_safety: float = 0.9
     max_slope: float = 3.0
-    tolerance_m: float = 1e-5
+    tolerance_m: float = 3e-6
     unchecked_m: float = 1e-3
     max_iterations: int = 40
     box_margin_m: float = 0.05

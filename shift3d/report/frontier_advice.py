@@ -113,9 +113,12 @@ def _warm(rows: pd.DataFrame, presets: dict[str, Any]) -> str:
     found = rows[rows["setting"] == f"{_DEFAULT}, warm"]
     if found.empty or _DEFAULT not in presets:
         return ""
-    warm, cold = found.iloc[0], presets[_DEFAULT]
+    plain = rows[rows["setting"] == f"{_DEFAULT} without a map"]
+    warm, cold, how = found.iloc[0], presets[_DEFAULT], "cold"
+    if len(plain):  # a map is of one shape: one that changes has none
+        cold, how = plain.iloc[0], "cold without a map of the shape"
     told = f"Warm, that is from the previous rendering on as in the attack loop, {_DEFAULT} takes "
-    told += f"{milliseconds(warm['ms_median'])}: {factor(cold['ms_median'] / warm['ms_median'])} times as fast as cold"
+    told += f"{milliseconds(warm['ms_median'])}: {factor(cold['ms_median'] / warm['ms_median'])} times as fast as {how}"
     if not np.isnan(warm["ratio_to_paper"]):
         told += f" and {factor(warm['ratio_to_paper'])} times as fast as paper"
     return told + "."
@@ -132,7 +135,11 @@ def _loop(presets: dict[str, Any]) -> str:
 
 
 def _knee(rows: pd.DataFrame) -> str:
-    front = rows[rows["pareto"] & ~rows["warm"]].sort_values("ms_median", kind="stable").reset_index(drop=True)
+    # Of settings that render the same one is enough, a preset if there is one.
+    front = rows[rows["pareto"] & ~rows["warm"]].sort_values("preset", kind="stable", na_position="last")
+    front = (
+        front.drop_duplicates(["ms_median", "error_m"]).sort_values("ms_median", kind="stable").reset_index(drop=True)
+    )
     at = knee(front["ms_median"], front["error_m"])
     if at is None:
         return ""

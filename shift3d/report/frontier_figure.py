@@ -228,15 +228,14 @@ def _place_labels(axes: Axes, rows: pd.DataFrame, x: FloatArray) -> None:
 
 
 def _labels(rows: pd.DataFrame, x: FloatArray) -> list[PointLabel]:
-    """Presets and what is on the front; of settings that render the same, one stands for all, a preset if it can."""
-    labels: dict[tuple[float, float], PointLabel] = {}
-    for setting, preset, front, error, time in zip(
-        rows["setting"], rows["preset"].notna(), rows["pareto"], x, rows["ms_median"]
-    ):
-        place = float(error), float(time)
-        if preset or (front and place not in labels):
-            labels[place] = PointLabel(str(setting), *place, bool(preset))
-    return list(labels.values())
+    """Presets, and what is on the front; of settings in one place, as those that render the same are, one names all."""
+    points = list(zip(rows["setting"], x, rows["ms_median"], rows["preset"].notna(), rows["pareto"]))
+    labels = [PointLabel(str(name), float(e), float(ms), True) for name, e, ms, preset, _ in points if preset]
+    for name, error, time, preset, front in points:
+        taken = any((label.x, label.y) == (float(error), float(time)) for label in labels)
+        if front and not preset and not taken:
+            labels.append(PointLabel(str(name), float(error), float(time)))
+    return labels
 
 
 def _legend(figure: Figure, frame: pd.DataFrame, styles: dict[str, _Style]) -> None:

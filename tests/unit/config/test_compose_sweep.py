@@ -62,7 +62,8 @@ def test_an_override_wins_over_the_option_that_it_belongs_to() -> None:
     assert {config.attack.noise_replicates for config in configs} == {2, 10}
 
 
-@pytest.mark.parametrize("name", sweep_names())
+# accuracy_time is measured by `shift3d frontier`, see test_frontier_config.
+@pytest.mark.parametrize("name", [name for name in sweep_names() if name != "accuracy_time"])
 def test_every_sweep_is_valid(name: str) -> None:
     overrides = ["scenes.root=somewhere"] if name == "kitti" else []
     assert list(expand(compose_sweep(name, overrides)))

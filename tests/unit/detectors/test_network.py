@@ -4,44 +4,13 @@ import dataclasses
 
 import pytest
 import torch
+from random_networks import random_net, random_scene
 
 from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import full_window
-from shift3d.detectors.network import AnchorNet
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SstNet, SstSpec
-from shift3d.detectors.window_transformer import TransformerSpec
 from shift3d.errors import InputError
-
-SLIM = {
-    "pointpillars": BackboneSpec(in_channels=8, channels=(8, 8, 8), up_channels=8),
-    "sst": SstSpec(TransformerSpec(width=16, heads=2, feed_forward=32, blocks=2), encoder_hidden=8, out_channels=24),
-}
-
-
-def _random_net(name: str, seed: int = 0) -> AnchorNet:
-    """Random weights with lively batch-norm statistics and logits of order one."""
-    torch.manual_seed(seed)
-    spec = SLIM[name]
-    net = SstNet(spec) if isinstance(spec, SstSpec) else PointPillarsNet(spec)
-    for module in net.modules():
-        if isinstance(module, torch.nn.BatchNorm1d | torch.nn.BatchNorm2d):
-            torch.nn.init.normal_(module.running_mean, std=0.1)
-            torch.nn.init.uniform_(module.running_var, 0.5, 1.5)
-            torch.nn.init.normal_(module.bias, std=0.1)
-        elif isinstance(module, torch.nn.Conv2d | torch.nn.ConvTranspose2d):
-            torch.nn.init.kaiming_normal_(module.weight, nonlinearity="relu")  # signal in every layer
-    torch.nn.init.normal_(net.heads.classes.weight, std=0.3)
-    torch.nn.init.zeros_(net.heads.classes.bias)
-    return net.eval()
-
-
-def _scene(count: int = 20000, seed: int = 0) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    points = (torch.rand(count, 3, generator=generator) - 0.5) * torch.tensor([152.0, 152.0, 4.0])
-    return points + torch.tensor([0.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module", params=["pointpillars", "sst"])
@@ -51,12 +20,12 @@ def name(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module")
 def slim(name: str) -> AnchorDetector:
-    return AnchorDetector(_random_net(name))
+    return AnchorDetector(random_net(name))
 
 
 @pytest.fixture(scope="module")
 def full_scene(slim: AnchorDetector) -> tuple[torch.Tensor, torch.Tensor]:
-    found = slim.proposals(_scene())
+    found = slim.proposals(random_scene())
     return found.logits, found.boxes
 
 
@@ -84,7 +53,7 @@ def test_a_window_gives_the_full_scene_s_proposals(
     slim: AnchorDetector, full_scene: tuple[torch.Tensor, torch.Tensor], centre: tuple[float, float]
 ) -> None:
     window = slim.window_for(centre, 8.0)
-    part = slim.proposals(_scene(), window)
+    part = slim.proposals(random_scene(), window)
     logits, boxes = full_scene
     assert logits[part.anchor_index].std() > 0.1
     assert torch.allclose(part.logits, logits[part.anchor_index], atol=1e-5, rtol=0)
@@ -98,14 +67,14 @@ def test_a_window_reports_every_anchor_in_the_radius(slim: AnchorDetector) -> No
     everywhere = anchor_boxes(slim.anchors, slim.grid, full_window(slim.grid))
     distance = torch.hypot(everywhere[:, 0] - 30.1, everywhere[:, 1] + 12.2)
     wanted = set(torch.nonzero(distance <= 6.0).squeeze(1).tolist())
-    assert wanted <= set(slim.proposals(_scene(), window).anchor_index.tolist())
+    assert wanted <= set(slim.proposals(random_scene(), window).anchor_index.tolist())
 
 
 def test_a_window_gives_the_full_scene_s_gradient(slim: AnchorDetector) -> None:
     window = slim.window_for((-68.0, 3.0), 5.0)
     gradients = []
     for where in (window, None):
-        points = _scene().requires_grad_()
+        points = random_scene().requires_grad_()
         found = slim.proposals(points, where)
         inside = torch.isin(found.anchor_index, slim.proposals(points.detach(), window).anchor_index)
         torch.nn.functional.softplus(found.logits[inside]).sum().backward()
@@ -122,7 +91,7 @@ def test_a_window_beyond_the_grid_is_refused(slim: AnchorDetector) -> None:
 
 def test_bitwise_equal_over_runs_and_permutations(slim: AnchorDetector) -> None:
     window = slim.window_for((5.0, 5.0), 6.0)
-    points = _scene()
+    points = random_scene()
     points[:6000, :2] = points[:6000, :2] * 0.1  # crowded pillars
     points = torch.cat((points, points[:500]))  # and duplicate points
     order = torch.randperm(len(points), generator=torch.Generator().manual_seed(3))
@@ -141,9 +110,9 @@ def test_bitwise_equal_over_runs_and_permutations(slim: AnchorDetector) -> None:
 
 
 def test_folding_changes_nothing(name: str) -> None:
-    net = _random_net(name).double()
+    net = random_net(name).double()
     window = BevWindow(200, 200, 64, 48, 200, 200, 64, 48)
-    points = _scene().double()
+    points = random_scene().double()
     with torch.no_grad():
         outputs = net([points], [window])
         folded = AnchorDetector(net, "float64").proposals(points, window)
@@ -151,7 +120,7 @@ def test_folding_changes_nothing(name: str) -> None:
 
 
 def test_gradient_equals_central_differences_in_float64(name: str) -> None:
-    detector = AnchorDetector(_random_net(name), "float64")
+    detector = AnchorDetector(random_net(name), "float64")
     window = detector.window_for((3.0, 2.0), 2.0)
     generator = torch.Generator().manual_seed(5)
     cloud = torch.rand(400, 3, generator=generator, dtype=torch.float64) * torch.tensor([6.0, 6.0, 1.5])
@@ -183,10 +152,10 @@ def test_a_scene_without_points_in_range_is_valid(slim: AnchorDetector, cloud: t
 
 
 def test_bfloat16_stays_near_float32(name: str) -> None:
-    net = _random_net(name)
+    net = random_net(name)
     exact, rough = AnchorDetector(net), AnchorDetector(net, "bfloat16")
     window = exact.window_for((0.0, 0.0), 4.0)
-    one, two = exact.proposals(_scene(), window), rough.proposals(_scene(), window)
+    one, two = exact.proposals(random_scene(), window), rough.proposals(random_scene(), window)
     assert two.logits.dtype == torch.float32
     assert (one.logits - two.logits).abs().max() < 0.1 * one.logits.abs().max()
 
@@ -194,3 +163,16 @@ def test_bfloat16_stays_near_float32(name: str) -> None:
 def test_wrong_shape_is_refused(slim: AnchorDetector) -> None:
     with pytest.raises(InputError, match=r"\(N, 3\)"):
         slim.proposals(torch.zeros(5, 4))
+
+
+def test_training_takes_its_statistics_over_the_whole_canvas() -> None:
+    """A core saves work in evaluation; batch norms in training must not see less for it."""
+    spec = BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4, layers=(1, 1, 1))
+    canvas = torch.randn(1, 4, 64, 64, generator=torch.Generator().manual_seed(0))
+    seen = []
+    for core in (None, (24, 24, 8, 8)):
+        torch.manual_seed(1)
+        backbone = Backbone(spec).train()
+        backbone(canvas, core)
+        seen.append(torch.cat([module.running_mean for module in backbone.blocks.modules() if hasattr(module, "eps")]))
+    assert torch.equal(*seen)

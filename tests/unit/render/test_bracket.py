@@ -51,6 +51,39 @@ def test_short_chords_through_a_sphere_are_mostly_found() -> None:
     assert march(sphere(1.0), offsets, REFERENCE).found.double().mean() > 0.9
 
 
+def test_a_short_chord_is_bracketed_where_it_begins() -> None:
+    # A dip that is found between two samples: the crossing wanted is the way in, not the way out.
+    chord = torch.linspace(0.002, 0.02, 200).double()
+    offsets = (1.0 - (chord / 2) ** 2).sqrt()
+    brackets = march(sphere(1.0), offsets)
+    found = brackets.found
+    entry, leave = 5.0 - chord / 2, 5.0 + chord / 2
+    assert (brackets.outer <= entry + 1e-12)[found].all()
+    assert ((brackets.inner > entry) & (brackets.inner < leave))[found].all()
+
+
+def test_a_beam_that_skims_a_panel_before_it_enters_it_hits_the_first_bump() -> None:
+    # Two bumps, 0.2 mm and 5 mm high, 1 cm apart on a plate along the beam: less than a step between them.
+    def bumps(x: Tensor) -> Tensor:
+        first = 0.0002 * torch.exp(-((x[:, 0] / 0.003) ** 2))
+        second = 0.005 * torch.exp(-(((x[:, 0] - 0.012) / 0.003) ** 2))
+        return x[:, 1] - first - second
+
+    offsets = torch.full((40,), 1e-4, dtype=torch.float64)
+    starts = torch.linspace(-0.6, -0.5, 40, dtype=torch.float64)
+    field = ObjectField.of(bumps, Frame(), torch.float64, 4096)
+    rays = along_x(offsets)
+    rays = Rays(
+        rays.index, rays.origins + (starts + 5.0)[:, None] * rays.directions, rays.directions, rays.near_m, rays.far_m
+    )
+    brackets = first_brackets(rays, field, FLOAT64)
+    entry = -0.003 * float(torch.log(torch.tensor(2.0)).sqrt()) - starts
+    # Both chords together are shorter than a step: most are found, and most of these at the first bump.
+    found = brackets.found
+    assert found.double().mean() > 0.7
+    assert ((brackets.outer <= entry + 1e-9) & (brackets.inner > entry))[found].double().mean() > 0.6
+
+
 def test_a_tangent_ray_is_a_miss() -> None:
     brackets = march(sphere(1.0), torch.tensor([1.0, 1.0 + 1e-9]))
     assert not brackets.found.any() and not brackets.undecided.any()

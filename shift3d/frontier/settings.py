@@ -1,0 +1,73 @@
+"""One setting that is measured, and what of it has to be measured only once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+__all__ = ["Setting"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A row of the frontier before it is measured.
+
+    Attributes:
+        name, method, knob, knob_name, preset: as in the table, see `store.frontier_table`.
+        accuracy: every setting of the renderer as plain values, and "detector", the precision in the search, as
+            `config.catalogue.accuracy_settings` gives them.
+        crop_m: how far around the vehicle the detector looks at proposals; None: the whole scene.
+        warm: from which attack's previous rendering it starts, if any; it is then timed as that attack makes it,
+            ready for a gradient, and else without one.
+        space: whether a map of the shape's empty space is at hand, as tasks make one of each vehicle.
+        follow: whether, where it is warm, the detector reuses what it computed for the previous rendering.
+        displaced: whether the displaced shape is rendered too.
+        steps: how many attack steps are timed on a case.
+    """
+
+    name: str
+    method: str
+    accuracy: Mapping[str, Any]
+    knob: float | None = None
+    knob_name: str | None = None
+    preset: str | None = None
+    crop_m: float | None = 8.0
+    warm: Literal["no", "shape", "pose"] = "no"
+    space: bool = False
+    follow: bool = True
+    displaced: bool = True
+    steps: int = 1
+
+    @property
+    def precision(self) -> str:
+        """Of the detector in the search."""
+        return str(self.accuracy["detector"])
+
+    @property
+    def score_precision(self) -> str:
+        """Of the detector that scores; as tasks have it (`task.assets.score_precision`)."""
+        return "float64" if self.precision == "float64" else "float32"
+
+    @property
+    def rendering_key(self) -> str:
+        """Settings with the same one render the same: they share one measured time, so that none beats another."""
+        renderer = {name: value for name, value in self.accuracy.items() if name != "detector"}
+        return _digest(renderer, self.warm, self.space)
+
+    @property
+    def displaced_key(self) -> str:
+        """Settings with the same one see the same displaced shape with the same score."""
+        return _digest(self.rendering_key, self.score_precision, self.crop_m is None)
+
+    @property
+    def step_key(self) -> str:
+        """Settings with the same one take the same attack step."""
+        return _digest(self.rendering_key, self.precision, self.crop_m, self.follow)
+
+
+def _digest(*parts: object) -> str:
+    text = json.dumps(parts, sort_keys=True, allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()

@@ -1,0 +1,80 @@
+"""Times of one call, in an order that spreads the machine's drift over all that is timed."""
+
+from __future__ import annotations
+
+import gc
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = ["machine", "milliseconds", "quartiles", "turns", "wanted_samples"]
+
+
+def milliseconds(call: Callable[[], object]) -> float:
+    """How long one call takes, the garbage collector at rest."""
+    was_on = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        start = time.perf_counter()
+        call()
+        return 1e3 * (time.perf_counter() - start)
+    finally:
+        if was_on:
+            gc.enable()
+
+
+def quartiles(samples: Sequence[float]) -> tuple[float, float, float]:
+    """(lower quartile, median, upper quartile) of at least one sample."""
+    low, median, high = np.percentile(np.asarray(samples, dtype=np.float64), (25, 50, 75))
+    return float(low), float(median), float(high)
+
+
+def wanted_samples(first_ms: float, most: int, seconds: float, slow_s: float) -> int:
+    """How often a call is timed once its first run is known: what fits into `seconds`, at least once; 0 if it is slow.
+
+    A slow one is timed by that first run alone.
+    """
+    if first_ms > 1e3 * slow_s:
+        return 0
+    return max(1, min(most, int(1e3 * seconds / max(first_ms, 1e-6))))
+
+
+def turns(wanted: Mapping[str, int]) -> Iterator[tuple[str, int]]:
+    """(name, number of the sample) in rounds: nothing has its samples in a row.
+
+    As many rounds as the largest number asks for; who wants fewer samples has them spread evenly over the rounds.
+    Every second round runs backwards, so that a machine that grows slower or faster while it is measured does so to
+    all of them alike.
+    """
+    rounds = max(wanted.values(), default=0)
+    # The i-th of n samples belongs into the middle of the i-th of n equal parts.
+    when = {name: [int((i + 0.5) * rounds / n) for i in range(n)] for name, n in wanted.items()}
+    for number in range(rounds):
+        names = list(wanted) if number % 2 == 0 else list(wanted)[::-1]
+        for name in names:
+            if number in when[name]:
+                yield name, when[name].index(number)
+
+
+def machine() -> dict[str, Any]:
+    """What times hold for: processor, its instructions, cores, torch, threads; no date, so that bytes can be equal."""
+    import torch
+
+    from shift3d.processor import has_fast_bfloat16
+
+    info = Path("/proc/cpuinfo")
+    named = [line for line in info.read_text().splitlines() if line.startswith("model name")] if info.is_file() else []
+    return {
+        "processor": named[0].partition(":")[2].strip() if named else platform.machine(),
+        "instructions": torch.backends.cpu.get_cpu_capability(),
+        "fast_bfloat16": has_fast_bfloat16(),
+        "cores": os.cpu_count() or 1,
+        "threads": torch.get_num_threads(),
+        "torch": str(torch.__version__),
+    }
