@@ -30,7 +30,7 @@ Measures every setting of sweeps/accuracy_time.yaml on the same beams in one run
 errors, gradient and final score against the preset `reference`, and milliseconds beside them. Writes
 frontier.parquet, report.html, frontier.png and advice.txt to outputs/frontier/ or out=DIR, prints table and advice.
 
-The published way takes up to five minutes a rendering, the whole about 35 minutes on a core without bfloat16.
+The published way takes up to five minutes a rendering, the whole about 25 minutes on a core without bfloat16.
 The same command again resumes: what is measured, by this code on this machine, is not measured again. One thread, and
 times are of this process: leave the machine to it."""
 

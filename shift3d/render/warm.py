@@ -30,7 +30,7 @@ from shift3d.render.settings import RenderSettings
 _SAFETY = 1.5
 _FLOOR_M = 0.003
 _STILL_M = 0.05
-_MOTION_REACH_M = 0.3
+_MOTION_REACH_M = 0.05
 _MAP_REACH_M = 0.15
 
 

@@ -81,7 +81,7 @@ def test_settings_that_render_alike_are_measured_once() -> None:
     by_name = {setting.name: setting for setting in plan.settings}
     standard = by_name["standard"].rendering_key
     assert all(by_name[name].rendering_key == standard for name in ("crop 5 m", "whole scene", "detector in float64"))
-    without_map = ("standard without a map", "trace and march 0.02 m", "Anderson-Bjorck to 1e-05 m")
+    without_map = ("standard without a map", "trace and march 0.02 m", "Anderson-Bjorck to 3e-06 m")
     assert len({by_name[name].rendering_key for name in without_map}) == 1
     others = ("standard, warm", "standard without a map", "standard in float64", "ITP to 1e-05 m")
     assert standard not in {by_name[name].rendering_key for name in others}
