@@ -8,7 +8,7 @@ BIN := .venv/bin
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep test check bench ui train pictures clean
+.PHONY: help setup sweep test check bench frontier ui train pictures clean
 
 help:  ## what there is to run
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
@@ -41,6 +41,9 @@ check: .venv/.dev  ## lint, format, types, layers
 # A plain pytest collects none of these: they take minutes and want the machine to themselves.
 bench: .venv/.dev  ## measure speed, write outputs/bench.json; ARGS="-k render", --quick, "--against FILE"
 	$(BIN)/python -m pytest tests/benchmarks -o python_files='bench_*.py' -o python_functions='bench_*' $(ARGS)
+
+frontier: .venv/.runtime  ## what accuracy costs in time, by sweeps/accuracy_time.yaml: 25 minutes; ARGS=--quick: 3
+	$(BIN)/shift3d frontier $(ARGS)
 
 ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 	$(BIN)/shift3d ui $(ARGS)
