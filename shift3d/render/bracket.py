@@ -10,7 +10,7 @@ that are shorter than a step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -19,6 +19,7 @@ from shift3d.render.culling import Rays
 from shift3d.render.empty_space import Leaps
 from shift3d.render.object_field import ObjectField
 from shift3d.render.settings import RenderSettings
+from shift3d.render.shallow import look_into_shallow
 
 _BACK_STEP_M = 0.1
 _BOLDNESS = 0.95
@@ -26,9 +27,6 @@ _BOLDNESS = 0.95
 _FEW = 32
 _AHEAD = 64
 _AHEAD_SHARE = 0.7
-_SHALLOW = 0.3
-_LOOK_EVERY_M = 0.003
-_MOST_LOOKS = 24
 
 
 @dataclass(frozen=True)
@@ -79,32 +77,6 @@ def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings, lea
         march.closest,
     )
     return look_into_shallow(brackets, rays, field)
-
-
-def look_into_shallow(brackets: Brackets, rays: Rays, field: ObjectField) -> Brackets:
-    """The brackets with those that g crosses at a flat angle cut down to their first crossing.
-
-    A beam that skims a curved panel can dip into it by less than a millimetre, come out and go in again, all within
-    one step. Brackets across which g falls by less than `_SHALLOW` a metre are therefore sampled every 3 mm.
-    """
-    width = brackets.inner - brackets.outer
-    fall = (brackets.g_outer - brackets.g_inner) / width.clamp_min(1e-12)
-    rows = torch.nonzero(brackets.found & (fall < _SHALLOW) & (width > _LOOK_EVERY_M)).squeeze(1)
-    if len(rows) == 0:
-        return brackets
-    count = int((width[rows].max() / _LOOK_EVERY_M).ceil().clamp(max=_MOST_LOOKS))
-    share = torch.arange(count + 1, dtype=torch.float64) / count
-    k = brackets.outer[rows, None] + width[rows, None] * share
-    inner = field.estimate(rays.at(k[:, 1:-1].reshape(-1), rows.repeat_interleave(count - 1))).double()
-    inner = inner.reshape(len(rows), count - 1)
-    g = torch.cat((brackets.g_outer[rows, None], inner, brackets.g_inner[rows, None]), dim=1)
-    first = (g < 0).byte().argmax(1, keepdim=True)
-    parts = {"outer": (k, first - 1), "g_outer": (g, first - 1), "inner": (k, first), "g_inner": (g, first)}
-    cut = {}
-    for name, (values, at) in parts.items():
-        cut[name] = getattr(brackets, name).clone()
-        cut[name][rows] = values.gather(1, at)[:, 0]
-    return replace(brackets, **cut)
 
 
 class _March:
@@ -210,10 +182,8 @@ class _March:
         stop = torch.where(stops.any(1), stops.byte().argmax(1), ahead)  # the steps that count
         last, after = stop[:, None], (stop + 1).clamp_max(ahead)[:, None]
         # A step that is not covered is taken again, shorter, wherever it led.
-        inside = (values.gather(1, after)[:, 0] < 0) & (
-            gap.gather(1, stop.clamp_max(ahead - 1)[:, None])[:, 0] <= slack
-        )
-        inside &= stops.any(1)
+        uncovered = gap.gather(1, stop.clamp_max(ahead - 1)[:, None])[:, 0] > slack
+        inside = stops.any(1) & (values.gather(1, after)[:, 0] < 0) & ~uncovered
         self._note_lowest(rows, places, values, last)
         self.before[rows], self.g_before[rows] = k, g
         k_last, g_last = places.gather(1, last)[:, 0], values.gather(1, last)[:, 0]

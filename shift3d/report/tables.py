@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from shift3d.report.accuracy_cost import accuracy_cost, measured_presets
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -23,7 +25,8 @@ def sweep_report(tables: Mapping[str, pd.DataFrame], planned: int) -> str:
     """Everything that a sweep prints at its end. tables: those of ``final/`` by name. planned: tasks."""
     times = stage_times(tables["timings"], tables["scores"])
     covered = coverage(tables["scores"], tables["attempts"], planned)
-    return "\n\n".join([*auc_tables(tables["auc"]), covered, times])
+    cost = accuracy_cost(tables["scores"], tables["timings"], *measured_presets())
+    return "\n\n".join([*auc_tables(tables["auc"]), covered, times, cost])
 
 
 def auc_tables(auc: pd.DataFrame) -> list[str]:
