@@ -29,7 +29,7 @@ from shift3d.task.spec import TaskSpec
 
 AUDITED = ("baseline", "adversarial")
 """Methods whose rows are audited: an audit costs about as much as the rendering itself."""
-AUDITED_BEAMS = 64
+AUDITED_BEAMS = 32
 WRONG_SURFACE_M = 0.01
 """A hit that is farther than this from the true one is on another surface."""
 _MARGIN_M = 0.1
@@ -85,7 +85,7 @@ def audit(spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Can
 
 
 def _draw(spec: TaskSpec, problem: AttackProblem, candidate: Candidate, rendering: Rendering) -> np.ndarray:
-    """(at most 64,) int64 beams, ascending: half of them hits, the others through the box without one."""
+    """(at most 32,) int64 beams, ascending: half of them hits, the others through the box without one."""
     rng = generator("audit", spec.placement_seed, candidate.method, candidate.replicate)
     box = Box(-problem.size_m / 2, problem.size_m / 2).grown(_MARGIN_M)
     near = rays_in_box(problem.beams, candidate.theta, box).index.numpy()
