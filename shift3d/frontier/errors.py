@@ -10,11 +10,10 @@ from torch import Tensor
 from shift3d.render.culling import Rays
 from shift3d.render.object_field import ObjectField
 from shift3d.render.rendering import Rendering
+from shift3d.task.audit import WRONG_SURFACE_M
 
 __all__ = ["THICK_M", "WRONG_SURFACE_M", "RenderingErrors", "TrueHits", "chord_lengths", "compare", "true_hits"]
 
-WRONG_SURFACE_M = 0.01
-"""A depth that is off by more than this belongs to another surface: nothing of a car is painted that thick."""
 THICK_M = 0.02
 """Chords of this length and more must not be missed (the project's claim for the preset `standard`)."""
 _SAMPLE_M = 0.002

@@ -1,4 +1,4 @@
-"""First crossings that cannot be stepped over: the reference.
+"""First crossings that are not stepped over where the field is no steeper than a bound: the reference.
 
 Far from the surface a step of g / `max_slope` is safe, because no field is steeper than that bound; near it, where such
 steps would creep, the beam walks the decoder's linear pieces (see `sdf.pieces`) and the root is a quotient. Nothing

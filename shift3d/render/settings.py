@@ -20,7 +20,7 @@ class RenderSettings:
     Attributes:
         solver: `paper` samples every beam through the 7 m sphere and bisects; `hybrid` culls to the
             vehicle's box, marches by the field's own distance and finds roots with a safeguarded secant; `exact`
-            walks the linear pieces of a ReLU decoder, so that no first crossing can be missed (see there;
+            walks the linear pieces of a ReLU decoder and misses no first crossing where `max_slope` holds (see there;
             for any other field it is `hybrid`); `march` is the paper's search inside the vehicle's box.
         root: `hybrid`: how the root in a bracket is found, see `roots` and `itp`.
         dtype: precision in which the field is evaluated. Beam geometry is float64 whatever this says.

@@ -1,7 +1,7 @@
 """What a preset's accuracy comes to, measured on some beams of the very object that is reported.
 
 A preset's error is known from `make frontier`, on other objects. Here a few dozen of a row's own beams are rendered
-again at reference accuracy (first hits that cannot be missed, float64) and compared. Beams are drawn from those that
+again at reference accuracy (float64, along the decoder's linear pieces) and compared. Beams are drawn from those that
 pass the vehicle's box, half of them among the hits; the draw depends on the placement alone, so that a shape and a
 pose task state the same of the baseline that they share.
 """
@@ -31,7 +31,7 @@ AUDITED = ("baseline", "adversarial")
 """Methods whose rows are audited: an audit costs about as much as the rendering itself."""
 AUDITED_BEAMS = 32
 WRONG_SURFACE_M = 0.01
-"""A hit that is farther than this from the true one is on another surface."""
+"""A depth that is off by more than this belongs to another surface: nothing of a car is painted that thick."""
 _MARGIN_M = 0.1
 
 
