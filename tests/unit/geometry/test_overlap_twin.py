@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+import shapely
 
 from shift3d.geometry.boxes import corners_bev
 from shift3d.geometry.iou import iou_bev
-
-shapely = pytest.importorskip("shapely")
 
 
 def _clipped(a: np.ndarray, b: np.ndarray) -> np.ndarray:
