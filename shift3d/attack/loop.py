@@ -10,7 +10,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from shift3d.attack.problem import AttackProblem, Measurement, measure
+from shift3d.attack.problem import AttackProblem, Measurement, count_non_finite, measure
 from shift3d.attack.records import AttackResult, StepRecord
 
 Parameters = Callable[[Tensor], tuple[Tensor, Tensor]]
@@ -55,7 +55,7 @@ def descend(
         warm = measurement.rendering.warm
         loss = measurement.adversarial + search.penalty(variable)
         gradient, milliseconds = _gradient(loss, variable) if step < steps else (None, 0.0)
-        record = _record(step, float(loss.detach()), measurement, milliseconds)
+        record = _record(step, loss, gradient, measurement, milliseconds)
         trace.append(record)
         if on_step is not None:
             on_step(record)
@@ -82,17 +82,19 @@ def _gradient(loss: Tensor, variable: Tensor) -> tuple[Tensor, float]:
     return gradient, 1e3 * (time.perf_counter() - start)
 
 
-def _record(step: int, loss: float, measured: Measurement, backward_ms: float) -> StepRecord:
+def _record(step: int, loss: Tensor, gradient: Tensor | None, measured: Measurement, backward_ms: float) -> StepRecord:
     rendering = measured.rendering
     return StepRecord(
         step=step,
-        loss=loss,
+        loss=float(loss.detach()),
         adversarial_loss=float(measured.adversarial.detach()),
         proposal_score=measured.proposal_score,
         check=measured.check,
         unresolved_beams=rendering.unresolved_beams,
         max_residual_m=rendering.max_residual_m,
         evaluations=rendering.evaluations,
-        grazing_gradient=rendering.grazing.gradient,
+        grazing_gradient=None if gradient is None else rendering.grazing.gradient,
+        least_slope=rendering.grazing.least_slope,
+        non_finite=measured.non_finite + sum(count_non_finite(part) for part in (loss, gradient) if part is not None),
         milliseconds={**measured.milliseconds, "backward": backward_ms},
     )

@@ -119,6 +119,17 @@ class Measurement:
     check: ConstraintCheck
     milliseconds: dict[str, float]
 
+    @property
+    def non_finite(self) -> int:
+        """NaN and infinities among the moved points, their ranges and the proposals; 0 by construction."""
+        answers = self.proposals.boxes, self.proposals.logits
+        return self.rendering.non_finite + sum(count_non_finite(part) for part in answers)
+
+
+def count_non_finite(values: Tensor) -> int:
+    """Number of NaN and infinities."""
+    return int((~torch.isfinite(values.detach())).sum())
+
 
 def measure(
     problem: AttackProblem,

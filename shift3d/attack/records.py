@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -15,7 +16,10 @@ class StepRecord:
     """One rendering of an attack; step 0 is the start.
 
     loss: what is descended. adversarial_loss: its first term. proposal_score: best score near the object before
-    suppression. grazing_gradient: share of the gradient that LEAVES this step carried by grazing beams.
+    suppression. grazing_gradient: share of the gradient that LEAVES this step carried by grazing beams, None
+    where none leaves it (the last).
+    least_slope: smallest |e . grad g| of this step's hits, infinite where no gradient was taken. non_finite: NaN and
+    infinities among the moved points, the proposals, the loss and the gradient; 0 by construction.
     milliseconds: by stage (render, detector, backward, constraints).
     """
 
@@ -27,7 +31,9 @@ class StepRecord:
     unresolved_beams: int
     max_residual_m: float
     evaluations: int
-    grazing_gradient: float = 0.0
+    grazing_gradient: float | None = None
+    least_slope: float = math.inf
+    non_finite: int = 0
     milliseconds: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -69,6 +69,7 @@ def surface_points(
     inverse = torch.where(steep < 0, 1.0 / torch.where(steep < 0, steep, 1.0), 0.0)
     range_m = hits.range_m - change * inverse
     share.beams = int((slope.abs() < grazing_floor).sum())
+    share.least_slope = float(slope.abs().min())
     if range_m.requires_grad:
         range_m.register_hook(_measure(share, inverse.abs(), slope.abs() < grazing_floor))
     return origins + range_m[:, None] * directions, hits, share

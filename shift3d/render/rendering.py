@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -38,16 +39,18 @@ class FirstHits:
 
 @dataclass
 class GrazingShare:
-    """How much of the last backward pass ran through beams that graze the surface.
+    """How near the hits are to the silhouette, and how much of the last backward pass ran through those that graze it.
 
     Attributes:
         beams: hits with |e . grad g| below `grazing_floor`.
         gradient: share in [0, 1] of sum_i |e_i . dL/dx_i| / max(|e_i . grad g|, floor) that they carry;
             0 before a backward pass and where no gradient flows.
+        least_slope: smallest |e . grad g| of all hits; infinite without hits, and where no gradient was asked for.
     """
 
     beams: int = 0
     gradient: float = 0.0
+    least_slope: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -82,3 +85,9 @@ class Rendering:
     def object_points(self) -> int:
         """Number of points on the object."""
         return int(self.hit_mask.sum())
+
+    @property
+    def non_finite(self) -> int:
+        """Number of non-finite coordinates and ranges among the points on the object: 0 by construction."""
+        moved = self.points.detach()[self.hit_mask], self.range_m.detach()[self.hit_mask]
+        return sum(int((~torch.isfinite(part)).sum()) for part in moved)

@@ -6,7 +6,7 @@ import pyarrow as pa
 
 __all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
 _SPEC_FIELDS = [
@@ -55,6 +55,12 @@ _SCORES = _schema(
         ("status", pa.string()),
         ("max_residual_m", pa.float64()),
         ("unresolved_beams", pa.int32()),
+        # Smallest |e . grad g| of the object's hits, and the share of the gradient that grazing beams carry: at the
+        # start of the search for the baseline, the mean over its steps for what it found.
+        ("least_slope", pa.float64()),
+        ("grazing_gradient", pa.float64()),
+        # NaN and infinities met on the way to this row (points, proposals, losses, gradients): 0 by construction.
+        ("non_finite", pa.int32()),
         # What the accuracy preset's error came to on some of the row's own beams, see task/audit.py.
         ("audited_beams", pa.int32()),
         ("audited_hits", pa.int32()),
@@ -64,12 +70,12 @@ _SCORES = _schema(
         ("depth_error_max_m", pa.float64()),
     ],
     # Null where nothing could be placed (status says so), where the verification at reference accuracy has not been
-    # run, and where a method is not audited.
+    # run, where a method is not audited, and where no gradient was taken at the object (random, noise).
     nullable={
         *_NULLABLE, "score", "adversarial_loss", "latent_distance", *(n for n, _ in _POSE), "range_m",
         "object_points", "overlap_ok", "contact_ok", "best_step", "score_reference", "stable",
-        "max_residual_m", "unresolved_beams", "audited_beams", "audited_hits", "missed_hits", "false_hits",
-        "wrong_surface", "depth_error_max_m",
+        "max_residual_m", "unresolved_beams", "least_slope", "grazing_gradient", "non_finite",
+        "audited_beams", "audited_hits", "missed_hits", "false_hits", "wrong_surface", "depth_error_max_m",
     },
 )  # fmt: skip
 

@@ -24,6 +24,7 @@ class Rows:
         self._solutions: list[Row] = []
         self._timings: dict[tuple[str, str], tuple[float, int]] = {}
         self._seen: set[tuple[str, int]] = set()
+        self._descent: dict[str, Row] = {}
 
     def add(self, candidate: Candidate, baseline_code: Tensor, scored: Scored, audit: Audit | None = None) -> None:
         """One object that was scored: a row for each detector, and the solution that renders it again.
@@ -51,7 +52,9 @@ class Rows:
         for name in self._spec.scored_by:
             answer = scored.answers[name]
             row = self._row(name, candidate.method, candidate.replicate, candidate.status)
-            self._scores.append(row | same | {"score": answer.score, "adversarial_loss": answer.adversarial_loss})
+            values = {"score": answer.score, "adversarial_loss": answer.adversarial_loss}
+            broken = sum(not math.isfinite(value) for value in values.values())
+            self._scores.append(row | same | values | {"non_finite": measured.non_finite + broken})
         self._solutions.append(
             {
                 "method": candidate.method,
@@ -71,7 +74,14 @@ class Rows:
             self._scores += [self._row(name, method, replicate, status) for name in self._spec.scored_by]
 
     def attack(self, found: AttackResult) -> None:
-        """The time that the search took, by stage."""
+        """The time that the search took, by stage, and what it says of the objects at its start and its end."""
+        whole = sum(record.non_finite for record in found.trace)
+        ends = (("baseline", found.trace[0], found.trace[:1], 0), ("adversarial", found.best, found.trace, whole))
+        for method, record, steps, met in ends:
+            slope = record.least_slope if math.isfinite(record.least_slope) else None
+            shares = [step.grazing_gradient for step in steps if step.grazing_gradient is not None]
+            share = math.fsum(shares) / len(shares) if shares else None
+            self._descent[method] = {"least_slope": slope, "grazing_gradient": share, "non_finite": met}
         for stage, milliseconds in found.milliseconds().items():
             self.time("adversarial", stage, milliseconds, len(found.trace))
 
@@ -86,7 +96,14 @@ class Rows:
             {"method": method, "stage": stage, "milliseconds": spent, "calls": calls}
             for (method, stage), (spent, calls) in self._timings.items()
         ]
-        return TaskResult(self._scores, self._solutions, timings)
+        return TaskResult([self._described(row) for row in self._scores], self._solutions, timings)
+
+    def _described(self, row: Row) -> Row:
+        """A row with what the search says of its object; what was met on the way adds to what was met at the end."""
+        if row["status"] == "no_placement" or row["method"] not in self._descent:
+            return row
+        descent = self._descent[row["method"]]
+        return row | descent | {"non_finite": row["non_finite"] + descent["non_finite"]}
 
     def _row(self, scored_by: str, method: str, replicate: int, status: str) -> Row:
         return {

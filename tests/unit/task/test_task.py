@@ -238,3 +238,15 @@ def test_a_gap_is_a_row_for_every_detector(assets: Assets) -> None:
     spec = make_spec(placement=nowhere, scored_by=("sst",))
     result = run_task(spec, with_second_detector(assets, "sst"))
     assert [row["scored_by"] for row in result.scores] == ["pointpillars", "sst"] * 5
+
+
+def test_rows_say_how_the_search_stood_numerically(shape: TaskResult, pose: TaskResult) -> None:
+    for result in (shape, pose):
+        assert [row["non_finite"] for row in result.scores] == [0] * len(result.scores)
+        for row in result.scores:
+            if row["method"] in ("baseline", "adversarial"):
+                assert 0.0 < row["least_slope"] <= 2.0  # |e . grad g| of a field that is nearly a distance
+            else:
+                assert "least_slope" not in row and "grazing_gradient" not in row
+        (start,) = by_method(result, "baseline")
+        assert 0.0 <= start["grazing_gradient"] <= 1.0
