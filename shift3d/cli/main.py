@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from shift3d.cli import evaluate, export, fit, frontier, plan, sweep, train, ui
+from shift3d.cli import evaluate, export, fit, frontier, plan, sweep, train, ui, verify
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
 
@@ -18,6 +18,7 @@ __all__ = ["COMMANDS", "main", "make_parser", "parse"]
 COMMANDS: tuple[Command, ...] = (
     sweep.COMMAND,
     plan.COMMAND,
+    verify.COMMAND,
     export.COMMAND,
     fit.COMMAND,
     train.COMMAND,
@@ -36,6 +37,7 @@ examples:
   shift3d sweep smoke                    a minute's worth of the same
   shift3d sweep kitti scenes.root=PATH   on real KITTI frames
   shift3d plan default vehicle=suv       what would run
+  shift3d verify outputs/default-1a2b3c4d5e6f7a8b
   shift3d export outputs/default-1a2b3c4d5e6f7a8b task=ID method=adversarial to=DIR
 
 tab completion (bash, zsh):

@@ -102,7 +102,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         print(run_single(plan, kind, arguments.task))
         return 0
     print(f"writing to {folder}", flush=True)
-    result = run_sweep(plan, config, kind, folder)
+    result = run_sweep(plan, config.runner, kind, folder)
     if result.final is None:
         command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
         left = result.planned - result.done - result.quarantined
@@ -121,6 +121,8 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> None:
     frames = {name: final.frame(name) for name in final.tables}
     print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
+    if "verification" not in frames:
+        print(f"are its hard cases hard, or rounding? shift3d verify {result.folder}")
     _mirror(plan, config, result)
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from shift3d.render.culling import Rays
 from shift3d.render.object_field import ObjectField
 from shift3d.render.rendering import Rendering
-from shift3d.task.audit import WRONG_SURFACE_M
+from shift3d.task.differences import WRONG_SURFACE_M
 
 __all__ = ["THICK_M", "WRONG_SURFACE_M", "RenderingErrors", "TrueHits", "chord_lengths", "compare", "true_hits"]
 

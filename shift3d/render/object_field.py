@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from shift3d.render.coarse import CoarseField, coarse_twin
+from shift3d.sdf.decoder import Field as DecoderField
 from shift3d.sdf.pieces import Piece
 
 _WORTH_IT = 96
@@ -118,6 +119,17 @@ class ObjectField:
         if len(near):
             g[near] = self(x_object[near])
         return g
+
+    def float32_twin(self) -> ObjectField | None:
+        """The same field evaluated in float32, counted together; None for fields that are no decoder's.
+
+        Differs by what rounding its weights and its arithmetic does, see `settings.reachable_residual_m`.
+        """
+        if not isinstance(self.sdf, DecoderField) or self.dtype == torch.float32:
+            return None
+        weights, biases = ([part.float() for part in parts] for parts in (self.sdf.weights, self.sdf.biases))
+        twin = DecoderField(weights, biases, self.sdf.skip_layer)
+        return dataclasses.replace(self, sdf=twin, dtype=torch.float32)
 
     def piecewise_linear(self) -> bool:
         """Whether the field can tell its linear pieces along a beam."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -16,13 +14,11 @@ from shift3d.errors import InputError
 from shift3d.report.frontier_advice import advice
 from shift3d.report.frontier_figure import work_precision_figure
 from shift3d.report.numbers import factor, length, milliseconds, share
+from shift3d.report.page import html_image, html_table, page, png
 from shift3d.report.pareto import MISPLACED_M, effective_error_m
 from shift3d.report.tables import aligned
 from shift3d.store.atomic import write_atomic
 from shift3d.store.frontier_table import machine_of, read_frontier
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["advice", "frontier_html", "frontier_lines", "work_precision_figure", "write_report"]
 
@@ -112,58 +108,28 @@ def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
     """
     told = advice(frame).split("\n\n")
     measured = ", ".join(f"{name} {value}" for name, value in machine.items()) or "not recorded"
-    parts = ["<h1>What accuracy costs in time</h1>", f"<p>Measured on: {html.escape(measured)}.</p>"]
+    parts = [f"<p>Measured on: {html.escape(measured)}.</p>"]
     for (scenes, rows, columns), paragraph in zip(_sets(frame), told):
-        picture = base64.b64encode(_png(work_precision_figure(frame, scenes))).decode()
         parts += [
             f"<h2>{html.escape(scenes)}</h2>",
             f"<p>{html.escape(paragraph)}</p>",
-            f'<img src="data:image/png;base64,{picture}" alt="Time of a rendering against its error, '
-            f'{html.escape(scenes)} scenes">',
+            html_image(work_precision_figure(frame, scenes), f"Time of a rendering against its error, {scenes} scenes"),
             _html_table(rows, columns),
         ]
     meanings = "".join(
         f"<dt>{html.escape(column.header)}</dt><dd>{html.escape(column.meaning)}</dd>" for column in _sets(frame)[0][2]
     )
     parts += ["<h2>What the numbers mean</h2>", f"<p>{html.escape(_RULE)}</p>", f"<dl>{meanings}</dl>"]
-    return _PAGE.replace("BODY", "\n".join(parts))
+    return page("What accuracy costs in time", parts)
 
 
 def _html_table(rows: pd.DataFrame, columns: list[_Column]) -> str:
-    lines = ["<div><table><tr><th>setting</th>" + "".join(f"<th>{html.escape(c.header)}</th>" for c in columns)]
-    for row in rows.iloc:
-        kind = ("" if row["pareto"] else "dominated ") + ("preset" if pd.notna(row["preset"]) else "")
-        cells = "".join(f"<td>{html.escape(cell)}</td>" for cell in _cells(row, columns))
-        lines.append(f'<tr class="{kind.strip()}"><td>{html.escape(str(row["setting"]))}</td>{cells}')
-    return "</tr>\n".join(lines) + "</tr></table></div>"
-
-
-_PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>What accuracy costs in time</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>
-body { font: 15px/1.5 sans-serif; max-width: 78rem; margin: 2rem auto; padding: 0 1rem; color: #202020;
-       background: #ffffff; }
-p, dl { max-width: 50rem; }
-img { max-width: 100%; height: auto; }
-div { overflow-x: auto; }
-table { border-collapse: collapse; font-size: 12px; font-variant-numeric: tabular-nums; white-space: nowrap; }
-th, td { padding: 2px 7px; text-align: right; border-bottom: 1px solid #e4e4e4; }
-th:first-child, td:first-child { text-align: left; }
-.dominated td { color: #707070; }
-.preset td:first-child { font-weight: bold; }
-dt { float: left; clear: left; width: 6rem; font-weight: bold; }
-dd { margin-left: 6.5rem; }
-</style></head><body>
-BODY
-</body></html>
-"""
-
-
-def _png(figure: Figure) -> bytes:
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", metadata={"Software": ""})
-    return picture.getvalue()
+    kinds = [
+        (("" if row["pareto"] else "dominated ") + ("preset" if pd.notna(row["preset"]) else "")).strip()
+        for row in rows.iloc
+    ]
+    lines = [[str(row["setting"]), *_cells(row, columns)] for row in rows.iloc]
+    return html_table(["setting", *(column.header for column in columns)], lines, kinds)
 
 
 def write_report(folder: Path) -> str:
@@ -183,6 +149,6 @@ def write_report(folder: Path) -> str:
     frame = table.to_pandas()
     told = advice(frame)
     write_atomic(folder / "advice.txt", f"{told}\n".encode())
-    write_atomic(folder / "frontier.png", _png(work_precision_figure(frame)))
+    write_atomic(folder / "frontier.png", png(work_precision_figure(frame)))
     write_atomic(folder / "report.html", frontier_html(frame, machine_of(table)).encode())
     return f"{frontier_lines(frame)}\n\n{told}"

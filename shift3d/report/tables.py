@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from shift3d.report.accuracy_cost import accuracy_cost, measured_presets
+from shift3d.report.numerics import diagnostics
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +27,7 @@ def sweep_report(tables: Mapping[str, pd.DataFrame], planned: int) -> str:
     times = stage_times(tables["timings"], tables["scores"])
     covered = coverage(tables["scores"], tables["attempts"], planned)
     cost = accuracy_cost(tables["scores"], tables["timings"], *measured_presets())
-    return "\n\n".join([*auc_tables(tables["auc"]), covered, times, cost])
+    return "\n\n".join([*auc_tables(tables["auc"]), covered, times, cost, diagnostics(tables["scores"])])
 
 
 def auc_tables(auc: pd.DataFrame) -> list[str]:

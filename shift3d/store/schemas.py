@@ -104,6 +104,40 @@ _TIMINGS = _schema(
     nullable=set(),
 )
 
+# A solution that was scored again, see task/verify.py: one row a solution and detector.
+_VERIFICATION = _schema(
+    "verification",
+    [
+        *_SPEC_FIELDS[:9],
+        ("scored_by", pa.string()),
+        ("method", pa.string()),
+        ("replicate", pa.int32()),
+        ("accuracy", pa.string()),
+        ("score", pa.float64()),  # as the sweep reported it
+        ("score_again", pa.float64()),  # at the sweep's accuracy: the same, bit for bit, on the same machine
+        ("score_reference", pa.float64()),
+        ("margin", pa.float64()),  # baseline's score minus this one
+        ("margin_reference", pa.float64()),
+        # Every beam of the sweep's rendering against the reference's.
+        ("hits_reference", pa.int32()),
+        ("missed_hits", pa.int32()),
+        ("false_hits", pa.int32()),
+        ("wrong_surface", pa.int32()),
+        ("depth_error_max_m", pa.float64()),
+        ("unresolved_beams", pa.int32()),
+        ("unresolved_reference", pa.int32()),
+        # Scores under range noise, and a little off the pose: the mean, and the least margin to the baseline's.
+        ("score_noise", pa.float64()),
+        ("least_margin_noise", pa.float64()),
+        ("score_nearby", pa.float64()),
+        ("least_margin_nearby", pa.float64()),
+        ("stable", pa.bool_()),
+        ("robust", pa.bool_()),
+        ("cause", pa.string()),
+    ],
+    nullable={*_NULLABLE, "cause"},
+)
+
 _ATTEMPTS = _schema(
     "attempts",
     [
@@ -172,13 +206,14 @@ _BEV = _schema(
 )
 
 # Written by commits, task by task.
-SEGMENTS = ("scores", "solutions", "timings", "attempts")
+SEGMENTS = ("scores", "solutions", "timings", "verification", "attempts")
 # Computed from the scores when a sweep has finished.
 AGGREGATES = ("curves", "auc", "bev")
 SCHEMAS: dict[str, pa.Schema] = {
     "scores": _SCORES,
     "solutions": _SOLUTIONS,
     "timings": _TIMINGS,
+    "verification": _VERIFICATION,
     "attempts": _ATTEMPTS,
     "curves": _CURVES,
     "auc": _AUC,

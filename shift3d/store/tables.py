@@ -69,14 +69,16 @@ def write_table(path: Path, table: pa.Table) -> None:
     write_atomic(path, write)
 
 
-def read_table(path: Path, name: str) -> pa.Table:
+def read_table(path: Path, name: str, filters: list[tuple[str, str, Any]] | None = None) -> pa.Table:
     """Read a Parquet file and check that it holds the schema ``name`` of this version.
+
+    filters: (column, operator, value) that rows must satisfy, as pyarrow has them.
 
     Raises:
         InputError: the file is missing, torn, or of another schema or version.
     """
     try:
-        table = pq.read_table(path, partitioning=None)
+        table = pq.read_table(path, partitioning=None, filters=filters)
     except (OSError, pa.ArrowInvalid) as error:
         raise InputError(
             f"cannot be read as Parquet ({type(error).__name__})",

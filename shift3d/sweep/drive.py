@@ -5,14 +5,14 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from shift3d.config.schema import Config
+from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
 from shift3d.signals import stop_signals
-from shift3d.store.log import CommitLog
+from shift3d.store.log import Commit, CommitLog
 from shift3d.sweep.commit import Committer
 from shift3d.sweep.final import FinalTables, write_final
 from shift3d.sweep.folder import open_folder
@@ -22,6 +22,9 @@ from shift3d.sweep.progress import Progress
 from shift3d.sweep.runner import Runner, make_runner
 
 __all__ = ["SweepResult", "run_sweep"]
+
+RunnerConfig = RayRunnerConfig | LocalRunnerConfig
+Finish = Callable[[Path, Plan, Sequence[Commit]], FinalTables]
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,12 @@ class SweepResult:
         return self.final is None
 
 
-def run_sweep(plan: Plan, config: Config, kind: TaskKind, folder: Path) -> SweepResult:
+def run_sweep(
+    plan: Plan, runner_config: RunnerConfig, kind: TaskKind, folder: Path, finish: Finish = write_final
+) -> SweepResult:
     """Run what a plan has left to run, and write ``final/``.
+
+    finish: writes the final tables from (folder, plan, log entries) when everything has run.
 
     The first Ctrl-C (or SIGTERM) lets the tasks in flight finish and commits them, the second one drops them.
 
@@ -59,15 +66,15 @@ def run_sweep(plan: Plan, config: Config, kind: TaskKind, folder: Path) -> Sweep
     finished = log.done() | log.quarantined()
     left = [task for task in plan.tasks if task.spec.task_id not in finished]
     if left:
-        runner = make_runner(kind, plan, config.runner, len(left))
+        runner = make_runner(kind, plan, runner_config, len(left))
         try:
             with Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress:
-                _run(runner, left, Committer(log, config.runner.commit_seconds), progress)
+                _run(runner, left, Committer(log, runner_config.commit_seconds), progress)
         finally:
             runner.close()
     done, quarantined = log.done(), log.quarantined()
     complete = len(done) + len(quarantined) == len(plan.tasks)
-    final = write_final(folder, plan, log.entries) if complete else None
+    final = finish(folder, plan, log.entries) if complete else None
     seconds = time.monotonic() - began
     return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), seconds)
 

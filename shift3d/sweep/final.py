@@ -22,11 +22,15 @@ from shift3d.store.schemas import GROUP_COLUMNS, SCHEMAS, SEGMENTS
 from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.sweep.lambda_rule import select_lambda
 from shift3d.sweep.plan import Plan
+from shift3d.sweep.verified_scores import read_verification, with_verification
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["METHODS", "FinalTables", "write_final"]
+__all__ = ["METHODS", "FinalTables", "segments_in_plan_order", "write_final"]
+
+# A verification lies in a folder of its own.
+_KEPT = tuple(name for name in SEGMENTS if name != "verification")
 
 METHODS = {
     "shape": ("baseline", "random", "adversarial_noise", "adversarial"),
@@ -53,7 +57,10 @@ def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTab
     Raises:
         InputError: a segment is missing, torn or of another length than was committed; the disk is full.
     """
-    tables = {name: _in_plan_order(name, _segments(folder, entries, name), plan) for name in SEGMENTS}
+    tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in _KEPT}
+    if (verification := read_verification(folder)) is not None:
+        tables["scores"] = with_verification(tables["scores"], verification)
+        tables["verification"] = verification
     scores = tables["scores"].to_pandas()
     scored = scores[scores["score"].notna()]
     auc = _auc_rows(scored, plan)
@@ -63,6 +70,15 @@ def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTab
     for name, table in tables.items():
         write_table(folder / "final" / f"{name}.parquet", table)
     return FinalTables(tables)
+
+
+def segments_in_plan_order(folder: Path, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
+    """One segment table of everything committed, rows by the position of their task in the plan.
+
+    Raises:
+        InputError: a segment is missing, torn or of another length than was committed.
+    """
+    return _in_plan_order(name, _segments(folder, entries, name), plan)
 
 
 def _segments(folder: Path, entries: Sequence[Commit], name: str) -> pa.Table:

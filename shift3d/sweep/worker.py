@@ -141,6 +141,7 @@ def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, 
         "scores": [{**effects, **row, **known} for row in result.scores],
         "solutions": [{**effects, **row, **known} for row in result.solutions],
         "timings": [{**row, "task_id": spec.task_id} for row in result.timings],
+        "verification": [{**row, **known} for row in result.verification],
     }
 
 

@@ -24,38 +24,28 @@ from shift3d.render.rendering import Rendering
 from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets
+from shift3d.task.differences import Differences, differences
 from shift3d.task.scoring import Candidate, Scored
 from shift3d.task.spec import TaskSpec
 
 AUDITED = ("baseline", "adversarial")
 """Methods whose rows are audited: an audit costs about as much as the rendering itself."""
 AUDITED_BEAMS = 32
-WRONG_SURFACE_M = 0.01
-"""A depth that is off by more than this belongs to another surface: nothing of a car is painted that thick."""
 _MARGIN_M = 0.1
 
 
 @dataclass(frozen=True)
 class Audit:
-    """Counts over the audited beams; `depth_error_max_m` over those on the right surface, 0 where there are none.
-
-    audited_hits: true hits among the beams. missed_hits: of these, beams that were left alone. false_hits: beams that
-    were moved without a true hit. wrong_surface: hits more than 1 cm from the true one.
-    """
+    """How many beams were looked at, and what was wrong with them."""
 
     audited_beams: int
-    audited_hits: int
-    missed_hits: int
-    false_hits: int
-    wrong_surface: int
-    depth_error_max_m: float
+    found: Differences
     milliseconds: float
 
     def columns(self) -> dict[str, Any]:
         """The audit as columns of a row; time lives elsewhere."""
-        values = asdict(self)
-        del values["milliseconds"]
-        return values
+        values = asdict(self.found)
+        return {"audited_beams": self.audited_beams, "audited_hits": values.pop("hits"), **values}
 
 
 def audit(spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Candidate, scored: Scored) -> Audit:
@@ -70,18 +60,8 @@ def audit(spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Can
     with torch.no_grad():
         field = assets.decoder_of(REFERENCE.dtype).field(candidate.code.to(REFERENCE.dtype))
         truth = render(some, field, theta, problem.vehicle, REFERENCE)
-    found, true = rendering.hit_mask[index], truth.hit_mask
-    error = (rendering.range_m[index] - truth.range_m).abs()[found & true]
-    right = error <= WRONG_SURFACE_M
-    return Audit(
-        audited_beams=len(index),
-        audited_hits=int(true.sum()),
-        missed_hits=int((true & ~found).sum()),
-        false_hits=int((found & ~true).sum()),
-        wrong_surface=int((~right).sum()),
-        depth_error_max_m=float(error[right].max()) if bool(right.any()) else 0.0,
-        milliseconds=1e3 * (time.perf_counter() - start),
-    )
+    found = differences((rendering.hit_mask[index], rendering.range_m[index]), (truth.hit_mask, truth.range_m))
+    return Audit(len(index), found, 1e3 * (time.perf_counter() - start))
 
 
 def _draw(spec: TaskSpec, problem: AttackProblem, candidate: Candidate, rendering: Rendering) -> np.ndarray:

@@ -86,13 +86,24 @@ def score_object(
         answers = {problem.detector.name: _answer(measurement.proposals, box, radius_m)}
         spent = dict(measurement.milliseconds)
         spent["detector"] += 1e3 * (time.perf_counter() - start)
-        points = to_network_frame(measurement.rendering.points, problem.ground_z_m)
         for name, detector in (others or {}).items():
             start = time.perf_counter()
-            proposals = detector.proposals(points, window_around(detector, theta, SCORE_RADIUS_M))
-            answers[name] = _answer(proposals, box, radius_m)
+            answers |= score_points(problem, measurement.rendering.points, theta, radius_m, {name: detector})
             spent[f"scored_by_{name}"] = 1e3 * (time.perf_counter() - start)
     return Scored(answers, measurement, spent)
+
+
+def score_points(
+    problem: AttackProblem, points: Tensor, theta: Tensor, radius_m: float, detectors: Mapping[str, Detector]
+) -> dict[str, Answer]:
+    """What detectors make of a scene (N, 3) that holds the problem's object at a pose (6,), by their names."""
+    box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
+    seen = to_network_frame(points, problem.ground_z_m)
+    with torch.no_grad():
+        return {
+            name: _answer(detector.proposals(seen, window_around(detector, theta, SCORE_RADIUS_M)), box, radius_m)
+            for name, detector in detectors.items()
+        }
 
 
 def _answer(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> Answer:

@@ -19,7 +19,7 @@ from shift3d.seeding import derive_seed
 __all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec"]
 
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
-SPEC_VERSION = 3
+SPEC_VERSION = 4
 
 Mode = Literal["shape", "pose"]
 Row = dict[str, Any]
@@ -167,11 +167,13 @@ class TaskResult:
 
     scores, solutions, timings: rows whose keys are the columns of design section 5 that the spec does not
     already determine (the columns of ``store.schemas.SPEC_COLUMNS`` are filled in by the sweep).
+    verification: likewise, of a task that verifies another one's solutions.
     """
 
     scores: list[Row]
     solutions: list[Row]
     timings: list[Row]
+    verification: list[Row] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,8 @@ class AssetsSpec:
 
     scenes, vehicles: settings of the scene set and of the source of vehicles, as their schemas have them.
     detectors: name to a file of weights, or None for the weights that ship with shift3d. hashes: what "decoder" and
-    the detectors had when the sweep was planned; one that is not there is not compared.
+    the detectors had when the sweep was planned; one that is not there is not compared. results: the folder of final
+    tables that a verification reads.
     """
 
     scenes: Mapping[str, Any]
@@ -188,3 +191,4 @@ class AssetsSpec:
     detectors: Mapping[str, str | None] = field(default_factory=lambda: {"pointpillars": None})
     hashes: Mapping[str, str] = field(default_factory=dict)
     threads: int = 1
+    results: str | None = None

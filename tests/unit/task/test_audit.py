@@ -46,9 +46,9 @@ def changed(scored: Scored, **parts: torch.Tensor) -> Scored:
 def test_a_true_rendering_has_no_error(assets: Assets, case: tuple[TaskSpec, AttackProblem, Candidate, Scored]) -> None:
     spec, problem, candidate, scored = case
     found = audit(spec, assets, problem, candidate, scored)
-    assert found.audited_beams == AUDITED_BEAMS and found.audited_hits == AUDITED_BEAMS // 2
-    assert (found.missed_hits, found.false_hits, found.wrong_surface) == (0, 0, 0)
-    assert found.depth_error_max_m < 1e-9
+    assert found.audited_beams == AUDITED_BEAMS and found.found.hits == AUDITED_BEAMS // 2
+    assert (found.found.missed_hits, found.found.false_hits, found.found.wrong_surface) == (0, 0, 0)
+    assert found.found.depth_error_max_m < 1e-9
     assert audit(spec, assets, problem, candidate, scored).columns() == found.columns()
 
 
@@ -58,9 +58,9 @@ def test_a_depth_that_is_off_is_measured(
     spec, problem, candidate, scored = case
     ranges = scored.measurement.rendering.range_m
     found = audit(spec, assets, problem, candidate, changed(scored, range_m=ranges + 0.004))
-    assert found.depth_error_max_m == pytest.approx(0.004, abs=1e-9) and found.wrong_surface == 0
+    assert found.found.depth_error_max_m == pytest.approx(0.004, abs=1e-9) and found.found.wrong_surface == 0
     found = audit(spec, assets, problem, candidate, changed(scored, range_m=ranges + 0.02))
-    assert found.wrong_surface == found.audited_hits and found.depth_error_max_m == 0.0
+    assert found.found.wrong_surface == found.found.hits and found.found.depth_error_max_m == 0.0
 
 
 def test_lost_and_invented_hits_are_counted(
@@ -70,6 +70,6 @@ def test_lost_and_invented_hits_are_counted(
     hits = scored.measurement.rendering.hit_mask
     everything = audit(spec, assets, problem, candidate, changed(scored, hit_mask=torch.ones_like(hits)))
     # Beams are drawn among what is taken for hits: only some of them are.
-    assert everything.false_hits == everything.audited_beams - everything.audited_hits > 0
+    assert everything.found.false_hits == everything.audited_beams - everything.found.hits > 0
     nothing = audit(spec, assets, problem, candidate, changed(scored, hit_mask=torch.zeros_like(hits)))
-    assert nothing.missed_hits == nothing.audited_hits > 0 and nothing.false_hits == 0
+    assert nothing.found.missed_hits == nothing.found.hits > 0 and nothing.found.false_hits == 0

@@ -1,0 +1,70 @@
+"""Every solution of a finished sweep scored again: a sweep of its own, over the same tasks, in the same folder."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import pyarrow.compute as pc
+
+from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
+from shift3d.errors import InputError
+from shift3d.store.log import Commit, read_log
+from shift3d.store.tables import read_table, write_table
+from shift3d.sweep.drive import SweepResult, run_sweep
+from shift3d.sweep.final import FinalTables, segments_in_plan_order, write_final
+from shift3d.sweep.folder import read_plan
+from shift3d.sweep.kind import TaskKind
+from shift3d.sweep.plan import Plan
+from shift3d.sweep.verified_scores import FOLDER
+
+__all__ = ["verification_kind", "verification_plan", "verify_sweep"]
+
+
+def verification_kind() -> TaskKind:
+    """A task that scores another one's solutions again."""
+    from shift3d.config.catalogue import read_catalogue
+    from shift3d.task.verify import load_verify_assets, verify_task
+
+    return TaskKind(run=verify_task, load=load_verify_assets, catalogue=read_catalogue)
+
+
+def verification_plan(folder: Path) -> Plan:
+    """The tasks of a finished sweep that have solutions, those of one vehicle in one scene next to each other.
+
+    Neighbours share their baseline, which a worker scores again once.
+
+    Raises:
+        InputError: the folder is not a sweep's, it has not finished, or nothing in it was scored.
+    """
+    plan = read_plan(folder)
+    path = folder / "final" / "solutions.parquet"
+    if not path.exists():
+        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
+    solved = set(pc.unique(read_table(path, "solutions")["task_id"]).to_pylist())
+    tasks = [task for task in plan.tasks if task.spec.task_id in solved]
+    if not tasks:
+        raise InputError("no task has a solution", where=str(path), remedy="See status in final/scores.parquet")
+    places = {(task.spec.vehicle, task.spec.scene): index for index, task in reversed(list(enumerate(tasks)))}
+    tasks.sort(key=lambda task: places[task.spec.vehicle, task.spec.scene])
+    results = str((folder / "final").resolve())
+    assets = tuple(dataclasses.replace(part, results=results) for part in plan.assets)
+    return dataclasses.replace(plan, tasks=tuple(tasks), assets=assets)
+
+
+def verify_sweep(folder: Path, plan: Plan, runner: RayRunnerConfig | LocalRunnerConfig) -> SweepResult:
+    """Verify what is left of a finished sweep's solutions, and put the result into its final tables.
+
+    Exactly once, resumable and to the same bytes, as a sweep. plan: of `verification_plan`.
+
+    Raises:
+        InputError: as `run_sweep`.
+    """
+
+    def finish(own: Path, verified: Plan, entries: Sequence[Commit]) -> FinalTables:
+        for name in ("verification", "timings", "attempts"):
+            write_table(own / "final" / f"{name}.parquet", segments_in_plan_order(own, entries, name, verified))
+        return write_final(folder, read_plan(folder), read_log(folder))
+
+    return run_sweep(plan, runner, verification_kind(), folder / FOLDER, finish)

@@ -1,0 +1,158 @@
+"""One object scored again: as the sweep did, at reference accuracy, under noise, and a little off its pose."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shift3d.attack.problem import AttackProblem
+from shift3d.config.catalogue import accuracy_settings
+from shift3d.config.schema import AccuracyConfig
+from shift3d.detectors.base import Detector
+from shift3d.render.rendering import Rendering
+from shift3d.seeding import generator
+from shift3d.task.assets import Assets, score_precision
+from shift3d.task.differences import Differences, differences
+from shift3d.task.run import build_problem
+from shift3d.task.scoring import Scored, score_object, score_points
+from shift3d.task.spec import TaskSpec
+
+__all__ = ["DRAWS", "Problems", "Solution", "Verified", "verify_object"]
+
+RANGE_NOISE_M = 0.02
+"""Standard deviation of the noise that beams on the object are given: the figure of common spinning sensors."""
+NEARBY_SIGMA = (0.01, 0.01, 0.0017453292519943296)
+"""Standard deviations of x and y (1 cm) and yaw (0.1 degrees): how well a scene's pose is known at best."""
+DRAWS = 2
+"""Draws of noise, and of nearby poses."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """One row of ``solutions.parquet``, and what it was scored.
+
+    code: (d,) float32. theta: (6,) float64. scores: by the detector's name, as the sweep reported them.
+    """
+
+    method: str
+    replicate: int
+    code: Tensor
+    theta: Tensor
+    scores: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What one object came to. Scores by the detector's name; of draws, in their order."""
+
+    again: dict[str, float]
+    reference: dict[str, float]
+    noise: dict[str, list[float]]
+    nearby: dict[str, list[float]]
+    found: Differences
+    unresolved: int
+    unresolved_reference: int
+    milliseconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Problems:
+    """One scene before the detectors, at the sweep's accuracy and at that of the reference."""
+
+    standard: AttackProblem
+    reference: AttackProblem
+    others: Mapping[str, Detector]
+    others_reference: Mapping[str, Detector]
+
+    @staticmethod
+    def of(spec: TaskSpec, assets: Assets, theta: Tensor) -> Problems:
+        """The task's problems, the vehicle at ``theta`` (6,).
+
+        Raises:
+            InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+        """
+        settings = accuracy_settings(AccuracyConfig(name="reference", render={}))
+        reference = dataclasses.replace(spec, accuracy="reference", accuracy_settings=settings)
+        others, others_reference = (
+            {name: assets.detector_of(name, score_precision(which)) for name in spec.scored_by[1:]}
+            for which in (spec, reference)
+        )
+        problem, true_problem = (build_problem(which, assets, theta) for which in (spec, reference))
+        return Problems(problem, true_problem, others, others_reference)
+
+
+def verify_object(spec: TaskSpec, solution: Solution, problems: Problems) -> Verified:
+    """Render and score one object again, in every way. Draws depend on the placement alone: a baseline and what was
+    made of it get the same ones."""
+    spent: dict[str, float] = {}
+    radius_m = spec.attack.detection_radius_m
+    with _timed(spent, "again"):
+        again = _score(problems.standard, solution.code, solution.theta, radius_m, problems.others)
+    with _timed(spent, "reference"):
+        true = _score(problems.reference, solution.code, solution.theta, radius_m, problems.others_reference)
+    everyone = {problems.standard.detector.name: problems.standard.detector, **problems.others}
+    with _timed(spent, "noise"):
+        noisy = [
+            score_points(problems.standard, points, solution.theta, radius_m, everyone)
+            for points in _noisy_points(spec, problems.standard, again.measurement.rendering)
+        ]
+    with _timed(spent, "nearby"):
+        near = [
+            _score(problems.standard, solution.code, theta, radius_m, problems.others)
+            for theta in _nearby(spec, solution.theta)
+        ]
+    found, truth = again.measurement.rendering, true.measurement.rendering
+    return Verified(
+        again=_scores(again),
+        reference=_scores(true),
+        noise={name: [draw[name].score for draw in noisy] for name in again.answers},
+        nearby={name: [draw.answers[name].score for draw in near] for name in again.answers},
+        found=differences((found.hit_mask, found.range_m), (truth.hit_mask, truth.range_m)),
+        unresolved=found.unresolved_beams,
+        unresolved_reference=truth.unresolved_beams,
+        milliseconds=spent,
+    )
+
+
+@contextlib.contextmanager
+def _timed(spent: dict[str, float], stage: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    spent[stage] = 1e3 * (time.perf_counter() - start)
+
+
+def _score(
+    problem: AttackProblem, code: Tensor, theta: Tensor, radius_m: float, others: Mapping[str, Detector]
+) -> Scored:
+    return score_object(problem, code.to(problem.settings.dtype), theta, radius_m, others)
+
+
+def _scores(scored: Scored) -> dict[str, float]:
+    return {name: answer.score for name, answer in scored.answers.items()}
+
+
+def _noisy_points(spec: TaskSpec, problem: AttackProblem, rendering: Rendering) -> Iterator[Tensor]:
+    """The scene with fresh noise along the beams on the object; the rest of it has its sensor's noise already."""
+    beams, hit = problem.beams, rendering.hit_mask
+    for draw in range(DRAWS):
+        # For every beam of the scene, so that a beam gets the same noise on whatever object it meets.
+        drawn = generator("verify noise", spec.placement_seed, draw).standard_normal(len(hit))
+        range_m = rendering.range_m[hit] + RANGE_NOISE_M * torch.from_numpy(drawn)[hit]
+        points = rendering.points.clone()
+        points[hit] = (beams.origins[hit] + range_m[:, None] * beams.directions[hit]).to(points.dtype)
+        yield points
+
+
+def _nearby(spec: TaskSpec, theta: Tensor) -> Iterator[Tensor]:
+    """Poses a little off; on the ground as before."""
+    for draw in range(DRAWS):
+        offset = generator("verify nearby", spec.placement_seed, draw).standard_normal(3) * NEARBY_SIGMA
+        moved = theta.clone()
+        moved[[0, 1, 3]] += torch.from_numpy(offset)
+        yield moved

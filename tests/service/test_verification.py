@@ -1,0 +1,66 @@
+"""A verification is a sweep: it resumes, repeats nothing, and a sweep that is run again keeps it."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from pathlib import Path
+
+import pytest
+
+from shift3d.cli.main import main
+from shift3d.store.log import read_log
+from shift3d.store.tables import read_table
+
+SWEEP = ["sweep", "default", "vehicle=suv", "mode=pose", "scenes.count=1", "scenes.sensor=hdl64", "attack=short"]
+SETTINGS = ["attack.steps=1", "attack.random_replicates=0", "runner=local", "tracking=none"]
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sweep") / "out"
+    assert main([*SWEEP, *SETTINGS, f"out={folder}"]) == 0
+    assert read_table(folder / "final" / "scores.parquet", "scores")["stable"].to_pylist() == [None, None]
+    assert main(["verify", str(folder), "runner=local"]) == 0
+    return folder
+
+
+def test_the_final_tables_say_what_was_verified(out: Path) -> None:
+    scores = read_table(out / "final" / "scores.parquet", "scores")
+    verification = read_table(out / "final" / "verification.parquet", "verification")
+    assert scores["stable"].to_pylist() == [True, True]
+    assert scores["score_reference"].to_pylist() == verification["score_reference"].to_pylist()
+    assert "Stability of default" in (out / "final" / "stability.html").read_text()
+
+
+def test_again_runs_nothing_and_leaves_the_same_bytes(out: Path) -> None:
+    before = digests(out / "final")
+    assert main(["verify", str(out), "runner=local"]) == 0
+    assert digests(out / "final") == before
+    assert sum(len(entry.done) for entry in read_log(out / "verification")) == 1
+    assert main([*SWEEP, *SETTINGS, f"out={out}"]) == 0
+    assert digests(out / "final") == before
+
+
+def test_a_verification_that_was_lost_in_part_resumes(out: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(out, copy)
+    shutil.rmtree(copy / "verification" / "final")
+    assert main(["verify", str(copy), "runner=local"]) == 0
+    assert digests(copy / "final") == digests(out / "final")
+
+
+def test_what_cannot_be_verified_is_said(out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", str(tmp_path)]) == 2
+    assert "is not the output folder of a sweep" in capsys.readouterr().err
+    copy = tmp_path / "unfinished"
+    shutil.copytree(out, copy)
+    shutil.rmtree(copy / "final")
+    assert main(["verify", str(copy)]) == 2
+    assert "the sweep is not finished" in capsys.readouterr().err
+    assert main(["verify", str(out), "attack.steps=3"]) == 2
+    assert "Only the runner can be set" in capsys.readouterr().err
