@@ -14,7 +14,7 @@ from shift3d.render.object_field import ObjectField
 
 @dataclass(frozen=True)
 class Constraints:
-    """Limits on an inserted object.
+    """Limits on an inserted object. A value exactly at its limit is allowed, but for clear_m, which is too near.
 
     overlap_m: deepest that an original scene point may lie inside the object. Paper: "we avoid object
         positions that would result in any point in the scene having an SDF value less than -eps_overlap",

@@ -13,6 +13,7 @@ Array = npt.NDArray[np.float64]
 MAX_SLOPE = 0.10
 _INLIER_M = 0.06
 _MIN_POINTS = 12
+_MIN_BREADTH_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ def fit_ground(
     """Plane through the ground returns within radius_m of a place; None where too little ground is seen.
 
     Starts from the nominal plane widened to 0.6 m, refits on what lies near the fit, narrower each time, so
-    that walls and poles fall out. A slope beyond 10 % is refused.
+    that walls and poles fall out. A slope beyond 10 % is refused, and so are returns along one scan line: whatever
+    its direction, they leave the slope across it open.
 
     Args:
         points: (N, 3) returns, scene frame.
@@ -62,10 +64,17 @@ def fit_ground(
     plane = np.array([low, 0.0, 0.0])
     for band in (0.25, 0.12, _INLIER_M, _INLIER_M):
         design = np.column_stack((np.ones(int(keep.sum())), xy[keep]))
-        if len(design) < _MIN_POINTS or np.ptp(xy[keep], axis=0).min() < 1.0:
+        if len(design) < _MIN_POINTS or _breadth(xy[keep]) < _MIN_BREADTH_M:
             return None
         plane = np.linalg.lstsq(design, z[keep], rcond=None)[0]
         keep = np.abs(plane[0] + xy @ plane[1:] - z) < band
     if keep.sum() < _MIN_POINTS or math.hypot(plane[1], plane[2]) > MAX_SLOPE:
         return None
     return GroundPlane(float(plane[0]), float(plane[1]), float(plane[2]))
+
+
+def _breadth(xy: Array) -> float:
+    """Extent of places (N, 2) across the direction that they are spread along most, metres."""
+    offset = xy - xy.mean(axis=0)
+    across = np.linalg.eigh(offset.T @ offset)[1][:, 0]
+    return float(np.ptp(offset @ across))

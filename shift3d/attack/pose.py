@@ -68,7 +68,8 @@ def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
     """
     start = theta0.detach().to(theta.dtype)
     change = theta.detach() - start
-    shift = change[:2].norm()
+    # hypot, which does not square: the length of a step of 1e200 m is no infinity, and its direction is kept.
+    shift = torch.hypot(change[0], change[1])
     if float(shift) > limits.max_shift_m:
         change[:2] *= limits.max_shift_m / shift
     change[4:] = change[4:].clamp(-limits.max_tilt_rad, limits.max_tilt_rad)

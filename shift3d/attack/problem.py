@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -76,7 +77,7 @@ class AttackProblem:
     @property
     def limits(self) -> Constraints:
         """The constraints as they hold during an attack."""
-        kept = int(self.kept_share * self.constraints.min_object_points)
+        kept = math.ceil(self.kept_share * self.constraints.min_object_points)  # of one return, one: never none
         return replace(self.constraints, min_object_points=kept)
 
     def with_space(self) -> AttackProblem:

@@ -42,7 +42,8 @@ def attack_shape(
         mode="shape",
         start=problem.code0,
         parameters=lambda code: (code, standing(code, problem, settle_m)),
-        penalty=lambda code: lambda_ * latent_penalty(code, problem.code0),
+        # Without lambda there is none, be it infinite: 0 times infinity is NaN.
+        penalty=lambda code: lambda_ * latent_penalty(code, problem.code0) if lambda_ else code.new_zeros(()),
         project=_free,
     )
     return descend(problem, search, steps, alpha, on_step)

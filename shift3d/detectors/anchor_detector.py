@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, floor
+from math import ceil, floor, isfinite
 
 import torch
 from torch import Tensor
@@ -44,8 +44,10 @@ class AnchorDetector:
         centre_xy: metres, network frame. The core covers the disc (a square, cut at the grid's border), the
         window adds the receptive field; both are what the network allows (PointPillars: multiples of its stride).
 
-        Raises: InputError if the disc does not meet the grid. Source: our choice, the paper is silent.
+        Raises: InputError if the disc does not meet the grid or is none. Source: our choice, the paper is silent.
         """
+        if not all(isfinite(value) for value in (*centre_xy, radius_m)):
+            raise InputError(f"no disc of {radius_m:g} m around {centre_xy}", where="detector window")
         spans = []
         for centre, origin, cells in (
             (centre_xy[0], self.grid.x_min_m, self.grid.num_x),

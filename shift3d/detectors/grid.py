@@ -66,7 +66,7 @@ def cells_of(
     does not count. The same cells whatever the precision: computed in float64.
     """
     x, y, z = points.detach().to("cpu", torch.float64).numpy().T
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         cell_x = np.floor((x - grid.x_min_m) / grid.cell_m)
         cell_y = np.floor((y - grid.y_min_m) / grid.cell_m)
         inside = (

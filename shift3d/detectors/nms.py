@@ -46,11 +46,15 @@ def rotated_nms(boxes: Array, scores: Array, iou_threshold: float, max_kept: int
 def suppress(proposals: Proposals, score_threshold: float, iou_threshold: float) -> Detections:
     """Proposals to boxes: those with at least score_threshold, best first, without the overlapping ones.
 
-    At most MAX_BEFORE_NMS go in. Not differentiable. Source: the public Waymo config.
+    At most MAX_BEFORE_NMS go in. Equal scores come in the order of their logits: in float32 every logit above 17 has
+    the score 1. Equal logits come in the order of the anchors. A NaN reaches no threshold. Not differentiable.
+    Source: the public Waymo config; the order of equals is our choice.
     """
-    scores = torch.sigmoid(proposals.logits.detach()).double().numpy()
+    logits = proposals.logits.detach()
+    scores = torch.sigmoid(logits).double().numpy()
     candidates = np.flatnonzero(scores >= score_threshold)
-    candidates = candidates[np.argsort(-scores[candidates], kind="stable")[:MAX_BEFORE_NMS]]
+    by_logit = np.argsort(-logits.double().numpy()[candidates], kind="stable")
+    candidates = candidates[by_logit[:MAX_BEFORE_NMS]]
     boxes = proposals.boxes.detach().double().numpy()[candidates]
     kept = rotated_nms(boxes, scores[candidates], iou_threshold)
     return Detections(boxes[kept], scores[candidates][kept])

@@ -40,7 +40,7 @@ def bev_grid(
         cell_size_m: edge of a square cell; the corners lie at its multiples.
 
     Raises:
-        ValueError: shapes that differ.
+        ValueError: shapes that differ, a position or a score that is not finite.
 
     Source: SHIFT3D fig. bev_score (10 m x 10 m cells, average reduction in detection scores).
     """
@@ -48,6 +48,8 @@ def bev_grid(
     old, new = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
     if old.shape != (len(xy),) or new.shape != (len(xy),):
         raise ValueError(f"{len(xy)} positions with {old.shape} and {new.shape} scores")
+    if not all(np.isfinite(values).all() for values in (xy, old, new)):
+        raise ValueError("positions and scores must be finite")
     cells, index = np.unique(np.floor(xy / cell_size_m).astype(np.int64), axis=0, return_inverse=True)
     index = index.reshape(-1)
     count = np.bincount(index, minlength=len(cells)).astype(np.int64)

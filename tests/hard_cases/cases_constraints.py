@@ -1,0 +1,188 @@
+"""Hard cases of the constraints and of placement: limits met exactly, no ground, no number."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from analytic_fields import Field, Frame, box, soft_car
+from catalogue import Edit, hard_case
+from torch import Tensor
+
+from shift3d.attack.constraints import ConstraintCheck, Constraints, check, is_clear, settle
+from shift3d.attack.ground import fit_ground
+from shift3d.attack.placement import NoPlacement, PlacementLimits, place
+from shift3d.render import Beams, preset
+from shift3d.render.object_field import ObjectField
+
+AREA = "constraints"
+FRAME = Frame((4.0, 1.8, 1.4))
+SETTINGS = preset("standard").with_(dtype=torch.float64, empty_space=False)
+CODE = torch.zeros(6, dtype=torch.float64)
+EXACT = Constraints(overlap_m=2.0**-6, contact_m=2.0**-6)  # distances to such limits are exact in floating point
+
+
+def held(field: Field, *points: tuple[float, float, float], limits: Constraints = EXACT) -> ConstraintCheck:
+    """An object at the origin, 4 x 1.8 x 1.5 m, held against scene points."""
+    size, pose = torch.tensor([4.0, 1.8, 1.5], dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    metric = ObjectField.of(field, FRAME, torch.float64, 4096)
+    return check(metric, torch.tensor(points, dtype=torch.float64).reshape(-1, 3), pose, size, 300, limits)
+
+
+CRATE = box((2.0, 0.9, 0.75))
+
+
+@hard_case(
+    area=AREA,
+    why="the limit itself is either contact or none",
+    must="a ground point at exactly the limit is contact, one a rounding farther is not",
+    guard="the comparison with contact_m includes it",
+    edits=Edit("shift3d.attack.constraints", "nearest <= limits.contact_m", "nearest < limits.contact_m"),
+)
+def contact_at_exactly_the_tolerance() -> None:
+    limit = -0.75 - EXACT.contact_m
+    assert held(CRATE, (0.0, 0.0, limit)).contact_ok
+    assert not held(CRATE, (0.0, 0.0, np.nextafter(limit, -1.0))).contact_ok
+
+
+@hard_case(
+    area=AREA,
+    why="the limit itself is either overlap or none",
+    must="a scene point exactly as deep as the limit is allowed, one a rounding deeper is not",
+    guard="the paper forbids a distance less than -eps: the comparison includes the limit",
+    edits=Edit("shift3d.attack.constraints", "deepest >= -limits.overlap_m", "deepest > -limits.overlap_m"),
+)
+def overlap_at_exactly_the_tolerance() -> None:
+    limit = -0.75 + EXACT.overlap_m
+    assert held(CRATE, (0.0, 0.0, limit)).overlap_ok
+    assert not held(CRATE, (0.0, 0.0, np.nextafter(limit, 0.0))).overlap_ok
+
+
+@hard_case(
+    area=AREA,
+    why="a distance that is no number is not too deep, and not too far",
+    must="the object is not valid: neither overlap nor contact holds",
+    guard="constraints ask for what must be so, which a NaN never is",
+    edits=Edit("shift3d.attack.constraints", "deepest >= -limits.overlap_m", "not deepest < -limits.overlap_m"),
+)
+def a_field_without_a_number_at_a_scene_point() -> None:
+    def field(x: Tensor) -> Tensor:
+        return torch.where(x[:, 0] > 1.0, math.nan, CRATE(x))
+
+    assert held(field, (0.0, 0.0, -0.75)).valid
+    broken = held(field, (0.0, 0.0, -0.75), (1.5, 0.0, -0.75))
+    assert not (broken.overlap_ok or broken.contact_ok or broken.valid)
+
+
+@hard_case(
+    area=AREA,
+    why="no scene point lies within reach, so that nothing is inside the object and a minimum has no value",
+    must="it hangs in the air or lies underground: no overlap, but no contact either, and so not valid",
+    guard="the nearest of no points is infinitely far",
+    edits=Edit(
+        "shift3d.attack.constraints",
+        'nearest = float(metric.abs().min()) if len(metric) else float("inf")',
+        "nearest = float(metric.abs().min()) if len(metric) else 0.0",
+    ),
+)
+def an_object_wholly_under_the_ground() -> None:
+    ground = [(float(x), float(y), 3.0) for x in range(-4, 5) for y in range(-4, 5)]
+    for points in (ground, []):
+        found = held(CRATE, *points)
+        assert found.overlap_ok and not found.contact_ok and not found.valid
+        assert found.deepest_m == found.nearest_m == math.inf
+
+
+@hard_case(
+    area=AREA,
+    why="it could be lifted out step by step, to a place that is not the one that was asked for",
+    must="no pose is found beyond the reach, one within it is found",
+    guard="the change of height is held against the reach at every step",
+    edits=Edit("shift3d.attack.constraints", "if abs(float(settled[2] - theta[2])) > reach_m:", "if False:"),
+)
+def an_object_sunk_deeper_than_it_may_climb() -> None:
+    metric = ObjectField.of(CRATE, FRAME, torch.float64, 4096)
+    xy = torch.cartesian_prod(torch.linspace(-3, 3, 25), torch.linspace(-3, 3, 25)).double()
+    ground = torch.cat((xy, torch.zeros(len(xy), 1, dtype=torch.float64)), dim=1)
+    size = torch.tensor([4.0, 1.8, 1.5], dtype=torch.float64)
+    for depth, reach in ((0.6, 0.3), (0.31, 0.3), (0.07, 0.06)):
+        sunk = torch.tensor([0.0, 0.0, 0.75 - depth, 0.0, 0.0, 0.0], dtype=torch.float64)
+        assert settle(metric, ground, sunk, size, reach_m=reach) is None
+        out = settle(metric, ground, sunk, size, reach_m=0.8)
+        assert out is not None and abs(float(out[2]) - 0.75) <= 0.004
+
+
+@hard_case(
+    area=AREA,
+    why="there is nothing to stand on, or the field says nothing there",
+    must="no pose, not a NaN one",
+    guard="settling ends where no scene point is in reach",
+    edits=Edit(
+        "shift3d.attack.constraints",
+        "if len(metric) == 0:\n            return None",
+        "if len(metric) == 0:\n            return settled",
+    ),
+)
+def nothing_to_settle_on() -> None:
+    size = torch.tensor([4.0, 1.8, 1.5], dtype=torch.float64)
+    pose = torch.zeros(6, dtype=torch.float64)
+    crate = ObjectField.of(CRATE, FRAME, torch.float64, 4096)
+    broken = ObjectField.of(lambda x: torch.full_like(x[:, 0], math.nan), FRAME, torch.float64, 4096)
+    assert settle(crate, torch.zeros(0, 3, dtype=torch.float64), pose, size) is None
+    assert settle(broken, torch.tensor([[0.0, 0.0, -0.75]], dtype=torch.float64), pose, size) is None
+
+
+@hard_case(
+    area=AREA,
+    why="returns along one line leave the slope across it open: least squares makes one up, of noise",
+    must="no plane, whatever the direction of the line",
+    guard="the returns must spread by a metre across the direction in which they spread most",
+    edits=Edit(
+        "shift3d.attack.ground",
+        "_breadth(xy[keep]) < _MIN_BREADTH_M",
+        "np.ptp(xy[keep], axis=0).min() < _MIN_BREADTH_M",
+    ),
+)
+def ground_seen_along_one_scan_line() -> None:
+    rng = np.random.default_rng(0)
+    for azimuth in np.radians([0.0, 15.0, 45.0, 80.0]):
+        along = azimuth + np.linspace(-0.09, 0.09, 60)
+        ring = np.column_stack((30 * np.cos(along), 30 * np.sin(along), -1.73 + rng.normal(0, 0.015, 60)))
+        centre = (30 * math.cos(azimuth), 30 * math.sin(azimuth))
+        assert fit_ground(ring, centre, -1.73, 2.9) is None
+        wide = np.concatenate([ring * np.array([share, share, 1.0]) for share in (0.95, 1.0, 1.05)])
+        plane = fit_ground(wide, centre, -1.73, 2.9)
+        assert plane is not None and math.hypot(plane.slope_x, plane.slope_y) < 0.02
+
+
+@hard_case(
+    area=AREA,
+    why="a scene may have no ground at all, and a quantile of no heights has no value",
+    must="no placement, and the reason why",
+    guard="a place with too few returns near the ground's height is turned down first",
+    edits=Edit("shift3d.attack.ground", "if keep.sum() < _MIN_POINTS:\n        return None\n    low", "low"),
+)
+def a_scene_without_room_for_the_object() -> None:
+    angle = np.linspace(-np.pi, np.pi, 2000)
+    wall = np.stack((30 * np.cos(angle), 30 * np.sin(angle), np.full_like(angle, 2.0)), axis=1).astype(np.float32)
+    beams = Beams.from_arrays(wall, np.zeros(3, np.float32))
+    limits = PlacementLimits(8.0, 12.0, attempts=7)
+    found = place(beams, -1.73, soft_car(CODE), FRAME, np.random.default_rng(0), limits, settings=SETTINGS)
+    assert isinstance(found, NoPlacement) and found.rejected == {"ground": 7}
+    assert "no valid placement in 7 attempts (ground 7)" in found.reason()
+
+
+@hard_case(
+    area=AREA,
+    why="a neighbour exactly as far as the limit is either too near or not",
+    must="it is too near: what is within the limit could be taken for the object",
+    guard="the distance must exceed the limit",
+    edits=Edit("shift3d.attack.constraints", ".norm(dim=-1) > clear_m", ".norm(dim=-1) >= clear_m"),
+)
+def a_neighbour_at_exactly_the_clear_distance() -> None:
+    here = torch.tensor([10.0, -2.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    at = torch.tensor([[13.0, 2.0]], dtype=torch.float64)  # 3, 4, 5: exact
+    assert not is_clear(here, at, 5.0) and is_clear(here, at, math.nextafter(5.0, 0.0))
+    assert not is_clear(here, torch.full((1, 2), math.nan), 5.0)  # a neighbour nobody knows the place of
+    assert is_clear(here, None, 5.0) and is_clear(here, at[:0], 5.0)

@@ -1,0 +1,128 @@
+"""Hard cases of a detector that follows a scene through its editions: it must see what a fresh look shows."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from cases_voxels import CENTRE, NAN, cluster, detector, seen, window
+from catalogue import Edit, hard_case
+from torch import Tensor
+
+from shift3d.detectors.grid import WAYMO_GRID
+from shift3d.detectors.incremental import Follower
+
+AREA = "detector"
+INCREMENTAL = "shift3d.detectors.incremental"
+
+
+def followed(*clouds: Tensor) -> None:
+    """Whoever follows the scene through these editions sees what a fresh look at the last one shows."""
+    follower = detector().following(window())
+    for cloud in clouds[:-1]:
+        follower.proposals(cloud)
+    leaf = clouds[-1].clone().requires_grad_()
+    found = follower.proposals(leaf)
+    logits, gradient = seen(clouds[-1])
+    assert torch.allclose(found.logits, logits, rtol=0, atol=1e-12)
+    if found.logits.requires_grad:
+        assert torch.allclose(torch.autograd.grad(found.logits.sum(), leaf)[0], gradient, rtol=0, atol=1e-12)
+    else:
+        assert not gradient.any()
+
+
+def shifted(points: Tensor, rows: slice, *offset: float) -> Tensor:
+    points = points.clone()
+    points[rows] += torch.tensor(offset, dtype=points.dtype)
+    return points
+
+
+@hard_case(
+    area=AREA,
+    why="a point that moves to the next cell changes two pillars, the one that it left with the other points in it",
+    must="what a fresh look at the scene gives",
+    guard="the cells that held a moved point are computed again, as well as those that hold it",
+    edits=Edit(
+        INCREMENTAL,
+        "flat[self._cell_of_point[rows]] = True\n            self._cell_of_point[rows] = ",
+        "self._cell_of_point[rows] = ",
+    ),
+)
+def a_followed_point_crosses_into_the_next_cell() -> None:
+    points = cluster()
+    followed(points, shifted(points, slice(0, 40), WAYMO_GRID.cell_m, 0.0, 0.0))
+
+
+@hard_case(
+    area=AREA,
+    why="an object that moves on leaves cells without a point, and there is nothing to write into them",
+    must="what a fresh look at the scene gives: an empty pillar is 0",
+    guard="cells that are due are emptied before they are filled",
+    edits=Edit(INCREMENTAL, "self._cache.canvas[torch.from_numpy(np.flatnonzero(to_write))] = 0.0", "pass"),
+)
+def a_followed_object_leaves_its_cells_empty() -> None:
+    points = cluster(200, size_m=1.0)
+    followed(points, shifted(points, slice(None), 2.0, -1.5, 0.0))
+    followed(points, shifted(points, slice(None), 60.0, 0.0, 0.0), points)
+
+
+@hard_case(
+    area=AREA,
+    why="the cell of a point without a number is none, and as an integer an arbitrary one",
+    must="what a fresh look gives, while such points come and go",
+    guard="points without a cell get a number that stands for none",
+    edits=Edit(INCREMENTAL, "np.where(inside, numbers, 0.0).astype(np.int64)", "numbers.astype(np.int64)"),
+)
+def a_followed_point_is_no_number_for_a_while() -> None:
+    points = cluster()
+    broken = shifted(points, slice(0, 30), NAN, 0.0, 0.0)
+    for away in (
+        broken,
+        shifted(points, slice(0, 30), math.inf, 0.0, 0.0),
+        shifted(points, slice(0, 30), 0.0, 1e300, 0.0),
+    ):
+        followed(points, away)
+        followed(away, points)
+
+
+@hard_case(
+    area=AREA,
+    why="rows of a cloud of another length are other points: what moved cannot be told row by row",
+    must="what a fresh look gives, from many points to none and back",
+    guard="a cloud of another length is taken for new as a whole",
+    edits=Edit(
+        INCREMENTAL,
+        "flat[self._cell_of_point] = True\n            self._cell_of_point = ",
+        "self._cell_of_point = ",
+    ),
+)
+def a_followed_cloud_changes_its_length() -> None:
+    points, none = cluster(), torch.zeros(0, 3, dtype=torch.float64)
+    followed(points, none)
+    followed(none, points)
+    followed(points, none, points[:100], points[50:], points)
+
+
+@hard_case(
+    area=AREA,
+    why="what changed where nobody looked is not computed, and must not be forgotten when somebody does",
+    must="what a fresh look at the scene gives, once the window moves there",
+    guard="changed cells that are not needed stay due",
+    edits=Edit(
+        "shift3d.detectors.cell_backbone",
+        "due, self._stale[0] = _split(changed | self._stale[0], needed)",
+        "due, self._stale[0] = changed & needed, self._stale[0] & ~needed",
+    ),
+)
+def a_followed_point_moves_where_nobody_looks() -> None:
+    wide = detector().window_for(CENTRE, 9.0)
+    here, there = (detector().window_for((CENTRE[0] + d, CENTRE[1]), 2.0) for d in (-7.0, 7.0))
+    follower: Follower = detector().following(wide)
+    points = cluster(600, size_m=1.0) + torch.tensor([11.0, 0.0, 0.0], dtype=torch.float64)
+    moved = shifted(points, slice(0, 600), 0.3, 0.4, 0.1)
+    follower.proposals(points, there)
+    assert torch.equal(follower.proposals(moved, here).logits, follower.proposals(points, here).logits)
+    follower.proposals(moved, here)
+    found, fresh = follower.proposals(moved, there), detector().proposals(moved, there)
+    assert float((fresh.logits - detector().proposals(points, there).logits).abs().max()) > 1e-3
+    assert torch.allclose(found.logits, fresh.logits, rtol=0, atol=1e-12)

@@ -1,0 +1,227 @@
+"""Hard cases of the search: steps, losses and gradients without a number, and nothing to attack."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import torch
+from analytic_fields import Field, Frame, ground_scan, in_frame, soft_car
+from catalogue import Edit, hard_case
+from torch import Tensor
+from toy_detector import WaveDetector
+
+from shift3d.attack.constraints import Constraints
+from shift3d.attack.pose import PoseLimits, attack_pose
+from shift3d.attack.problem import AttackProblem
+from shift3d.attack.shape import attack_shape
+from shift3d.detectors.base import BevWindow, Proposals
+from shift3d.render import Beams, preset
+
+AREA = "constraints"
+LOOP = "shift3d.attack.loop"
+FRAME = Frame((4.0, 1.8, 1.4))
+SETTINGS = preset("standard").with_(dtype=torch.float64, empty_space=False)
+CODE = torch.zeros(6, dtype=torch.float64)
+THETA = torch.tensor([10.0, 0.0, -1.04, 0.3, 0.0, 0.0], dtype=torch.float64)
+
+
+@cache
+def problem(min_object_points: int = 50) -> AttackProblem:
+    """A small car on flat ground 10 m ahead, before a detector of waves."""
+    points, origin = ground_scan(rings=40, columns=480)
+    beams = Beams.from_arrays(points[np.hypot(points[:, 0] - 10.0, points[:, 1]) < 5.0], origin)
+    rules = Constraints(min_object_points=min_object_points)
+
+    def field_of(code: Tensor) -> Field:
+        return in_frame(soft_car(code), FRAME)
+
+    return AttackProblem(beams, -1.73, field_of, FRAME, WaveDetector(), THETA, CODE, rules, SETTINGS)
+
+
+@hard_case(
+    area=AREA,
+    why="an object that no beam reaches is missed by every detector: a blind spot that is none",
+    must="it is never kept, however few points are asked for, as long as any are",
+    guard="the share of the points that must remain is rounded up",
+    edits=Edit("shift3d.attack.problem", "math.ceil(self.kept_share *", "int(self.kept_share *"),
+)
+def an_object_wholly_occluded() -> None:
+    side = np.linspace(-4.0, 4.0, 40)
+    y, z = (axis.reshape(-1) for axis in np.meshgrid(side, side))
+    wall = np.stack((np.full_like(y, 5.0), y, z), axis=1)
+    under = np.array([[10.0, 0.0, -1.73], [10.2, 0.1, -1.73], [9.8, -0.1, -1.73]])  # seen by a sensor in the ground
+    origins = np.concatenate((np.zeros_like(wall), under - np.array([0.0, 0.0, 1e-3])))
+    beams = Beams.from_arrays(np.concatenate((wall, under)), origins)
+    start = THETA + torch.tensor([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])  # 1 cm above these
+    hidden = replace(problem(1), beams=beams, theta0=start, _near=[])
+    shape = attack_shape(hidden, 1.0, steps=2, settle_m=0.0)
+    pose = attack_pose(hidden, steps=2, limits=PoseLimits(settle_m=0.0))
+    for result in (shape, pose):
+        assert (result.best_step, result.status) == (0, "no_valid_step")
+        assert [record.check.object_points for record in result.trace] == [0, 0, 0]
+        assert result.trace[2].check.contact_ok and result.trace[2].check.overlap_ok
+
+
+class SquareRootDetector(WaveDetector):
+    """Its logits hold the square root of a zero: they are finite, and their gradient is not."""
+
+    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
+        found = super().proposals(points, window)
+        return replace(found, logits=found.logits + torch.sqrt(0.0 * points[:, 0].sum()))
+
+
+@hard_case(
+    area=AREA,
+    why="one NaN in the gradient spoils every number of the code or the pose, and every later step",
+    must="the search ends there, says so, and returns the finite object that it had",
+    guard="a step that leaves the finite numbers is not taken",
+    edits=Edit(LOOP, "if not bool(torch.isfinite(moved).all()):", "if False:"),
+)
+def a_gradient_that_is_no_number() -> None:
+    broken = replace(problem(), detector=SquareRootDetector(), _near=[])
+    for result in (attack_shape(broken, 1.0, steps=3), attack_pose(broken, steps=3)):
+        assert result.status == "diverged" and len(result.trace) == 1 and result.best_step == 0
+        assert torch.isfinite(result.latent_code).all() and torch.isfinite(result.theta).all()
+        assert math.isfinite(result.trace[0].loss)
+
+
+class ForgetfulDetector(WaveDetector):
+    """Has no numbers any more after its first answer."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.answers = 0
+
+    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
+        found = super().proposals(points, window)
+        self.answers += 1
+        return found if self.answers == 1 else replace(found, logits=found.logits * math.nan)
+
+
+@hard_case(
+    area=AREA,
+    why="a NaN is not above the lowest loss so far, which is infinite before the first valid step",
+    must="a step without a loss is never the best one",
+    guard="a step is kept where its loss is lower, which a NaN is not",
+    edits=Edit(LOOP, "record.loss < best_loss", "not record.loss >= best_loss"),
+)
+def a_loss_that_is_no_number() -> None:
+    for steps in (1, 3):
+        forgetful = replace(problem(), detector=ForgetfulDetector(), _near=[])
+        result = attack_shape(forgetful, 1.0, steps=steps)
+        assert math.isnan(result.trace[1].loss) and result.trace[1].valid
+        assert result.best_step == 0 and torch.equal(result.latent_code, CODE)
+
+
+@hard_case(
+    area=AREA,
+    why="the pull of lambda throws the code to the other side, farther each time, until it overflows",
+    must="the search ends in a few steps, with a finite code; with lambda 0 the same step size is no penalty at all",
+    guard="a step that leaves the finite numbers is not taken",
+    edits=Edit(LOOP, "if not bool(torch.isfinite(moved).all()):", "if False:"),
+)
+def a_huge_lambda() -> None:
+    for lambda_ in (1e100, 1e300):
+        result = attack_shape(problem(), lambda_, alpha=1e6, steps=6)
+        assert result.status == "diverged" and len(result.trace) < 5
+        assert torch.isfinite(result.latent_code).all() and torch.isfinite(result.theta).all()
+
+
+@hard_case(
+    area=AREA,
+    why="the squared length of a code of 1e200 is infinite, and 0 times infinity is NaN",
+    must="without lambda the loss is the detector's, finite at every step",
+    guard="a lambda of 0 leaves the penalty out",
+    edits=Edit(
+        "shift3d.attack.shape",
+        "lambda_ * latent_penalty(code, problem.code0) if lambda_ else code.new_zeros(())",
+        "lambda_ * latent_penalty(code, problem.code0)",
+    ),
+)
+def no_lambda_and_a_huge_step() -> None:
+    result = attack_shape(problem(), 0.0, alpha=1e200, steps=2)
+    assert len(result.trace) == 3 and float(result.latent_code.abs().max()) < 1e300
+    assert all(math.isfinite(record.loss) for record in result.trace)
+
+
+class WatchingDetector(WaveDetector):
+    """Remembers where it was asked to look."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.centres: list[tuple[float, float]] = []
+
+    def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
+        self.centres.append(centre_xy)
+        return super().window_for(centre_xy, radius_m)
+
+
+@hard_case(
+    area=AREA,
+    why="a step of a million metres leads out of the scene and of the detector's range",
+    must="the object stays within 4 m of its start at every step",
+    guard="every step is projected onto the limits",
+    edits=Edit("shift3d.attack.pose", "if float(shift) > limits.max_shift_m:", "if False:"),
+)
+def a_step_of_a_million_metres() -> None:
+    watching = WatchingDetector()
+    result = attack_pose(replace(problem(), detector=watching, _near=[]), alpha=1e6, steps=2)
+    assert len(watching.centres) == 4  # of the window that is followed, and of every step
+    assert max(math.dist(centre, THETA[:2].tolist()) for centre in watching.centres) <= 4.0 + 1e-9
+    assert math.dist(watching.centres[-1], THETA[:2].tolist()) > 3.9
+    assert all(math.isfinite(record.loss) for record in result.trace)
+
+
+@hard_case(
+    area=AREA,
+    why="the square of a step of 1e200 m is infinite: divided by its length the step would be 0",
+    must="the nearest pose in its direction, at the limit",
+    guard="the length is taken without squares that overflow",
+    edits=Edit("shift3d.attack.pose", "shift = torch.hypot(change[0], change[1])", "shift = change[:2].norm()"),
+)
+def a_step_whose_square_overflows() -> None:
+    for alpha in (1e160, 1e300):
+        result = attack_pose(problem(), alpha=alpha, steps=1)
+        moved = (result.theta - THETA)[:2]
+        assert result.trace[0].loss > 0 and abs(float(moved.norm()) - 4.0) < 1e-9
+
+
+def nothing(x: Tensor) -> Tensor:
+    """A field that is positive everywhere: what a code far off the prior may draw."""
+    return 3.0 + 0.1 * x.square().sum(-1).sqrt()
+
+
+@hard_case(
+    area=AREA,
+    why="the field is positive everywhere: no beam is moved, and the loss does not depend on the pose",
+    must="a gradient of 0 and no valid step, not an error of the backward pass",
+    guard="the gradient of a loss without a graph is 0",
+    edits=Edit(LOOP, "if not loss.requires_grad:", "if False:"),
+)
+def a_pose_attack_on_a_code_that_draws_nothing() -> None:
+    empty = replace(problem(), field_of=lambda code: nothing, _near=[])
+    result = attack_pose(empty, steps=3)
+    assert (result.status, result.best_step, len(result.trace)) == ("no_valid_step", 0, 4)
+    assert all(math.isfinite(record.loss) and not record.check.points_ok for record in result.trace)
+    assert torch.allclose(result.theta, THETA)
+
+
+@hard_case(
+    area=AREA,
+    why="the shape under attack has left the ground, or vanished: there is no height at which it touches",
+    must="it keeps the start's pose, is not valid, and the search goes on",
+    guard="a shape that cannot be settled is left where it is",
+    edits=Edit("shift3d.attack.shape", "return problem.theta0 if found is None else found", "return found"),
+)
+def a_shape_attack_from_a_code_that_draws_nothing() -> None:
+    def field_of(code: Tensor) -> Field:
+        return in_frame(lambda x: soft_car(code)(x) + code.square().sum(), FRAME)
+
+    far = torch.full((6,), 5.0, dtype=torch.float64)
+    result = attack_shape(replace(problem(), field_of=field_of, code0=far, _near=[]), 1.0, steps=2)
+    assert (result.status, result.best_step, len(result.trace)) == ("no_valid_step", 0, 3)
+    assert torch.equal(result.theta, THETA) and torch.equal(result.latent_code, far)
+    assert not any(record.check.object_points for record in result.trace)
