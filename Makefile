@@ -8,7 +8,7 @@ BIN := .venv/bin
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep test check bench frontier ui train pictures clean
+.PHONY: help setup sweep verify test check bench frontier stress ui train pictures clean
 
 help:  ## what there is to run
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
@@ -29,6 +29,9 @@ setup: .venv/.runtime  ## install shift3d and its libraries in .venv
 sweep: .venv/.runtime  ## run sweeps/$(SWEEP).yaml; the same command again resumes
 	$(BIN)/shift3d sweep $(SWEEP) $(ARGS)
 
+verify: .venv/.runtime  ## score a sweep's solutions again at reference accuracy: OUT=outputs/NAME-HASH
+	$(BIN)/shift3d verify $(OUT) $(ARGS)
+
 test: .venv/.dev  ## every test
 	$(BIN)/python -m pytest $(ARGS)
 
@@ -44,6 +47,9 @@ bench: .venv/.dev  ## measure speed, write outputs/bench.json; ARGS="-k render",
 
 frontier: .venv/.runtime  ## what accuracy costs in time, by sweeps/accuracy_time.yaml: 25 minutes; ARGS=--quick: 3
 	$(BIN)/shift3d frontier $(ARGS)
+
+stress: .venv/.dev  ## 10,000 random extreme poses and codes, every unresolved beam accounted for
+	$(BIN)/python tests/stress/extreme_poses.py $(ARGS)
 
 ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 	$(BIN)/shift3d ui $(ARGS)

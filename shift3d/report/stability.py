@@ -42,6 +42,8 @@ _MEANINGS = (
      "little off its pose (1 cm, 0.1 degrees), in every draw; the baseline gets the same draws"),
 )  # fmt: skip
 _SHOWN = 10
+# Of Okabe and Ito: told apart by who does not see all colours.
+_COLOURS = {"baseline": "#000000", "random": "#56b4e9", "adversarial_noise": "#e69f00", "adversarial": "#d55e00"}
 
 
 def stability_lines(scores: pd.DataFrame, verification: pd.DataFrame) -> str:
@@ -108,12 +110,15 @@ def stability_figure(verification: pd.DataFrame) -> Figure:
 
     figure = Figure(figsize=(11, 4.6), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2)
-    for method, rows in verification.groupby("method", sort=False):
-        name = str(method).replace("_", " + ")
-        left.scatter(rows["score"], rows["score_reference"], s=12, alpha=0.6, label=name)
+    for method, colour in _COLOURS.items():
+        rows = verification[verification["method"] == method]
+        if not len(rows):
+            continue
+        style = {"s": 12, "alpha": 0.6, "color": colour, "label": method.replace("_", " + ")}
+        left.scatter(rows["score"], rows["score_reference"], **style)
         if method != "baseline":
             least = rows[["least_margin_noise", "least_margin_nearby"]].min(axis=1)
-            right.scatter(rows["margin"], least, s=12, alpha=0.6, label=name)
+            right.scatter(rows["margin"], least, **style)
     left.plot([0, 1], [0, 1], color="0.6", linewidth=0.8, zorder=0)
     left.set(xlabel="score, as reported", ylabel="score at reference accuracy", xlim=(0, 1), ylim=(0, 1))
     right.axline((0, 0), slope=1, color="0.6", linewidth=0.8, zorder=0)

@@ -93,8 +93,8 @@ def without(edits: tuple[Edit, ...]) -> Iterator[None]:
     """
     swapped: list[tuple[FunctionType, CodeType]] = []
     try:
-        for edit in edits:
-            for function, code in _changed(edit):
+        for module in dict.fromkeys(edit.module for edit in edits):
+            for function, code in _changed(module, [edit for edit in edits if edit.module == module]):
                 swapped.append((function, function.__code__))
                 function.__code__ = code
         yield
@@ -103,22 +103,25 @@ def without(edits: tuple[Edit, ...]) -> Iterator[None]:
             function.__code__ = code
 
 
-def _changed(edit: Edit) -> list[tuple[FunctionType, CodeType]]:
-    module = importlib.import_module(edit.module)
+def _changed(name: str, edits: list[Edit]) -> list[tuple[FunctionType, CodeType]]:
+    module = importlib.import_module(name)
     source, path = inspect.getsource(module), inspect.getsourcefile(module)
-    count = source.count(edit.before)
-    assert count == 1, f"{edit.module} holds {edit.before!r} {count} times, not once: the safeguard has moved"
+    edited = source
+    for edit in edits:
+        count = edited.count(edit.before)
+        assert count == 1, f"{name} holds {edit.before!r} {count} times, not once: the safeguard has moved"
+        edited = edited.replace(edit.before, edit.after)
     assert path is not None
     old = dict(_codes(compile(source, path, "exec", dont_inherit=True)))
-    new = dict(_codes(compile(source.replace(edit.before, edit.after), path, "exec", dont_inherit=True)))
-    assert old.keys() == new.keys(), f"{edit.module}: the edit adds or removes a function"
+    new = dict(_codes(compile(edited, path, "exec", dont_inherit=True)))
+    assert old.keys() == new.keys(), f"{name}: an edit adds or removes a function"
     functions = [f for f in gc.get_objects() if isinstance(f, FunctionType) and f.__code__.co_filename == path]
     pairs = [
         (function, new[key])
         for function in functions
         if (key := function.__code__.co_qualname) in new and not _same(old[key], new[key])
     ]
-    assert pairs, f"{edit.module}: {edit.before!r} is in no function that is in use"
+    assert pairs, f"{name}: {[edit.before for edit in edits]} is in no function that is in use"
     return pairs
 
 
