@@ -37,7 +37,7 @@ class VerifyAssets:
 
     assets: Assets
     results: Path
-    _verified: dict[tuple[Any, ...], Verified] = field(default_factory=dict)
+    _baselines: dict[tuple[Any, ...], Verified] = field(default_factory=dict)
 
     def solutions(self, spec: TaskSpec) -> list[Solution]:
         """Every solution of a task with its scores, the baseline first; none where nothing could be placed.
@@ -71,6 +71,8 @@ class VerifyAssets:
 
     def verified(self, spec: TaskSpec, solution: Solution, problems: Problems) -> tuple[Verified, bool]:
         """`verify_object`, and whether it was done now: tasks of one vehicle in one scene share their baseline."""
+        if solution.method != "baseline":
+            return verify_object(spec, solution, problems), True
         key = (
             spec.vehicle,
             spec.scene,
@@ -81,10 +83,10 @@ class VerifyAssets:
             solution.code.numpy().tobytes(),
             solution.theta.numpy().tobytes(),
         )
-        new = key not in self._verified
+        new = key not in self._baselines
         if new:
-            self._verified[key] = verify_object(spec, solution, problems)
-        return self._verified[key], new
+            self._baselines[key] = verify_object(spec, solution, problems)
+        return self._baselines[key], new
 
 
 def load_verify_assets(spec: AssetsSpec) -> VerifyAssets:
