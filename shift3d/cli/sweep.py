@@ -121,7 +121,11 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> None:
     frames = {name: final.frame(name) for name in final.tables}
     print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
-    if "verification" not in frames:
+    if "verification" in frames:
+        from shift3d.report.stability import stability_lines
+
+        print(f"\n{stability_lines(frames['verification'])}\n")
+    else:
         print(f"are its hard cases hard, or rounding? shift3d verify {result.folder}")
     _mirror(plan, config, result)
 

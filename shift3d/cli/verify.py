@@ -38,6 +38,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.report.numerics import diagnostics
     from shift3d.report.stability import stability_lines, write_stability_page
     from shift3d.sweep.verification import verification_plan, verify_sweep
     from shift3d.sweep.worker import one_thread
@@ -54,7 +55,7 @@ def _run(arguments: argparse.Namespace) -> int:
         print("the same command resumes", file=sys.stderr)
         return 130
     scores, verification = result.final.frame("scores"), result.final.frame("verification")
-    print(f"\n{stability_lines(scores, verification)}\n")
+    print(f"\n{stability_lines(verification)}\n\n{diagnostics(scores)}\n")
     page = write_stability_page(folder / "final" / "stability.html", plan.sweep, scores, verification)
     print(f"{page} written in {result.seconds:.0f} s")
     if result.quarantined:

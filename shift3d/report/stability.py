@@ -46,15 +46,15 @@ _SHOWN = 10
 _COLOURS = {"baseline": "#000000", "random": "#56b4e9", "adversarial_noise": "#e69f00", "adversarial": "#d55e00"}
 
 
-def stability_lines(scores: pd.DataFrame, verification: pd.DataFrame) -> str:
-    """The printed table, what was unstable and why, and the sweep's diagnostics. The tables of ``final/``."""
+def stability_lines(verification: pd.DataFrame) -> str:
+    """The printed table, and what was unstable and why. verification: the table of ``final/``."""
     parts = [aligned("Scored again at reference accuracy", _HEADER, _lines(verification))]
     unstable = verification[~verification["stable"]]
     if len(unstable):
         shown = [f"  {_unstable_line(row)}" for row in unstable.head(_SHOWN).to_dict("records")]
         more = [f"  and {len(unstable) - _SHOWN} more in verification.parquet"] if len(unstable) > _SHOWN else []
         parts.append("\n".join([f"{len(unstable)} unstable", *shown, *more]))
-    return "\n\n".join([*parts, diagnostics(scores)])
+    return "\n\n".join(parts)
 
 
 def _lines(verification: pd.DataFrame) -> list[list[str]]:

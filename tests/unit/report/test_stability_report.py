@@ -34,7 +34,7 @@ def scores(**columns: list[float | None]) -> pd.DataFrame:
 
 def test_every_unstable_solution_is_counted_and_named_with_its_cause(tmp_path: Path) -> None:
     frame = verification(unstable=12, stable=28)
-    told = stability_lines(scores(non_finite=[0]), frame)
+    told = stability_lines(frame)
     assert "12 unstable" in told and "70.0%" in told and "2.0e-01" in told
     assert told.count("of its <300> hits 9 missed") == 10 and "and 2 more in verification.parquet" in told
     page = write_stability_page(tmp_path / "stability.html", "a <sweep>", scores(non_finite=[0]), frame).read_text()
@@ -45,7 +45,7 @@ def test_every_unstable_solution_is_counted_and_named_with_its_cause(tmp_path: P
 
 def test_nothing_unstable_is_said_so(tmp_path: Path) -> None:
     frame = verification(unstable=0, stable=3)
-    assert "unstable\n" not in stability_lines(scores(non_finite=[0]), frame)
+    assert "unstable\n" not in stability_lines(frame)
     assert "<p>None.</p>" in write_stability_page(tmp_path / "p.html", "s", scores(non_finite=[0]), frame).read_text()
 
 
