@@ -142,6 +142,9 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
         "tasks_quarantined": result.quarantined,
         "tasks_planned": result.planned,
     }
+    if "verification" in result.final.tables:
+        stable = result.final.frame("verification")["stable"]
+        counts |= {"solutions_verified": len(stable), "solutions_unstable": int((~stable).sum())}
     settings = {"settings": plan.settings, "axes": plan.axes}
     record = SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, result.final.frame("auc"), counts)
     uri = config.tracking.uri

@@ -57,7 +57,7 @@ def _run(arguments: argparse.Namespace) -> int:
     scores, verification = result.final.frame("scores"), result.final.frame("verification")
     print(f"\n{stability_lines(verification)}\n\n{diagnostics(scores)}\n")
     page = write_stability_page(folder / "final" / "stability.html", plan.sweep, scores, verification)
-    print(f"{page} written in {result.seconds:.0f} s")
+    print(f"{page} written in {result.seconds:.0f} s; the sweep's command again puts it into MLflow")
     if result.quarantined:
         attempts = folder / "verification" / "final" / "attempts.parquet"
         print(f"{result.quarantined} tasks could not be verified: {attempts}", file=sys.stderr)
