@@ -38,6 +38,11 @@ class Beams:
     def __len__(self) -> int:
         return int(self.points.shape[0])
 
+    def same_as(self, other: Beams) -> bool:
+        """Whether these are the other's beams, row by row."""
+        parts = ("directions", "ranges_m", "origins")
+        return self is other or all(torch.equal(getattr(self, name), getattr(other, name)) for name in parts)
+
     @staticmethod
     def from_scene(scene: Scene) -> Beams:
         """Beams of a scene, each from its own sensor origin."""

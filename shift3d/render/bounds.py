@@ -52,7 +52,8 @@ def guarded_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Guard:
     A shape under attack can outgrow the box of its baseline. Checked are the faces of the grown box, every
     0.2 m: a connected surface cannot leave the box without crossing a face, so only a part that crosses in
     a spot smaller than that can hide; and a lattice of 0.45 m in the rest of the decoder's ball, for parts
-    that float free. A field that is inside all over ends at the ball's own box.
+    that float free. A field that is inside all over ends at the ball's own box. A NaN counts as inside, so that the
+    beams that meet it are looked at and counted.
 
     Args:
         field: metric distance in the object frame.
@@ -69,7 +70,7 @@ def guarded_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Guard:
         beyond = outside[((outside < box.lower) | (outside > box.upper)).any(-1)]
         check = torch.cat((_face_lattice(box), beyond))
         g = field.estimate(check).double()
-        inside = check[g <= 0]
+        inside = check[~(g > 0)]
         if len(inside) == 0:
             return Guard(box, check, g, torch.zeros_like(g))
         reach = _FACE_SPACING_M + margin_m

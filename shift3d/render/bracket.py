@@ -23,6 +23,7 @@ from shift3d.render.shallow import look_into_shallow
 
 _BACK_STEP_M = 0.1
 _BOLDNESS = 0.95
+_STEEPEST = 10.0
 # A decoder takes as long for one point as for thirty: what is left of a march at its end is looked at ahead of time.
 _FEW = 32
 _AHEAD = 64
@@ -37,7 +38,7 @@ class Brackets:
         found: (M,) bool, whether g changes from outside to inside on the stretch.
         outer, inner: (M,) float64 ranges with g >= 0 and g < 0 (meaningless where not found).
         g_outer, g_inner: (M,) values there, metres.
-        undecided: (M,) bool, the sensor itself is inside the object, or the field returned NaN.
+        undecided: (M,) bool, the sensor itself is inside the object, or the field was not finite on the way.
         clearance: (M,) smallest g in a dip before the crossing, or on the whole stretch where there is
             none; infinite where g only falls towards the crossing. Metres.
         closest: (M,) range of that smallest g.
@@ -95,13 +96,15 @@ class _March:
         # One sample further back than `outer`, for the dip test.
         self.before = self.outer.clone()
         self.g_before = self.g_outer.clone()
+        # What a step of several showed of the field's steepness before it was taken back.
+        self.steepest = torch.ones(count, dtype=torch.float64)
         self.rows = torch.arange(count)
 
     def _g(self, k: Tensor, rows: Tensor) -> Tensor:
         g = self.field.estimate(self.rays.at(k, rows)).double()
-        nan = torch.isnan(g)
-        self.undecided[rows] |= nan
-        return torch.where(nan, torch.inf, g)
+        lost = ~torch.isfinite(g)
+        self.undecided[rows[lost]] = True
+        return torch.where(lost, torch.inf, g)
 
     def start(self) -> None:
         """Evaluate the entry points; where one is already inside, step back towards the sensor."""
@@ -168,21 +171,23 @@ class _March:
         if len(rows) == 0:
             self.rows = rows
             return
-        steepness = self._steepness(rows)[:, None]
         length = torch.where(leaping, self.settings.step_m, _AHEAD_SHARE * self._lengths(rows, g)[0])
         ahead = max(2, _AHEAD // len(rows))
         places = torch.minimum(k[:, None] + length[:, None] * torch.arange(ahead + 1), far[:, None])
-        values = self._g(places[:, 1:].reshape(-1), rows.repeat_interleave(ahead)).reshape(len(rows), ahead)
-        values = torch.cat((g[:, None], values), dim=1)
-        covered = self.settings.step_safety * values.clamp_min(0.0) / steepness
-        covered[leaping, 0] = torch.inf  # by the map
-        gap = places.diff(dim=1) - covered[:, 1:] - covered[:, :-1]
+        x = self.rays.at(places[:, 1:].reshape(-1), rows.repeat_interleave(ahead))
+        values = torch.cat((g[:, None], self.field.estimate(x).double().reshape(len(rows), ahead)), dim=1)
+        lost = ~torch.isfinite(values)
+        values = values.masked_fill(lost, torch.inf)
+        gap, steepness = self._gaps(rows, places, values, leaping)
         slack = self.settings.step_m
         stops = (values[:, 1:] < 0) | (gap > slack)
         stop = torch.where(stops.any(1), stops.byte().argmax(1), ahead)  # the steps that count
         last, after = stop[:, None], (stop + 1).clamp_max(ahead)[:, None]
+        self.undecided[rows] |= lost.logical_and_(torch.arange(ahead + 1) <= after).any(1)
         # A step that is not covered is taken again, shorter, wherever it led.
         uncovered = gap.gather(1, stop.clamp_max(ahead - 1)[:, None])[:, 0] > slack
+        # So that it ends: where the first one is not, the next is as much shorter as the field is steeper there.
+        self.steepest[rows] = torch.where(uncovered & (stop == 0), steepness[:, 0], 1.0)
         inside = stops.any(1) & (values.gather(1, after)[:, 0] < 0) & ~uncovered
         self._note_lowest(rows, places, values, last)
         self.before[rows], self.g_before[rows] = k, g
@@ -193,6 +198,16 @@ class _March:
         ended = ~inside & (k_last >= far)
         self._note(rows[ended], g_last[ended], k_last[ended])
         self.rows = rows[~inside & ~ended]
+
+    def _gaps(self, rows: Tensor, places: Tensor, values: Tensor, leaping: Tensor) -> tuple[Tensor, Tensor]:
+        """What of each step between samples the spheres around its ends leave uncovered, and the steepness taken."""
+        covered = self.settings.step_safety * values.clamp_min(0.0)
+        covered[leaping, 0] = torch.inf  # by the map
+        width = places.diff(dim=1)
+        # As steep as over any step up to here: across a thin part two samples alone look flat.
+        fall = (-values.diff(dim=1).nan_to_num() / width.clamp_min(1e-12)).cummax(dim=1).values
+        steepness = torch.maximum(fall, self._steepness(rows)[:, None]).clamp_max(_STEEPEST)
+        return width - (covered[:, 1:] + covered[:, :-1]) / steepness, steepness
 
     def _note_lowest(self, rows: Tensor, places: Tensor, values: Tensor, last: Tensor) -> None:
         """Keep the lowest dip among several steps: what is no higher than the sample before it and the one after."""
@@ -242,7 +257,8 @@ class _March:
         """How much faster than a distance g fell over the last step (1 where it did not)."""
         fell = self.g_before[rows] - self.g_outer[rows]
         length = (self.outer[rows] - self.before[rows]).clamp_min(1e-12)
-        return torch.where(torch.isfinite(fell), fell / length, 1.0).clamp(1.0, 10.0)
+        fall = torch.where(torch.isfinite(fell), fell / length, 1.0).clamp(1.0, _STEEPEST)
+        return torch.maximum(fall, self.steepest[rows])
 
     def _enter(self, rows: Tensor, k: Tensor, g: Tensor) -> None:
         self.found[rows], self.inner[rows], self.g_inner[rows] = True, k, g

@@ -28,7 +28,7 @@ _CHECKS = 4000
 _MARGIN = 1.5
 _LEAST_ERROR_M = 0.005
 _CLEAN_M = 0.4
-_PLAIN_SLOPE = 0.2
+_PLAIN_SLOPE = 0.3
 
 
 @dataclass(frozen=True)
@@ -70,14 +70,15 @@ class EmptySpace:
         return EmptySpace(box, unchecked.distance_m, error_m, metric.count.evaluations)
 
     def worst_error(self, field: ObjectField) -> float:
-        """Largest difference from the field at places drawn near the surface, metres."""
+        """Largest difference from the field at places drawn near the surface, metres; infinite where one is NaN."""
         place = torch.rand(8 * _CHECKS, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
         x = self.box.lower + place * (self.box.upper - self.box.lower)
         guess = self.at(x)
         near = torch.nonzero((guess > _FINE_BAND_M[0] / 2) & (guess < _FINE_BAND_M[1] / 2)).squeeze(1)[:_CHECKS]
         if len(near) == 0:
             return 0.0
-        return float((field(x[near]).float() - guess[near]).abs().max())
+        off = (field(x[near]).float() - guess[near]).abs()
+        return float(torch.nan_to_num(off, nan=torch.inf).max())
 
     def at(self, x_object: Tensor) -> Tensor:
         """(..., ) float32 distances at object-frame points (..., 3) inside the box; trilinear."""
@@ -105,7 +106,7 @@ class EmptySpace:
 class Sight:
     """The map's distances (M, S) along M rays, every `SAMPLE_M` from near_m (M,); infinite past a ray's end.
 
-    doubt_m: below this a sample may be next to surface, below its negative it surely is inside.
+    doubt_m: below this a sample may be next to surface, below its negative it surely is inside. A NaN is in doubt.
     """
 
     near_m: Tensor
@@ -115,21 +116,23 @@ class Sight:
     def leaps(self) -> Leaps:
         """The stretches that may hold surface, for a march."""
         count = self.distance_m.shape[1]
-        position = torch.where(self.distance_m < self.doubt_m, torch.arange(count), count)
+        position = torch.where(self.distance_m >= self.doubt_m, count, torch.arange(count))
         return Leaps(self.near_m, position.flip(1).cummin(1).values.flip(1).int(), count)
 
     def crossings(self) -> tuple[Tensor, Tensor, Tensor]:
         """Rays (m,) that plainly enter the object, where (m,) they cross, and the slope (m,) there.
 
-        Plainly: from the first doubtful sample to the first that is surely inside the distance only falls, over at
-        most 0.4 m, and at no flat angle. Anything else is for a march to decide.
+        Plainly: from the first doubtful sample to the first that is surely inside the distance falls all the way, at
+        no flat angle, over at most 0.4 m. Anything else is for a march to decide: a part thinner than the lattice
+        shows as a place where the fall slackens.
         """
-        doubtful, inside = self.distance_m < self.doubt_m, self.distance_m < -self.doubt_m
+        doubtful, inside = ~(self.distance_m >= self.doubt_m), self.distance_m < -self.doubt_m
         first, entered = doubtful.byte().argmax(1), inside.byte().argmax(1)
-        rises = torch.nn.functional.pad((self.distance_m.diff(dim=1) > 0).int().cumsum(1), (1, 0))
+        slack = ~(self.distance_m.diff(dim=1) <= -_PLAIN_SLOPE * SAMPLE_M)
+        slack = torch.nn.functional.pad(slack.int().cumsum(1), (1, 0))
         rows = torch.nonzero(inside.any(1)).squeeze(1)
         a, b = first[rows], entered[rows]
-        falls = rises[rows, b] == rises[rows, a]
+        falls = slack[rows, b] == slack[rows, a]
         kept = falls & ((b - a) * SAMPLE_M <= _CLEAN_M) & ((a > 0) | (self.distance_m[rows, 0] > 0))
         rows, a, b = rows[kept], a[kept], b[kept]
         after = ((self.distance_m[rows] < 0) & (torch.arange(self.distance_m.shape[1]) >= a[:, None])).byte().argmax(1)
@@ -137,9 +140,8 @@ class Sight:
         g1, g0 = self.distance_m[rows, after].double(), self.distance_m[rows, after - 1].double()
         slope = (g1 - g0) / SAMPLE_M
         share = torch.where(g0 > g1, g0 / (g0 - g1).clamp_min(1e-9), 0.5)
-        steep = slope < -_PLAIN_SLOPE
         guess = self.near_m[rows] + (after - 1 + share) * SAMPLE_M
-        return rows[steep], guess[steep], slope[steep]
+        return rows, guess, slope
 
     def closest(self) -> tuple[Tensor, Tensor]:
         """(M,) least distance along each ray, as far as the map can vouch for it, and where that is."""

@@ -3,8 +3,8 @@
 Far from the surface nothing lies within g / `max_slope` of a place, because no field is steeper than that bound; near
 it, where such steps would creep, the beam walks the decoder's linear pieces (see `sdf.pieces`) and the root is a
 quotient. Nothing is sampled, so there is no chord too short to be found. Steps far from the surface are evaluated in
-float32, less what that may be off by; every sign and every root is float64's. With an infinite `max_slope` no bound is assumed at all and
-every piece from the box on is walked: slower, and the proof of the other.
+float32, less what that may be off by; every sign and every root is float64's. With an infinite `max_slope` no bound is
+assumed at all and every piece from the box on is walked: slower, and the proof of the other.
 
 A bound that does not hold is noticed where it shows: each beam begins with a piece, and on one that is steeper than
 `_SUSPECT` of the bound it walks every piece from there; one on which g fell by more than that share of what the bound
@@ -30,7 +30,7 @@ from shift3d.render.settings import RenderSettings
 _PIECE_M = 0.0005
 """Steps shorter than this are left to the pieces: one costs as much as five such steps, and is a millimetre long."""
 _ROUNDING_M = 2e-5
-"""What a float32 value is taken to be off by at most. Found: 3e-6 m in 54,000 points; derived: `reachable_residual_m`."""
+"""What a float32 value is taken to be off by at most: 50 times the worst of 37,500 places of fifteen shapes."""
 _FALL = 1.1
 """How fast g is expected to fall along a beam, for choosing where to look next. A wrong guess costs one evaluation."""
 _NUDGE_M = 1e-9

@@ -52,13 +52,17 @@ def _narrow(
     max_iterations: int,
     interpolate: bool,
 ) -> Roots:
-    """Brackets are halved, or better, until |g| at an end or the bracket itself is within the tolerance."""
+    """Brackets are halved, or better, until |g| at an end or the bracket itself is within the tolerance.
+
+    A row on which g is not finite is given up.
+    """
     a, b = outer.double().clone(), inner.double().clone()
     ga, gb = g_outer.double().clone(), g_inner.double().clone()
     first_width = (b - a).abs()
     least = max(tolerance, _POINT)
     most = torch.log2((first_width / least).clamp_min(1.0)).ceil() + SLACK
-    rows = torch.nonzero((torch.minimum(ga.abs(), gb.abs()) > tolerance) & (first_width > tolerance)).squeeze(1)
+    lost = ~(torch.isfinite(ga) & torch.isfinite(gb))
+    rows = torch.nonzero((torch.minimum(ga.abs(), gb.abs()) > tolerance) & (first_width > tolerance) & ~lost).squeeze(1)
     for count in range(max_iterations):
         if len(rows) == 0:
             break
@@ -68,15 +72,17 @@ def _narrow(
         allowed = 0.5 * least * torch.exp2(most[rows] - count)
         k = _itp_point(*ends, half, allowed, first_width[rows]) if interpolate else half
         value = g(k, rows).double()
+        lost[rows] = ~torch.isfinite(value)
         inside = value < 0
         a[rows], ga[rows] = torch.where(inside, ends[0], k), torch.where(inside, ends[2], value)
         b[rows], gb[rows] = torch.where(inside, k, ends[1]), torch.where(inside, value, ends[3])
         short = (b - a).abs()[rows] <= tolerance + _POINT * (1.0 + k.abs())
-        rows = rows[~(short | (value.abs() <= tolerance))]
-    settled = torch.ones(len(a), dtype=torch.bool)
+        rows = rows[~(short | (value.abs() <= tolerance) | lost[rows])]
+    settled = ~lost
     settled[rows] = False
     better = ga.abs() <= gb.abs()
-    return Roots(torch.where(better, a, b), torch.where(better, ga.abs(), gb.abs()), settled)
+    residual = torch.where(better, ga.abs(), gb.abs()).masked_fill(lost, torch.nan)
+    return Roots(torch.where(better, a, b), residual, settled)
 
 
 def _itp_point(

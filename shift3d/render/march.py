@@ -28,13 +28,14 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
         size_m: (3,) size of the baseline's box.
         settings: `step_m`, `max_iterations` (bisections) and `box_margin_m` are used.
 
-    Unresolved: beams that are inside where they enter the box (the sensor is, or a shape fills it). As the paper's,
-    bisections end after their number whatever |g| is then. Not differentiable.
+    Unresolved: beams that are inside where they enter the box (the sensor is, or a shape fills it), and those whose
+    field is not finite before their crossing. As the paper's, bisections end after their number whatever |g| is then.
+    Not differentiable.
     Source: SHIFT3D supplement, Rendering, for march and bisection; the box is our choice.
     """
     rays = rays_in_box(beams, theta, checked_box(field, size_m, settings.box_margin_m))
     outer, g_outer = rays.near_m.clone(), field(rays.at(rays.near_m)).double()
-    inside = g_outer < 0
+    unresolved = g_outer < 0
     inner, g_inner, found = _march(rays, field, outer, g_outer, settings.step_m)
     rows = torch.nonzero(found).squeeze(1)
     hit = rays.select(rows)
@@ -47,22 +48,29 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
         0.0,
         settings.max_iterations,
     )
-    return FirstHits(hit.index, roots.k, roots.residual, rays.index[inside])
+    good = torch.isfinite(roots.residual)
+    unresolved |= ~torch.isfinite(g_outer)
+    unresolved[rows[~good]] = True
+    return FirstHits(hit.index[good], roots.k[good], roots.residual[good], rays.index[unresolved])
 
 
 def _march(
     rays: Rays, field: ObjectField, outer: Tensor, g_outer: Tensor, step_m: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Step until inside: (inner, g_inner, found). `outer` and `g_outer` are moved along in place."""
+    """Step until inside: (inner, g_inner, found). `outer` and `g_outer` are moved along in place.
+
+    A ray ends where g is not finite, and is not found.
+    """
     inner, g_inner = outer.clone(), g_outer.clone()
     found = torch.zeros(len(rays), dtype=torch.bool)
     rows = torch.nonzero((g_outer >= 0) & (outer < rays.far_m)).squeeze(1)
     while len(rows):
         k = torch.minimum(outer[rows] + step_m, rays.far_m[rows])
         g = field(rays.at(k, rows)).double()
-        entered = g < 0
-        inner[rows], g_inner[rows], found[rows] = k, g, entered
-        going = rows[~entered]
-        outer[going], g_outer[going] = k[~entered], g[~entered]
-        rows = going[k[~entered] < rays.far_m[going]]
+        entered, lost = g < 0, ~torch.isfinite(g)
+        inner[rows], g_inner[rows], found[rows] = k, g, entered & ~lost
+        on = ~entered | lost
+        going = rows[on]
+        outer[going], g_outer[going] = k[on], g[on]
+        rows = going[(k[on] < rays.far_m[going]) & ~lost[on]]
     return inner, g_inner, found

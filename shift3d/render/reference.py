@@ -25,8 +25,8 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
         theta: (6,) pose, scene frame.
         settings: `step_m`, `max_iterations` and `sphere_chord_only` are used.
 
-    A beam whose sensor lies inside the object has no crossing from outside: it is unresolved. A sample
-    with g exactly 0 is outside (the paper leaves g = 0 open).
+    A beam whose sensor lies inside the object has no crossing from outside: it is unresolved, and so is one whose
+    field is not finite before its crossing. A sample with g exactly 0 is outside (the paper leaves g = 0 open).
 
     Source: SHIFT3D supplement, Rendering.
     """
@@ -34,16 +34,20 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
     if len(index) == 0:
         return FirstHits.none()
     rays = object_rays(beams, index, theta)
-    found, inside = [], []
+    found, unresolved = [], []
     for rows in torch.arange(len(rays)).split(_beams_at_once(rays, settings)):
         part = rays.select(rows)
         samples = (part.far_m / settings.step_m).ceil().clamp_min(1.0)
-        first_inside = _first_sample_inside(part, samples, field, settings)
-        inside.append(part.index[first_inside == 0])
-        hit = first_inside > 0
-        found.append(_bisect(part.select(hit), samples[hit], first_inside[hit], field, settings))
+        first_inside, lost = _first_sample_inside(part, samples, field, settings)
+        hit = (first_inside > 0) & ~lost
+        k, residual = _bisect(part.select(hit), samples[hit], first_inside[hit], field, settings)
+        good = torch.isfinite(residual)
+        found.append((part.index[hit][good], k[good], residual[good]))
+        lost |= first_inside == 0
+        lost[torch.nonzero(hit).squeeze(1)[~good]] = True
+        unresolved.append(part.index[lost])
     hits = [torch.cat(column) for column in zip(*found)]
-    return FirstHits(hits[0], hits[1], hits[2], torch.cat(inside))
+    return FirstHits(hits[0], hits[1], hits[2], torch.cat(unresolved))
 
 
 def _beams_at_once(rays: Rays, settings: RenderSettings) -> int:
@@ -52,8 +56,10 @@ def _beams_at_once(rays: Rays, settings: RenderSettings) -> int:
     return max(1, int(1_000_000 / max(longest, 1.0)))
 
 
-def _first_sample_inside(rays: Rays, samples: Tensor, field: ObjectField, settings: RenderSettings) -> Tensor:
-    """(M,) first j with g < 0 at k = j far / J, or -1."""
+def _first_sample_inside(
+    rays: Rays, samples: Tensor, field: ObjectField, settings: RenderSettings
+) -> tuple[Tensor, Tensor]:
+    """(M,) first j with g < 0 at k = j far / J, or -1; and whether g is not finite there or before, or anywhere."""
     count = int(samples.max()) + 1
     j = torch.arange(count, dtype=torch.float64)
     k = j * (rays.far_m / samples)[:, None]
@@ -61,11 +67,13 @@ def _first_sample_inside(rays: Rays, samples: Tensor, field: ObjectField, settin
     if settings.sphere_chord_only:
         wanted &= _within_sphere(rays, k, float((rays.far_m / samples).max()))
     row, column = torch.nonzero(wanted, as_tuple=True)
-    negative = torch.zeros(wanted.shape, dtype=torch.bool)
+    negative, lost = torch.zeros(wanted.shape, dtype=torch.bool), torch.zeros(wanted.shape, dtype=torch.bool)
     for r, c in zip(row.split(settings.batch), column.split(settings.batch)):
-        negative[r, c] = field(rays.at(k[r, c], r)) < 0
-    first = negative.to(torch.uint8).argmax(1)
-    return torch.where(negative.any(1), first, -1)
+        g = field(rays.at(k[r, c], r))
+        negative[r, c], lost[r, c] = g < 0, ~torch.isfinite(g)
+    first = torch.where(negative.any(1), negative.to(torch.uint8).argmax(1), -1)
+    last = torch.where(first < 0, count, first)
+    return first, (lost & (torch.arange(count) <= last[:, None])).any(1)
 
 
 def _within_sphere(rays: Rays, k: Tensor, slack_m: float) -> Tensor:
@@ -78,13 +86,19 @@ def _within_sphere(rays: Rays, k: Tensor, slack_m: float) -> Tensor:
 
 def _bisect(
     rays: Rays, samples: Tensor, first_inside: Tensor, field: ObjectField, settings: RenderSettings
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Binary search between the first sample inside and the one before it."""
+) -> tuple[Tensor, Tensor]:
+    """Binary search between the first sample inside and the one before it: k and |g| there.
+
+    |g| is NaN where g was not finite on the way.
+    """
     step = rays.far_m / samples
     outer, inner = (first_inside - 1) * step, first_inside * step
+    lost = torch.zeros(len(rays), dtype=torch.bool)
     for _ in range(settings.max_iterations):
         middle = 0.5 * (outer + inner)
-        negative = field(rays.at(middle)) < 0
+        g = field(rays.at(middle))
+        lost |= ~torch.isfinite(g)
+        negative = g < 0
         outer, inner = torch.where(negative, outer, middle), torch.where(negative, middle, inner)
     k = 0.5 * (outer + inner)
-    return rays.index, k, field(rays.at(k)).double().abs()
+    return k, field(rays.at(k)).double().abs().masked_fill(lost, torch.nan)

@@ -41,12 +41,13 @@ def render(
         Rendering. Its points are differentiable w.r.t. theta and the field's latent code.
 
     Raises:
-        InputError: a pose that is not six finite numbers.
+        InputError: a pose that is not six finite numbers; a tolerance that the dtype cannot reach on this vehicle.
 
     Source: SHIFT3D, Object Rendering in LiDAR scene.
     """
     if theta.shape != (6,) or not bool(torch.isfinite(theta).all()):
         raise InputError("a pose is six finite numbers: x, y, z, yaw, pitch, roll", where=f"pose {theta.tolist()}")
+    settings.check_tolerance(float(vehicle.scale_m))
     metric = ObjectField.of(field, vehicle, settings.dtype, settings.batch, settings.coarse_band_m)
     state = None
     if settings.unchecked_m and not wants_gradient(theta, metric.depends_on_code()):

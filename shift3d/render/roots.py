@@ -17,7 +17,10 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Roots:
-    """Roots of M functions: k (M,), |g| there (M,), and whether the tolerance was met (M,) bool."""
+    """Roots of M functions: k (M,), |g| there (M,), and whether the tolerance was met (M,) bool.
+
+    Where a function was not finite on the way nothing is settled and |g| is NaN.
+    """
 
     k: Tensor
     residual: Tensor
@@ -54,12 +57,14 @@ def find_roots(
     best_k = torch.where(state.ga.abs() <= state.gb.abs(), state.a, state.b)
     best_g = torch.minimum(state.ga.abs(), state.gb.abs())
     width = (state.b - state.a).abs()
-    rows = torch.nonzero(best_g > tolerance).squeeze(1)
+    lost = ~(torch.isfinite(state.ga) & torch.isfinite(state.gb))
+    rows = torch.nonzero((best_g > tolerance) & ~lost).squeeze(1)
     for _ in range(max_iterations):
         if len(rows) == 0:
             break
         k = state.propose(rows, slow[rows] >= 3)
         value = g(k, rows).double()
+        lost[rows] = ~torch.isfinite(value)
         state.update(rows, k, value)
         better = value.abs() <= best_g[rows]
         best_k[rows] = torch.where(better, k, best_k[rows])
@@ -69,10 +74,10 @@ def find_roots(
         slow[rows] = torch.where(halved, 0, slow[rows] + 1).to(torch.int8)
         width[rows] = torch.where(halved, new_width, width[rows])
         point = new_width <= 1e-12 * (1.0 + k.abs())
-        rows = rows[(best_g[rows] > tolerance) & ~point]
-    settled = torch.ones(len(outer), dtype=torch.bool)
+        rows = rows[(best_g[rows] > tolerance) & ~point & ~lost[rows]]
+    settled = ~lost
     settled[rows] = False
-    return Roots(best_k, best_g, settled)
+    return Roots(best_k, best_g.masked_fill(lost, torch.nan), settled)
 
 
 @dataclass

@@ -9,8 +9,30 @@ import torch
 
 from shift3d.errors import InputError
 
+SMALLEST_SCALE_M = 0.5
+"""Settings alone are checked for an object a metre long; `render` checks them again for the one at hand."""
+
 Solver = Literal["paper", "hybrid", "exact", "march"]
 Root = Literal["anderson_bjorck", "itp", "bisection"]
+
+
+def reachable_residual_m(dtype: torch.dtype, scale_m: float, range_m: float = 100.0) -> float:
+    """The metric |g|, m, below which a root found in a dtype means nothing: what its rounding moves g by.
+
+    Args:
+        dtype: in which the field is evaluated. scale_m: metres per sdf unit. range_m: of the object from its sensor.
+
+    A place in the unit ball is a rounded one: each coordinate x_i is off by up to u |x_i|, u = eps / 2, which moves a
+    distance by u |x| <= u, in sdf units. The decoder's own sums add about as much: eight layers whose rounding errors,
+    carried to the output by the layers that follow, add up as independent ones do (checked by a running error
+    analysis of the shipped decoder in tests/precision). Together 2 u = eps, times scale_m. The range along the beam
+    is float64 whatever the dtype, and rounded as well: eps64 range_m / 2 on either side.
+
+    For a car, 3e-7 m in float32: the paper's |g| < 1e-6 is reached there because places are told from the object's
+    own centre; from the sensor, in float32, it is not (eps32 times 40 m is 5e-6). 2e-14 m in float64.
+    Source: our choice: the paper is silent on precision.
+    """
+    return torch.finfo(dtype).eps * scale_m + torch.finfo(torch.float64).eps * range_m
 
 
 @dataclass(frozen=True)
@@ -32,7 +54,9 @@ class RenderSettings:
         max_slope: `exact`: what |grad g| is taken never to exceed where the surface is far; infinite: nothing is
             taken, every piece is walked. The steepest place of the shipped decoder that was found in 54,000 points
             of nine shapes, attacked ones among them, had 1.7.
-        tolerance_m: metric |g| at which a root counts as found (`hybrid`).
+        tolerance_m: metric |g| at which a root counts as found (`hybrid`, and `exact` for fields that have no linear
+            pieces). Not below what the dtype can reach, see `reachable_residual_m`. The paper asks for 1e-6 and ends
+            after 30 bisections whatever |g| then is, and so do `paper` and `march`, which do not look at it.
         unchecked_m: a last secant step of at most this length is not evaluated where a gradient is taken afterwards,
             which evaluates the root anyway and takes one more Newton step from it; 0: every root is evaluated.
         max_iterations: bisections (`paper`, `march`) or root iterations (`hybrid`).
@@ -77,14 +101,36 @@ class RenderSettings:
         for name in positive:
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} must be positive", where=f"render settings: {name}={getattr(self, name)}")
-        if (
-            self.unchecked_m < 0
-            or self.box_margin_m < 0
-            or self.grazing_floor < 0
-            or self.coarse_band_m < 0
-            or self.warm_refresh < 0
-        ):
-            raise InputError("margins, floors and counts must not be negative", where="render settings")
+        not_negative = ("unchecked_m", "box_margin_m", "grazing_floor", "coarse_band_m", "warm_refresh")
+        for name in not_negative:
+            # NaN compares false: a margin of NaN would leave no beam and say nothing.
+            if not getattr(self, name) >= 0:
+                found = f"{name} must not be negative"
+                raise InputError(found, where=f"render settings: {name}={getattr(self, name)}")
+        if not self.dtype.is_floating_point:
+            raise InputError(f"dtype is {self.dtype}", where="render settings", remedy="float32 or float64")
+        self.check_tolerance(SMALLEST_SCALE_M)
+
+    def reachable_residual_m(self, scale_m: float, range_m: float = 100.0) -> float:
+        """`reachable_residual_m` of these settings' dtype."""
+        return reachable_residual_m(self.dtype, scale_m, range_m)
+
+    def check_tolerance(self, scale_m: float) -> None:
+        """Refuse a tolerance that the dtype cannot reach on an object of this scale, where the solver looks at it.
+
+        Raises:
+            InputError: saying what can be reached, and with which setting more.
+        """
+        reachable = self.reachable_residual_m(scale_m)
+        if self.solver in ("paper", "march") or self.tolerance_m >= reachable:
+            return
+        dtype = str(self.dtype).removeprefix("torch.")
+        finer = "" if self.dtype == torch.float64 else ", or dtype=float64"
+        raise InputError(
+            f"|g| <= {self.tolerance_m:g} m cannot be reached in {dtype}, whose rounding alone is {reachable:.1e} m",
+            where=f"render settings: tolerance_m={self.tolerance_m:g}",
+            remedy=f"tolerance_m of {reachable:.1e} or more{finer}",
+        )
 
     def with_(self, **changes: object) -> RenderSettings:
         """The same settings with some of them replaced."""

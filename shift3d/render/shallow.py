@@ -22,7 +22,8 @@ def look_into_shallow(brackets: Brackets, rays: Rays, field: ObjectField) -> Bra
     """The brackets with those that g crosses at a flat angle cut down to their first crossing.
 
     A beam that skims a curved panel can dip into it by less than a millimetre, come out and go in again, all within
-    one step. Brackets across which g falls by less than `_SHALLOW` a metre are therefore sampled every 3 mm.
+    one step. Brackets across which g falls by less than `_SHALLOW` a metre are therefore sampled every 3 mm. Where g
+    is not finite before that crossing the ray is undecided.
     """
     width = brackets.inner - brackets.outer
     fall = (brackets.g_outer - brackets.g_inner) / width.clamp_min(1e-12)
@@ -41,4 +42,7 @@ def look_into_shallow(brackets: Brackets, rays: Rays, field: ObjectField) -> Bra
     for name, (values, at) in parts.items():
         cut[name] = getattr(brackets, name).clone()
         cut[name][rows] = values.gather(1, at)[:, 0]
+    lost = (~torch.isfinite(g) & (torch.arange(count + 1) <= first)).any(1)
+    cut["undecided"], cut["found"] = brackets.undecided.clone(), brackets.found.clone()
+    cut["undecided"][rows[lost]], cut["found"][rows[lost]] = True, False
     return replace(brackets, **cut)

@@ -39,6 +39,7 @@ class WarmStart:
     """What a rendering knows about its beams.
 
     Attributes:
+        beams: the scene's beams.
         theta: (6,) pose it was rendered at.
         guard: checked box of the object, object frame; None where a map stood for it.
         rays: (M) beams through the box.
@@ -52,6 +53,7 @@ class WarmStart:
         age: warm renderings since everything was searched.
     """
 
+    beams: Beams
     theta: Tensor
     guard: Guard | None
     rays: Rays
@@ -64,10 +66,12 @@ class WarmStart:
     age: int
 
 
-def _blank(theta: Tensor, guard: Guard | None, rays: Rays) -> WarmStart:
+def _blank(beams: Beams, theta: Tensor, guard: Guard | None, rays: Rays) -> WarmStart:
     nan = torch.full((len(rays),), torch.nan, dtype=torch.float64)
     zero = torch.zeros_like(nan)
-    return WarmStart(theta.detach().clone(), guard, rays, nan, nan.clone(), nan.clone(), zero, rays.near_m, zero, 0)
+    return WarmStart(
+        beams, theta.detach().clone(), guard, rays, nan, nan.clone(), nan.clone(), zero, rays.near_m, zero, 0
+    )
 
 
 def cold_start(
@@ -83,7 +87,7 @@ def cold_start(
         return _with_map(beams, field, theta, settings, space)
     guard = guarded_box(field, size_m, settings.box_margin_m)
     rays = rays_in_box(beams, theta, guard.box)
-    return _search(_blank(theta, guard, rays), torch.arange(len(rays)), field, settings)
+    return _search(_blank(beams, theta, guard, rays), torch.arange(len(rays)), field, settings)
 
 
 def _with_map(
@@ -91,7 +95,7 @@ def _with_map(
 ) -> tuple[FirstHits, WarmStart]:
     """Take the crossings that the map shows plainly, march where it is in doubt, leave the rest alone."""
     rays = rays_in_box(beams, theta, space.box)
-    state, sight = _blank(theta, None, rays), space.sight(rays)
+    state, sight = _blank(beams, theta, None, rays), space.sight(rays)
     rows, guess, slope = sight.crossings()
     found = follow(rays.select(rows), guess, slope, field, settings, _MAP_REACH_M)
     state.range_m[rows], state.residual_m[rows], state.slope[rows] = found.range_m, found.residual_m, found.slope
@@ -116,9 +120,9 @@ def warm_start(
     """Follow the hits of an earlier rendering and search only where it no longer vouches.
 
     With a map of the field at hand a fresh search costs less than following, and is made; and so it is where the pose
-    has moved by more than 5 cm, as beams then meet other parts of the object.
+    has moved by more than 5 cm, as beams then meet other parts of the object, and where the rendering was of others.
     """
-    if space is not None or warm.age >= settings.warm_refresh:
+    if space is not None or warm.age >= settings.warm_refresh or not beams.same_as(warm.beams):
         return cold_start(beams, field, theta, size_m, settings, space)
     guard = warm.guard or guarded_box(field, size_m, settings.box_margin_m)
     if _pose_motion(warm.theta, theta, guard.box) > _STILL_M:

@@ -6,12 +6,14 @@ After a case was added or reworded: `python tests/hard_cases/test_every_hard_cas
 from __future__ import annotations
 
 import importlib
+import sys
 from pathlib import Path
 
 import pytest
 from catalogue import CASES, HardCase, patience, table, without
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE.parent))  # as pytest has it, for who runs this file
 LIST = HERE.parents[1] / "docs" / "hard_cases.md"
 for path in sorted(HERE.glob("cases_*.py")):
     importlib.import_module(path.stem)

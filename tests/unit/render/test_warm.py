@@ -111,7 +111,7 @@ def test_what_the_map_vouches_for_is_so() -> None:
     # No surface before the first place in doubt, and none at all on rays without one.
     assert (sight.leaps().first() - rays.near_m <= first + 1e-6).all()
     rows, guess, slope = sight.crossings()
-    assert len(rows) > 0.7 * torch.isfinite(first).sum()
+    assert len(rows) > 0.6 * torch.isfinite(first).sum()
     assert torch.isfinite(first[rows]).all()
     assert (guess - rays.near_m[rows] - first[rows]).abs().median() < 0.004
     assert (slope < 0).all()

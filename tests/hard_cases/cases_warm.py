@@ -1,0 +1,248 @@
+"""Renderer: starting from an earlier rendering: what moved away, came up, came near, or was never the same."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from analytic_fields import Field, box, car, rounded, sphere, union
+from catalogue import Edit, hard_case
+from hard_scenes import AT_TEN, FAST, PLAIN, beams_along_x, draw, fan, hit_at, pose, unmoved
+from torch import Tensor
+
+from shift3d.render import Beams, Rendering
+
+WARM, FOLLOW = "shift3d.render.warm", "shift3d.render.follow"
+SPHERE, SLAB = sphere(1.0), box((0.2, 1.0, 0.5), (0.6, 0.0, 0.0))
+
+
+def beams_at(*lateral_m: float) -> Beams:
+    """Beams in +x at some y."""
+    y, zero = np.asarray(lateral_m), np.zeros(len(lateral_m))
+    return Beams.from_arrays(np.stack([zero + 30.0, y, zero], 1), np.stack([zero, y, zero], 1))
+
+
+def again(beams: Beams, metric: Field, before: Rendering, theta: Tensor = AT_TEN) -> Rendering:
+    """A rendering that starts from another, asked for a gradient as in an attack."""
+    return draw(beams, metric, theta.clone().requires_grad_(), warm=before.warm, frame=PLAIN)
+
+
+def as_cold(found: Rendering, beams: Beams, metric: Field, theta: Tensor = AT_TEN, tolerance_m: float = 1e-4) -> None:
+    """What a rendering found is what a fresh search finds."""
+    cold = draw(beams, metric, theta, frame=PLAIN)
+    assert found.hit_mask.tolist() == cold.hit_mask.tolist()
+    assert float((found.range_m.detach() - cold.range_m).abs().max()) <= tolerance_m
+
+
+@hard_case(
+    area="renderer",
+    why="a surface that is followed moves behind the return of its beam",
+    must="the return stays",
+    guard="a followed root counts on the stretch of its beam alone",
+    edits=Edit(FOLLOW, " & (k <= rays.far_m)", ""),
+)
+def a_followed_surface_that_moves_behind_the_return() -> None:
+    beams = beams_along_x(end_x=9.3)
+    first = draw(beams, box((0.72, 0.5, 0.5)), frame=PLAIN)
+    hit_at(first, 9.28)
+    unmoved(again(beams, box((0.69, 0.5, 0.5)), first), beams)
+
+
+@hard_case(
+    area="renderer",
+    why="a post slides out of a beam's way between two steps: the hit vanishes, the wall behind takes over",
+    must="the wall is hit, in the very step",
+    guard="a hit that cannot be followed is searched afresh",
+    edits=Edit(WARM, "doubt[rows] |= torch.isnan(found.range_m)", "pass"),
+)
+def a_followed_hit_that_vanishes() -> None:
+    beams, before = beams_at(0.0, -0.9), None
+    for y in (0.0, 0.05, 0.1, 0.2, 0.4):
+        metric = union(box((0.1, 0.15, 0.5), (-0.6, y, 0.0)), SLAB)
+        before = draw(beams, metric, frame=PLAIN) if before is None else again(beams, metric, before)
+        assert abs(float(before.range_m.detach()[0]) - (9.3 if y < 0.15 else 10.4)) < 1e-4, y
+
+
+@hard_case(
+    area="renderer",
+    why="the slope of the last rendering leads a followed beam through a thin plate into the wall behind",
+    must="the plate is hit",
+    guard="a root farther than 5 cm from where the hit was is searched afresh",
+    edits=(
+        Edit(FOLLOW, "(k_new - start[active]).abs() >= reach_m", "(k_new - start[active]).abs() >= 99.0"),
+        Edit(FOLLOW, "(k - start).abs() < reach_m", "(k - start).abs() < 99.0"),
+    ),
+)
+def a_followed_hit_that_overshoots() -> None:
+    def plate(at: float, steepness: float) -> Field:
+        both = union(box((0.01, 0.5, 0.5), (at, 0.0, 0.0)), box((1.0, 0.5, 0.5), (1.3895, 0.0, 0.0)))
+        return lambda x: steepness * both(x)
+
+    beams = beams_along_x()
+    first = draw(beams, plate(0.0, 0.1), frame=PLAIN)
+    hit_at(first, 9.99)
+    hit_at(again(beams, plate(0.04, 1.0), first), 10.03)
+
+
+@hard_case(
+    area="renderer",
+    why="a limb creeps towards a beam that passes it, and moves along the beam meanwhile",
+    must="the beam hits in the step in which a fresh search says so",
+    guard="a passing beam is searched once what is left is less than half as much again as it has lost",
+    edits=Edit(WARM, "~(clearance > _SAFETY * drift + _FLOOR_M)", "~(clearance > 0.0)"),
+)
+def a_beam_that_starts_to_hit() -> None:
+    beams, before = beams_at(1.04, 0.0), None
+    for step in range(14):
+        metric = sphere(1.0 + 0.005 * step, (0.02 * step, 0.0, 0.0))
+        before = draw(beams, metric, frame=PLAIN) if before is None else again(beams, metric, before)
+        as_cold(before, beams, metric, tolerance_m=1e-3)
+    assert before is not None and before.hit_mask.all()
+
+
+@hard_case(
+    area="renderer",
+    why="as the pose moves, the box takes in beams of which the last rendering knew nothing",
+    must="they are searched, and hit once the object stands in their way",
+    guard="a beam that is new has no clearance",
+    edits=Edit(WARM, "carry(warm.clearance_m, 0.0)", "carry(warm.clearance_m, torch.inf)"),
+)
+def a_beam_that_enters_the_box() -> None:
+    metric, beams = box((2.0, 0.9, 0.7)), beams_at(0.98, 0.0)
+    before = draw(beams, metric, frame=PLAIN)
+    assert before.hit_mask.tolist() == [False, True]
+    for step in range(1, 4):
+        theta = pose(10.0, 0.04 * step)
+        before = again(beams, metric, before, theta)
+        as_cold(before, beams, metric, theta)
+    assert before.hit_mask.all()
+
+
+@hard_case(
+    area="renderer",
+    why="a plate appears out of nothing in front of a hit that can be followed: nobody looks there",
+    must="it is found after `warm_refresh` renderings at the latest",
+    guard="after so many warm renderings everything is searched",
+    edits=Edit(WARM, "warm.age >= settings.warm_refresh", "warm.age < 0"),
+)
+def a_surface_that_appears_in_front_of_a_followed_hit() -> None:
+    beams = beams_at(0.0, 0.5)
+    before = draw(beams, SLAB, frame=PLAIN)
+    hit_at(before, 10.4)
+    metric = union(SLAB, box((0.02, 0.2, 0.3), (-1.0, 0.0, 0.0)))
+    for _ in range(FAST.warm_refresh + 1):
+        before = again(beams, metric, before)
+    as_cold(before, beams, metric)
+    assert abs(float(before.range_m.detach()[0]) - 8.98) < 1e-4
+
+
+@hard_case(
+    area="renderer",
+    why="a pose that jumps puts other parts of the object before every beam",
+    must="what a fresh search finds",
+    guard="a pose that moved by more than 5 cm is searched afresh",
+    edits=Edit(WARM, "theta, guard.box) > _STILL_M", "theta, guard.box) < 0"),
+)
+def a_pose_that_jumps() -> None:
+    here, there = pose(10.0, 0.0, 0.0, 0.2), pose(9.6, 0.5, 0.1, 1.4)
+    beams = fan(here)
+    first = draw(beams, car(), here, frame=PLAIN)
+    as_cold(again(beams, car(), first, there), beams, car(), there, tolerance_m=1e-3)
+
+
+@hard_case(
+    area="renderer",
+    why="after a rendering without a hit nothing tells how far the surface has moved",
+    must="a shape that comes back is hit at once",
+    guard="without a hit to follow everything is searched",
+    edits=Edit(WARM, "    if len(rows) == 0:\n", "    if len(rows) < 0:\n"),
+)
+def a_shape_that_comes_back() -> None:
+    beams = beams_at(0.0, 0.5)
+    gone = draw(beams, lambda x: torch.full_like(x[:, 0], 0.2), frame=PLAIN)
+    unmoved(gone, beams)
+    as_cold(again(beams, SPHERE, gone), beams, SPHERE)
+
+
+@hard_case(
+    area="renderer",
+    why="a shape that grows by centimetres a step leaves the box that was checked for its ancestor",
+    must="beams above the old box hit it",
+    guard="the box's check points are looked at again as far as the surface has moved",
+    edits=Edit("shift3d.render.bounds", "if bool((g > 0).all()) else None", "if len(g) else None"),
+)
+def a_shape_that_outgrows_its_box_step_by_step() -> None:
+    beams = Beams.from_arrays(np.array([[30.0, 0.0, 0.85], [30.0, 0.0, 0.0]]), np.array([[0, 0, 0.85], [0, 0, 0.0]]))
+    before = draw(beams, car(), frame=PLAIN)
+    assert before.hit_mask.tolist() == [False, True]
+    for step in range(1, 6):
+        grown = rounded(car(), 0.03 * step)
+        before = again(beams, grown, before)
+        as_cold(before, beams, grown, tolerance_m=1e-3)
+    assert before.hit_mask.all()
+
+
+@hard_case(
+    area="renderer",
+    why="a field that turns NaN beside a beam that passes the object says nothing about its clearance",
+    must="the beam is looked at, and counted as unresolved",
+    guard="a clearance that is not surely enough is in doubt",
+    edits=Edit(WARM, "~(clearance > _SAFETY * drift + _FLOOR_M)", "clearance <= _SAFETY * drift + _FLOOR_M"),
+)
+def a_field_that_turns_nan() -> None:
+    beams = beams_at(0.0, 1.3)
+    first = draw(beams, SPHERE, settings=FAST.with_(box_margin_m=0.6), frame=PLAIN)
+    assert first.hit_mask.tolist() == [True, False]
+    found = again(beams, lambda x: torch.where(x[:, 1] > 1.2, math.nan, SPHERE(x)), first)
+    assert found.hit_mask.tolist() == [True, False] and found.unresolved_beams == 1
+
+
+@hard_case(
+    area="renderer",
+    why="a rendering of another scene knows other beams under the same numbers",
+    must="what a fresh search finds",
+    guard="a warm start is used for the very beams that it is of",
+    edits=Edit(WARM, " or not beams.same_as(warm.beams)", ""),
+)
+def a_warm_start_from_another_scene() -> None:
+    ends = np.array([[30.0, 1.5, 0.0], [30.0, 0.0, 0.0]])
+    here = Beams.from_arrays(ends, np.array([[0.0, 1.5, 0.0], [0.0, 0.0, 0.0]]))
+    ends[0, 1] = 0.0
+    there = Beams.from_arrays(ends, np.array([[-1.4, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+    wide = union(SPHERE, box((0.1, 0.4, 0.1), (0.0, 1.3, 0.6)))
+    first = draw(here, wide, settings=FAST.with_(box_margin_m=0.8), frame=PLAIN)
+    assert first.hit_mask.tolist() == [False, True]
+    as_cold(again(there, wide, first), there, wide)
+    longer = Beams.from_arrays(np.array([[30.0, 0.1 * y, 0.0] for y in range(7)]), np.zeros(3))
+    as_cold(again(longer, SPHERE, draw(here, SPHERE, frame=PLAIN)), longer, SPHERE)
+
+
+@hard_case(
+    area="renderer",
+    why="a last short step of a followed hit is left to whoever takes the gradient, and nobody takes one here",
+    must="every root is as good as the tolerance says",
+    guard="without a gradient no step is left unchecked",
+    edits=Edit("shift3d.render.render", "settings = settings.with_(unchecked_m=0.0)", "pass"),
+)
+def a_followed_hit_without_a_gradient() -> None:
+    beams = beams_at(0.0, 0.5, 0.8, 0.95)
+    first = draw(beams, SPHERE, frame=PLAIN)
+    found = draw(beams, sphere(1.0003), warm=first.warm, frame=PLAIN)
+    expected = 10.0 - (1.0003**2 - torch.tensor([0.0, 0.5, 0.8, 0.95]).double() ** 2).sqrt()
+    assert found.hit_mask.all() and found.max_residual_m <= FAST.tolerance_m
+    assert float((found.range_m - expected).abs().max()) < 2e-5
+
+
+@hard_case(
+    area="renderer",
+    why="the pose moves away from the last beam that passed through the box",
+    must="an empty rendering, none unresolved",
+    guard="beams that are carried over may be none",
+    edits=Edit(WARM, " if len(rays) and len(warm.rays) else 0", ""),
+)
+def the_last_beam_leaves_the_box() -> None:
+    beams, metric = beams_at(0.94), box((2.0, 0.9, 0.7))
+    first = draw(beams, metric, frame=PLAIN)
+    unmoved(first, beams)
+    unmoved(again(beams, metric, first, pose(10.0, -0.04)), beams)
