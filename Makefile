@@ -49,7 +49,7 @@ frontier: .venv/.runtime  ## what accuracy costs in time, by sweeps/accuracy_tim
 	$(BIN)/shift3d frontier $(ARGS)
 
 stress: .venv/.dev  ## 10,000 random extreme poses and codes, every unresolved beam accounted for
-	$(BIN)/python tests/stress/extreme_poses.py $(ARGS)
+	$(BIN)/python tests/stress/extreme_poses.py --count 10000 --workers 2 $(ARGS)
 
 ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 	$(BIN)/shift3d ui $(ARGS)

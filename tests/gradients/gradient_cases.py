@@ -1,8 +1,19 @@
-"""What every gradient test shares: a loss on points, its central differences, the accuracy they need."""
+"""What every gradient test shares: a loss on points, its central differences, the accuracy they need.
+
+Cases come in three groups, after what moves. `smooth`: every beam stays well inside the silhouette, so that the loss
+is smooth over the case's step and the error of central differences falls with its square. `moving silhouette`: grazing
+beams are there too; the set of hits holds over very small steps alone. `discontinuous`: something jumps near by (the
+hit to another surface, a point to another pillar, a slope at a ReLU's switch), and the derivative is that of its own
+side.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -28,26 +39,6 @@ def analytic(draw: Callable[[Tensor], Rendering], at: Tensor) -> tuple[Tensor, R
     return variable.grad, rendering
 
 
-def differences(
-    draw: Callable[[Tensor], Rendering], at: Tensor, step: float, rows: Tensor | None = None
-) -> tuple[Tensor, bool]:
-    """Central differences of the loss under a full re-render, and whether the hit set held throughout."""
-    held, hits = True, draw(at).hit_mask
-    result = torch.zeros_like(at)
-    for i in range(len(at)):
-        if rows is not None and i not in rows:
-            continue
-        values = []
-        for sign in (1.0, -1.0):
-            moved = at.clone()
-            moved[i] += sign * step
-            rendering = draw(moved)
-            held &= torch.equal(rendering.hit_mask, hits)
-            values.append(float(wavy_loss(rendering.points)))
-        result[i] = (values[0] - values[1]) / (2.0 * step)
-    return result, held
-
-
 def relative_error(found: Tensor, expected: Tensor) -> float:
     return float((found - expected).norm() / expected.norm())
 
@@ -57,3 +48,59 @@ def select(beams: Beams, rows: Tensor) -> Beams:
     return Beams(
         beams.points[rows], beams.origins[rows], beams.directions[rows], beams.ranges_m[rows], beams.carries[rows]
     )
+
+
+Group = Literal["smooth", "moving silhouette", "discontinuous"]
+
+
+@dataclass(frozen=True)
+class GradientCase:
+    """A loss of a variable through a full re-rendering, and how its derivative is checked.
+
+    Attributes:
+        loss: variable (D,) float64 -> (scalar loss, what must not change over the step, such as the hit mask).
+        at: (D,) where. step: of the central differences, in the variable's own units.
+        tolerance: largest relative error of the gradient against central differences with that step.
+        directions: (K, D) along which differences are taken; None: every coordinate.
+    """
+
+    name: str
+    group: Group
+    loss: Callable[[Tensor], tuple[Tensor, Tensor]]
+    at: Tensor
+    step: float
+    tolerance: float
+    directions: Tensor | None = None
+
+    def along(self) -> Tensor:
+        """(K, D) directions."""
+        return torch.eye(len(self.at), dtype=torch.float64) if self.directions is None else self.directions
+
+    def gradient(self) -> Tensor:
+        """(K,) the derivative along each direction, in one backward pass."""
+        variable = self.at.clone().requires_grad_()
+        (gradient,) = torch.autograd.grad(self.loss(variable)[0], variable)
+        return self.along() @ gradient
+
+    def differences(self, step: float) -> Tensor:
+        """(K,) central differences; what must not change does not."""
+        result = []
+        with torch.no_grad():
+            held = self.loss(self.at)[1]
+            for direction in self.along():
+                ends = [self.loss(self.at + sign * step * direction) for sign in (1.0, -1.0)]
+                assert all(torch.equal(end[1], held) for end in ends), f"{self.name}: a step of {step:g} is too long"
+                result.append((ends[0][0] - ends[1][0]) / (2.0 * step))
+        return torch.stack(result)
+
+    def errors(self, halvings: int) -> tuple[list[float], float]:
+        """Relative errors for the step and its halves, and for the last two of them extrapolated (Richardson)."""
+        gradient = self.gradient()
+        found = [self.differences(self.step / 2**i) for i in range(halvings + 1)]
+        extrapolated = (4.0 * found[-1] - found[-2]) / 3.0
+        return [relative_error(gradient, part) for part in found], relative_error(gradient, extrapolated)
+
+
+def observed_orders(errors: list[float]) -> list[float]:
+    """log2 of how much an error falls each time the step halves."""
+    return [math.log2(before / after) for before, after in itertools.pairwise(errors)]

@@ -1,0 +1,271 @@
+"""Random extreme poses and codes through the real decoder: what is not finite, what hangs, what is unresolved and why.
+
+    python tests/stress/extreme_poses.py --count 10000 --workers 2 --out extreme_poses.json
+
+A case follows from its number alone (`extreme_cases`). Each renders some 160 beams with the gradient of pose and code,
+every third one once more from there (warm). The answer is then held against evaluations of its own: the decoder as
+published, in float64, at places made without the renderer's code. Nothing of the renderer judges itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import multiprocessing
+import signal
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import torch
+from extreme_cases import SETTINGS, Case, along_beam, decoders, distance_m, make_case
+from torch import Tensor
+
+from shift3d.render import Beams, render
+from shift3d.render.object_field import ObjectField
+from shift3d.render.rendering import FirstHits, Rendering
+from shift3d.render.warm import cold_start, warm_start
+
+PATIENCE_S = 20.0
+_STEP = np.array([0.01, 0.0, 0.005, 0.001, 0.0, -0.001])
+"""What an attack may change of a pose in one step: x, y, z in metres, yaw, pitch, roll in radians."""
+_SPACING_M = 0.02
+_DEEP_M = 0.01
+"""A beam that is deeper than this in the object at a sample is no grazing one."""
+
+
+class HungError(Exception):
+    """A case took longer than PATIENCE_S."""
+
+
+@dataclass
+class Outcome:
+    """What came of a case, in counts.
+
+    not_finite: NaN and infinities by where. unresolved: beams by reason. from_inside: hits of a sensor that is inside
+    the object. off_surface: hits that are not on the surface. untold: hits on it that are farther from it than the
+    tolerance, by a last step that was not evaluated. worst_residual_m: of all hits. looked_along: beams whose first
+    crossing was looked for with samples; passed: of these, whose range lies behind a sample that is deep inside.
+    """
+
+    number: int
+    settings: str = ""
+    hits: int = 0
+    not_finite: Counter[str] = field(default_factory=Counter)
+    unresolved: Counter[str] = field(default_factory=Counter)
+    from_inside: int = 0
+    off_surface: int = 0
+    untold: int = 0
+    worst_residual_m: float = 0.0
+    looked_along: int = 0
+    passed: int = 0
+    hung: bool = False
+    error: str = ""
+    seconds: float = 0.0
+
+    @property
+    def sound(self) -> bool:
+        """Nothing is wrong with it. A surface that was passed is an accuracy, counted apart."""
+        wrong = self.not_finite.total() or self.from_inside or self.off_surface
+        return not (wrong or self.hung or self.error or self.unresolved["unexplained"])
+
+
+def run_case(number: int) -> Outcome:
+    """Render one case and judge it; ends within PATIENCE_S."""
+
+    def ring(signum: int, frame: FrameType | None) -> None:
+        raise HungError
+
+    outcome, start = Outcome(number), time.perf_counter()
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+    try:
+        case = make_case(number)
+        outcome.settings = case.settings
+        _judge(case, outcome)
+    except HungError:
+        outcome.hung = True
+    except Exception as error:
+        outcome.error = f"{type(error).__name__}: {error}"
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    outcome.seconds = time.perf_counter() - start
+    return outcome
+
+
+def _judge(case: Case, outcome: Outcome) -> None:
+    beams = Beams.from_arrays(case.points, np.zeros(3))
+    first = _draw(case, beams, None, outcome)
+    if case.number % 3 == 0:
+        there = replace(case, theta=case.theta + _STEP)
+        _draw(there, beams, first, outcome)
+
+
+def _draw(case: Case, beams: Beams, earlier: Rendering | None, outcome: Outcome) -> Rendering:
+    """One rendering with its gradient, judged."""
+    settings = SETTINGS[case.settings]
+    code = torch.from_numpy(case.code).to(settings.dtype).requires_grad_()
+    theta = torch.from_numpy(case.theta).requires_grad_()
+    sdf = decoders()[settings.dtype == torch.float64].field(code)
+    drawn = render(beams, sdf, theta, case.frame, settings, None if earlier is None else earlier.warm)
+    _count_not_finite(drawn, code, theta, outcome)
+    _judge_hits(case, drawn, outcome)
+    _look_along(case, drawn, outcome)
+    if drawn.unresolved_beams:
+        _explain(case, beams, earlier, drawn.unresolved_beams, outcome)
+    return drawn
+
+
+def _count_not_finite(drawn: Rendering, code: Tensor, theta: Tensor, outcome: Outcome) -> None:
+    """NaN and infinities in what was handed in as finite, in the ranges and in both gradients."""
+    points = drawn.points[:-2]  # the last two came in as NaN and infinity and are no part of any loss
+    parts = {"points": points, "ranges": drawn.range_m, "residual": torch.tensor(drawn.max_residual_m)}
+    if points.requires_grad:
+        points.sin().sum().backward()
+        parts |= {"code gradient": code.grad, "pose gradient": theta.grad}
+    for name, part in parts.items():
+        if part is None:
+            outcome.not_finite[f"no {name}"] += 1
+        elif not bool(torch.isfinite(part).all()):
+            outcome.not_finite[name] += int((~torch.isfinite(part)).sum())
+
+
+def _judge_hits(case: Case, drawn: Rendering, outcome: Outcome) -> None:
+    """Hits are on the surface, and none is seen from inside the object."""
+    hit = drawn.hit_mask.numpy()
+    outcome.hits += int(hit.sum())
+    if not hit.any():
+        return
+    g = np.abs(distance_m(case, drawn.points.detach().numpy()[hit]))
+    settings = SETTINGS[case.settings]
+    reachable_m = settings.reachable_residual_m(case.frame.scale_m)
+    # What a root was asked for, and what its dtype adds. A last secant step is not evaluated again: from up to
+    # unchecked_m away it may end where another linear piece has begun, off by that length times the change of slope.
+    told_m = settings.tolerance_m + reachable_m
+    outcome.worst_residual_m = max(outcome.worst_residual_m, float(g.max()))
+    outcome.untold += int(((g > told_m) & (g <= told_m + settings.unchecked_m)).sum())
+    outcome.off_surface += int((g > told_m + settings.unchecked_m).sum())
+    if float(distance_m(case, np.zeros((1, 3)))[0]) < -reachable_m:
+        outcome.from_inside += int(hit.sum())
+
+
+def _look_along(case: Case, drawn: Rendering, outcome: Outcome) -> None:
+    """Whether one beam's range lies behind a place that is plainly inside the object."""
+    row = case.number % 80  # of those about the object
+    k, g = along_beam(case, row, _SPACING_M)
+    if len(k) == 0 or g[0] < 0:
+        return
+    outcome.looked_along += 1
+    deep = k[g < -_DEEP_M]
+    outcome.passed += bool(len(deep) and float(drawn.range_m[row]) > deep[0] + 1e-9)
+
+
+def _explain(case: Case, beams: Beams, earlier: Rendering | None, count: int, outcome: Outcome) -> None:
+    """Why beams are unresolved, each told from the field along it."""
+    hits = _hits_again(case, beams, earlier)
+    rows = hits.unresolved.tolist()
+    outcome.unresolved["unexplained"] += abs(count - len(rows))
+    reachable_m = SETTINGS[case.settings].reachable_residual_m(case.frame.scale_m)
+    if float(distance_m(case, np.zeros((1, 3)))[0]) < reachable_m:
+        outcome.unresolved["sensor inside the object"] += len(rows)
+    else:
+        outcome.unresolved.update(_reason(case, row) for row in rows)
+
+
+def _hits_again(case: Case, beams: Beams, earlier: Rendering | None) -> FirstHits:
+    """The rendering's own first hits once more: a rendering counts its unresolved beams and does not name them."""
+    settings = SETTINGS[case.settings]
+    sdf = decoders()[settings.dtype == torch.float64].field(torch.from_numpy(case.code).to(settings.dtype))
+    metric = ObjectField.of(sdf, case.frame, settings.dtype, settings.batch)
+    theta, size = torch.from_numpy(case.theta), torch.tensor(case.frame.size_m, dtype=torch.float64)
+    with torch.no_grad():
+        if earlier is None or earlier.warm is None:
+            return cold_start(beams, metric, theta, size, settings)[0]
+        return warm_start(beams, metric, theta, size, earlier.warm, settings)[0]
+
+
+def _reason(case: Case, row: int) -> str:
+    for spacing_m in (_SPACING_M, _SPACING_M / 8):  # the chord may be a short one
+        g = along_beam(case, row, spacing_m)[1]
+        if not np.isfinite(g).all():
+            return "field not finite"
+        if (g < 0).any():
+            return "crossing that did not settle"
+    return "unexplained"
+
+
+def summary(outcomes: list[Outcome]) -> dict[str, Any]:
+    """Totals over cases, and everything of those that are not sound."""
+    ordered = sorted(outcomes, key=lambda outcome: outcome.number)
+    seconds = np.array([outcome.seconds for outcome in ordered])
+
+    def total(name: str) -> int:
+        return sum(int(bool(v) if isinstance(v, str) else v) for v in (getattr(o, name) for o in ordered))
+
+    return {
+        "cases": len(ordered),
+        "sound": total("sound"),
+        "hung": total("hung"),
+        "errors": total("error"),
+        "not_finite": dict(sum((o.not_finite for o in ordered), Counter())),
+        "unresolved": dict(sum((o.unresolved for o in ordered), Counter())),
+        "hits": total("hits"),
+        "hits_off_the_surface": total("off_surface"),
+        "hits_seen_from_inside": total("from_inside"),
+        "hits_beyond_the_tolerance": total("untold"),
+        "worst_residual_m": {
+            name: max(o.worst_residual_m for o in ordered if o.settings == name)
+            for name in sorted({o.settings for o in ordered})
+        },
+        "beams_looked_along": total("looked_along"),
+        "beams_that_passed_a_surface": total("passed"),
+        "seconds_a_case": {"median": float(np.median(seconds)), "max": float(seconds.max())},
+        "not_sound": [asdict(outcome) for outcome in ordered if not outcome.sound],
+    }
+
+
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def run(numbers: range, workers: int) -> list[Outcome]:
+    """All cases, in any order, with what is left of the time on stderr."""
+    outcomes: list[Outcome] = []
+    start = time.monotonic()
+    with multiprocessing.get_context("spawn").Pool(workers, _one_thread) as pool:
+        for outcome in pool.imap_unordered(run_case, numbers, chunksize=4):
+            outcomes.append(outcome)
+            if len(outcomes) % 20 == 0 or len(outcomes) == len(numbers):
+                left_s = (time.monotonic() - start) / len(outcomes) * (len(numbers) - len(outcomes))
+                bad = sum(not outcome.sound for outcome in outcomes)
+                line = f"{len(outcomes)}/{len(numbers)}, {bad} not sound, {math.ceil(left_s)} s left"
+                print(f"\r{line}   ", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return outcomes
+
+
+def main() -> int:
+    """Run the cases and write the totals; 1 where any is not sound."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    totals = summary(run(range(arguments.first, arguments.first + arguments.count), arguments.workers))
+    text = json.dumps(totals, indent=1) + "\n"
+    if arguments.out is not None:
+        arguments.out.write_text(text)
+    print(text, end="")
+    return 0 if totals["sound"] == totals["cases"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
