@@ -31,9 +31,10 @@ def verification_kind() -> TaskKind:
 
 
 def verification_plan(folder: Path) -> Plan:
-    """The tasks of a finished sweep that have solutions, those of one vehicle in one scene next to each other.
+    """The tasks of a finished sweep that have solutions, in its order.
 
-    Neighbours share their baseline, which a worker scores again once.
+    Tasks of one vehicle in one scene share their baseline, which a worker scores again once: in this order they lie
+    far apart, so that two workers do not begin it at the same time.
 
     Raises:
         InputError: the folder is not a sweep's, it has not finished, or nothing in it was scored.
@@ -46,8 +47,6 @@ def verification_plan(folder: Path) -> Plan:
     tasks = [task for task in plan.tasks if task.spec.task_id in solved]
     if not tasks:
         raise InputError("no task has a solution", where=str(path), remedy="See status in final/scores.parquet")
-    places = {(task.spec.vehicle, task.spec.scene): index for index, task in reversed(list(enumerate(tasks)))}
-    tasks.sort(key=lambda task: places[task.spec.vehicle, task.spec.scene])
     results = str((folder / "final").resolve())
     assets = tuple(dataclasses.replace(part, results=results) for part in plan.assets)
     return dataclasses.replace(plan, tasks=tuple(tasks), assets=assets)
