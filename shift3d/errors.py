@@ -20,8 +20,13 @@ class InputError(Exception):
         self.where = where
         self.remedy = remedy
         message = f"{where}: {what}" if where else what
-        super().__init__(f"{message}. {remedy}" if remedy else message)
+        super().__init__(_one_line(f"{message}. {remedy}" if remedy else message))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
         # Ray carries exceptions between processes: without this the three parts would be lost on the way.
         return (InputError, (self.what, self.where, self.remedy))
+
+
+def _one_line(text: str) -> str:
+    """The text without what breaks a line or a terminal: readers quote what they found in a damaged file."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -161,10 +162,29 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
                 remedy=f"Give a {kind}, as {settings[name]!r}",
             )
         settings[name] = type(settings[name])(value)
+    _check_render(settings)
     precision = config.detector or _SEARCH_PRECISION[config.name]
     if config.detector is None and precision == "bfloat16" and not has_fast_bfloat16():
         precision = "float32"
     return settings | {"detector": precision}
+
+
+def _check_render(settings: dict[str, Any]) -> None:
+    """Refuse now what the renderer would refuse in every task, and infinity, which a task's id cannot hold."""
+    import torch
+
+    from shift3d.render.settings import RenderSettings
+
+    where, remedy = "accuracy.render", "Change it with accuracy.render.NAME=VALUE"
+    for name, value in settings.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"{name} is {value}", where=where, remedy="Give a finite number")
+    if settings["dtype"] not in ("float32", "float64"):
+        raise InputError(f"dtype is {settings['dtype']!r}", where=where, remedy="float32 or float64")
+    try:
+        RenderSettings(**settings | {"dtype": getattr(torch, settings["dtype"])})
+    except InputError as error:
+        raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy or remedy) from error
 
 
 def read_catalogue(config: Config) -> Catalogue:

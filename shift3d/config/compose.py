@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,9 +109,7 @@ def _hydra(name: str, where: str) -> tuple[Any, Any]:
     """Two functions: overrides to plain settings (``hydra`` included), and texts to parsed overrides."""
     from hydra import compose, initialize_config_dir
     from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.errors import HydraException
     from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
 
     search = f"hydra.searchpath=[file://{config_folder()}]"
 
@@ -119,20 +118,25 @@ def _hydra(name: str, where: str) -> tuple[Any, Any]:
             with initialize_config_dir(config_dir=str(sweeps_folder()), version_base=None):
                 return compose(name, overrides=[search, *texts], return_hydra_config=True)
 
+        def plain(texts: Sequence[str]) -> Values:
+            config = composed(texts)
+            values = OmegaConf.to_container(OmegaConf.masked_copy(config, _no_hydra(config)))
+            params = OmegaConf.to_container(config.hydra.sweeper.params) if config.hydra.sweeper.params else {}
+            return {**values, "hydra": {"sweeper": {"params": params}}}  # type: ignore[dict-item]
+
+        # Exception: Hydra has errors of its own, and lets YAML's, and many a ValueError and TypeError, through.
         try:
-            config = composed(overrides)
-        except (HydraException, OmegaConfBaseException) as error:
-            plain = OmegaConf.to_container(OmegaConf.masked_copy(composed([]), _no_hydra(composed([]))))
-            raise messages.from_hydra(error, where, plain) from error  # type: ignore[arg-type]
-        values: Values = OmegaConf.to_container(OmegaConf.masked_copy(config, _no_hydra(config)))  # type: ignore[assignment]
-        params = OmegaConf.to_container(config.hydra.sweeper.params) if config.hydra.sweeper.params else {}
-        values["hydra"] = {"sweeper": {"params": params}}
-        return values
+            return plain(overrides)
+        except Exception as error:
+            known = None
+            with contextlib.suppress(Exception):  # a file that cannot be read is no better without overrides
+                known = plain([])
+            raise messages.from_hydra(error, where, known) from error
 
     def parse(texts: Sequence[str]) -> Any:
         try:
             return OverridesParser.create(config_loader=_Groups()).parse_overrides(list(texts))  # type: ignore[arg-type]
-        except HydraException as error:
+        except Exception as error:
             raise messages.from_hydra(error, where, None) from error
 
     return run, parse
@@ -193,6 +197,8 @@ def _refuse_interpolations(values: Any, where: str, path: str = "") -> None:
 
 def validate(values: Values, where: str) -> Config:
     """Check settings against the schema. Raises InputError naming the field and what it may be."""
+    if not isinstance(values, dict):
+        raise InputError(f"the settings are a {type(values).__name__}", where=where, remedy="Write NAME: VALUE lines")
     if "frontier" in values:
         raise InputError(
             "it measures what accuracy costs and has no tasks",

@@ -44,8 +44,16 @@ def from_validation(error: ValidationError, where: str) -> InputError:
     if kind == "union_tag_invalid":
         tags_text = re.findall(r"'([^']+)'", first["ctx"]["expected_tags"])
         return choice_error(f"{field}.kind", str(first["ctx"]["tag"]), tags_text, where)
-    what = f"{field} is {value!r}: {first['msg'][0].lower()}{first['msg'][1:]}"
+    if kind == "value_error":  # a rule between several fields: it says which
+        return InputError(f"{field}: {first['ctx']['error']}", where=where, remedy="Change one of them")
+    what = f"{field} is {_shown(value)}: {first['msg'][0].lower()}{first['msg'][1:]}"
     return InputError(what, where=where, remedy=f"Change it with {field}=VALUE")
+
+
+def _shown(value: object) -> str:
+    """A value as it was written, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 120 else f"{text[:120]}..."
 
 
 def from_hydra(error: Exception, where: str, config: Mapping[str, Any] | None) -> InputError:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 __all__ = [
     "AccuracyConfig",
@@ -25,13 +25,17 @@ __all__ = [
 ]
 
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
-Count = Annotated[int, Field(ge=1)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+# Beyond these limits lie typing errors: a list of 10**12 scenes, squares of 1e300 that are infinite.
+_MOST, _LARGEST = 10**6, 1e9
+Count = Annotated[int, Field(ge=1, le=_MOST)]
+Number = Annotated[int, Field(ge=0, le=_MOST)]
+Positive = Annotated[float, Field(gt=0, le=_LARGEST, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, le=_LARGEST, allow_inf_nan=False)]
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # strict: "0.5" is no number and true is no 1, since Hydra has read the types already. A float may be written 1.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class StreetConfig(_Record):
@@ -100,22 +104,28 @@ class PlacementConfig(_Record):
 
     min_range_m: NotNegative
     max_range_m: Positive
-    min_object_points: Annotated[int, Field(ge=0)]
+    min_object_points: Number
     overlap_m: NotNegative
     contact_m: Positive
     attempts: Count
+
+    @model_validator(mode="after")
+    def _a_ring(self) -> Self:
+        if self.min_range_m >= self.max_range_m:
+            raise ValueError(f"min_range_m {self.min_range_m:g} is not below max_range_m {self.max_range_m:g}")
+        return self
 
 
 class AttackConfig(_Record):
     """The search and its comparisons."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
 
-    steps: Annotated[int, Field(ge=0)]
+    steps: Number
     alpha: Positive
-    lambda_: Annotated[float, Field(alias="lambda", ge=0, allow_inf_nan=False)]
-    random_replicates: Annotated[int, Field(ge=0)]
-    noise_replicates: Annotated[int, Field(ge=0)]
+    lambda_: Annotated[float, Field(alias="lambda", ge=0, le=_LARGEST, allow_inf_nan=False)]
+    random_replicates: Number
+    noise_replicates: Number
     noise_sigma: NotNegative
     max_shift_m: NotNegative
     max_tilt_rad: NotNegative
@@ -190,7 +200,7 @@ class Config(_Record):
     mode: Literal["shape", "pose"]
     scene: str | None
     seed: Seed
-    replicate: Annotated[int, Field(ge=0)]
+    replicate: Number
 
     def settings(self) -> dict[str, Any]:
         """The settings that can change a result, as plain values."""

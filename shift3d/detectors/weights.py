@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
+from torch import Tensor
 
 from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.network import AnchorNet, Precision
@@ -14,25 +14,38 @@ from shift3d.detectors.pointpillars import PointPillarsNet
 from shift3d.detectors.sst import SstNet
 from shift3d.errors import InputError
 
-__all__ = ["DETECTOR_NAMES", "NETWORKS", "load_detector", "load_network"]
+__all__ = ["DETECTOR_NAMES", "NETWORKS", "load_detector", "load_network", "load_weights"]
 
 WEIGHTS_FOLDER = Path(__file__).resolve().parent.parent / "weights"
 NETWORKS: dict[str, type[PointPillarsNet] | type[SstNet]] = {"pointpillars": PointPillarsNet, "sst": SstNet}
 DETECTOR_NAMES = tuple(NETWORKS)
+LARGEST_WEIGHT = 1e6
+"""Of anything in a file: the largest trained value is a variance of 2,700, the largest weight 11. One flipped bit of an
+exponent makes 1e38 of a weight, finite, and infinite scores."""
 
 
 def load_network(path: Path, name: str = "pointpillars") -> AnchorNet:
     """The trainable network with the weights of a safetensors file, in evaluation mode.
 
-    Raises: InputError if the file is missing, unreadable, or holds another network's tensors.
+    Raises: InputError if the file is missing, unreadable, or holds tensors that cannot be this network's: see
+        `load_weights`.
     """
     if not path.is_file():
         raise InputError("the weight file does not exist", where=str(path), remedy=f'make train ARGS="model={name}"')
+    return load_weights(NETWORKS[name](), path)
+
+
+def load_weights(net: AnchorNet, path: Path) -> AnchorNet:
+    """A network itself, with the weights of a safetensors file, in evaluation mode.
+
+    Raises: InputError naming file and tensor where the file is unreadable, or a tensor is missing, surplus, of another
+        shape or kind of number, not finite, beyond LARGEST_WEIGHT, or a variance below zero.
+    """
     try:
         state = load_file(path)
     except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(f"not a readable safetensors file: {error}", where=str(path)) from error
-    net = NETWORKS[name]()
+        what = f"not a readable safetensors file: {error}"
+        raise InputError(what, where=str(path), remedy="copy it again") from error
     expected = net.state_dict()
     for name in sorted(expected.keys() | state.keys()):
         found = tuple(state[name].shape) if name in state else None
@@ -43,10 +56,22 @@ def load_network(path: Path, name: str = "pointpillars") -> AnchorNet:
                 where=str(path),
                 remedy="use weights trained for this version",
             )
-    if not all(torch.isfinite(tensor).all() for tensor in state.values()):
-        raise InputError("the weights are not all finite", where=str(path), remedy="train again")
+        if wrong := _wrong_values(name, state[name], expected[name]):
+            raise InputError(f"tensor {name} {wrong}", where=str(path), remedy="copy it again, or train again")
     net.load_state_dict(state)
     return net.eval()
+
+
+def _wrong_values(name: str, found: Tensor, expected: Tensor) -> str:
+    """Why a tensor of the right shape cannot be a trained network's, or nothing. NaN fails every comparison."""
+    if found.is_floating_point() != expected.is_floating_point() or found.is_complex():
+        return f"is {str(found.dtype).removeprefix('torch.')}, not {str(expected.dtype).removeprefix('torch.')}"
+    if not found.is_floating_point() or not found.numel():
+        return ""
+    if not float(found.abs().max()) <= LARGEST_WEIGHT:
+        return f"holds values that are not finite, or beyond {LARGEST_WEIGHT:g}"
+    # The norm divides by its root; folded into the layer before it, NaN would be in every score.
+    return "holds a negative variance" if name.endswith("running_var") and float(found.min()) < 0.0 else ""
 
 
 def load_detector(

@@ -25,6 +25,11 @@ CLASSES = {
 }
 _CALIB_SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
 _LABEL_COLUMNS = 15
+FARTHEST_M = 1e4
+"""No return, label or camera is farther from the LiDAR, and no object larger: such numbers come from damaged files."""
+SMALLEST_M = 0.01  # labels are written to the centimetre
+_ROTATION_TOLERANCE = 0.02  # of the rows' products: files are written to 7 digits
+_LARGEST_PIXEL = 1e6  # of a projection's entries: focal lengths are some hundred pixels
 
 
 @dataclass(frozen=True)
@@ -85,8 +90,8 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Points (N, 3) in the LiDAR frame and reflectance (N,) of a velodyne file, in file order.
 
     Raises:
-        InputError: where the file is missing, empty, not a whole number of 16-byte records, or holds NaN or
-            infinity.
+        InputError: where the file is missing, empty, not a whole number of 16-byte records, holds NaN, infinity or a
+            point beyond FARTHEST_M, or no point away from the sensor. Reflectance is cut to 0..1.
     """
     try:
         raw = path.read_bytes()
@@ -111,6 +116,12 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             str(path),
             "Repair or drop those rows.",
         )
+    beyond = (np.abs(values[:, :3]) > FARTHEST_M).any(axis=1)
+    if beyond.any():
+        what = f"row {int(np.argmax(beyond))} is more than {FARTHEST_M / 1000:g} km away ({int(beyond.sum())} rows)"
+        raise InputError(what, str(path), "Give float32 x, y, z, reflectance in metres.")
+    if not values[:, :3].any():
+        raise InputError("no point with a positive range", str(path), "Use another frame.")
     return np.ascontiguousarray(values[:, :3]), np.clip(values[:, 3], 0.0, 1.0)
 
 
@@ -118,7 +129,8 @@ def read_calibration(path: Path) -> Calibration:
     """The matrices of camera 2.
 
     Raises:
-        InputError: where the file is missing, or a needed line is missing or malformed.
+        InputError: where the file is missing, a needed line is missing, there twice or malformed, or the matrices are
+            no rotation and no camera's projection.
     """
     found: dict[str, Float] = {}
     for number, line in enumerate(_read_lines(path, "calibration"), start=1):
@@ -133,15 +145,32 @@ def read_calibration(path: Path) -> Calibration:
                 f"{path}, line {number}",
                 "Copy the calibration file again.",
             )
+        if key in found:
+            raise InputError(f"{key} is there twice", f"{path}, line {number}", "Remove the one that is wrong.")
         found[key] = np.array(values).reshape(shape)
     missing = [key for key in _CALIB_SHAPES if key not in found]
     if missing:
         raise InputError(f"no line {missing[0]}:", str(path), "Copy the calibration file again.")
+    return _checked(found, path)
+
+
+def _checked(found: dict[str, Float], path: Path) -> Calibration:
+    """Matrices that are what they are called; every comparison is written so that NaN fails it."""
     camera_T_lidar = np.eye(4)
-    camera_T_lidar[:3] = found["R0_rect"] @ found["Tr_velo_to_cam"]
-    if abs(np.linalg.det(camera_T_lidar[:3, :3]) - 1.0) > 0.05:
+    with np.errstate(over="ignore", invalid="ignore"):
+        camera_T_lidar[:3] = found["R0_rect"] @ found["Tr_velo_to_cam"]
+        rotation = camera_T_lidar[:3, :3]
+        # The determinant alone would admit diag(2, 0.5, 1), and every box would be stretched by it.
+        askew = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if not (askew <= _ROTATION_TOLERANCE and np.linalg.det(rotation) > 0.0):
         raise InputError("R0_rect · Tr_velo_to_cam is no rotation", str(path), "Copy the calibration file again.")
-    return Calibration(found["P2"], camera_T_lidar)
+    if not np.abs(camera_T_lidar[:3, 3]).max() <= FARTHEST_M:
+        raise InputError("Tr_velo_to_cam moves by kilometres", str(path), "Copy the calibration file again.")
+    projection = found["P2"]
+    camera = projection[0, 0] > 0.0 and projection[1, 1] > 0.0 and np.abs(projection).max() <= _LARGEST_PIXEL
+    if not (camera and np.abs(projection[2, :3] - (0.0, 0.0, 1.0)).max() <= _ROTATION_TOLERANCE):
+        raise InputError("P2 is no projection of a rectified camera", str(path), "Copy the calibration file again.")
+    return Calibration(projection, camera_T_lidar)
 
 
 def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
@@ -158,10 +187,14 @@ def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
         if len(columns) not in (_LABEL_COLUMNS, _LABEL_COLUMNS + 1):
             raise InputError(f"{len(columns)} columns, 15 expected", where, "Repair or remove that line.")
         if columns[0] not in CLASSES:
-            raise InputError(f"unknown class {columns[0]!r}", where, f"Known are {', '.join(CLASSES)} and DontCare.")
+            raise InputError(
+                f"unknown class {columns[0][:40]!r}", where, f"Known are {', '.join(CLASSES)} and DontCare."
+            )
         values = _numbers(columns[1:], where)
-        if not min(values[7:10]) > 0.0:
-            raise InputError(f"box size {tuple(values[7:10])} (h, w, l)", where, "Sizes must be positive.")
+        if not SMALLEST_M <= min(values[7:10]) <= max(values[7:10]) <= FARTHEST_M:
+            raise InputError(f"box size {tuple(values[7:10])} (h, w, l)", where, "Sizes must be positive, in metres.")
+        if not max(abs(value) for value in values[10:13]) <= FARTHEST_M:
+            raise InputError(f"box at {tuple(values[10:13])}", where, "Give its place in metres.")
         box = lidar_box(values[7:10], values[10:13], values[13], calibration)
         labels.append(KittiLabel(columns[0], box, values[0], int(values[1]), values[6] - values[4]))
     return labels
@@ -204,6 +237,6 @@ def _numbers(words: list[str], where: str) -> list[float]:
         except ValueError:
             value = float("nan")
         if not np.isfinite(value):
-            raise InputError(f"{word!r} is not a finite number", where, "Repair or remove that line.")
+            raise InputError(f"{word[:40]!r} is not a finite number", where, "Repair or remove that line.")
         values.append(value)
     return values

@@ -18,6 +18,7 @@ from torch.nn.utils import parametrizations
 
 from shift3d.errors import InputError
 from shift3d.sdf.pieces import Piece, linear_piece
+from shift3d.sdf.tensors import check_magnitude, checked_tensors, without_subnormals
 
 CODE_LENGTH = 256
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "weights" / "sdf.safetensors"
@@ -41,6 +42,21 @@ class Architecture:
             outputs = 1 if layer == self.hidden_layers else self.width
             sizes.append((inputs, outputs - entry if layer + 1 == self.skip_layer else outputs))
         return sizes
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of a folded decoder's tensors, by name."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        for layer, (inputs, outputs) in enumerate(self.sizes()):
+            shapes |= {f"layers.{layer}.weight": (outputs, inputs), f"layers.{layer}.bias": (outputs,)}
+        return shapes
+
+    def can_be(self) -> bool:
+        """Whether there is such a network: whole numbers, the input fed in again between two layers, room for it."""
+        if any(type(size) is not int for size in vars(self).values()):
+            return False
+        return (
+            self.code_length >= 1 and 1 <= self.skip_layer <= self.hidden_layers and self.width > self.code_length + 3
+        )
 
 
 def _parameters(layer: nn.Module) -> tuple[Tensor, Tensor]:
@@ -190,15 +206,6 @@ class Decoder(nn.Module):
         return self
 
 
-def without_subnormals(weight: Tensor) -> Tensor:
-    """The weight (any shape) with values below 1e-20 set to zero.
-
-    Weight norm leaves such values in units that died. They change no sum, but products with them are subnormal
-    numbers, and those made a backward pass through the decoder seven times slower (120 ms for 17 ms).
-    """
-    return torch.where(weight.abs() < 1e-20, torch.zeros_like(weight), weight)
-
-
 def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None = None) -> None:
     """Write the decoder's folded float32 weights to a safetensors file, atomically."""
     from safetensors.torch import save_file
@@ -234,24 +241,34 @@ def load_decoder(path: Path | str | None = None) -> Decoder:
         raise InputError(
             f"not a readable safetensors file ({error})", where=str(source), remedy="copy it again"
         ) from error
+    return decoder_from_tensors(tensors, _architecture(metadata, len(tensors), str(source)), str(source))
+
+
+def _architecture(metadata: dict[str, str], tensors: int, where: str) -> Architecture:
     try:
         architecture = Architecture(**json.loads(metadata["architecture"]))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(
-            "no decoder architecture in its metadata", where=str(source), remedy="a decoder's weights"
+            "no decoder architecture in its metadata", where=where, remedy="a decoder's weights"
         ) from error
-    return decoder_from_tensors(tensors, architecture, str(source))
+    # Before anything of these sizes is made: the file says them, and its tensors are what there is memory for.
+    if not architecture.can_be() or 2 * (architecture.hidden_layers + 1) != tensors:
+        what = f"no decoder with {tensors} tensors is made like {architecture}"
+        raise InputError(what, where=where, remedy="a decoder's weights")
+    return architecture
 
 
 def decoder_from_tensors(tensors: dict[str, torch.Tensor], architecture: Architecture, where: str) -> Decoder:
-    """A folded decoder from tensors named `layers.<i>.weight|bias`. Raises InputError naming the tensor."""
+    """A folded float32 decoder from tensors named `layers.<i>.weight|bias`.
+
+    Raises: InputError naming the tensor that is missing, surplus, of another shape or kind, or not finite; weights so
+        large that values would overflow.
+    """
+    tensors = checked_tensors(tensors, architecture.shapes(), where)
+    entry = architecture.code_length + 3
+    last = range(architecture.hidden_layers + 1)
+    layers = [(tensors[f"layers.{layer}.weight"], tensors[f"layers.{layer}.bias"]) for layer in last]
+    check_magnitude(layers, [entry if layer in (0, architecture.skip_layer) else 0 for layer in last], {}, where)
     decoder = Decoder(architecture).folded()
-    for name, parameter in decoder.state_dict().items():
-        found = tuple(tensors[name].shape) if name in tensors else None
-        if found != tuple(parameter.shape):
-            what = f"tensor {name} is missing" if found is None else f"tensor {name} has shape {found}"
-            raise InputError(what, where=where, remedy=f"expected {tuple(parameter.shape)}")
-        if not bool(torch.isfinite(tensors[name]).all()):
-            raise InputError(f"tensor {name} holds values that are not finite", where=where, remedy="copy it again")
-    decoder.load_state_dict({name: without_subnormals(tensors[name]) for name in decoder.state_dict()})
+    decoder.load_state_dict(tensors)
     return decoder.eval().requires_grad_(False)

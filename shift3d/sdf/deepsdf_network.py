@@ -53,6 +53,21 @@ class NetworkSpecs:
         """Whether the network has a layer norm `bn<layer>`."""
         return not self.weight_norm and layer in self.norm_layers
 
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the tensors of a `DeepSdfNetwork`, by name."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        for layer in range(self.layers):
+            inputs, outputs = self.size(layer)
+            shapes |= {f"layers.{layer}.weight": (outputs, inputs), f"layers.{layer}.bias": (outputs,)}
+            if self.normed(layer):
+                shapes |= {f"norms.{layer}.weight": (outputs,), f"norms.{layer}.bias": (outputs,)}
+        return shapes
+
+    def entries(self) -> list[int]:
+        """How many inputs each layer reads beside the layer before it."""
+        count = {"code": self.code_length + 3, "point": 3, "": 0}
+        return [count[self.entry(layer)] for layer in range(self.layers)]
+
     def published(self) -> Architecture | None:
         """The same network as the project's own kind (one width, one skip, no layer norm), if it is of that kind."""
         norms = any(self.normed(layer) for layer in range(self.layers - 1))

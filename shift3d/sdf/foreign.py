@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import json
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import Decoder, decoder_from_tensors, without_subnormals
+from shift3d.sdf.decoder import Decoder, decoder_from_tensors
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork, NetworkSpecs
+from shift3d.sdf.tensors import LARGEST_INPUT, check_magnitude, checked_tensors, described, is_plain
 
 __all__ = ["Experiment", "experiment_files", "load_experiment", "load_foreign_decoder"]
 
 _NETWORK = "deep_sdf_decoder"
 _LAYOUT = "Give a folder in the original DeepSDF layout"
+_KNOWN_SPECS = {
+    *("dims", "norm_layers", "latent_in", "weight_norm", "xyz_in_all", "use_tanh"),
+    *("dropout", "dropout_prob", "latent_dropout"),  # of the training alone
+}
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,7 @@ def load_experiment(folder: Path | str, checkpoint: str = "latest") -> Experimen
     specs_file, weights_file, codes_file = experiment_files(folder, checkpoint)
     values, specs = _read_specs(specs_file)
     weights, codes = _read(weights_file), _read(codes_file)
-    epochs = weights.get("epoch"), codes.get("epoch")
+    epochs = _epoch(weights, weights_file), _epoch(codes, codes_file)
     if None not in epochs and epochs[0] != epochs[1]:
         what = f"is of epoch {epochs[1]}, the weights are of epoch {epochs[0]}"
         raise InputError(what, where=str(codes_file), remedy="Give codes and weights of one checkpoint")
@@ -83,10 +87,17 @@ def load_experiment(folder: Path | str, checkpoint: str = "latest") -> Experimen
     return Experiment(_network(weights, specs, weights_file), table, names, epochs[0])
 
 
+def _epoch(content: dict[str, Any], path: Path) -> int | None:
+    epoch = content.get("epoch")
+    if not isinstance(epoch, int | None):
+        raise InputError(f"epoch is a {type(epoch).__name__}", where=str(path), remedy="Save it as a whole number")
+    return epoch
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
+    except Exception as error:  # a damaged pickle fails in as many ways as it has instructions
         raise InputError("not a readable checkpoint of tensors only", str(path), "Copy it again") from error
     if not isinstance(content, dict):
         raise InputError(f"holds a {type(content).__name__}, no table by name", where=str(path), remedy=_LAYOUT)
@@ -97,21 +108,25 @@ def _read_specs(path: Path) -> tuple[dict[str, Any], NetworkSpecs]:
     try:
         values = json.loads(path.read_text())
         network = values["NetworkSpecs"]
+        if unknown := sorted(set(network) - _KNOWN_SPECS):
+            # The original hands them to the network's constructor, which refuses what it does not know; to read on
+            # without them would be another network with the same weights.
+            raise ValueError(f"{unknown[0]} is nothing that the original network has")
         specs = NetworkSpecs(
-            code_length=int(values["CodeLength"]),
-            dims=tuple(int(width) for width in network["dims"]),
-            norm_layers=tuple(int(layer) for layer in network.get("norm_layers") or ()),
-            latent_in=tuple(int(layer) for layer in network.get("latent_in") or ()),
-            weight_norm=bool(network.get("weight_norm")),
-            xyz_in_all=bool(network.get("xyz_in_all")),
-            use_tanh=bool(network.get("use_tanh")),
+            code_length=_whole(values["CodeLength"]),
+            dims=tuple(_whole(width) for width in network["dims"]),
+            norm_layers=tuple(_whole(layer) for layer in network.get("norm_layers") or ()),
+            latent_in=tuple(_whole(layer) for layer in network.get("latent_in") or ()),
+            weight_norm=_switch(network, "weight_norm"),
+            xyz_in_all=_switch(network, "xyz_in_all"),
+            use_tanh=_switch(network, "use_tanh"),
         )
-    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError, AttributeError) as error:
-        what = f"no readable description of a network ({type(error).__name__}: {error})"
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        what = f"no readable description of a network ({type(error).__name__}: {str(error)[:200]})"
         raise InputError(what, where=str(path), remedy="It needs CodeLength and NetworkSpecs with dims") from error
     name = values.get("NetworkArch", _NETWORK)
     if name != _NETWORK:
-        raise InputError(f"NetworkArch is {name!r}", where=str(path), remedy=f"Only {_NETWORK} is known")
+        raise InputError(f"NetworkArch is {str(name)[:80]!r}", where=str(path), remedy=f"Only {_NETWORK} is known")
     sizes = [size for layer in range(specs.layers) for size in specs.size(layer)]
     if not specs.dims or specs.code_length < 1 or min(sizes) < 1:
         what = f"NetworkSpecs gives a layer of size {min(sizes)}"
@@ -119,21 +134,37 @@ def _read_specs(path: Path) -> tuple[dict[str, Any], NetworkSpecs]:
     return values, specs
 
 
+def _whole(value: Any) -> int:
+    """A whole number: 512, not 512.5, "512" or true. Raises ValueError."""
+    if type(value) is not int or abs(value) > 2**31:
+        raise ValueError(f"{value!r} is no whole number")
+    return value
+
+
+def _switch(network: dict[str, Any], name: str) -> bool:
+    """true or false; what is missing or null is false. Raises ValueError for "false", which would be taken for true."""
+    value = network.get(name)
+    if not isinstance(value, bool | None):
+        raise ValueError(f"{name} is {value!r}, neither true nor false")
+    return bool(value)
+
+
 def _codes(content: dict[str, Any], length: int, path: Path) -> Tensor:
     """(N, code) from the three forms there are: an embedding's state, a tensor N x 1 x code, a list of tensors."""
     found = content.get("latent_codes")
     if isinstance(found, dict):
         found = found.get("weight")
-    if isinstance(found, list | tuple) and found and all(isinstance(code, Tensor) for code in found):
+    if isinstance(found, list | tuple) and found and all(is_plain(code) for code in found):
         found = torch.stack([code.detach().reshape(-1) for code in found]) if _equal_sizes(found) else None
-    if not isinstance(found, Tensor) or found.ndim < 2:
+    if not is_plain(found) or found.ndim < 2 or not len(found):
         raise InputError("no table of latent_codes", where=str(path), remedy="latent_codes: N x code, or a list")
-    table = found.detach().reshape(len(found), -1).float()
-    if table.shape[1] != length or not len(table):
+    table: Tensor = found.detach().reshape(len(found), -1).float()
+    if table.shape[1] != length:
         what = f"latent_codes are {len(table)} codes of length {table.shape[1]}"
         raise InputError(what, where=str(path), remedy=f"specs.json says CodeLength {length}")
-    if not bool(torch.isfinite(table).all()):
-        raise InputError("latent_codes hold values that are not finite", where=str(path), remedy="Copy it again")
+    if not float(table.abs().max()) <= LARGEST_INPUT:  # so that NaN does not pass
+        what = f"latent_codes hold values that are not finite, or beyond {LARGEST_INPUT:g}"
+        raise InputError(what, where=str(path), remedy="Copy it again")
     return table
 
 
@@ -158,6 +189,9 @@ def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> Decode
     if not isinstance(state, dict):
         raise InputError("no model_state_dict", where=str(path), remedy=_LAYOUT)
     left: dict[str, Any] = {str(name).removeprefix("module."): value for name, value in state.items()}
+    if len(left) != len(state):
+        what = "a tensor is there with the prefix module. and without it"
+        raise InputError(what, where=str(path), remedy="Leave out the one that is not meant")
     tensors = {}
     for layer in range(specs.layers):
         tensors[f"layers.{layer}.weight"] = _folded(left, f"lin{layer}", path)
@@ -170,14 +204,13 @@ def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> Decode
         raise InputError(what, where=str(path), remedy="Give the specs.json that it was trained with")
     if architecture := specs.published():
         return decoder_from_tensors(tensors, architecture, str(path))
-    network = DeepSdfNetwork(specs)
-    for name, expected in network.state_dict().items():
-        if tensors[name].shape != expected.shape or not bool(torch.isfinite(tensors[name]).all()):
-            what = f"{_original(name)} has shape {tuple(tensors[name].shape)}, or values that are not finite"
-            raise InputError(what, where=str(path), remedy=f"expected {tuple(expected.shape)}")
-        tensors[name] = without_subnormals(tensors[name])
+    tensors = checked_tensors(tensors, specs.shapes(), str(path), {name: _original(name) for name in tensors})
+    network = DeepSdfNetwork(specs).eval().requires_grad_(False)
     network.load_state_dict(tensors)
-    return network.eval().requires_grad_(False)
+    layers = [(tensors[f"layers.{layer}.weight"], tensors[f"layers.{layer}.bias"]) for layer in range(specs.layers)]
+    norms = {int(layer): norm for layer, norm in network.norms.items() if isinstance(norm, nn.LayerNorm)}
+    check_magnitude(layers, specs.entries(), norms, str(path))
+    return network
 
 
 def _original(name: str) -> str:
@@ -188,6 +221,8 @@ def _take(left: dict[str, Any], name: str, path: Path) -> Tensor:
     value = left.pop(name, None)
     if not isinstance(value, Tensor):
         raise InputError(f"tensor {name} is missing", where=str(path), remedy="specs.json asks for it")
+    if not is_plain(value):
+        raise InputError(f"tensor {name} {described(value)}", where=str(path), remedy="Save it as dense float32")
     return value.float()
 
 
@@ -202,5 +237,10 @@ def _folded(left: dict[str, Any], name: str, path: Path) -> Tensor:
             if v.ndim != 2 or g.numel() != len(v):
                 what = f"{name}: {tuple(g.shape)} lengths for directions {tuple(v.shape)}"
                 raise InputError(what, where=str(path), remedy="one length a row")
-            return torch.mul(v, g.reshape(-1, 1) / v.norm(dim=1, keepdim=True))
+            lengths = v.norm(dim=1, keepdim=True)
+            if not bool(torch.isfinite(lengths).all()):
+                # Squares beyond float32: the quotient would be zero, and the layer gone without a word.
+                what = f"{name}.{direction} holds values that are not finite, or too large"
+                raise InputError(what, where=str(path), remedy="Copy it again")
+            return torch.mul(v, g.reshape(-1, 1) / lengths)
     return _take(left, f"{name}.weight", path)

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
+from shift3d.store.tables import check_table
 
 __all__ = ["FRONTIER_SCHEMA", "FRONTIER_SCHEMA_VERSION", "frontier_table", "machine_of", "read_frontier"]
 
@@ -165,19 +166,21 @@ def read_frontier(path: Path) -> pa.Table:
     if not path.is_file():
         raise InputError("no measured frontier", str(path), "Run make frontier first")
     try:
-        table = pq.read_table(path, partitioning=None)
-    except (OSError, pa.ArrowInvalid) as error:
+        table = pq.read_table(path, partitioning=None, page_checksum_verification=True)
+        table = table.select(table.column_names)  # a damaged name may be no text
+    except (OSError, ValueError, KeyError, pa.ArrowException) as error:
         what = f"cannot be read as Parquet ({type(error).__name__})"
         raise InputError(what, str(path), "Remove it and run make frontier again") from error
     metadata = table.schema.metadata or {}
-    schema = metadata.get(b"shift3d.schema", b"none").decode()
-    version = metadata.get(b"shift3d.schema_version", b"none").decode()
+    schema = metadata.get(b"shift3d.schema", b"none").decode(errors="replace")
+    version = metadata.get(b"shift3d.schema_version", b"none").decode(errors="replace")
     if (schema, version) != ("frontier", str(FRONTIER_SCHEMA_VERSION)):
         what = f"is not a frontier of schema version {FRONTIER_SCHEMA_VERSION} (found {schema}, version {version})"
         raise InputError(what, str(path), "Read it with the version of shift3d that wrote it, or measure again")
     for field in FRONTIER_SCHEMA:
         if field.name not in table.column_names or table.schema.field(field.name).type != field.type:
             raise InputError(f"has no column {field.name} of type {field.type}", str(path), "Run make frontier again")
+    check_table(table.select(FRONTIER_SCHEMA.names), FRONTIER_SCHEMA, path)
     return table
 
 
@@ -191,7 +194,11 @@ def machine_of(table: pa.Table) -> dict[str, Any]:
     try:
         machine = json.loads(text)
     except json.JSONDecodeError as error:
-        raise InputError(f"shift3d.machine is no JSON ({text[:40]!r})", "frontier metadata") from error
+        raise InputError(
+            f"shift3d.machine is no JSON ({text[:40]!r})", "frontier metadata", "Run make frontier again"
+        ) from error
     if not isinstance(machine, dict):
-        raise InputError(f"shift3d.machine is no JSON object ({text[:40]!r})", "frontier metadata")
+        raise InputError(
+            f"shift3d.machine is no JSON object ({text[:40]!r})", "frontier metadata", "Run make frontier again"
+        )
     return machine

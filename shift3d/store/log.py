@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from shift3d.errors import InputError
 from shift3d.store.atomic import put_if_absent, remove_leftovers
-from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.store.schemas import SCHEMA_VERSION, SEGMENTS
 from shift3d.store.tables import write_table
 
 __all__ = ["Commit", "CommitLog", "TakenOverError", "read_log"]
@@ -66,22 +66,40 @@ def _read_entry(path: Path, sequence: int) -> Commit:
         values = json.loads(path.read_bytes())
         version = values["schema_version"]
         if version == SCHEMA_VERSION:
-            return Commit(
-                sequence=sequence,
-                kind=values["kind"],
-                driver=values["driver"],
-                spec_hash=values["spec_hash"],
-                done=tuple(values["done"]),
-                quarantined=tuple(values["quarantined"]),
-                segments=tuple(values["segments"].items()),
-                rows=tuple(values["rows"].items()),
-            )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            return _commit(values, sequence)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError("is not a commit log entry", where=str(path), remedy=remedy) from error
     raise InputError(
         f"has schema version {version}, this is version {SCHEMA_VERSION}",
         where=str(path),
         remedy="Finish it with the version of shift3d that began it, or choose another folder with out=DIR",
+    )
+
+
+def _commit(values: dict[str, Any], sequence: int) -> Commit:
+    """An entry of this version. Raises ValueError where a value cannot be what a driver writes."""
+    segments, rows = values["segments"], values["rows"]
+    texts = [values["driver"], values["spec_hash"], *values["done"], *values["quarantined"], *segments.values()]
+    wrong = (
+        values["kind"] not in ("session", "commit")
+        or not all(isinstance(value, list) for value in (values["done"], values["quarantined"]))
+        or not all(isinstance(text, str) for text in texts)
+        or not (segments.keys() == rows.keys() <= set(SEGMENTS))
+        or not all(type(count) is int and count >= 0 for count in rows.values())
+        # A segment lies in data/: an entry names no file elsewhere.
+        or any(Path(file).name != file for file in segments.values())
+    )
+    if wrong:
+        raise ValueError("not what a driver writes")
+    return Commit(
+        sequence=sequence,
+        kind=values["kind"],
+        driver=values["driver"],
+        spec_hash=values["spec_hash"],
+        done=tuple(values["done"]),
+        quarantined=tuple(values["quarantined"]),
+        segments=tuple(segments.items()),
+        rows=tuple(rows.items()),
     )
 
 
@@ -93,7 +111,7 @@ class CommitLog:
         spec_hash: what the sweep is; kept in every entry.
 
     Raises:
-        InputError: the log cannot be read or written.
+        InputError: the log cannot be read or written, or is another sweep's.
     """
 
     def __init__(self, folder: Path, spec_hash: str) -> None:
@@ -103,6 +121,12 @@ class CommitLog:
         for part in ("_log", "data", "final"):
             remove_leftovers(folder / part)
         self.entries = read_log(folder)
+        for entry in self.entries:
+            if entry.spec_hash != spec_hash:
+                what = f"entry {entry.sequence:08d}.json is of another sweep ({entry.spec_hash[:40]!r})"
+                raise InputError(
+                    what, where=str(folder / "_log"), remedy="Restore it from a copy, or use another folder"
+                )
         self._append("session", (), (), {})
 
     def commit(self, done: tuple[str, ...], quarantined: tuple[str, ...], tables: dict[str, pa.Table]) -> Commit:

@@ -14,9 +14,10 @@ from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 
-__all__ = ["read_table", "table_from_rows", "write_table"]
+__all__ = ["check_table", "read_table", "table_from_rows", "write_table"]
 
 _ROW_GROUP = 65_536
+_RESTORE = "Restore it from a copy, or remove the output folder and run the sweep again"
 
 
 def table_from_rows(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
@@ -64,7 +65,9 @@ def write_table(path: Path, table: pa.Table) -> None:
 
     def write(temporary: Path) -> None:
         # One chunk, fixed row groups and no threads' choice in them: bytes follow from the content alone.
-        pq.write_table(table.combine_chunks(), temporary, compression="zstd", row_group_size=_ROW_GROUP)
+        # With checksums: a flipped bit in compressed numbers would else be read as other numbers.
+        options = {"compression": "zstd", "row_group_size": _ROW_GROUP, "write_page_checksum": True}
+        pq.write_table(table.combine_chunks(), temporary, **options)
 
     write_atomic(path, write)
 
@@ -78,19 +81,37 @@ def read_table(path: Path, name: str, filters: list[tuple[str, str, Any]] | None
         InputError: the file is missing, torn, or of another schema or version.
     """
     try:
-        table = pq.read_table(path, partitioning=None, filters=filters)
-    except (OSError, pa.ArrowInvalid) as error:
+        table = pq.read_table(path, partitioning=None, filters=filters, page_checksum_verification=True)
+        table = table.select(table.column_names)  # a damaged name may be no text
+    except (OSError, pa.ArrowException, ValueError, KeyError) as error:  # a damaged header has many ways to fail
         raise InputError(
             f"cannot be read as Parquet ({type(error).__name__})",
             where=str(path),
-            remedy="Restore it from a copy, or remove the output folder and run the sweep again",
+            remedy=_RESTORE,
         ) from error
     metadata = table.schema.metadata or {}
-    version = metadata.get(b"shift3d.schema_version", b"none").decode()
-    if metadata.get(b"shift3d.schema", b"").decode() != name or version != str(SCHEMA_VERSION):
+    version = metadata.get(b"shift3d.schema_version", b"none").decode(errors="replace")
+    if metadata.get(b"shift3d.schema", b"").decode(errors="replace") != name or version != str(SCHEMA_VERSION):
         raise InputError(
             f"is not a {name} table of schema version {SCHEMA_VERSION} (found version {version})",
             where=str(path),
             remedy="Read it with the version of shift3d that wrote it",
         )
+    check_table(table, SCHEMAS[name], path)
     return table
+
+
+def check_table(table: pa.Table, schema: pa.Schema, path: Path) -> None:
+    """Refuse a table that has not a schema's columns and types, or lacks values, or holds NaN or infinity.
+
+    Raises:
+        InputError: naming the file and the column.
+    """
+    if table.schema.names != schema.names:
+        raise InputError("has not the columns of its kind", where=str(path), remedy=_RESTORE)
+    for field in schema:
+        column, found = table[field.name], table.schema.field(field.name)
+        if (found.type, found.nullable) != (field.type, field.nullable) or (column.null_count and not field.nullable):
+            raise InputError(f"{field.name} is {found.type}, or lacks values", where=str(path), remedy=_RESTORE)
+        if pa.types.is_floating(field.type) and not np.isfinite(column.drop_null().to_numpy()).all():
+            raise InputError(f"{field.name} holds NaN or infinity", where=str(path), remedy=_RESTORE)

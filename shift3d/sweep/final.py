@@ -63,6 +63,9 @@ def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTab
         tables["verification"] = verification
     scores = tables["scores"].to_pandas()
     scored = scores[scores["score"].notna()]
+    if scored[["x_m", "y_m"]].isna().to_numpy().any():
+        remedy = "Restore the folder from a copy, or run the sweep in another one"
+        raise InputError("scores without a place", where=str(folder / "data"), remedy=remedy)
     auc = _auc_rows(scored, plan)
     tables["curves"] = table_from_rows("curves", _curve_rows(scored))
     tables["auc"] = table_from_rows("auc", auc)
@@ -76,7 +79,7 @@ def segments_in_plan_order(folder: Path, entries: Sequence[Commit], name: str, p
     """One segment table of everything committed, rows by the position of their task in the plan.
 
     Raises:
-        InputError: a segment is missing, torn or of another length than was committed.
+        InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """
     return _in_plan_order(name, _segments(folder, entries, name), plan)
 
@@ -101,7 +104,11 @@ def _segments(folder: Path, entries: Sequence[Commit], name: str) -> pa.Table:
 def _in_plan_order(name: str, table: pa.Table, plan: Plan) -> pa.Table:
     """Rows by the position of their task in the plan; within a task as the task gave them."""
     ids = pa.array([task.spec.task_id for task in plan.tasks])
-    positions = pc.index_in(table["task_id"], value_set=ids).to_numpy(zero_copy_only=False)
+    found = pc.index_in(table["task_id"], value_set=ids)
+    if found.null_count:
+        what = f"{found.null_count} rows of {name} are of tasks that the plan does not have"
+        raise InputError(what, where="data", remedy="Restore the folder from a copy, or run the sweep in another one")
+    positions = found.to_numpy()
     if name == "attempts":
         order = np.lexsort((table["attempt"].to_numpy(), positions))
     else:

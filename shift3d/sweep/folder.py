@@ -178,7 +178,7 @@ def read_spec(folder: Path) -> dict[str, Any]:
             where=str(folder),
             remedy="Check the path",
         ) from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError) as error:
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
         raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error
     raise InputError(
         f"has schema version {version}, this is version {SCHEMA_VERSION}",
@@ -201,13 +201,24 @@ def read_plan(folder: Path) -> Plan:
         table = pq.read_table(path, columns=["spec", "assets"])
         specs = [TaskSpec.from_dict(json.loads(text)) for text in table["spec"].to_pylist()]
         tasks = tuple(PlannedTask(task, index) for task, index in zip(specs, table["assets"].to_pylist()))
-    except (OSError, pa.ArrowInvalid, KeyError, ValueError, TypeError) as error:
+    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"cannot be read ({error})", where=str(path), remedy="Restore it from a copy") from error
-    return Plan(
-        sweep=spec["sweep"],
-        overrides=tuple(spec["overrides"]),
-        settings=spec["settings"],
-        axes=spec["axes"],
-        tasks=tasks,
-        assets=tuple(AssetsSpec(**assets) for assets in spec["assets"]),
-    )
+    try:
+        plan = Plan(
+            sweep=spec["sweep"],
+            overrides=tuple(spec["overrides"]),
+            settings=dict(spec["settings"]),
+            axes=dict(spec["axes"]),
+            tasks=tasks,
+            assets=tuple(AssetsSpec(**assets) for assets in spec["assets"]),
+        )
+        # One number that depends on every task: what was changed in either file does not give it.
+        complete = plan.spec_hash == spec["spec_hash"]
+        complete &= all(type(task.assets) is int and 0 <= task.assets < len(plan.assets) for task in tasks)
+    except (KeyError, ValueError, TypeError) as error:
+        what = f"is not the spec of a sweep ({type(error).__name__}: {error})"
+        raise InputError(what, where=str(folder / "spec.yaml"), remedy="Restore it from a copy") from error
+    if not complete:
+        what = "spec.yaml and plan.parquet are not of one sweep, or damaged"
+        raise InputError(what, where=str(folder), remedy="Restore both from a copy")
+    return plan

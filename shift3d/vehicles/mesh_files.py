@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,14 +73,21 @@ def read_mesh(path: Path | str) -> trimesh.Trimesh:
     path = Path(path)
     if not path.is_file():
         raise InputError("no such file", where=str(path), remedy="a mesh")
-    options: dict[str, Any] = {"skip_materials": True} if path.suffix.lower() in (".obj", ".glb", ".gltf") else {}
+    suffix = path.suffix.lower()
+    options: dict[str, Any] = {"skip_materials": True} if suffix in (".obj", ".glb", ".gltf") else {}
     try:
-        scene = trimesh.load_scene(path, process=False, **options)
+        # From memory: of a file on disk a reader would ask for as many bytes as a header says, and allocate them first.
+        # A .gltf names other files beside it.
+        source: Any = path if suffix == ".gltf" else io.BytesIO(path.read_bytes())
+        scene = trimesh.load_scene(source, file_type=suffix[1:], process=False, **options)
         parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
     except Exception as error:  # every format's reader has its own errors for a broken file
-        what = f"not a readable {path.suffix[1:].upper()} file ({type(error).__name__}: {error})"
+        what = f"not a readable {suffix[1:].upper()} file ({type(error).__name__}: {str(error)[:200]})"
         raise InputError(what, where=str(path), remedy="export it again") from error
     vertices = [np.asarray(part.vertices, np.float64) for part in parts]
+    if any(part.shape[1:] != (3,) for part in vertices):
+        # A line that lacks a number can make a reader take all of them for pairs.
+        raise InputError("vertices are not x, y, z", where=str(path), remedy="export it again")
     starts = np.cumsum([0, *(len(part) for part in vertices)])
     faces = [np.asarray(part.faces, np.int64) + start for part, start in zip(parts, starts, strict=False)]
     if not sum(len(part) for part in faces):

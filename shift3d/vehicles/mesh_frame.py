@@ -14,6 +14,9 @@ UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 LENGTH_M = (2.0, 20.0)
 """Lengths that a road vehicle can have: a microcar to a lorry. Outside them a unit or an orientation is wrong."""
+WIDEST_M = 6.0
+"""Widths and heights, mirrors and load included, with room to spare: a cube of 20 m would take the repair, which works
+on a grid of 2.5 cm, more memory than there is."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,9 @@ class MeshFrame:
         self._check_direction(extent, where)
         scale = self.length_m / extent[0] if self.length_m is not None else UNITS_M[self.unit or "m"]
         _check_length(float(extent[0]), float(scale), where)
+        if extent[1:].max() * scale > WIDEST_M:
+            what = f"the vehicle would be {extent[1] * scale:g} m wide and {extent[2] * scale:g} m high"
+            raise InputError(what, where=where, remedy=f"Give a mesh of one vehicle: at most {WIDEST_M:g} m of either")
         return trimesh.Trimesh((vertices - (low + high) / 2.0) * scale, mesh.faces, process=False)
 
     def _check_direction(self, extent: NDArray[np.float64], where: str) -> None:

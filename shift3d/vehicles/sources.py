@@ -26,6 +26,7 @@ __all__ = ["DeepSdfVehicles", "VehicleSet", "VehicleSource", "vehicle_hash"]
 _T = TypeVar("_T")
 MEASURED_RESOLUTION = 129
 """Grid nodes along the unit sphere's cube when a vehicle's box is measured; 257 gives the same to 2 mm."""
+_SHORTEST_CODE = 1e-6  # trained codes are some tenths long; shorter ones were never trained
 _ROUNDED_M = 3  # decimals: sizes enter a task's id, and machines differ in the last bits
 
 
@@ -133,7 +134,11 @@ class DeepSdfVehicles:
         """Factor from codes as trained to codes as used."""
         if self._code_norm is None:
             return 1.0
-        return self._code_norm / float(self._experiment.codes.double().norm(dim=1).mean())
+        mean = float(self._experiment.codes.double().norm(dim=1).mean())
+        if mean < _SHORTEST_CODE:
+            what = f"its codes are {mean:g} long on average, too short to be scaled to {self._code_norm:g}"
+            raise InputError(what, where=str(self._folder), remedy="Give vehicle.code_norm=null, or trained codes")
+        return self._code_norm / mean
 
     @functools.cached_property
     def _scaled(self) -> Decoder | DeepSdfNetwork:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.vehicles.mesh_frame import LENGTH_M
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -19,9 +22,15 @@ if TYPE_CHECKING:
     from shift3d.sdf.decoder import Decoder
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 
+_T = TypeVar("_T")
 BASELINES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
 CODE_LENGTH = 256
 DEFAULT_VEHICLES = Path(__file__).parent.parent / "weights" / "vehicles.safetensors"
+SIDES_M = (0.01, 0.5, LENGTH_M[1])
+"""Least side, least and largest longest side: also of what a decoder makes of a bad code, a dot or a plate."""
+SPHERES = (0.2, 4.0)
+"""A vehicle's longest side in radii of the decoder's unit sphere, which holds it: 1.8 to 1.9 for the shipped ones."""
+LARGEST = 100.0  # of a tensor's values: codes in the decoder's unit, metres
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,7 @@ class Vehicle:
         return np.asarray(x_object, np.float64) @ self.sdf_R_object.T / self.scale_m + self.sdf_t_object
 
 
-def _read(path: Path | str | None) -> tuple[dict[str, NDArray[np.float32]], dict[str, str], Path]:
+def _read(path: Path | str | None) -> tuple[dict[str, NDArray[np.generic]], dict[str, str], Path]:
     from safetensors import SafetensorError, safe_open
 
     source = Path(path) if path is not None else DEFAULT_VEHICLES
@@ -65,51 +74,93 @@ def _read(path: Path | str | None) -> tuple[dict[str, NDArray[np.float32]], dict
     try:
         with safe_open(str(source), framework="np") as file:
             return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}, source  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
+    except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that NumPy does not have
         raise InputError(
             f"not a readable safetensors file ({error})", where=str(source), remedy="copy it again"
         ) from error
 
 
-def _described(metadata: dict[str, str], key: str, source: Path) -> dict[str, dict[str, object]]:
+def _described(metadata: dict[str, str], key: str, source: Path) -> dict[str, Any]:
     try:
         described = json.loads(metadata[key])
-    except (KeyError, ValueError) as error:
-        raise InputError(f"no {key} in its metadata", where=str(source), remedy="a vehicles file of shift3d") from error
-    assert isinstance(described, dict)
+    except (KeyError, ValueError, RecursionError):
+        described = None
+    if not isinstance(described, dict):
+        raise InputError(f"no {key} in its metadata", where=str(source), remedy="a vehicles file of shift3d")
     return described
 
 
 def _tensor(
-    tensors: dict[str, NDArray[np.float32]], name: str, shape: tuple[int, ...], source: Path
+    tensors: dict[str, NDArray[np.generic]], name: str, shape: tuple[int, ...], source: Path
 ) -> NDArray[np.float32]:
     if name not in tensors:
         raise InputError(f"tensor {name} is missing", where=str(source), remedy=f"expected shape {shape}")
-    if tensors[name].shape != shape or not np.isfinite(tensors[name]).all():
-        what = f"tensor {name} has shape {tensors[name].shape} or values that are not finite"
-        raise InputError(what, where=str(source), remedy=f"expected finite values of shape {shape}")
-    return tensors[name].astype(np.float32)
+    found = tensors[name]
+    usable = found.shape == shape and np.issubdtype(found.dtype, np.floating)
+    # The comparison is false for NaN.
+    if not (usable and bool((np.abs(found) <= LARGEST).all())):
+        what = (
+            f"tensor {name} is {found.dtype} of shape {found.shape}, or holds values not finite or beyond {LARGEST:g}"
+        )
+        raise InputError(what, where=str(source), remedy=f"expected finite floating-point values of shape {shape}")
+    return found.astype(np.float32)
+
+
+def _checked(vehicle: Vehicle, source: Path) -> Vehicle:
+    """The vehicle itself where its numbers can be one's; every comparison is written so that NaN fails it."""
+    rotation, size = vehicle.sdf_R_object, np.array(vehicle.size_m)
+    wrong = ""
+    if not (SIDES_M[0] <= size.min() and SIDES_M[1] <= size.max() <= SIDES_M[2]):
+        wrong = f"size_m {vehicle.size_m} is no vehicle's"
+    elif not SPHERES[0] * vehicle.scale_m <= size.max() <= SPHERES[1] * vehicle.scale_m:
+        wrong = f"scale_m {vehicle.scale_m:g} does not fit a vehicle of {size.max():g} m"
+    elif rotation.shape != (3, 3) or not np.abs(rotation).max() <= 1.1:
+        wrong = "sdf_R_object is no matrix of three unit vectors"
+    elif not np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-4:
+        wrong = "sdf_R_object is no rotation"
+    elif not np.linalg.det(rotation) > 0.0:
+        wrong = "sdf_R_object is a reflection"
+    elif vehicle.sdf_t_object.shape != (3,) or not np.abs(vehicle.sdf_t_object).max() <= 2.0:
+        wrong = "sdf_t_object lies outside the decoder's sphere"
+    if wrong:
+        raise InputError(f"{vehicle.name[:80]!r}: {wrong}", where=str(source), remedy="a vehicles file of shift3d")
+    return vehicle
+
+
+def _readable(key: str, source: Path, read: Callable[[], _T]) -> _T:
+    """What is read of the metadata; values that are missing or of another type are said as what they are."""
+    try:
+        return read()
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        what = f"{key} cannot be read ({type(error).__name__}: {str(error)[:120]!r})"
+        raise InputError(what, where=str(source), remedy="a vehicles file of shift3d") from error
+
+
+def _from_facts(name: str, facts: Any, code: NDArray[np.float32]) -> Vehicle:
+    length, width, height = (float(size) for size in facts["size_m"])
+    return Vehicle(
+        name=name,
+        body_type=str(facts["body_type"]),
+        latent_code=code,
+        scale_m=float(facts["scale_m"]),
+        sdf_R_object=np.asarray(facts["sdf_R_object"], np.float64),
+        sdf_t_object=np.asarray(facts["sdf_t_object"], np.float64),
+        size_m=(length, width, height),
+    )
 
 
 def baseline_vehicles(path: Path | str | None = None) -> dict[str, Vehicle]:
-    """The five baselines by name: coupe, sports_car, suv, convertible, beach_wagon.
+    """The five baselines by name: coupe, sports_car, suv, convertible, beach_wagon; or those of another file.
 
-    Raises: InputError naming the file when it is missing, unreadable or incomplete.
+    Raises: InputError naming the file when it is missing, unreadable or incomplete, or holds what cannot be a
+        vehicle's: a transform that is none, another size than the decoder draws, values that are not finite.
     """
     tensors, metadata, source = _read(path)
     vehicles = {}
     for name, facts in _described(metadata, "baselines", source).items():
         code = _tensor(tensors, f"{name}.latent_code", (CODE_LENGTH,), source)
-        size = np.asarray(facts["size_m"], np.float64)
-        vehicles[name] = Vehicle(
-            name=name,
-            body_type=str(facts["body_type"]),
-            latent_code=code,
-            scale_m=float(str(facts["scale_m"])),
-            sdf_R_object=np.asarray(facts["sdf_R_object"], np.float64),
-            sdf_t_object=np.asarray(facts["sdf_t_object"], np.float64),
-            size_m=(float(size[0]), float(size[1]), float(size[2])),
-        )
+        read = functools.partial(_from_facts, name, facts, code)
+        vehicles[name] = _checked(_readable(f"baselines, {name[:80]!r}", source, read), source)
     return vehicles
 
 
@@ -121,11 +172,11 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
     """
     tensors, metadata, source = _read(path)
     facts = _described(metadata, "family", source)
-    types = [str(body_type) for body_type in np.asarray(facts["body_types"])]
+    types = _readable("family", source, lambda: [str(body_type) for body_type in facts["body_types"]])
     codes = _tensor(tensors, "family.codes", (len(types), CODE_LENGTH), source)
     scales = _tensor(tensors, "family.scale_m", (len(types),), source)
     sizes = _tensor(tensors, "family.size_m", (len(types), 3), source)
-    return [
+    vehicles = [
         Vehicle(
             name=f"{body_type}_{index}",
             body_type=body_type,
@@ -137,12 +188,14 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
         )
         for index, body_type in enumerate(types)
     ]
+    return [_checked(vehicle, source) for vehicle in vehicles]
 
 
 def family_seed(path: Path | str | None = None) -> int:
     """The seed of the family that the decoder was trained on: `family(len(family_vehicles()), seed)` are its meshes."""
     _, metadata, source = _read(path)
-    return int(str(_described(metadata, "family", source)["seed"]))
+    facts = _described(metadata, "family", source)
+    return _readable("family, seed", source, lambda: int(facts["seed"]))
 
 
 def vehicle_mesh(

@@ -33,7 +33,7 @@ def idle(quick: bool) -> tuple[object, ...]:
     problem = small.problem(small.twin_scene)
 
     def found() -> list[tuple[float, ...]]:
-        loops = AttackLoops(problem, steps=3)
+        loops = AttackLoops(problem, steps=2)
         loops.run()
         return [(record.loss, record.proposal_score) for mode in loops.modes for record in loops.loops[mode].records]
 
@@ -44,7 +44,7 @@ def idle(quick: bool) -> tuple[object, ...]:
         if not edits or not all(edit.module.startswith(ON_THE_WAY) for edit in case.edits):
             continue
         try:
-            with without((*kept, *edits)), patience(60.0):
+            with without((*kept, *edits)), patience(8.0):
                 same = found() == plain
         except Exception:  # without it not even an ordinary attack works, or it cannot be taken out beside another
             same = False

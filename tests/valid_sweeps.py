@@ -1,0 +1,91 @@
+"""A finished sweep by hand: two tasks, their plan, the commit log and the segments; and a measured frontier."""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from shift3d.config.catalogue import Catalogue, SceneEntry
+from shift3d.config.compose import compose_sweep
+from shift3d.config.schema import Config
+from shift3d.store.frontier_table import FRONTIER_SCHEMA, frontier_table
+from shift3d.store.log import CommitLog
+from shift3d.store.schemas import SCHEMAS
+from shift3d.store.tables import table_from_rows, write_table
+from shift3d.sweep.folder import open_folder
+from shift3d.sweep.plan import Plan, make_plan
+
+METHODS = ("baseline", "random", "adversarial")
+FRONTIER = "frontier.parquet"
+DRIVER = "1-0a1b2c3d"
+_BY_TYPE: dict[Any, Any] = {pa.string(): "text", pa.float64(): 0.5, pa.int32(): 1, pa.int64(): 1, pa.bool_(): True}
+
+
+def _catalogue(config: Config) -> Catalogue:
+    return Catalogue(
+        scenes=(SceneEntry("north", "street-hdl64", "n"), SceneEntry("south", "street-hdl64", "s")),
+        scene_arguments={"kind": "street"},
+        sector_rad=(0.5, 1.0),
+        vehicles={"suv": "hash"},
+        decoder_hash="d",
+        detectors={config.detector.name: "p"},
+        accuracy={"step_m": 0.02},
+    )
+
+
+@functools.cache
+def plan() -> Plan:
+    """suv in two scenes, shape alone."""
+    return make_plan(compose_sweep("smoke", ["vehicle=suv", "mode=shape"]), _catalogue)[0]
+
+
+def rows(name: str, task: Any) -> list[dict[str, Any]]:
+    """Rows of a segment table: what the task says, and some value of the right type everywhere else."""
+    found = []
+    for index, method in enumerate(METHODS):
+        row = {field.name: _BY_TYPE.get(field.type) for field in SCHEMAS[name]}
+        given = {key: getattr(task.spec, key) for key in row if hasattr(task.spec, key)}
+        row |= given | {"method": method, "lambda": task.spec.lambda_, "scored_by": task.spec.detector, "status": "ok"}
+        row |= {"score": 0.9 - 0.3 * index, "sweep": plan().sweep, "attempt": index + 1, "replicate": 0}
+        lists = {"effects": [], "latent_code": [0.25, -0.5]}
+        row |= {key: value for key, value in lists.items() if key in row}
+        found.append({key: value for key, value in row.items() if key in SCHEMAS[name].names})
+    return found
+
+
+@functools.cache
+def _finished() -> Path:
+    """Written once; nobody changes it."""
+    folder = Path(tempfile.mkdtemp(prefix="valid-sweep-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    open_folder(folder, plan())
+    log = CommitLog(folder, plan().spec_hash)
+    for task in plan().tasks:
+        names = ("scores", "solutions", "timings", "attempts")
+        log.commit((task.spec.task_id,), (), {name: table_from_rows(name, rows(name, task)) for name in names})
+    # The driver's name is another one in every process, and stands in file names and log entries.
+    for path in [*(folder / "_log").glob("*.json"), *(folder / "data").iterdir()]:
+        if path.suffix == ".json":
+            path.write_text(path.read_text().replace(log.driver, DRIVER))
+        path.rename(path.with_name(path.name.replace(log.driver, DRIVER)))
+    return folder
+
+
+def write_sweep(folder: Path) -> None:
+    """A copy of the finished sweep: spec.yaml, env.json, plan.parquet, _log, data."""
+    shutil.copytree(_finished(), folder, dirs_exist_ok=True)
+
+
+def write_frontier(folder: Path) -> None:
+    """frontier.parquet of two settings."""
+    measured = []
+    for name in ("standard", "paper"):
+        row = {field.name: _BY_TYPE[field.type] for field in FRONTIER_SCHEMA}
+        measured.append({**row, "setting": name, "preset": name, "knob": None, "knob_name": None})
+    write_table(folder / FRONTIER, frontier_table(measured, {"cores": 2}))
