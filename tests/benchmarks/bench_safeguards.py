@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,17 +19,17 @@ from benchmarks.timing import Timing
 from benchmarks.world import World, open_world
 
 HARD_CASES = Path(__file__).resolve().parents[1] / "hard_cases"
+sys.path[:0] = [str(HARD_CASES), str(HARD_CASES.parent)]
+from catalogue import CASES, Edit, patience, without  # noqa: E402
+
 ON_THE_WAY = tuple(f"shift3d.{part}." for part in ("render", "attack", "detectors", "geometry", "sdf"))
 
 
 @pytest.fixture(scope="module")
-def idle(quick: bool) -> tuple[object, ...]:
+def idle(quick: bool) -> tuple[Edit, ...]:
     """Edits that take out safeguards and leave an attack on a thinned scene as it was, bit for bit."""
-    sys.path[:0] = [str(HARD_CASES), str(HARD_CASES.parent)]
     for path in sorted(HARD_CASES.glob("cases_*.py")):
         importlib.import_module(path.stem)
-    from catalogue import CASES, Edit, patience, without
-
     small = open_world(thin=20)
     problem = small.problem(small.twin_scene)
 
@@ -37,31 +38,41 @@ def idle(quick: bool) -> tuple[object, ...]:
         loops.run()
         return [(record.loss, record.proposal_score) for mode in loops.modes for record in loops.loops[mode].records]
 
+    def unchanged(edits: list[Edit]) -> bool:
+        try:
+            with without(tuple(edits)), patience(8.0):
+                return found() == plain
+        except Exception:  # without it not even an ordinary attack works, or it cannot be taken out beside another
+            return False
+
     plain = found()
     kept: list[Edit] = []
     for case in list(CASES.values())[:: 4 if quick else 1]:
         edits = [edit for edit in case.edits if edit not in kept]
-        if not edits or not all(edit.module.startswith(ON_THE_WAY) for edit in case.edits):
-            continue
-        try:
-            with without((*kept, *edits)), patience(8.0):
-                same = found() == plain
-        except Exception:  # without it not even an ordinary attack works, or it cannot be taken out beside another
-            same = False
-        if same:
+        if edits and all(edit.module.startswith(ON_THE_WAY) for edit in case.edits) and unchanged(edits):
             kept += edits
-    return tuple(kept)
+    return tuple(_together(kept, unchanged))
 
 
-def bench_safeguards(bench: Results, world: World, idle: tuple[object, ...], quick: bool) -> None:
-    from catalogue import without
+def _together(edits: list[Edit], unchanged: Callable[[list[Edit]], bool]) -> list[Edit]:
+    """Those that leave an attack as it was when they are taken out all at once, too: two may guard one thing."""
+    if not edits or unchanged(edits):
+        return edits
+    half = len(edits) // 2
+    if not half:
+        return []
+    parts = [_together(part, unchanged) for part in (edits[:half], edits[half:])]
+    both = parts[0] + parts[1]
+    return both if unchanged(both) else max(parts, key=len)
 
+
+def bench_safeguards(bench: Results, world: World, idle: tuple[Edit, ...], quick: bool) -> None:
     problem = world.problem(world.twin_scene)
     steps = 3 if quick else 7
     guarded, bare = AttackLoops(problem, steps), AttackLoops(problem, steps)
     for _ in range(1 if quick else 4):
         guarded.run()
-        with without(idle):  # type: ignore[arg-type]
+        with without(idle):
             bare.run()
     of = "an attack step over the same without the safeguards that change nothing in it"
     for mode in guarded.modes:

@@ -93,8 +93,9 @@ def without(edits: tuple[Edit, ...]) -> Iterator[None]:
     """
     swapped: list[tuple[FunctionType, CodeType]] = []
     try:
+        functions = [thing for thing in gc.get_objects() if isinstance(thing, FunctionType)]
         for module in dict.fromkeys(edit.module for edit in edits):
-            for function, code in _changed(module, [edit for edit in edits if edit.module == module]):
+            for function, code in _changed(module, [edit for edit in edits if edit.module == module], functions):
                 swapped.append((function, function.__code__))
                 function.__code__ = code
         yield
@@ -103,7 +104,7 @@ def without(edits: tuple[Edit, ...]) -> Iterator[None]:
             function.__code__ = code
 
 
-def _changed(name: str, edits: list[Edit]) -> list[tuple[FunctionType, CodeType]]:
+def _changed(name: str, edits: list[Edit], functions: list[FunctionType]) -> list[tuple[FunctionType, CodeType]]:
     module = importlib.import_module(name)
     source, path = inspect.getsource(module), inspect.getsourcefile(module)
     edited = source
@@ -115,11 +116,12 @@ def _changed(name: str, edits: list[Edit]) -> list[tuple[FunctionType, CodeType]
     old = dict(_codes(compile(source, path, "exec", dont_inherit=True)))
     new = dict(_codes(compile(edited, path, "exec", dont_inherit=True)))
     assert old.keys() == new.keys(), f"{name}: an edit adds or removes a function"
-    functions = [f for f in gc.get_objects() if isinstance(f, FunctionType) and f.__code__.co_filename == path]
     pairs = [
         (function, new[key])
         for function in functions
-        if (key := function.__code__.co_qualname) in new and not _same(old[key], new[key])
+        if function.__code__.co_filename == path
+        and (key := function.__code__.co_qualname) in new
+        and not _same(old[key], new[key])
     ]
     assert pairs, f"{name}: {[edit.before for edit in edits]} is in no function that is in use"
     return pairs
