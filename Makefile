@@ -30,6 +30,7 @@ sweep: .venv/.runtime  ## run sweeps/$(SWEEP).yaml; the same command again resum
 	$(BIN)/shift3d sweep $(SWEEP) $(ARGS)
 
 verify: .venv/.runtime  ## score a sweep's solutions again at reference accuracy: OUT=outputs/NAME-HASH
+	@test -n "$(OUT)" || { echo 'which sweep? make verify OUT=outputs/NAME-HASH'; exit 2; }
 	$(BIN)/shift3d verify $(OUT) $(ARGS)
 
 test: .venv/.dev  ## every test

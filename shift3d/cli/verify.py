@@ -17,7 +17,7 @@ __all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
 Is a blind spot real, or a rounding? Every solution of a finished sweep is scored again: at reference accuracy
-(float64, no hit missed), with fresh noise on the beams that meet it, and a little off its pose. The result goes
+(float64, along the decoder's linear pieces), with fresh noise on the beams that meet it, and a little off its pose. The result goes
 into OUT/final: columns score_reference and stable of scores.parquet, all of it in verification.parquet, and the
 page stability.html. The same command again resumes; a sweep that is run again keeps its verification."""
 
@@ -29,12 +29,12 @@ examples:
 
 stable: score and margin to the baseline are those of the reference to within 0.02.
 robust: under every draw of noise and pose at least half of the margin is left.
-A solution takes about as long as ten steps of its attack."""
+A solution takes about as long as twenty steps of its attack, more than half of it for the reference rendering."""
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", metavar="OUT", type=Path, help="output folder of a finished sweep")
-    parser.add_argument("words", nargs="*", metavar="runner...=value", help="where it runs: settings of conf/runner")
+    parser.add_argument("words", nargs="*", metavar="runner=...", help="where it runs: settings of conf/runner")
 
 
 def _run(arguments: argparse.Namespace) -> int:
