@@ -79,7 +79,7 @@ class DeepSdfVehicleConfig(_Record):
 
 
 VehicleConfig = VehicleSetConfig | DeepSdfVehicleConfig
-DetectorName = Literal["pointpillars", "sst"]
+DetectorName = Literal["pointpillars", "sst", "sst_small"]
 
 
 class DetectorConfig(_Record):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, Literal, Self
+from typing import Literal, Self
 
 import torch
 from torch import Tensor, nn
@@ -27,7 +27,7 @@ def arithmetic(precision: Precision) -> tuple[torch.dtype, torch.dtype]:
 class AnchorNet(nn.Module, ABC):
     """Points -> one feature a cell -> logits, codes and direction logits of the cell's anchors."""
 
-    name: ClassVar[str]
+    name: str
     grid: Grid
     heads: Heads
 

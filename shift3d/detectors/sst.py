@@ -23,21 +23,32 @@ from shift3d.detectors.token_windows import Tokens
 from shift3d.detectors.voxel_encoder import VoxelEncoder, decorate_with_height
 from shift3d.detectors.window_transformer import SST_TRANSFORMER, TransformerSpec, WindowTransformer
 
-__all__ = ["SST_SPEC", "SstNet", "SstSpec"]
+__all__ = ["SST_SMALL_SPEC", "SST_SPEC", "SstNet", "SstSpec"]
 
 
 @dataclass(frozen=True)
 class SstSpec:
-    """Sizes of SST. dilations: of the 3x3 convolutions on the dense map; out_channels: what the heads read."""
+    """Sizes of SST. dilations: of the 3x3 convolutions on the dense map; out_channels: what the heads read.
+
+    name: what a network of these sizes is called in settings and tables.
+    """
 
     transformer: TransformerSpec = SST_TRANSFORMER
     encoder_hidden: int = 64
     dilations: tuple[int, ...] = (1, 1, 2)
     out_channels: int = 384
     anchors_per_cell: int = 2
+    name: str = "sst"
 
 
 SST_SPEC = SstSpec()
+SST_SMALL_SPEC = SstSpec(
+    transformer=TransformerSpec(width=64, heads=4, feed_forward=128, blocks=3),
+    encoder_hidden=32,
+    out_channels=192,
+    name="sst_small",
+)
+"""Half the width and half the blocks: a third of the time of a training step, a sixth of the parameters (our choice)."""
 
 
 def _convolution(in_channels: int, channels: int, size: int, dilation: int = 1) -> list[nn.Module]:
@@ -55,10 +66,9 @@ class SstNet(AnchorNet):
     result does not depend on the order of the points (the public code shuffles, and drops in training).
     """
 
-    name = "sst"
-
     def __init__(self, spec: SstSpec = SST_SPEC, grid: Grid = WAYMO_GRID) -> None:
         super().__init__()
+        self.name = spec.name
         self.spec = spec
         self.grid = grid
         width = spec.transformer.width

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from safetensors import SafetensorError
@@ -11,13 +13,17 @@ from torch import Tensor
 from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.network import AnchorNet, Precision
 from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SstNet
+from shift3d.detectors.sst import SST_SMALL_SPEC, SstNet
 from shift3d.errors import InputError
 
 __all__ = ["DETECTOR_NAMES", "NETWORKS", "load_detector", "load_network", "load_weights"]
 
 WEIGHTS_FOLDER = Path(__file__).resolve().parent.parent / "weights"
-NETWORKS: dict[str, type[PointPillarsNet] | type[SstNet]] = {"pointpillars": PointPillarsNet, "sst": SstNet}
+NETWORKS: dict[str, Callable[[], AnchorNet]] = {
+    "pointpillars": PointPillarsNet,
+    "sst": SstNet,
+    "sst_small": partial(SstNet, SST_SMALL_SPEC),
+}
 DETECTOR_NAMES = tuple(NETWORKS)
 LARGEST_WEIGHT = 1e6
 """Of anything in a file: the largest trained value is a variance of 2,700, the largest weight 11. One flipped bit of an

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MODELS", "TrainOptions", "detector_recipe", "evaluate", "train"]
 
-MODELS = ("sdf", "pointpillars", "sst")
+MODELS = ("sdf", "pointpillars", "sst", "sst_small")
 ADAPTING_SHARE = 0.2
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 

@@ -46,7 +46,8 @@ class _Run:
         if start is not None:
             self.net.load_state_dict(dict(start))
         self.net.to(compute.device)
-        self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        if compute.fast_bfloat16 and recipe.bfloat16:  # in float32 on a processor this layout is the slower one
+            self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimiser = torch.optim.AdamW(self.net.parameters(), lr=recipe.peak_rate, weight_decay=recipe.weight_decay)
         self.done = 0
         self.curve: list[CurvePoint] = []

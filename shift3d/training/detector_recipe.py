@@ -8,7 +8,7 @@ from math import cos, pi
 from shift3d.detectors.backbone import WAYMO_BACKBONE, BackboneSpec
 from shift3d.detectors.network import AnchorNet
 from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SST_SPEC, SstNet, SstSpec
+from shift3d.detectors.sst import SST_SMALL_SPEC, SST_SPEC, SstNet, SstSpec
 
 __all__ = ["RECIPES", "Recipe", "one_cycle", "scaled_to_steps"]
 
@@ -46,7 +46,7 @@ class Recipe:
     @property
     def detector(self) -> str:
         """Name of the detector that these sizes belong to."""
-        return "sst" if isinstance(self.network, SstSpec) else "pointpillars"
+        return self.network.name if isinstance(self.network, SstSpec) else "pointpillars"
 
     def new_network(self) -> AnchorNet:
         """An untrained network, from torch's global random state."""
@@ -66,6 +66,17 @@ RECIPES: dict[str, Recipe] = {
         crop_cells=64,
         jitter_m=6.0,
         peak_rate=2e-4,
+        weight_decay=0.05,
+        warm_up_share=0.05,
+        direction_weight=1.0,
+    ),
+    "sst_small": Recipe(
+        network=SST_SMALL_SPEC,
+        steps=14_000,
+        mesh_only_steps=3_500,
+        crop_cells=64,
+        jitter_m=6.0,
+        peak_rate=5e-4,
         weight_decay=0.05,
         warm_up_share=0.05,
         direction_weight=1.0,
