@@ -48,7 +48,7 @@ SST_SMALL_SPEC = SstSpec(
     out_channels=192,
     name="sst_small",
 )
-"""Half the width and half the blocks: a third of the time of a training step, a sixth of the parameters (our choice)."""
+"""Half the width and blocks: a third of the time of a training step, a sixth of the parameters (our choice)."""
 
 
 def _convolution(in_channels: int, channels: int, size: int, dilation: int = 1) -> list[nn.Module]:

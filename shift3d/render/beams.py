@@ -49,6 +49,16 @@ class Beams:
         return Beams.from_arrays(scene.points, scene.origins)
 
     @staticmethod
+    def of_main_sensor(scene: Scene) -> Beams:
+        """Beams of a scene, all from one place: where they start if they start in one place, else the scene's origin.
+
+        The paper's model of a sensor; scenes of several sensors call for the effect `origins`.
+        """
+        origins = scene.origins
+        one = bool((origins == origins[:1]).all())
+        return Beams.from_arrays(scene.points, origins[0] if one else np.zeros(3))
+
+    @staticmethod
     def from_arrays(points: np.ndarray | Tensor, origins: np.ndarray | Tensor) -> Beams:
         """Beams from returns and sensor origins.
 

@@ -70,9 +70,26 @@ def surface_points(
     range_m = hits.range_m - change * inverse
     share.beams = int((slope.abs() < grazing_floor).sum())
     share.least_slope = float(slope.abs().min())
+    share.cosine = cosine_of(slope, gradient)
     if range_m.requires_grad:
         range_m.register_hook(_measure(share, inverse.abs(), slope.abs() < grazing_floor))
     return origins + range_m[:, None] * directions, hits, share
+
+
+def cosine_of(slope: Tensor, gradient: Tensor) -> Tensor:
+    """(M,) float64 |cosine| of incidence from e . grad g and grad g (M, 3); 0 where grad g is 0."""
+    length = gradient.norm(dim=-1)
+    return torch.where(length > 0, slope.abs() / torch.where(length > 0, length, 1.0), 0.0).clamp_max(1.0)
+
+
+def cosine_of_incidence(directions: Tensor, points: Tensor, field: ObjectField, theta: Tensor) -> Tensor:
+    """(M,) float64 |cosine| between beams (M, 3) and the surface's normal at points (M, 3), scene frame.
+
+    Constant: not differentiable.
+    """
+    pose = theta.detach().double()
+    _, gradient, _ = _change_of_g(field, object_from_scene(points.detach().double(), pose), False)
+    return cosine_of((gradient * (directions @ scene_R_object(pose))).sum(-1), gradient)
 
 
 def wants_gradient(theta: Tensor, with_code: bool) -> bool:

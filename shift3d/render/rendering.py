@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -45,12 +46,14 @@ class GrazingShare:
         beams: hits with |e . grad g| below `grazing_floor`.
         gradient: share in [0, 1] of sum_i |e_i . dL/dx_i| / max(|e_i . grad g|, floor) that they carry;
             0 before a backward pass and where no gradient flows.
+        cosine: (M,) float64 of incidence at every hit, in the order of the rows; None where no gradient was asked for.
         least_slope: smallest |e . grad g| of all hits; infinite without hits, and where no gradient was asked for.
     """
 
     beams: int = 0
     gradient: float = 0.0
     least_slope: float = math.inf
+    cosine: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,10 @@ class Rendering:
         coarse_evaluations: of these, in bfloat16 alone.
         grazing: share of the gradient that grazing beams carry, filled in by the backward pass.
         warm: where the next rendering may start, see `render`.
+        returned: (N,) bool, rows that bring something back; None: all of them. The others rest `NO_RETURN_M` out.
+        core: the rendering before effects changed it; None where there are none.
+        reflectance: (N,) float64 in [0, 1] where an effect worked it out.
+        milliseconds: of each effect, by name.
     """
 
     points: Tensor
@@ -80,6 +87,15 @@ class Rendering:
     coarse_evaluations: int = 0
     grazing: GrazingShare = field(default_factory=GrazingShare)
     warm: WarmStart | None = None
+    returned: Tensor | None = None
+    core: Rendering | None = None
+    reflectance: Tensor | None = None
+    milliseconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def first_hits(self) -> Rendering:
+        """The rendering before effects."""
+        return self.core or self
 
     @property
     def object_points(self) -> int:

@@ -89,14 +89,22 @@ class Conditions:
     Attributes:
         weather: one of :data:`WEATHERS`.
         rain_mm_h: rain rate; 0 where it does not rain.
+        snow_mm_h: rate of snowfall as melted water; 0 where it does not snow.
         visibility_m: meteorological optical range; infinite in clear air.
         ego_velocity_m_s: (vx, vy, vz) of the sensor in the scene frame; None where unknown.
+        weather_in_points: whether the points carry the weather already, as those of a recording do. Effects then
+            change the object's points alone.
+        motion_compensated: whether points are given where they were at time 0 in the frame of the sensor at time 0
+            (origins then follow the sensor); otherwise each is given in the frame of the sensor as it fired.
     """
 
     weather: str = "dry"
     rain_mm_h: float = 0.0
+    snow_mm_h: float = 0.0
     visibility_m: float = float("inf")
     ego_velocity_m_s: tuple[float, float, float] | None = None
+    weather_in_points: bool = True
+    motion_compensated: bool = True
 
     def validate(self, where: str) -> None:
         """Refuse conditions out of range.
@@ -110,12 +118,10 @@ class Conditions:
                 f"{where}, conditions.weather",
                 f"Choose from {', '.join(WEATHERS)}.",
             )
-        if not 0.0 <= self.rain_mm_h < float("inf"):
-            raise InputError(
-                f"{self.rain_mm_h} mm/h",
-                f"{where}, conditions.rain_mm_h",
-                "Give a finite rate of at least 0.",
-            )
+        for name in ("rain_mm_h", "snow_mm_h"):
+            rate = getattr(self, name)
+            if not 0.0 <= rate < float("inf"):
+                raise InputError(f"{rate} mm/h", f"{where}, conditions.{name}", "Give a finite rate of at least 0.")
         if not self.visibility_m > 0.0:
             raise InputError(
                 f"{self.visibility_m} m",

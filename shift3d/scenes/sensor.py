@@ -1,0 +1,87 @@
+"""What a scene states about its sensor, and the beams that brought nothing back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+
+__all__ = ["SensorModel", "SilentBeams"]
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """Facts of the sensor that an effect may ask for; None where the recording does not state them.
+
+    Attributes:
+        range_noise_m: standard deviation of a range, along the beam.
+        divergence_rad: full angle of a beam's cone.
+        limit_range_m: range at which a surface of albedo 0.9, met head on in clear air, sends back just what is
+            needed to be detected: the least power is 0.9 / limit_range_m^2. It belongs to the law of power
+            rho cos(incidence) / R^2, not to a data sheet's maximum range.
+        power_spread: width of the transition at that power, in factors of e; 0: a sharp limit.
+    """
+
+    range_noise_m: float | None = None
+    divergence_rad: float | None = None
+    limit_range_m: float | None = None
+    power_spread: float = 0.0
+
+    def validate(self, where: str) -> None:
+        """Refuse what no sensor has.
+
+        Raises:
+            InputError: naming the field and the remedy.
+        """
+        for name, most in (("range_noise_m", 10.0), ("divergence_rad", 0.1), ("limit_range_m", 1e5)):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value <= most:
+                raise InputError(f"{value}", f"{where}, sensor.{name}", f"Give more than 0, at most {most:g}, or None.")
+        if not 0.0 <= self.power_spread <= 10.0:
+            raise InputError(f"{self.power_spread}", f"{where}, sensor.power_spread", "Give 0 to 10.")
+
+
+@dataclass(frozen=True)
+class SilentBeams:
+    """Beams of a range image that brought nothing back.
+
+    Attributes:
+        origins: (M, 3) float32, scene frame, metres; may be a view of one row.
+        directions: (M, 3) float32 unit vectors.
+        time_s: (M,) float32, firing times as those of the scene's points, or None.
+    """
+
+    origins: NDArray[np.float32]
+    directions: NDArray[np.float32]
+    time_s: NDArray[np.float32] | None = None
+
+    def __len__(self) -> int:
+        return len(self.directions)
+
+    def validate(self, where: str) -> None:
+        """Refuse beams without a direction.
+
+        Raises:
+            InputError: naming the field, the row and the remedy.
+        """
+        count = len(self.directions)
+        for name, values, shape in (
+            ("origins", self.origins, (count, 3)),
+            ("directions", self.directions, (count, 3)),
+            ("time_s", self.time_s, (count,)),
+        ):
+            if values is None:
+                continue
+            if values.shape != shape or values.dtype != np.float32:
+                raise InputError(f"{values.dtype} {values.shape}", f"{where}, silent.{name}", f"Give float32 {shape}.")
+            if not np.isfinite(values).all():
+                raise InputError("NaN or infinity", f"{where}, silent.{name}", "Repair or drop those rows.")
+        length = np.linalg.norm(self.directions.astype(np.float64), axis=1)
+        if (np.abs(length - 1.0) > 1e-3).any():
+            row = int(np.argmax(np.abs(length - 1.0) > 1e-3))
+            raise InputError(
+                f"row {row} has length {length[row]:.4g}", f"{where}, silent.directions", "Give unit vectors."
+            )
