@@ -14,6 +14,7 @@ import pyarrow as pa
 from shift3d.config.catalogue import Catalogue, SceneEntry
 from shift3d.config.compose import compose_sweep
 from shift3d.config.schema import Config
+from shift3d.scenes.facts import SceneFacts
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, frontier_table
 from shift3d.store.log import CommitLog
 from shift3d.store.schemas import SCHEMAS
@@ -29,7 +30,8 @@ _BY_TYPE: dict[Any, Any] = {pa.string(): "text", pa.float64(): 0.5, pa.int32(): 
 
 def _catalogue(config: Config) -> Catalogue:
     return Catalogue(
-        scenes=(SceneEntry("north", "street-hdl64", "n"), SceneEntry("south", "street-hdl64", "s")),
+        scenes=tuple(SceneEntry(name, "street-hdl64", name[0], SceneFacts(name)) for name in ("north", "south")),
+        frame_of=lambda _: None,  # no effect that asks for it
         scene_arguments={"kind": "street"},
         sector_rad=(0.5, 1.0),
         vehicles={"suv": "hash"},

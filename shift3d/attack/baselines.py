@@ -11,7 +11,6 @@ from torch import Tensor
 from shift3d.attack.constraints import ConstraintCheck, check
 from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, settled
 from shift3d.attack.problem import AttackProblem
-from shift3d.render.render import render
 
 
 def random_direction(dimension: int, rng: np.random.Generator) -> np.ndarray:
@@ -52,14 +51,13 @@ def random_pose(
     Source: SHIFT3D, Adversarial Pose Generation Results ("random pose perturbations with the same constraints").
     """
     metric = problem.metric(problem.code0.detach())
-    sdf = problem.field_of(problem.code0.detach())
     for _ in range(attempts):
         theta = settled(_draw_pose(problem.theta0, rng, limits), problem, metric, limits)
         held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.limits, problem.others)
         if not (held.overlap_ok and held.contact_ok and held.clear_ok):
             continue
         with torch.no_grad():
-            rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings, space=problem.space)
+            rendering = problem.insert(problem.code0.detach(), theta).first_hits
         held = replace(
             held,
             object_points=rendering.object_points,

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -30,6 +31,9 @@ from shift3d.render.rendering import Rendering
 from shift3d.render.settings import STANDARD, RenderSettings
 from shift3d.render.warm import WarmStart
 
+if TYPE_CHECKING:  # nothing of effects is imported unless a scene calls for one
+    from shift3d.render.effects.chain import EffectChain
+
 
 @dataclass(frozen=True)
 class AttackProblem:
@@ -48,6 +52,7 @@ class AttackProblem:
             without being hidden. Our choice: the paper is silent.
         others: (M, 2) centres of the scene's own vehicles, to stay clear of.
         space: `EmptySpace.of` the field of code0, where one is at hand: renderings of code0 get cheaper.
+        effects: what happens to beams beyond their first hit; None: nothing does, as in the paper.
     """
 
     beams: Beams
@@ -63,6 +68,7 @@ class AttackProblem:
     kept_share: float = 0.5
     others: Tensor | None = None
     space: EmptySpace | None = None
+    effects: EffectChain | None = None
     _near: list[Tensor] = field(default_factory=list, repr=False)
 
     @property
@@ -97,6 +103,18 @@ class AttackProblem:
         window = window_around(self.detector, self.theta0, ATTACK_RADIUS_M + self.travel_m)
         assert window is not None
         return follow(self.detector, window)
+
+    @property
+    def cast_beams(self) -> Beams:
+        """The beams as they are cast: the rows of a rendering."""
+        return self.beams if self.effects is None else self.effects.beams
+
+    def insert(self, code: Tensor, theta: Tensor, warm: WarmStart | None = None) -> Rendering:
+        """Render the object of a code (d,) at a pose (6,), effects included. Differentiable w.r.t. both."""
+        sdf, space = self.field_of(code), self.space_for(code)
+        if self.effects is None:
+            return render(self.beams, sdf, theta, self.vehicle, self.settings, warm, space)
+        return self.effects.render(sdf, theta, self.settings, warm, space)
 
     def points_near(self) -> Tensor:
         """(M, 3) original returns that the object can reach wherever it is moved."""
@@ -148,8 +166,7 @@ def measure(
     Differentiable w.r.t. code and theta, through `adversarial`. Source: SHIFT3D, Algorithm 1.
     """
     start = time.perf_counter()
-    sdf = problem.field_of(code)
-    rendering = render(problem.beams, sdf, theta, problem.vehicle, problem.settings, warm, problem.space_for(code))
+    rendering = problem.insert(code, theta, warm)
     rendered = time.perf_counter()
     points = to_network_frame(rendering.points, problem.ground_z_m)
     window = window_around(problem.detector, theta, radius_m)
@@ -161,12 +178,14 @@ def measure(
     loss = adversarial_loss(proposals, box)
     score = proposal_score(proposals, box)
     detected = time.perf_counter()
-    metric = ObjectField.of(sdf, problem.vehicle, problem.settings.dtype, problem.settings.batch)
-    held = check(
-        metric, problem.points_near(), theta, problem.size_m, rendering.object_points, problem.limits, problem.others
-    )
+    # Whether the scene hides the object is asked of its first hits: fog is no reason to call a place impossible.
+    seen = rendering.first_hits.object_points
+    metric = problem.metric(code)
+    held = check(metric, problem.points_near(), theta, problem.size_m, seen, problem.limits, problem.others)
+    by_effect = {f"effect_{name}": spent for name, spent in rendering.milliseconds.items()}
     spent = {
-        "render": 1e3 * (rendered - start),
+        "render": 1e3 * (rendered - start) - sum(by_effect.values()),
+        **by_effect,
         "detector": 1e3 * (detected - rendered),
         "constraints": 1e3 * (time.perf_counter() - detected),
     }

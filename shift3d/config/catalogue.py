@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,8 @@ from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 
 if TYPE_CHECKING:
+    from shift3d.render.object_field import VehicleFrame
+    from shift3d.scenes.facts import SceneFacts
     from shift3d.scenes.sets import SceneSet
     from shift3d.vehicles.sources import VehicleSource
 
@@ -49,11 +51,12 @@ _SEARCH_PRECISION = {"draft": "bfloat16", "standard": "bfloat16", "paper": "floa
 
 @dataclass(frozen=True)
 class SceneEntry:
-    """One scene: its name in the set, its data set, and the hash of its content."""
+    """One scene: its name in the set, its data set, the hash of its content, and what it may call for."""
 
     name: str
     dataset: str
     content_hash: str
+    facts: SceneFacts
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class Catalogue:
 
     scene_arguments: how the scenes were made or chosen. sector_rad: (centre, half width) of the azimuths in
     which the scene set lets vehicles be placed. vehicles: name to hash; a hash is worked out when it is asked for.
+    frame_of: a vehicle's frame and size by its name.
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
     accuracy: every setting behind a preset's name.
     """
@@ -70,6 +74,7 @@ class Catalogue:
     scene_arguments: dict[str, Any]
     sector_rad: tuple[float, float]
     vehicles: Mapping[str, str]
+    frame_of: Callable[[str], VehicleFrame]
     decoder_hash: str
     detectors: dict[str, str]
     accuracy: dict[str, Any]
@@ -80,13 +85,14 @@ def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
     if isinstance(config, StreetConfig):
         from shift3d.scenes.sets import StreetScenes
 
-        return StreetScenes(sensor=config.sensor, seed=config.seed, count=config.count, split=config.split)
+        return StreetScenes(config.sensor, config.seed, config.count, config.split, options=config.options())
     from shift3d.scenes.kitti import KittiScenes
 
-    scenes = KittiScenes(Path(config.root).expanduser(), names=config.names)
+    root, reflectance_max = Path(config.root).expanduser(), config.reflectance_max
+    scenes = KittiScenes(root, config.names, reflectance_max)
     if config.count is None:
         return scenes
-    return KittiScenes(Path(config.root).expanduser(), names=scenes.names()[: config.count])
+    return KittiScenes(root, scenes.names()[: config.count], reflectance_max)
 
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
@@ -193,11 +199,13 @@ def read_catalogue(config: Config) -> Catalogue:
     Raises:
         InputError: a missing file, or a scene that cannot be read.
     """
+    from shift3d.scenes.facts import SceneFacts
+
     scenes = scene_set(config.scenes)
     entries = []
     for name in scenes.names():
         scene = scenes.load(name)
-        entries.append(SceneEntry(name, scene.dataset, scene.content_hash()))
+        entries.append(SceneEntry(name, scene.dataset, scene.content_hash(), SceneFacts.of(scene)))
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names"})
     return Catalogue(
@@ -205,6 +213,7 @@ def read_catalogue(config: Config) -> Catalogue:
         scene_arguments=arguments,
         sector_rad=(float(scenes.placement_sector_rad[0]), float(scenes.placement_sector_rad[1])),
         vehicles=_VehicleHashes(source),
+        frame_of=source.vehicle,
         decoder_hash=source.decoder_hash(),
         detectors={name: file_hash(weights_file(name, path)) for name, path in detectors.items()},
         accuracy=accuracy_settings(config.accuracy),

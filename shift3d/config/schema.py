@@ -6,6 +6,10 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from shift3d.errors import InputError
+from shift3d.scenes.reflectance import MOST_RAW
+from shift3d.scenes.street.options import LIMITS, MOST_SENSORS, StreetOptions
+
 __all__ = [
     "AccuracyConfig",
     "AttackConfig",
@@ -20,6 +24,7 @@ __all__ = [
     "PlacementConfig",
     "RayRunnerConfig",
     "StreetConfig",
+    "StreetOptionsConfig",
     "VehicleConfig",
     "VehicleSetConfig",
 ]
@@ -38,7 +43,34 @@ class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class StreetConfig(_Record):
+class StreetOptionsConfig(_Record):
+    """What street scenes state and show beyond one return a beam, see `scenes.street.options`; all off by default."""
+
+    weather: Literal["dry", "rain", "fog", "snow"] = "dry"
+    rain_mm_h: Annotated[float, Field(gt=0, le=LIMITS["rain_mm_h"])] | None = None
+    visibility_m: Annotated[float, Field(gt=0, le=LIMITS["visibility_m"])] | None = None
+    snow_mm_h: Annotated[float, Field(gt=0, le=LIMITS["snow_mm_h"])] | None = None
+    sensor_model: bool = False
+    range_image: bool = False
+    returns: Literal[1, 2] = 1
+    sensors: Annotated[int, Field(ge=1, le=MOST_SENSORS)] = 1
+    ego_speed_m_s: Annotated[float, Field(ge=0, le=LIMITS["ego_speed_m_s"])] = 0.0
+    motion_compensated: bool = False
+
+    def options(self) -> StreetOptions:
+        """The same for the generator. Raises InputError for settings that contradict each other."""
+        return StreetOptions(**{name: getattr(self, name) for name in StreetOptionsConfig.model_fields})
+
+    @model_validator(mode="after")
+    def _without_contradiction(self) -> Self:
+        try:
+            self.options()
+        except InputError as error:
+            raise ValueError(f"{error.what}. {error.remedy}") from error
+        return self
+
+
+class StreetConfig(StreetOptionsConfig):
     """Procedural street scenes."""
 
     kind: Literal["street"]
@@ -49,12 +81,13 @@ class StreetConfig(_Record):
 
 
 class KittiConfig(_Record):
-    """KITTI object frames under ``root``/training."""
+    """KITTI object frames under ``root``/training. reflectance_max: what the files call full reflectance; None: 1."""
 
     kind: Literal["kitti"]
     root: str
     count: Count | None
     names: list[str] | None
+    reflectance_max: Annotated[float, Field(gt=0, le=MOST_RAW)] | None = None
 
 
 class VehicleSetConfig(_Record):
@@ -145,10 +178,47 @@ class AccuracyConfig(_Record):
     render: dict[str, bool | int | float | str | None]
 
 
-class EffectsConfig(_Record):
-    """Effects beyond the paper's sensor model, in physical order."""
+EffectName = Literal[
+    "origins", "silent_beams", "rolling_shutter", "divergence", "second_returns", "reflectance",
+    "wet_ground", "fog", "rain", "snow", "ray_drop", "range_noise",
+]  # fmt: skip
 
-    names: list[str]
+
+class EffectsConfig(_Record):
+    """Effects beyond the paper's sensor model, and what is said about scenes beyond what they state themselves.
+
+    use: effects that are forced, by name; "auto": those that a scene calls for. Nothing: the paper's model.
+    The others: see `scenes.facts.EffectSettings`; weather is laid over the whole scene.
+    """
+
+    use: dict[Literal["auto"] | EffectName, bool]
+    visibility_m: Positive | None
+    rain_mm_h: NotNegative | None
+    snow_mm_h: NotNegative | None
+    range_noise_m: Annotated[float, Field(gt=0, le=10.0)] | None
+    divergence_rad: Annotated[float, Field(gt=0, le=0.1)] | None
+    limit_range_m: Annotated[float, Field(gt=0, le=1e5)] | None
+    power_spread: Annotated[float, Field(ge=0, le=10.0)] | None
+    object_speed_m_s: Annotated[float, Field(ge=-100.0, le=100.0)] | None
+
+    def forced(self) -> tuple[str, ...]:
+        """Names of effects that are used whether a scene calls for them or not."""
+        return tuple(name for name, on in self.use.items() if on and name != "auto")
+
+    @property
+    def auto(self) -> bool:
+        """Whether scenes are asked what they call for."""
+        return bool(self.use.get("auto"))
+
+    @property
+    def label(self) -> str:
+        """In a word: "auto", "none", or names joined by +."""
+        return "+".join([*(["auto"] if self.auto else []), *self.forced()]) or "none"
+
+    def said(self) -> dict[str, float]:
+        """What is said about scenes, by name."""
+        values = self.model_dump(exclude={"use"})
+        return {name: float(value) for name, value in values.items() if value is not None}
 
 
 class RayRunnerConfig(_Record):

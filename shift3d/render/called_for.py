@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from shift3d.errors import InputError
 from shift3d.render.object_field import VehicleFrame
@@ -108,7 +108,7 @@ class Worth:
     @property
     def matters(self) -> bool:
         """Whether the change cannot be said to lie below the bound."""
-        return self.high >= WORTH_BOUND
+        return not self.high < WORTH_BOUND
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Choice:
 
 
 def choose(
-    wanted: Literal["auto"] | Sequence[str],
+    wanted: str | Sequence[str],
     scene: SceneFacts,
     vehicle: VehicleFrame,
     detector: DetectorFacts,
@@ -130,13 +130,15 @@ def choose(
     """Effects for a scene, in their order; those that the scene has no data for are not mentioned.
 
     Args:
-        wanted: "auto", or names: these are used whether the scene calls for them or not. None of them: the paper.
+        wanted: "auto", "none", or names: these are used whether the scene calls for them or not.
 
     Raises:
         InputError: an unknown name; an effect that the scene has no data for.
     """
     if wanted == "auto":
         return _called_for(scene, vehicle, detector)
+    if isinstance(wanted, str):
+        wanted = () if wanted == "none" else (wanted,)
     for name in wanted:
         if name not in NEEDS:
             raise InputError(f"unknown effect {name!r}", "effects", f"Known: auto, none, {', '.join(NEEDS)}")

@@ -110,14 +110,13 @@ def _draw_points(axes: Axes, assets: Assets, spec: Any, solution: pd.Series) -> 
     """The rendered scene around the object from the sensor's height, the object's points in colour."""
     import torch
 
-    from shift3d.render.render import render
     from shift3d.task.run import build_problem
 
     theta = torch.tensor([float(solution[name]) for name in _POSE], dtype=torch.float64)
     problem = build_problem(spec, assets, theta)
     code = torch.tensor(np.asarray(solution["latent_code"], np.float32)).to(problem.settings.dtype)
     with torch.no_grad():
-        rendering = render(problem.beams, problem.field_of(code), theta, problem.vehicle, problem.settings)
+        rendering = problem.insert(code, theta)
     points, hits = rendering.points.double().numpy(), rendering.hit_mask.numpy()
     image, depth = _from_above(points, theta.numpy())
     near = (np.abs(points[:, :2] - theta[:2].numpy()) < 12.0).all(axis=1) & (depth > 0.5)

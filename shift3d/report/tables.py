@@ -19,7 +19,7 @@ _ROWS = (
     ("adversarial_noise", "adversarial + noise"),
     ("adversarial", "adversarial"),
 )
-_VARIANT = ["alpha", "detector", "scored_by", "accuracy"]
+_VARIANT = ["alpha", "detector", "scored_by", "accuracy", "effects"]
 
 
 def sweep_report(tables: Mapping[str, pd.DataFrame], planned: int) -> str:

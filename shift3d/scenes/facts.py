@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
+from shift3d.errors import InputError
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import SensorModel
@@ -21,7 +22,7 @@ class EffectSettings:
     Attributes:
         visibility_m: fog of this meteorological optical range. rain_mm_h, snow_mm_h: rates of rain and snow.
             Weather given here is not in the points yet: it is laid over the whole scene.
-        range_noise_m, divergence_rad, limit_range_m: of the sensor, see `SensorModel`.
+        range_noise_m, divergence_rad, limit_range_m, power_spread: of the sensor, see `SensorModel`.
         object_speed_m_s: of the inserted object, along its heading.
 
     Source: our choice.
@@ -33,31 +34,53 @@ class EffectSettings:
     range_noise_m: float | None = None
     divergence_rad: float | None = None
     limit_range_m: float | None = None
+    power_spread: float | None = None
     object_speed_m_s: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what no scene can be.
+
+        Raises:
+            InputError: naming the setting and the remedy.
+        """
+        for name, value in self.given().items():
+            least, strictly = (-1e3, False) if name == "object_speed_m_s" else (0.0, name in _POSITIVE)
+            if not np.isfinite(value) or value < least or (strictly and value == 0.0):
+                remedy = "Give a positive number" if strictly else f"Give a finite number of at least {least:g}"
+                raise InputError(f"{name} is {value}", "effects", remedy)
 
     def given(self) -> dict[str, float]:
         """The settings that are not None, by name."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
+_POSITIVE = ("visibility_m", "range_noise_m", "divergence_rad", "limit_range_m")
 NOTHING_SAID = EffectSettings()
-_SENSOR = {field.name for field in fields(SensorModel)}
+_SENSOR = {part.name for part in fields(SensorModel)}
 
 
 def with_settings(scene: Scene, settings: EffectSettings) -> Scene:
     """The scene as the settings describe it; the scene itself where they say nothing about it."""
     given = settings.given()
-    about_sensor = {name: value for name, value in given.items() if name in _SENSOR}
-    if about_sensor:
-        scene = replace(scene, sensor=replace(scene.sensor or SensorModel(), **about_sensor))
+    sensor = _sensor(scene.sensor or SensorModel(), given)
+    if sensor != (scene.sensor or SensorModel()):
+        scene = replace(scene, sensor=sensor)
     conditions = _weather(scene.conditions, given)
     return scene if conditions == scene.conditions else replace(scene, conditions=conditions)
+
+
+def _sensor(sensor: SensorModel, given: dict[str, float]) -> SensorModel:
+    return replace(sensor, **{name: value for name, value in given.items() if name in _SENSOR})
 
 
 def _weather(conditions: Conditions, given: dict[str, float]) -> Conditions:
     about: dict[str, Any] = {name: given[name] for name in _WEATHER.values() if name in given}
     if not about:
         return conditions
+    if conditions.weather_in_points and conditions.weather != "dry":
+        raise InputError(
+            f"the scene's points carry {conditions.weather} already", "effects", f"Leave out {', '.join(about)}"
+        )
     weather = next((word for word, name in _WEATHER.items() if about.get(name)), "dry")
     return replace(conditions, weather=weather, weather_in_points=False, **about)
 
@@ -84,24 +107,23 @@ class SceneFacts:
     """
 
     scene_id: str
-    origins: int
-    returns: int
-    silent_beams: int
-    has_reflectance: bool
-    has_pixels: bool
-    scan_s: float
-    ground_in_view: bool
-    sensor: SensorModel
-    conditions: Conditions
+    origins: int = 1
+    returns: int = 1
+    silent_beams: int = 0
+    has_reflectance: bool = False
+    has_pixels: bool = False
+    scan_s: float = 0.0
+    ground_in_view: bool = True
+    sensor: SensorModel = field(default_factory=SensorModel)
+    conditions: Conditions = field(default_factory=Conditions)
     object_speed_m_s: float = 0.0
 
     @staticmethod
     def of(scene: Scene, settings: EffectSettings = NOTHING_SAID) -> SceneFacts:
         """The facts of a scene as settings describe it."""
-        scene = with_settings(scene, settings)
         times = scene.time_s
         near_ground = np.abs(scene.points[:, 2] - scene.ground_z_m) < _GROUND_BAND_M
-        return SceneFacts(
+        stated = SceneFacts(
             scene_id=scene.scene_id,
             origins=1 if bool((scene.origins == scene.origins[:1]).all()) else 2,
             returns=1 if scene.return_number is None else int(scene.return_number.max(initial=0)) + 1,
@@ -112,7 +134,19 @@ class SceneFacts:
             ground_in_view=bool(near_ground.mean() > _GROUND_SHARE),
             sensor=scene.sensor or SensorModel(),
             conditions=scene.conditions,
-            object_speed_m_s=settings.object_speed_m_s or 0.0,
+        )
+        return stated.described(settings)
+
+    def described(self, settings: EffectSettings) -> SceneFacts:
+        """These facts as settings describe the scene: `of` with them."""
+        given = settings.given()
+        if not given:
+            return self
+        return replace(
+            self,
+            sensor=_sensor(self.sensor, given),
+            conditions=_weather(self.conditions, given),
+            object_speed_m_s=given.get("object_speed_m_s", self.object_speed_m_s),
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -57,6 +57,7 @@ class KittiScenes:
     Args:
         root: the folder that holds ``training/``, or ``training`` itself.
         names: frame numbers to use ("000134"); None takes every frame that has a point file, sorted.
+        reflectance_max: what the files call full reflectance; None: 1, as KITTI's own.
 
     Scenes keep the point order of the files. Points at zero range stay in place and carry no beam
     (:attr:`~shift3d.scenes.scene.Scene.has_beam`). Labels cover camera 2's view only, 0.70 rad to either side of
@@ -69,8 +70,11 @@ class KittiScenes:
     dataset = "kitti"
     placement_sector_rad = (0.0, 0.6)
 
-    def __init__(self, root: str | Path, names: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, root: str | Path, names: Sequence[str] | None = None, reflectance_max: float | None = None
+    ) -> None:
         root = Path(root)
+        self.reflectance_max = reflectance_max
         self.folder = root if (root / "velodyne").is_dir() else root / "training"
         for part in ("velodyne", "calib"):
             if not (self.folder / part).is_dir():
@@ -104,7 +108,7 @@ class KittiScenes:
         """
         if name not in self._names:
             raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {_first_few(self._names)}.")
-        points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin")
+        points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin", self.reflectance_max)
         scene = Scene(
             scene_id=name,
             dataset=self.dataset,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.scenes.reflectance import full_reflectance
 
 Float = NDArray[np.float64]
 
@@ -29,6 +30,7 @@ FARTHEST_M = 1e4
 """No return, label or camera is farther from the LiDAR, and no object larger: such numbers come from damaged files."""
 SMALLEST_M = 0.01  # labels are written to the centimetre
 _ROTATION_TOLERANCE = 0.02  # of the rows' products: files are written to 7 digits
+_RESCALE = "Set scenes.reflectance_max to what the files call full reflectance (255, 65535, ...; null: 1)"
 _LARGEST_PIXEL = 1e6  # of a projection's entries: focal lengths are some hundred pixels
 
 
@@ -86,12 +88,15 @@ class KittiLabel:
         return len(limits)
 
 
-def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def read_points(path: Path, reflectance_max: float | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Points (N, 3) in the LiDAR frame and reflectance (N,) of a velodyne file, in file order.
+
+    Args:
+        reflectance_max: what the file calls full reflectance; None: 1. Reflectance is divided by it and cut to 0..1.
 
     Raises:
         InputError: where the file is missing, empty, not a whole number of 16-byte records, holds NaN, infinity or a
-            point beyond FARTHEST_M, or no point away from the sensor. Reflectance is cut to 0..1.
+            point beyond FARTHEST_M, no point away from the sensor, or reflectances on another scale.
     """
     try:
         raw = path.read_bytes()
@@ -122,6 +127,8 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         raise InputError(what, str(path), "Give float32 x, y, z, reflectance in metres.")
     if not values[:, :3].any():
         raise InputError("no point with a positive range", str(path), "Use another frame.")
+    stated = 1.0 if reflectance_max is None else reflectance_max
+    values[:, 3] /= full_reflectance(values[:, 3], str(path), stated, _RESCALE)
     return np.ascontiguousarray(values[:, :3]), np.clip(values[:, 3], 0.0, 1.0)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from shift3d.errors import InputError
 from shift3d.scenes.scene import Scene
+from shift3d.scenes.street.options import PLAIN, StreetOptions
 
 STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
 STREET_SPLITS = ("train", "val", "test")
@@ -51,6 +52,7 @@ class StreetScenes:
         count: how many names the set lists, from index ``start`` on.
         split: "train", "val" or "test": disjoint layouts and vehicles.
         start: first index.
+        options: what scenes state and show beyond that; off by default.
 
     Raises:
         InputError: for an unknown sensor or split, or a count below 1.
@@ -59,7 +61,13 @@ class StreetScenes:
     placement_sector_rad = (0.0, float(np.pi))
 
     def __init__(
-        self, sensor: str = "hdl64", seed: int = 0, count: int = 1, split: str = "test", start: int = 0
+        self,
+        sensor: str = "hdl64",
+        seed: int = 0,
+        count: int = 1,
+        split: str = "test",
+        start: int = 0,
+        options: StreetOptions = PLAIN,
     ) -> None:
         for value, field, choices in ((sensor, "sensor", STREET_SENSORS), (split, "split", STREET_SPLITS)):
             if value not in choices:
@@ -71,31 +79,33 @@ class StreetScenes:
                 "Give count >= 1, start >= 0, seed >= 0.",
             )
         self.sensor, self.seed, self.count, self.split, self.start = sensor, seed, count, split, start
+        self.options = options
 
     @property
     def dataset(self) -> str:
-        """ "street-" and the sensor."""
-        return f"street-{self.sensor}"
+        """ "street-", the sensor, and the tag of the options that are on."""
+        return f"street-{self.sensor}{self.options.tag}"
 
     def names(self) -> list[str]:
-        """Names such as street-test-hdl64-000007; a seed other than 0 is appended as -seed3."""
+        """Names such as street-test-hdl64-000007; options are appended as -fog50-returns2, a seed other than 0 as
+        -seed3 after them."""
         return [self._name(index) for index in range(self.start, self.start + self.count)]
 
     def load(self, name: str) -> Scene:
         """The scene of a name: the same bytes every time."""
         from shift3d.scenes.street.assemble import street_scene
 
-        match = re.fullmatch(r"street-[a-z]+-[a-z0-9_]+-(\d{6,})(?:-seed\d+)?", name)
+        match = re.fullmatch(r"street-[a-z]+-[a-z0-9_]+-(\d{6,})(?:-[a-z0-9.-]+)?", name)
         index = int(match[1]) if match else -1
         if not self.start <= index < self.start + self.count or name != self._name(index):
             first, last = self._name(self.start), self._name(self.start + self.count - 1)
             raise InputError(f"unknown scene {name!r}", "street scenes", f"Choose from {first} to {last}.")
-        scene = street_scene(self.split, self.seed, index, self._sensor_of(index))
+        scene = street_scene(self.split, self.seed, index, self._sensor_of(index), self.options)
         scene.validate()
         return scene
 
     def _name(self, index: int) -> str:
-        tail = f"-seed{self.seed}" if self.seed else ""
+        tail = self.options.tag + (f"-seed{self.seed}" if self.seed else "")
         return f"street-{self.split}-{self._sensor_of(index)}-{index:06d}{tail}"
 
     def _sensor_of(self, index: int) -> str:

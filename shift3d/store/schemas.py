@@ -6,7 +6,7 @@ import pyarrow as pa
 
 __all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
 _SPEC_FIELDS = [
@@ -164,6 +164,7 @@ GROUP_FIELDS = [
     ("alpha", pa.float64()),
     ("detector", pa.string()),
     ("accuracy", pa.string()),
+    ("effects", pa.string()),  # as asked for: auto, none, or names joined by +; what ran is in the scores
     ("scored_by", pa.string()),
     ("method", pa.string()),
 ]

@@ -5,6 +5,7 @@ Bytes depend on the plan and the results alone, never on who ran what when.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +37,8 @@ METHODS = {
     "shape": ("baseline", "random", "adversarial_noise", "adversarial"),
     "pose": ("baseline", "random", "adversarial"),
 }
-_PLAN_GROUP = GROUP_COLUMNS[:9]  # what a task alone determines, and the detector that scores it
+_RULE_KEYS = ("vehicle", "mode", "alpha", "detector", "accuracy", "effects")
+_PLAN_GROUP = GROUP_COLUMNS[:10]  # what a task alone determines, and the detector that scores it
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTab
     if scored[["x_m", "y_m"]].isna().to_numpy().any():
         remedy = "Restore the folder from a copy, or run the sweep in another one"
         raise InputError("scores without a place", where=str(folder / "data"), remedy=remedy)
+    scored = _by_effects_asked(scored, plan)
     auc = _auc_rows(scored, plan)
     tables["curves"] = table_from_rows("curves", _curve_rows(scored))
     tables["auc"] = table_from_rows("auc", auc)
@@ -73,6 +76,12 @@ def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTab
     for name, table in tables.items():
         write_table(folder / "final" / f"{name}.parquet", table)
     return FinalTables(tables)
+
+
+def _by_effects_asked(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
+    """Scores with the effects that were asked for; where several settings lead to one task, a row for each."""
+    asked = {task.spec.task_id: list(task.effects_asked) for task in plan.tasks}
+    return scored.assign(effects=scored["task_id"].map(asked)).explode("effects")
 
 
 def segments_in_plan_order(folder: Path, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
@@ -164,8 +173,8 @@ def _planned(plan: Plan) -> dict[tuple[Any, ...], int]:
     for task in plan.tasks:
         spec = task.spec
         method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
-        for scored_by in spec.scored_by:
-            key = (plan.sweep, spec.dataset, spec.vehicle, *method, scored_by)
+        for asked, scored_by in itertools.product(task.effects_asked, spec.scored_by):
+            key = (plan.sweep, spec.dataset, spec.vehicle, *method, asked, scored_by)
             counts[key] = counts.get(key, 0) + 1
     return counts
 
@@ -185,7 +194,7 @@ def _gaps(rows: list[dict[str, Any]], planned: dict[tuple[Any, ...], int]) -> li
 
 
 def _rule_key(group: dict[str, Any]) -> tuple[Any, ...]:
-    return tuple(group[name] for name in ("vehicle", "mode", "alpha", "detector", "accuracy"))
+    return tuple(group[name] for name in _RULE_KEYS)
 
 
 def _selected(scored: pd.DataFrame) -> dict[tuple[Any, ...], float | None]:
@@ -196,8 +205,7 @@ def _selected(scored: pd.DataFrame) -> dict[tuple[Any, ...], float | None]:
     rows = scored[(scored["method"] == "adversarial") & (scored["mode"] == "shape")]
     rows = rows[(rows["scored_by"] == rows["detector"]) & rows["adversarial_loss"].notna()]
     chosen: dict[tuple[Any, ...], float | None] = {}
-    keys = ["vehicle", "mode", "alpha", "detector", "accuracy"]
-    for key, members in rows.groupby(keys, sort=False):
+    for key, members in rows.groupby(list(_RULE_KEYS), sort=False):
         losses = members.pivot_table(
             index=["dataset", "scene"], columns="lambda", values="adversarial_loss", aggfunc="mean"
         )
@@ -213,7 +221,7 @@ def _bev_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
     A pose attack moves the vehicle; its cell stays that of the baseline (our choice: the paper draws the grid
     for shapes alone).
     """
-    keys = ["task_id", "scored_by"]
+    keys = ["task_id", "effects", "scored_by"]
     baseline = scored[scored["method"] == "baseline"].drop_duplicates(keys)[[*keys, "score", "x_m", "y_m"]]
     pairs = scored[scored["method"] != "baseline"].merge(baseline, on=keys, suffixes=("", "_baseline"))
     rows: list[dict[str, Any]] = []

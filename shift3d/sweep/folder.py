@@ -35,6 +35,7 @@ _PLAN_SCHEMA = pa.schema(
         ("detector", pa.string()),
         ("accuracy", pa.string()),
         ("effects", pa.list_(pa.string())),
+        ("effects_asked", pa.list_(pa.string())),
         ("assets", pa.int32()),
         ("spec", pa.string()),
     ],
@@ -131,6 +132,7 @@ def _plan_bytes(plan: Plan) -> bytes:
         "assets": [task.assets for task in plan.tasks],
         "spec": [spec.canonical_json() for spec in specs],
         "effects": [list(spec.effects) for spec in specs],
+        "effects_asked": [list(task.effects_asked) for task in plan.tasks],
         "lambda": [spec.lambda_ for spec in specs],
     }
     for field in _PLAN_SCHEMA.names:
@@ -198,9 +200,10 @@ def read_plan(folder: Path) -> Plan:
     spec = read_spec(folder)
     path = folder / "plan.parquet"
     try:
-        table = pq.read_table(path, columns=["spec", "assets"])
+        table = pq.read_table(path, columns=["spec", "assets", "effects_asked"])
         specs = [TaskSpec.from_dict(json.loads(text)) for text in table["spec"].to_pylist()]
-        tasks = tuple(PlannedTask(task, index) for task, index in zip(specs, table["assets"].to_pylist()))
+        asked = [tuple(names) for names in table["effects_asked"].to_pylist()]
+        tasks = tuple(map(PlannedTask, specs, table["assets"].to_pylist(), asked))
     except (OSError, pa.ArrowException, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"cannot be read ({error})", where=str(path), remedy="Restore it from a copy") from error
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from shift3d.config import messages
@@ -15,6 +15,7 @@ from shift3d.config.expand import expand
 from shift3d.config.schema import Config, KittiConfig
 from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.sweep.effects import EffectChoices, EffectLine
 from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
 
 __all__ = ["Plan", "PlannedTask", "make_plan"]
@@ -22,10 +23,18 @@ __all__ = ["Plan", "PlannedTask", "make_plan"]
 
 @dataclass(frozen=True)
 class PlannedTask:
-    """A task and what its worker needs loaded (an index into ``Plan.assets``)."""
+    """A task and what its worker needs loaded (an index into ``Plan.assets``).
+
+    effects_asked: the settings of effects that lead to this task, one or more: "auto", "none", or names joined by +.
+    """
 
     spec: TaskSpec
     assets: int
+    effects_asked: tuple[str, ...] = ("none",)
+
+    def also(self, asked: str) -> PlannedTask:
+        """The same task, asked for under one more setting of effects."""
+        return self if asked in self.effects_asked else replace(self, effects_asked=(*self.effects_asked, asked))
 
 
 @dataclass(frozen=True)
@@ -33,6 +42,7 @@ class Plan:
     """A sweep's tasks in order, without duplicates.
 
     settings: of the first task, for the reader. axes: key to values as they were written.
+    effects: what was decided about each effect for each scene, see `sweep.effects`.
     runner, tracking: how it runs; they are no part of the hash.
     """
 
@@ -42,6 +52,7 @@ class Plan:
     axes: dict[str, list[str]]
     tasks: tuple[PlannedTask, ...]
     assets: tuple[AssetsSpec, ...]
+    effects: tuple[EffectLine, ...] = ()
 
     @property
     def spec_hash(self) -> str:
@@ -68,6 +79,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
     assets: list[AssetsSpec] = []
     tasks: dict[str, PlannedTask] = {}
     first: Config | None = None
+    decided = EffectChoices()
     for config in expand(composed):
         first = first or config
         key = _assets_key(config)
@@ -78,12 +90,21 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
                 assets.append(loaded)
             catalogues[key] = (catalogue, assets.index(loaded))
         catalogue, index = catalogues[key]
-        for spec in _specs(config, catalogue, where):
-            tasks.setdefault(spec.task_id, PlannedTask(spec, index))
+        for spec in _specs(config, catalogue, decided, where):
+            asked = config.effects.label
+            tasks[spec.task_id] = tasks.get(spec.task_id, PlannedTask(spec, index, (asked,))).also(asked)
     if not tasks or first is None:
         raise InputError("the sweep has no task", where=where, remedy="Give it at least one scene and one vehicle")
     axes = {axis.key: list(axis.texts) for axis in composed.axes}
-    plan = Plan(composed.name, composed.overrides, first.settings(), axes, tuple(tasks.values()), tuple(assets))
+    plan = Plan(
+        composed.name,
+        composed.overrides,
+        first.settings(),
+        axes,
+        tuple(tasks.values()),
+        tuple(assets),
+        decided.lines(),
+    )
     return plan, first
 
 
@@ -118,7 +139,7 @@ def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
     raise messages.choice_error("vehicle", name, names, where)
 
 
-def _specs(config: Config, catalogue: Catalogue, where: str) -> list[TaskSpec]:
+def _specs(config: Config, catalogue: Catalogue, decided: EffectChoices, where: str) -> list[TaskSpec]:
     vehicle = _vehicle_name(config, catalogue, where)
     vehicle_hash = catalogue.vehicles[vehicle]
     scenes = [entry for entry in catalogue.scenes if config.scene in (None, entry.name)]
@@ -127,6 +148,7 @@ def _specs(config: Config, catalogue: Catalogue, where: str) -> list[TaskSpec]:
     if not scenes:
         of = config.scenes.root if isinstance(config.scenes, KittiConfig) else config.scenes.kind
         raise InputError(f"the scene set {of} is empty", where=where, remedy="Check scenes.count and scenes.names")
+    effects_of, said = decided.of(config, catalogue, vehicle), config.effects.said()
     attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement"})
     centre, half_width = catalogue.sector_rad
     placement = PlacementSpec(
@@ -144,7 +166,8 @@ def _specs(config: Config, catalogue: Catalogue, where: str) -> list[TaskSpec]:
             accuracy=config.accuracy.name,
             base_seed=config.seed,
             replicate=config.replicate,
-            effects=tuple(config.effects.names),
+            effects=(effects := effects_of(entry)),
+            effect_settings=said if effects else {},
             accuracy_settings=catalogue.accuracy,
             scene_arguments=catalogue.scene_arguments,
             attack=AttackSpec(**attack),

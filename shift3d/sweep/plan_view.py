@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+from shift3d.sweep.effects import effect_table
 from shift3d.sweep.plan import Plan
 
 __all__ = ["plan_lines", "plan_summary"]
 
 
 def plan_summary(plan: Plan) -> str:
-    """One line: how many tasks, of what."""
+    """How many tasks, of what; and which effects their scenes call for."""
     specs = [task.spec for task in plan.tasks]
     vehicles = len({spec.vehicle for spec in specs})
     scenes = len({(spec.dataset, spec.scene) for spec in specs})
     modes = Counter(spec.mode for spec in specs)
     by_mode = ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items(), reverse=True))
-    return f"sweep {plan.sweep}: {len(specs)} tasks ({by_mode}) of {vehicles} vehicles in {scenes} scenes"
+    counts = f"sweep {plan.sweep}: {len(specs)} tasks ({by_mode}) of {vehicles} vehicles in {scenes} scenes"
+    return f"{counts}\n{effect_table(plan.effects, scenes)}"
 
 
 def plan_lines(plan: Plan) -> Iterator[str]:

@@ -59,7 +59,7 @@ class Assets:
         name = spec.scene
         if name not in self._scenes:
             scene = self.scenes.load(name)
-            self._scenes[name] = (scene, Beams.from_scene(scene), scene.content_hash())
+            self._scenes[name] = (scene, Beams.of_main_sensor(scene), scene.content_hash())
             if len(self._scenes) > _SCENES_KEPT:
                 self._scenes.popitem(last=False)
         self._scenes.move_to_end(name)

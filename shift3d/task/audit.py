@@ -51,9 +51,9 @@ class Audit:
 def audit(spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Candidate, scored: Scored) -> Audit:
     """Render some beams of a scored object again at reference accuracy. Source: our choice: the paper is silent."""
     start = time.perf_counter()
-    rendering, theta = scored.measurement.rendering, candidate.theta
+    rendering, theta = scored.measurement.rendering.first_hits, candidate.theta
     index = torch.from_numpy(_draw(spec, problem, candidate, rendering))
-    beams = problem.beams
+    beams = problem.cast_beams
     some = Beams(
         *(part[index] for part in (beams.points, beams.origins, beams.directions, beams.ranges_m, beams.carries))
     )
@@ -68,7 +68,7 @@ def _draw(spec: TaskSpec, problem: AttackProblem, candidate: Candidate, renderin
     """(at most 32,) int64 beams, ascending: half of them hits, the others through the box without one."""
     rng = generator("audit", spec.placement_seed, candidate.method, candidate.replicate)
     box = Box(-problem.size_m / 2, problem.size_m / 2).grown(_MARGIN_M)
-    near = rays_in_box(problem.beams, candidate.theta, box).index.numpy()
+    near = rays_in_box(problem.cast_beams, candidate.theta, box).index.numpy()
     hits = rendering.hit_mask.nonzero().squeeze(1).numpy()
     others = np.setdiff1d(near, hits)
     parts = [rng.choice(pool, min(AUDITED_BEAMS // 2, len(pool)), replace=False) for pool in (hits, others)]

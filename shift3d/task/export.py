@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from shift3d.attack.objective import object_box
 from shift3d.geometry.se3 import scene_from_object
-from shift3d.render.render import render
+from shift3d.render.rendering import Rendering
+from shift3d.scenes.scene import Scene
 from shift3d.store.atomic import write_atomic
 from shift3d.task.assets import Assets
 from shift3d.task.run import build_problem
@@ -36,7 +37,8 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     Returns:
         The files: ``scene.bin`` (KITTI: float32 x, y, z, reflectance; sensor frame; the scene's point order;
         reflectance 0 where the scene has none), ``object.ply`` (metres, sensor frame), ``box.json`` (sensor frame,
-        geometric centre) and ``hit_mask.npy`` (bool, True where a point was moved onto the object).
+        geometric centre) and ``hit_mask.npy`` (bool, True where a point was moved onto the object). Points that
+        effects made vanish are left out of both; returns of beams that had none follow the scene's points.
 
     Raises:
         InputError: a scene or vehicle that cannot be loaded, or a folder that cannot be written.
@@ -48,12 +50,13 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     problem = build_problem(spec, assets, theta)
     code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
     with torch.no_grad():
-        rendering = render(problem.beams, problem.field_of(code), theta, vehicle, problem.settings)
+        rendering = problem.insert(code, theta)
     mesh = vehicle_mesh(vehicle, assets.decoder, code.float())
     mesh.vertices = scene_from_object(torch.from_numpy(np.array(mesh.vertices)), theta).numpy()
-    hits = rendering.hit_mask.numpy()
+    kept = slice(None) if rendering.returned is None else rendering.returned.numpy()
+    hits = rendering.hit_mask.numpy()[kept]
     files = {
-        "scene.bin": _kitti_bytes(rendering.points.numpy(), scene.reflectance),
+        "scene.bin": _kitti_bytes(rendering.points.numpy()[kept], _reflectance(scene, rendering, kept)),
         "object.ply": _ply_bytes(mesh),
         "box.json": _box_json(spec, solution, theta, vehicle.size_m, int(hits.sum())),
         "hit_mask.npy": _npy_bytes(hits),
@@ -62,6 +65,17 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     for name, content in files.items():
         write_atomic(folder / name, content)
     return [folder / name for name in files]
+
+
+def _reflectance(scene: Scene, rendering: Rendering, kept: slice | NDArray[np.bool_]) -> NDArray[np.float32] | None:
+    """Of every point that is written: as effects left it, else the scene's; 0 for beams that had no return."""
+    if rendering.reflectance is not None:
+        return rendering.reflectance.numpy()[kept].astype(np.float32)
+    if scene.reflectance is None:
+        return None
+    values = np.zeros(len(rendering.points), dtype=np.float32)
+    values[: len(scene.reflectance)] = scene.reflectance
+    return values[kept]
 
 
 def _kitti_bytes(points: NDArray[np.float32], reflectance: NDArray[np.float32] | None) -> bytes:

@@ -107,7 +107,7 @@ def verify_object(spec: TaskSpec, solution: Solution, problems: Problems) -> Ver
             _score(problems.standard, solution.code, theta, radius_m, problems.others)
             for theta in _nearby(spec, solution.theta)
         ]
-    found, truth = again.measurement.rendering, true.measurement.rendering
+    found, truth = again.measurement.rendering.first_hits, true.measurement.rendering.first_hits
     return Verified(
         again=_scores(again),
         reference=_scores(true),
@@ -139,13 +139,13 @@ def _scores(scored: Scored) -> dict[str, float]:
 
 def _noisy_points(spec: TaskSpec, problem: AttackProblem, rendering: Rendering) -> Iterator[Tensor]:
     """The scene with fresh noise along the beams on the object; the rest of it has its sensor's noise already."""
-    beams, hit = problem.beams, rendering.hit_mask
+    directions, hit = problem.cast_beams.directions, rendering.hit_mask
     for draw in range(DRAWS):
         # For every beam of the scene, so that a beam gets the same noise on whatever object it meets.
         drawn = generator("verify noise", spec.placement_seed, draw).standard_normal(len(hit))
-        range_m = rendering.range_m[hit] + RANGE_NOISE_M * torch.from_numpy(drawn)[hit]
+        noise = RANGE_NOISE_M * torch.from_numpy(drawn)[hit]
         points = rendering.points.clone()
-        points[hit] = (beams.origins[hit] + range_m[:, None] * beams.directions[hit]).to(points.dtype)
+        points[hit] = (points[hit].double() + noise[:, None] * directions[hit]).to(points.dtype)
         yield points
 
 

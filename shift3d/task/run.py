@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -18,13 +19,18 @@ from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import SETTLE_M, attack_shape, standing
 from shift3d.detectors.base import Detector
 from shift3d.render.settings import REFERENCE, STANDARD
+from shift3d.scenes.facts import EffectSettings
 from shift3d.scenes.scene import Scene
-from shift3d.seeding import generator
+from shift3d.seeding import derive_seed, generator
 from shift3d.task.assets import Assets, load_assets, render_settings, score_precision, search_precision
 from shift3d.task.audit import AUDITED, audit
 from shift3d.task.rows import Rows
 from shift3d.task.scoring import Candidate, score_object
 from shift3d.task.spec import TaskResult, TaskSpec
+from shift3d.vehicles.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from shift3d.render.effects.chain import EffectChain
 
 __all__ = ["build_problem", "load_assets", "run_task"]
 
@@ -47,7 +53,10 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
         for method, replicate in _planned(spec):
             rows.skip(method, replicate, "no_placement")
     else:
+        start_effects = time.perf_counter()
         problem = build_problem(spec, assets, placement.theta)
+        if spec.effects:  # what they do once: draws, and weather on the scene's own points
+            rows.time("baseline", "effects_once", 1e3 * (time.perf_counter() - start_effects))
         searched = assets.detector_of(spec.detector, search_precision(spec))
         others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
         for candidate in _candidates(spec, problem, searched, rows):
@@ -115,7 +124,21 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProble
         travel_m=spec.attack.max_shift_m,
         others=_other_vehicles(scene),
         space=assets.space_of(spec, settings),
+        effects=_effects(spec, scene, vehicle),
     )
+
+
+def _effects(spec: TaskSpec, scene: Scene, vehicle: Vehicle) -> EffectChain | None:
+    """The task's effects; none of their code is imported where there are none.
+
+    Their randomness is that of the placement: shape and pose attacks of one placement have one baseline.
+    """
+    if not spec.effects:
+        return None
+    from shift3d.render.effects.chain import EffectChain
+
+    settings = EffectSettings(**spec.effect_settings)
+    return EffectChain.of(spec.effects, scene, vehicle, derive_seed("effects", spec.placement_seed), settings)
 
 
 def _constraints(spec: TaskSpec) -> Constraints:

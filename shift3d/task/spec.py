@@ -19,7 +19,7 @@ from shift3d.seeding import derive_seed
 __all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec"]
 
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
-SPEC_VERSION = 4
+SPEC_VERSION = 5
 
 Mode = Literal["shape", "pose"]
 Row = dict[str, Any]
@@ -75,7 +75,8 @@ class TaskSpec:
 
     lambda_: weight of the latent distance; None for a pose task, which has no such term (any value given is
     dropped, so that a sweep over lambda holds each pose task once). alpha: step size. accuracy: a preset's
-    name, with accuracy_settings the values that differ from or refine it. effects: names, in physical order.
+    name, with accuracy_settings the values that differ from or refine it. effects: names, in physical order; with
+    effect_settings what is said about the scene beyond what it states (`scenes.facts.EffectSettings`).
     scene_arguments: what the scene was made from, for the reader of a plan. scored_by: detectors that score every
     solution; the attacked one is put first, whether it is named or not. detector_hashes: of each of them, by name.
     The hashes are 128-bit BLAKE2b, hex.
@@ -92,6 +93,7 @@ class TaskSpec:
     base_seed: int = 0
     replicate: int = 0
     effects: tuple[str, ...] = ()
+    effect_settings: Mapping[str, float] = field(default_factory=dict)
     accuracy_settings: Mapping[str, Any] = field(default_factory=dict)
     scene_arguments: Mapping[str, Any] = field(default_factory=dict)
     attack: AttackSpec = AttackSpec()
@@ -113,6 +115,7 @@ class TaskSpec:
         values["effects"], values["scored_by"] = list(self.effects), list(self.scored_by)
         values["detector_hashes"] = dict(self.detector_hashes)
         values["accuracy_settings"] = dict(self.accuracy_settings)
+        values["effect_settings"] = dict(self.effect_settings)
         values["scene_arguments"] = dict(self.scene_arguments)
         values["attack"] = dict(vars(self.attack))
         values["placement"] = dict(vars(self.placement))

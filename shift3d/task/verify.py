@@ -80,6 +80,7 @@ class VerifyAssets:
             spec.placement_seed,
             spec.attack.detection_radius_m,
             repr(sorted(spec.accuracy_settings.items())),
+            (spec.effects, repr(sorted(spec.effect_settings.items()))),
             solution.code.numpy().tobytes(),
             solution.theta.numpy().tobytes(),
         )

@@ -109,7 +109,7 @@ def _metrics(record: SweepRecord) -> dict[str, float]:
     rows = record.auc[record.auc["selected"] & record.auc["auc"].notna()]
     if rows.empty:
         return metrics
-    variants = ["alpha", "detector", "scored_by", "accuracy"]
+    variants = ["alpha", "detector", "scored_by", "accuracy", "effects"]
     several = [name for name in variants if rows[name].nunique() > 1]
     by_mean: dict[str, list[float]] = {}
     for key, group in rows.groupby(["mode", "vehicle", "method", *several], sort=False):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from shift3d.config.catalogue import Catalogue, SceneEntry
 from shift3d.config.schema import Config, StreetConfig
+from shift3d.scenes.facts import SceneFacts
 from shift3d.seeding import generator
 from shift3d.sweep.kind import TaskKind
 from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
@@ -76,7 +77,8 @@ def catalogue(config: Config) -> Catalogue:
     assert isinstance(config.scenes, StreetConfig)
     names = [f"street_{i:03d}" for i in range(config.scenes.count)]
     return Catalogue(
-        scenes=tuple(SceneEntry(name, "street-hdl64", f"hash-{name}") for name in names),
+        scenes=tuple(SceneEntry(name, "street-hdl64", f"hash-{name}", SceneFacts(name)) for name in names),
+        frame_of=lambda _: None,  # no effect that asks for it
         scene_arguments={"kind": "street"},
         sector_rad=(0.0, 3.14),
         vehicles={name: f"hash-{name}" for name in ("coupe", "sports_car", "suv", "convertible", "beach_wagon")},

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from shift3d.render.beams import Beams
 from shift3d.render.called_for import DetectorFacts
+from shift3d.render.empty_space import EmptySpace
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.rendering import Rendering
 from shift3d.render.settings import RenderSettings
@@ -42,6 +43,7 @@ class Situation:
         vehicle: frame and size of the object.
         seed: of everything random.
         object_speed_m_s: of the object, along its heading.
+        heading_rad: of the object where it was placed, counter-clockwise from the scene's +x.
     """
 
     scene: Scene
@@ -49,6 +51,7 @@ class Situation:
     vehicle: VehicleFrame
     seed: int
     object_speed_m_s: float = 0.0
+    heading_rad: float = 0.0
 
     def draws(self, effect: str, what: str = "") -> np.random.Generator:
         """A fresh generator of one effect's randomness.
@@ -127,6 +130,7 @@ class Insertion:
     Attributes:
         beams: as they were cast. rendering: the first hits of their axes. field: of the object, `settings.dtype`.
         theta: (6,) pose, scene frame, at the time that the scene belongs to. vehicle, settings: as in `render`.
+        shift_m: of the cast, see `Cast`. space: of this very field, where there is one.
     """
 
     beams: Beams
@@ -135,6 +139,8 @@ class Insertion:
     theta: Tensor
     vehicle: VehicleFrame
     settings: RenderSettings
+    shift_m: Tensor | None = None
+    space: EmptySpace | None = None
 
     def metric(self) -> ObjectField:
         """The object's metric field, object frame."""

@@ -54,12 +54,17 @@ class EffectChain:
         vehicle: VehicleFrame,
         seed: int,
         settings: EffectSettings,
+        heading_rad: float = 0.0,
     ) -> EffectChain:
-        """Bind effects (names in `NEEDS`, any order) to a scene. Differentiable: nothing."""
+        """Bind effects (names in `NEEDS`, any order) to a scene. Differentiable: nothing.
+
+        heading_rad: of the object where it was placed; which way it drives, if it does.
+        """
         scene = with_settings(scene, settings)
         ordered = tuple(name for name in NEEDS if name in names)
         effects = [effect_named(name) for name in ordered]
-        situation = Situation(scene, Beams.of_main_sensor(scene), vehicle, seed, settings.object_speed_m_s or 0.0)
+        speed = settings.object_speed_m_s or 0.0
+        situation = Situation(scene, Beams.of_main_sensor(scene), vehicle, seed, speed, heading_rad)
         cast = Cast(situation.beams)
         for effect in effects:
             if effect.kind == "cast":
@@ -104,7 +109,9 @@ class EffectChain:
         """
         vehicle = self.situation.vehicle
         core = render(self.beams, field, theta, vehicle, settings, warm, space)
-        insertion = Insertion(self.beams, core, field, theta, vehicle, settings)
+        if self._keeps_first_hits():
+            return core
+        insertion = Insertion(self.beams, core, field, theta, vehicle, settings, self.cast.shift_m, space)
         spent: dict[str, float] = {}
         returns = self._object_returns(insertion)
         for name, footprint in self._footprints:
@@ -118,11 +125,19 @@ class EffectChain:
             spent[name] = 1e3 * (time.perf_counter() - start)
         return self._merged(core, returns, spent)
 
+    def _keeps_first_hits(self) -> bool:
+        """Whether nothing acts on what comes back, and every row is a point of the scene."""
+        cast = self.cast
+        return not self._footprints and not self._returns and cast.shift_m is None and cast.silent is None
+
     def _object_returns(self, insertion: Insertion) -> Returns:
         """What beams on the object bring back, if nothing else happens."""
         core, beams = insertion.rendering, self.beams
         row = core.hit_mask.nonzero().squeeze(1)
         cast_points, directions = core.points[row].double(), beams.directions[row]
+        # On the beam to more than the dtype of the scene's points: the same value, once rounded, and gradient.
+        exact = beams.origins[row] + core.range_m[row, None] * directions
+        cast_points = cast_points + (exact - cast_points).detach()
         cosine = core.grazing.cosine
         if not self._returns:
             cosine = torch.ones(len(row), dtype=torch.float64)
@@ -130,15 +145,13 @@ class EffectChain:
             cosine = cosine_of_incidence(directions, cast_points, insertion.metric(), insertion.theta)
         albedo = albedo_of(cast_points.detach(), insertion.theta.detach(), insertion.vehicle)
         shift = self.cast.shift_m
-        origins, points = beams.origins[row], cast_points
-        if shift is not None:
-            origins, points = origins + shift[row], cast_points + shift[row]
+        points = cast_points if shift is None else cast_points + shift[row]
         yes = torch.ones(len(row), dtype=torch.bool)
         reflectance = self._scene_reflectance()
         return Returns(
             row,
             points,
-            origins,
+            self._origins()[row],
             directions,
             yes,
             yes,
@@ -162,11 +175,10 @@ class EffectChain:
         returned = beams.carries if silent is None else beams.carries & ~silent
         reflectance = self._scene_reflectance()
         albedo = torch.full((count,), SCENE_ALBEDO, dtype=torch.float64) if reflectance is None else reflectance
-        shift = self.cast.shift_m
         return Returns(
             torch.arange(count),
             self._resting().double(),
-            beams.origins if shift is None else beams.origins + shift,
+            self._origins(),
             beams.directions,
             none,
             returned,
@@ -178,7 +190,8 @@ class EffectChain:
     def _resting(self) -> Tensor:
         """(N, 3) the rows without the object, dtype of the scene's points; beams without a return far out."""
         points = torch.from_numpy(self.situation.scene.points)
-        return torch.cat((points, self.beams.points[len(points) :].to(points.dtype)))
+        extra = torch.arange(len(points), len(self.beams))
+        return torch.cat((points, self._far(extra).to(points.dtype)))
 
     def _merged(self, core: Rendering, returns: Returns, spent: dict[str, float]) -> Rendering:
         """Rows of the object over the rows of the scene; what brings nothing back rests far out."""
@@ -194,8 +207,10 @@ class EffectChain:
             range_m = torch.where(moved, background.range_m, range_m)
             lost = background.row[~background.returned & self.beams.carries]
             resting = resting.index_copy(0, lost, self._far(lost).to(resting.dtype))
+            range_m[lost] = NO_RETURN_M
         far = self._far(returns.row)
         placed = torch.where(returns.returned[:, None], returns.points, far)
+        placed_range = torch.where(returns.returned, returns.range_m.detach(), NO_RETURN_M)
         hit_mask = torch.zeros(len(resting), dtype=torch.bool)
         hit_mask[returns.row] = returns.on_object & returns.returned
         reflectance = returns.reflectance
@@ -207,7 +222,7 @@ class EffectChain:
             core,
             points=resting.index_copy(0, returns.row, placed.to(resting.dtype)),
             hit_mask=hit_mask,
-            range_m=range_m.index_copy(0, returns.row, returns.range_m.detach()),
+            range_m=range_m.index_copy(0, returns.row, placed_range),
             returned=returned.index_copy(0, returns.row, returns.returned),
             core=core,
             reflectance=reflectance,
@@ -215,7 +230,12 @@ class EffectChain:
         )
 
     def _far(self, rows: Tensor) -> Tensor:
-        return self.beams.origins[rows] + NO_RETURN_M * self.beams.directions[rows]
+        return self._origins()[rows] + NO_RETURN_M * self.beams.directions[rows]
+
+    def _origins(self) -> Tensor:
+        """(N, 3) where the beams start as the sensor knows them."""
+        shift = self.cast.shift_m
+        return self.beams.origins if shift is None else self.beams.origins + shift
 
 
 def _rows_of(returns: Returns, kept: Tensor) -> Returns:

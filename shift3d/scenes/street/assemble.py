@@ -7,92 +7,124 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.scenes.scene import Labels, Scene
-from shift3d.scenes.street.ground import Ground
-from shift3d.scenes.street.item import LABELLED, Item
+from shift3d.scenes.scene import Conditions, Labels, Scene
+from shift3d.scenes.street.behind import second_returns
+from shift3d.scenes.street.echoes import Echoes, silent_beams
+from shift3d.scenes.street.item import LABELLED
 from shift3d.scenes.street.layout import Layout, sample_layout
-from shift3d.scenes.street.pool import POOL_SIZES, PoolVehicle, pool_vehicle
-from shift3d.scenes.street.raycast import Intersector, Sweep, beam_directions
-from shift3d.scenes.street.returns import Paint, finish
-from shift3d.scenes.street.sensors import SENSORS
-from shift3d.scenes.street.shapes import Mesh, Part, merge
-from shift3d.scenes.street.things import LOOKS, Leaves
+from shift3d.scenes.street.options import PLAIN, StreetOptions
+from shift3d.scenes.street.pool import POOL_SIZES
+from shift3d.scenes.street.raycast import Sweep
+from shift3d.scenes.street.returns import Paint, finish, sensor_model
+from shift3d.scenes.street.sensors import SENSORS, Mount, Sensor, side_sensors
+from shift3d.scenes.street.world import World
 from shift3d.seeding import generator
 
-# Windows lie between these shares of a vehicle's height; some vehicles lose most of the returns from them.
-GLASS_FROM, GLASS_TO = 0.62, 0.92
 
-
-def street_scene(split: str, seed: int, index: int, sensor_name: str) -> Scene:
+def street_scene(split: str, seed: int, index: int, sensor_name: str, options: StreetOptions = PLAIN) -> Scene:
     """One procedural scene: the same bytes for the same arguments.
 
     Args:
         split: "train", "val" or "test": disjoint layouts and disjoint vehicles.
         seed, index: which scene.
         sensor_name: "hdl64" or "waymo_top".
+        options: what the scene states and shows beyond that; the street is the same.
 
     Returns:
-        A scene with first returns, reflectance, firing times and range-image indices. Labelled are vehicles,
-        pedestrians and cyclists with at least one point in their box.
+        A scene with reflectance, firing times and, of one sensor, range-image indices. Rows: the main sensor's first
+        returns, row by row of its range image, the same with and without other returns and sensors; then second
+        returns in that order, or each side sensor's returns. Labelled are vehicles, pedestrians and cyclists with at
+        least one point in their box. Of a sensor that moves, boxes are those of time 0, and what counts is
+        where points were at time 0: points given in the frame of the moving sensor lie beside them.
 
     Raises:
         InputError: for an unknown split or sensor.
 
     Source: our choice.
     """
+    sensor = _sensor(split, sensor_name)
+    parts = ("street-scene", split, seed, index, sensor_name)
+    layout = sample_layout(generator(*parts, "layout"), sensor.mount_height_m)
+    world = World.of(layout, split, driven_m=options.ego_speed_m_s * sensor.turn_s)
+    echoes, sweeps, second = _sense(world, layout, sensor, options, parts)
+    compensated = options.motion_compensated
+    return Scene(
+        scene_id=f"street-{split}-{sensor_name}-{index:06d}{options.tag}" + (f"-seed{seed}" if seed else ""),
+        dataset=f"street-{sensor_name}{options.tag}",
+        points=echoes.points,
+        origins=echoes.origins,
+        ground_z_m=-sensor.mount_height_m,
+        labels=_labels(layout, world.boxes, _at_time_0(echoes, options)),
+        reflectance=echoes.reflectance,
+        return_number=second if options.returns > 1 else None,
+        time_s=echoes.time_s,
+        range_image_index=echoes.pixel if options.sensors == 1 else None,
+        conditions=_conditions(options),
+        sensor=sensor_model(sensor) if options.sensor_model else None,
+        silent=silent_beams(sweeps, compensated) if options.range_image else None,
+    )
+
+
+def _sensor(split: str, sensor_name: str) -> Sensor:
     if split not in POOL_SIZES:
         raise InputError(f"unknown split {split!r}", "street", f"Choose from {', '.join(POOL_SIZES)}.")
     if sensor_name not in SENSORS:
         raise InputError(f"unknown sensor {sensor_name!r}", "street", f"Choose from {', '.join(SENSORS)}.")
-    sensor = SENSORS[sensor_name]
-    parts = ("street-scene", split, seed, index, sensor_name)
-    layout = sample_layout(generator(*parts, "layout"), sensor.mount_height_m)
+    return SENSORS[sensor_name]
+
+
+def _sense(
+    world: World, layout: Layout, sensor: Sensor, options: StreetOptions, parts: tuple[str | int, ...]
+) -> tuple[Echoes, list[tuple[Sweep, NDArray[np.bool_]]], NDArray[np.uint8]]:
+    """Every return, every sensor's sweep with the beams that it kept, and (N,) which returns are second ones.
+
+    Options draw from generators of their own: the main sensor's first returns do not depend on them.
+    """
+    compensated = options.motion_compensated
     rng = generator(*parts, "sensing")
-    sweep, boxes = _cast(layout, split, sensor_name, rng)
-    range_m, reflectance, kept = finish(sweep, _sample_paint(layout, rng), rng)
-    points = (beam_directions(sensor_name)[kept] * range_m[kept][:, None]).astype(np.float32)
-    index_image = np.argwhere(kept).astype(np.int32)
-    return Scene(
-        scene_id=f"street-{split}-{sensor_name}-{index:06d}" + (f"-seed{seed}" if seed else ""),
-        dataset=f"street-{sensor_name}",
-        points=points,
-        origins=np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape),
-        ground_z_m=-sensor.mount_height_m,
-        labels=_labels(layout, boxes, points),
-        reflectance=reflectance[kept],
-        time_s=(index_image[:, 1] * (sensor.turn_s / sensor.columns)).astype(np.float32),
-        range_image_index=index_image,
+    main = Sweep.empty(sensor, Mount(speed_m_s=options.ego_speed_m_s))
+    world.cast(main, rng)
+    paint = _sample_paint(layout, rng)
+    range_m, reflectance, kept = finish(main, paint, rng)
+    echoes = [Echoes.of_kept(main, kept, range_m, reflectance, compensated)]
+    sweeps = [(main, kept)]
+    if options.returns > 1:
+        second = second_returns(world, main, range_m, kept, paint, generator(*parts, "second returns"))
+        echoes.append(Echoes.of(main, *second, compensated))
+    for number, (model, mount) in enumerate(side_sensors(sensor, options.sensors - 1, options.ego_speed_m_s)):
+        rng = generator(*parts, "side sensor", number)
+        side = Sweep.empty(model, mount)
+        world.cast(side, rng)
+        range_m, reflectance, kept = finish(side, paint, rng)
+        echoes.append(Echoes.of_kept(side, kept, range_m, reflectance, compensated))
+        sweeps.append((side, kept))
+    joined = Echoes.joined(echoes)
+    is_second = (np.arange(len(joined.points)) >= len(echoes[0].points)) & (options.returns > 1)
+    return joined, sweeps, is_second.astype(np.uint8)
+
+
+def _conditions(options: StreetOptions) -> Conditions:
+    """Weather is stated here and not in the points; dry streets that stand still state nothing."""
+    velocity = (float(options.ego_speed_m_s), 0.0, 0.0) if options.ego_speed_m_s else None
+    dry = Conditions()
+    return Conditions(
+        weather=options.weather,
+        rain_mm_h=options.rain_mm_h or dry.rain_mm_h,
+        snow_mm_h=options.snow_mm_h or dry.snow_mm_h,
+        visibility_m=options.visibility_m or dry.visibility_m,
+        ego_velocity_m_s=velocity,
+        weather_in_points=options.weather == "dry",
+        motion_compensated=velocity is None or options.motion_compensated,
     )
 
 
-def _cast(
-    layout: Layout, split: str, sensor_name: str, rng: np.random.Generator
-) -> tuple[Sweep, dict[int, NDArray[np.float64]]]:
-    """First hits of every beam; the box (7,) of every labelled item, by item number."""
-    sweep = Sweep.empty(SENSORS[sensor_name])
-    solid: list[tuple[int, Part]] = []
-    foliage: list[tuple[int, Leaves]] = []
-    boxes: dict[int, NDArray[np.float64]] = {}
-    for number, item in enumerate(layout.items):
-        if item.kind == "vehicle":
-            continue
-        parts, leaves = LOOKS[item.kind](item, generator("street-thing", item.variant))
-        z = _lowest_ground(layout.ground, item) if item.kind != "pedestrian" else _ground_at(layout.ground, item)
-        placed = [part.placed(item.x, item.y, z, item.heading_rad) for part in parts]
-        solid += [(number, part) for part in placed]
-        if item.kind in LABELLED:
-            boxes[number] = _box_of_parts(parts, item, z)
-        foliage += [(number, _placed_leaves(leaf, item, z)) for leaf in leaves]
-    vertices, faces, material = layout.ground.mesh()
-    ground = Mesh(vertices, faces, material, np.full(len(faces), -1, dtype=np.int32))
-    mesh = merge(solid, ground)
-    sweep.cast_static(Intersector(mesh.vertices, mesh.faces), mesh.material, mesh.item)
-    for number, item in enumerate(layout.items):
-        if item.kind == "vehicle":
-            boxes[number] = _cast_vehicle(sweep, layout.ground, item, number, pool_vehicle(split, item.variant))
-    for number, leaf in foliage:
-        sweep.cast_foliage(leaf.centre, leaf.radii, leaf.free_path_m, number, rng)
-    return sweep, boxes
+def _at_time_0(echoes: Echoes, options: StreetOptions) -> NDArray[np.float32]:
+    """(N, 3) points where they were in the frame of the sensor at time 0."""
+    if not options.ego_speed_m_s or options.motion_compensated:
+        return echoes.points
+    driven = options.ego_speed_m_s * echoes.time_s.astype(np.float64)[:, None] * np.array([1.0, 0.0, 0.0])
+    points: NDArray[np.float32] = (echoes.points + driven).astype(np.float32)
+    return points
 
 
 def _sample_paint(layout: Layout, rng: np.random.Generator) -> dict[int, Paint]:
@@ -104,58 +136,6 @@ def _sample_paint(layout: Layout, rng: np.random.Generator) -> dict[int, Paint]:
             through = 0.0 if opaque else float(rng.uniform(0.2, 0.9))
             paint[number] = Paint(albedo=float(rng.uniform(0.05, 0.7)), glass_loss=through)
     return paint
-
-
-def _cast_vehicle(sweep: Sweep, ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> NDArray[np.float64]:
-    """Stand a vehicle on its four wheels, cast at it, return its box (7,)."""
-    length, width, height = vehicle.size_m
-    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
-    along = np.array([0.3, 0.3, -0.3, -0.3]) * length
-    across = np.array([0.45, -0.45, -0.45, 0.45]) * width
-    z = ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across)
-    rise = (z[0] + z[1] - z[2] - z[3]) / (2 * 0.6 * length)
-    roll = (z[0] + z[3] - z[1] - z[2]) / (2 * 0.9 * width)
-    forward = np.array([cos, sin, rise]) / np.sqrt(1 + rise**2)
-    left = np.array([-sin, cos, roll])
-    left -= (left @ forward) * forward
-    left /= np.linalg.norm(left)
-    scene_R_object = np.stack((forward, left, np.cross(forward, left)), axis=1)
-    position = np.array([item.x, item.y, float(z.mean()) + height / 2])
-    glass_band = (GLASS_FROM * height - height / 2, GLASS_TO * height - height / 2)
-    sweep.cast_instance(vehicle.intersector, scene_R_object, position, vehicle.radius_m, glass_band, number)
-    return np.array([*position, length, width, height, item.heading_rad])
-
-
-def _box_of_parts(parts: list[Part], item: Item, z: float) -> NDArray[np.float64]:
-    vertices = np.concatenate([part.vertices for part in parts])
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    middle = (low + high) / 2
-    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
-    x = item.x + cos * middle[0] - sin * middle[1]
-    y = item.y + sin * middle[0] + cos * middle[1]
-    return np.array([x, y, z + middle[2], *(high - low), item.heading_rad])
-
-
-def _placed_leaves(leaf: Leaves, item: Item, z: float) -> Leaves:
-    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
-    x, y, up = leaf.centre
-    centre = np.array([item.x + cos * x - sin * y, item.y + sin * x + cos * y, z + up])
-    # The blob keeps its reach along the scene's axes but not its tilt: nobody can tell.
-    along = np.hypot(leaf.radii[0] * cos, leaf.radii[1] * sin)
-    across = np.hypot(leaf.radii[0] * sin, leaf.radii[1] * cos)
-    return Leaves(centre, np.array([along, across, leaf.radii[2]]), leaf.free_path_m)
-
-
-def _ground_at(ground: Ground, item: Item) -> float:
-    return float(ground.height(np.asarray(item.x), np.asarray(item.y)))
-
-
-def _lowest_ground(ground: Ground, item: Item) -> float:
-    """Lowest ground under an item's corners, so that nothing floats."""
-    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
-    along = np.array([0.5, 0.5, -0.5, -0.5, 0.0]) * item.size_m[0]
-    across = np.array([0.5, -0.5, -0.5, 0.5, 0.0]) * item.size_m[1]
-    return float(ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across).min())
 
 
 def _labels(layout: Layout, boxes: dict[int, NDArray[np.float64]], points: NDArray[np.float32]) -> Labels:

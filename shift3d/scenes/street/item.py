@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from shift3d.geometry.boxes import corners_bev
 
+OWN_CAR_M = (-0.8, 0.0, 6.0, 2.4)  # x, y of its centre, length and width: the LiDAR stands ahead of its centre
 LABELLED = {"vehicle": "vehicle", "pedestrian": "pedestrian", "cyclist": "cyclist"}
 
 
@@ -58,6 +59,13 @@ class FloorPlan:
         """Keep a rectangle free of items without putting one there (the sensor's own car, a driveway)."""
         rectangle = np.array([[x, y, 0, length_m, width_m, 1, heading_rad]])
         self._corners = np.concatenate((self._corners, corners_bev(rectangle)))
+
+
+def stand_on(items: tuple[Item, ...], x: float, y: float, length_m: float, width_m: float) -> NDArray[np.bool_]:
+    """(items,) bool: whose floor rectangle meets one along the scene's axes, centred at (x, y)."""
+    rectangle = corners_bev(np.array([[x, y, 0.0, length_m, width_m, 1.0, 0.0]]))[0]
+    floors = np.array([[item.x, item.y, 0.0, *item.size_m, item.heading_rad] for item in items]).reshape(-1, 7)
+    return _meets(rectangle, corners_bev(floors))
 
 
 def _meets(one: NDArray[np.float64], many: NDArray[np.float64]) -> NDArray[np.bool_]:

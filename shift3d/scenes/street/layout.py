@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shift3d.scenes.street.ground import Ground, sample_waves
-from shift3d.scenes.street.item import FloorPlan, Item
+from shift3d.scenes.street.item import OWN_CAR_M, FloorPlan, Item
 from shift3d.scenes.street.roadside import furnish_roadside
 from shift3d.scenes.street.traffic import fill_lot, park_along_kerb, scatter_vehicles, vehicles_in_lanes
 
@@ -39,7 +39,8 @@ def sample_layout(rng: np.random.Generator, mount_height_m: float) -> Layout:
     kind = str(rng.choice(KINDS, p=_KIND_SHARES))
     ground = _sample_ground(kind, rng, mount_height_m)
     plan = FloorPlan()
-    plan.reserve(-0.8, 0.0, 0.0, 6.0, 2.4)  # the sensor's own car: the LiDAR stands ahead of its centre
+    x, y, length_m, width_m = OWN_CAR_M
+    plan.reserve(x, y, 0.0, length_m, width_m)
     target = int(rng.integers(LEAST_VEHICLES + 2, MOST_VEHICLES - 1))
     if kind == "plaza":
         fill_lot(plan, ground, rng, occupancy=float(rng.uniform(0.1, 0.35)))

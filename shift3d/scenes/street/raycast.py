@@ -10,11 +10,12 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from shift3d.scenes.street.sensors import SENSORS, Sensor
+from shift3d.scenes.street.sensors import AT_ORIGIN, Mount, Sensor, sensor_named
 from shift3d.scenes.street.shapes import Material
 
 Float32 = NDArray[np.float32]
 Float = NDArray[np.float64]
+LEAVES_COSINE = 0.7  # leaves face every way
 
 
 class Intersector:
@@ -43,8 +44,8 @@ class Intersector:
 
 @lru_cache(maxsize=4)
 def beam_directions(sensor_name: str) -> Float32:
-    """(rows, columns, 3) unit directions of a sensor's beams, top row first."""
-    sensor = SENSORS[sensor_name]
+    """(rows, columns, 3) unit directions of a sensor's beams in its own frame, top row first."""
+    sensor = sensor_named(sensor_name)
     elevation = np.asarray(sensor.elevations_rad)[:, None]
     azimuth = sensor.azimuths_rad()[None]
     directions = np.stack(
@@ -59,8 +60,8 @@ def beam_directions(sensor_name: str) -> Float32:
 
 
 @dataclass
-class Sweep:
-    """First hits so far, one cell a beam: (rows, columns) arrays that casting fills in.
+class Hits:
+    """First hits of beams: arrays of one shape.
 
     Attributes:
         range_m: infinite where nothing was met.
@@ -75,37 +76,81 @@ class Sweep:
     material: NDArray[np.uint8]
     cosine: Float32
 
+
+@dataclass
+class Sweep(Hits):
+    """First hits so far of one turn, one cell a beam: (rows, columns) arrays that casting fills in.
+
+    Attributes:
+        mount: where the sensor stands and how it moves; the world stands still.
+        directions: (rows, columns, 3) float32 unit vectors, scene frame.
+        origins_m: (1, 3) float64 where all beams start in one place, else (columns, 3), where each column starts.
+    """
+
+    mount: Mount
+    directions: Float32
+    origins_m: Float
+
     @classmethod
-    def empty(cls, sensor: Sensor) -> Sweep:
+    def empty(cls, sensor: Sensor, mount: Mount = AT_ORIGIN) -> Sweep:
         """A sweep that has met nothing yet."""
         shape = (len(sensor.elevations_rad), sensor.columns)
+        directions = beam_directions(sensor.name)
+        if mount.heading_rad:
+            cos, sin = np.cos(mount.heading_rad), np.sin(mount.heading_rad)
+            own_R_scene = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            directions = (directions @ own_R_scene).astype(np.float32)
+        origins = np.array(mount.origin_m)[None]
+        if mount.speed_m_s:
+            origins = origins + mount.speed_m_s * sensor.firing_times_s()[:, None] * np.array([1.0, 0.0, 0.0])
         return cls(
             sensor,
             np.full(shape, np.inf, dtype=np.float32),
             np.full(shape, -2, dtype=np.int32),
             np.zeros(shape, dtype=np.uint8),
             np.ones(shape, dtype=np.float32),
+            mount,
+            directions,
+            origins,
         )
 
     def window(self, centre: Float, radius_m: float) -> tuple[slice, NDArray[np.intp]]:
         """Rows and columns of the beams that can meet a sphere (scene frame)."""
+        # As seen from the middle of the sensor's way, grown by half of it: the sphere as any beam may meet it.
+        first, last = self.origins_m[0], self.origins_m[-1]
+        centre, radius_m = centre - (first + last) / 2, radius_m + float(np.linalg.norm(last - first)) / 2
         distance, flat = float(np.linalg.norm(centre)), float(np.hypot(centre[0], centre[1]))
         if flat <= radius_m:
             return slice(0, len(self.sensor.elevations_rad)), np.arange(self.sensor.columns)
         middle, half = np.arcsin(centre[2] / distance), np.arcsin(radius_m / distance)
         elevations = np.asarray(self.sensor.elevations_rad)
         rows = np.flatnonzero(np.abs(elevations - middle) <= half)
-        step = 2 * np.pi / self.sensor.columns
-        column = (np.pi - np.arctan2(centre[1], centre[0])) / step - 0.5
-        reach = np.arcsin(radius_m / flat) / step
-        columns = np.arange(int(np.floor(column - reach)), int(np.ceil(column + reach)) + 1)
-        columns = np.unique(columns % self.sensor.columns)
+        azimuth = float(np.arctan2(centre[1], centre[0])) - self.mount.heading_rad
+        columns = self._columns(azimuth, float(np.arcsin(radius_m / flat)))
         return (slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0, 0)), columns
+
+    def _columns(self, azimuth_rad: float, reach_rad: float) -> NDArray[np.intp]:
+        """Columns within reach of an azimuth of the sensor's own frame, and one more on each side."""
+        step = self.sensor.view_rad / self.sensor.columns
+        if self.sensor.view_rad < 2.0 * np.pi:
+            off = np.mod(self.sensor.azimuths_rad() - azimuth_rad + np.pi, 2.0 * np.pi) - np.pi
+            return np.flatnonzero(np.abs(off) <= reach_rad + step)
+        column, reach = (np.pi - azimuth_rad) / step - 0.5, reach_rad / step
+        columns = np.arange(int(np.floor(column - reach)), int(np.ceil(column + reach)) + 1)
+        return np.unique(columns % self.sensor.columns)
+
+    def starts(self, rows: int, columns: NDArray[np.intp]) -> Float:
+        """Where the beams of some rows and columns start: (3,) where in one place, else (rows * columns, 3)."""
+        if len(self.origins_m) == 1:
+            only: Float = self.origins_m[0]
+            return only
+        return np.broadcast_to(self.origins_m[columns], (rows, len(columns), 3)).reshape(-1, 3)
 
     def cast_static(self, mesh: Intersector, material: NDArray[np.uint8], item: NDArray[np.int32]) -> None:
         """Cast every beam at a mesh in the scene frame; material and item are per face."""
-        directions = beam_directions(self.sensor.name).reshape(-1, 3)
-        range_m, face, cosine = mesh.first_hit(np.zeros_like(directions), directions)
+        directions = self.directions.reshape(-1, 3)
+        starts = self.starts(len(self.directions), np.arange(self.sensor.columns)).astype(np.float32)
+        range_m, face, cosine = mesh.first_hit(_each(starts, directions), directions)
         closer = range_m < self.range_m.reshape(-1)
         self.range_m.reshape(-1)[closer] = range_m[closer]
         self.item.reshape(-1)[closer] = item[face[closer]]
@@ -129,15 +174,11 @@ class Sweep:
             glass_band_m: what lies between these heights of the object frame counts as glass.
         """
         rows, columns = self.window(position, radius_m)
-        directions = beam_directions(self.sensor.name)[rows][:, columns].reshape(-1, 3)
+        directions = self.directions[rows][:, columns].reshape(-1, 3)
         if not len(directions):
             return
-        local = np.ascontiguousarray(directions @ scene_R_object.astype(np.float32))
-        origin = (-position @ scene_R_object).astype(np.float32)
-        range_m, face, cosine = mesh.first_hit(np.repeat(origin[None], len(local), axis=0), local)
-        height = origin[2] + np.where(face >= 0, range_m, 0.0) * local[:, 2]
-        glass = (height > glass_band_m[0]) & (height < glass_band_m[1])
-        material = np.where(glass, Material.GLASS, Material.VEHICLE).astype(np.uint8)
+        starts = self.starts(rows.stop - rows.start, columns)
+        range_m, material, cosine = hit_instance(mesh, scene_R_object, position, glass_band_m, starts, directions)
         self._merge(rows, columns, range_m, material, cosine, item)
 
     def cast_foliage(
@@ -148,20 +189,14 @@ class Sweep:
         Source: our choice; a beam's survival in a medium of scattered leaves falls off exponentially.
         """
         rows, columns = self.window(centre, float(radii.max()))
-        directions = beam_directions(self.sensor.name)[rows][:, columns].reshape(-1, 3).astype(np.float64)
+        directions = self.directions[rows][:, columns].reshape(-1, 3).astype(np.float64)
         if not len(directions):
             return
-        scaled, offset = directions / radii, -centre / radii
-        a = (scaled * scaled).sum(axis=1)
-        b = scaled @ offset
-        discriminant = b * b - a * (offset @ offset - 1.0)
-        root = np.sqrt(np.maximum(discriminant, 0.0))
-        enter, leave = np.maximum((-b - root) / a, 0.0), (-b + root) / a
-        depth = enter + rng.exponential(free_path_m, len(directions))
-        met = (discriminant > 0.0) & (depth < leave)
-        range_m = np.where(met, depth, np.inf).astype(np.float32)
+        met, enter, leave = through_ellipsoid(self.starts(rows.stop - rows.start, columns), directions, centre, radii)
+        depth = np.maximum(enter, 0.0) + rng.exponential(free_path_m, len(directions))
+        range_m = np.where(met & (depth < leave), depth, np.inf).astype(np.float32)
         material = np.full(len(range_m), Material.FOLIAGE, dtype=np.uint8)
-        self._merge(rows, columns, range_m, material, np.full(len(range_m), 0.7, np.float32), item)
+        self._merge(rows, columns, range_m, material, np.full(len(range_m), LEAVES_COSINE, np.float32), item)
 
     def _merge(
         self,
@@ -180,3 +215,54 @@ class Sweep:
         self.item[target] = item
         self.material[target] = material[flat]
         self.cosine[target] = cosine[flat]
+
+
+def hit_instance(
+    mesh: Intersector,
+    scene_R_object: Float,
+    position: Float,
+    glass_band_m: tuple[float, float],
+    starts: Float,
+    directions: Float32,
+) -> tuple[Float32, NDArray[np.uint8], Float32]:
+    """First hits of rays on a mesh given in its object frame.
+
+    Args:
+        starts: (3,) or (N, 3), scene frame; directions: (N, 3). The others as of `Sweep.cast_instance`.
+
+    Returns:
+        range_m (N,), infinite where there is no hit, material and cosine (N,).
+    """
+    local = np.ascontiguousarray(directions @ scene_R_object.astype(np.float32))
+    origin = ((starts - position) @ scene_R_object).astype(np.float32)
+    range_m, face, cosine = mesh.first_hit(_each(origin, local), local)
+    height = origin[..., 2] + np.where(face >= 0, range_m, 0.0) * local[:, 2]
+    glass = (height > glass_band_m[0]) & (height < glass_band_m[1])
+    return range_m, np.where(glass, Material.GLASS, Material.VEHICLE).astype(np.uint8), cosine
+
+
+def through_ellipsoid(
+    starts: Float, directions: Float, centre: Float, radii: Float
+) -> tuple[NDArray[np.bool_], Float, Float]:
+    """Where rays enter and leave an ellipsoid.
+
+    Args:
+        starts: (3,) or (N, 3), scene frame; directions: (N, 3) float64 unit vectors.
+
+    Returns:
+        met (N,) bool, whether the ray's line meets it; enter and leave (N,), ranges, negative behind the start.
+    """
+    scaled, offset = directions / radii, (starts - centre) / radii
+    a = (scaled * scaled).sum(axis=1)
+    if offset.ndim == 1:
+        b, c = scaled @ offset, offset @ offset - 1.0
+    else:
+        b, c = (scaled * offset).sum(axis=1), (offset * offset).sum(axis=1) - 1.0
+    discriminant = b * b - a * c
+    root = np.sqrt(np.maximum(discriminant, 0.0))
+    return discriminant > 0.0, (-b - root) / a, (-b + root) / a
+
+
+def _each(start: Float32, directions: Float32) -> Float32:
+    """(N, 3) starts of N rays, from one place or from N."""
+    return start if start.ndim == 2 else np.repeat(start[None], len(directions), axis=0)

@@ -1,8 +1,8 @@
-"""Beam tables of the two spinning LiDARs that the procedural street is seen with."""
+"""Beam tables of the spinning LiDARs that the procedural street is seen with, and where they are mounted."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,18 @@ class Sensor:
     """A spinning LiDAR whose beams all leave one point.
 
     Attributes:
-        name: "hdl64" or "waymo_top".
+        name: "hdl64", "waymo_top" or "short32".
         elevations_rad: beam elevations from the top beam down.
-        columns: firings a turn; column 0 looks backwards, azimuth decreases (clockwise from above).
+        columns: firings a turn; azimuth decreases (clockwise from above) from half the view: over a whole turn,
+            column 0 looks backwards.
         mount_height_m: above the ground.
         min_range_m, max_range_m: of a return.
         range_noise_m: standard deviation along the beam.
         range_step_m: resolution the range is rounded to.
         turn_s: duration of a turn.
         drop_rate: share of returns lost at random, at any range.
+        divergence_rad: full angle of a beam's cone.
+        view_rad: sector of the turn, about the sensor's own forward, in which it fires.
     """
 
     name: str
@@ -34,10 +37,33 @@ class Sensor:
     range_step_m: float
     turn_s: float
     drop_rate: float
+    divergence_rad: float
+    view_rad: float = 2.0 * np.pi
 
     def azimuths_rad(self) -> NDArray[np.float64]:
-        """(columns,) azimuths in (-pi, pi], decreasing."""
-        return np.pi - 2.0 * np.pi * (np.arange(self.columns) + 0.5) / self.columns
+        """(columns,) azimuths in (-pi, pi], decreasing; sensor frame."""
+        return self.view_rad / 2.0 - self.view_rad * (np.arange(self.columns) + 0.5) / self.columns
+
+    def firing_times_s(self) -> NDArray[np.float64]:
+        """(columns,) after the start of the turn; the whole turn takes turn_s, a sector its share of it."""
+        a_column_s = self.turn_s * (self.view_rad / (2.0 * np.pi)) / self.columns
+        return np.arange(self.columns, dtype=np.float64) * a_column_s
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Where a sensor stands at the start of its turn, and how it moves.
+
+    Attributes:
+        origin_m: scene frame. heading_rad: of its own forward, from the scene's +x. speed_m_s: along the scene's +x.
+    """
+
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    heading_rad: float = 0.0
+    speed_m_s: float = 0.0
+
+
+AT_ORIGIN = Mount()
 
 
 def _hdl64_elevations() -> tuple[float, ...]:
@@ -69,6 +95,7 @@ HDL64 = Sensor(
     range_step_m=0.002,
     turn_s=0.1,
     drop_rate=0.03,
+    divergence_rad=2.0e-3,  # the manual of the HDL-64E: 2 mrad
 )
 
 WAYMO_TOP = Sensor(
@@ -82,6 +109,45 @@ WAYMO_TOP = Sensor(
     range_step_m=0.004,
     turn_s=0.1,
     drop_rate=0.03,
+    divergence_rad=1.5e-3,  # not published; our choice, between the HDL-64E and sensors of twice its resolution
 )
 
 SENSORS = {sensor.name: sensor for sensor in (HDL64, WAYMO_TOP)}
+
+SHORT32 = Sensor(
+    name="short32",
+    elevations_rad=tuple(float(e) for e in np.deg2rad(np.linspace(10.0, -30.0, 32))),
+    columns=525,
+    mount_height_m=0.9,
+    min_range_m=0.3,
+    max_range_m=40.0,
+    range_noise_m=0.015,
+    range_step_m=0.002,
+    turn_s=0.1,
+    drop_rate=0.03,
+    divergence_rad=2.0e-3,
+    view_rad=float(np.deg2rad(210.0)),  # the rest of its turn looks at the car that carries it
+)
+"""A short-range sensor for the corners of the car (our choice)."""
+
+_BY_NAME = {**SENSORS, SHORT32.name: SHORT32}
+_CORNERS = ((2.0, 1.0, 45.0), (2.0, -1.0, -45.0), (-3.6, 1.0, 135.0), (-3.6, -1.0, -135.0))  # x, y, degrees
+
+
+def sensor_named(name: str) -> Sensor:
+    """One of the sensors; KeyError for an unknown name."""
+    return _BY_NAME[name]
+
+
+def side_sensors(main: Sensor, count: int, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
+    """Short-range sensors at the corners of the car under the main one, looking outwards along the diagonals.
+
+    They share the main sensor's noise and divergence, so that one `SensorModel` describes the whole scene.
+
+    Source: our choice.
+    """
+    sensor = replace(SHORT32, range_noise_m=main.range_noise_m, divergence_rad=main.divergence_rad)
+    height_m = SHORT32.mount_height_m - main.mount_height_m
+    return [
+        (sensor, Mount((x, y, height_m), float(np.deg2rad(heading)), speed_m_s)) for x, y, heading in _CORNERS[:count]
+    ]

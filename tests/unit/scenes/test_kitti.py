@@ -184,3 +184,18 @@ def test_labelled_boxes_are_in_the_cameras_view() -> None:
     assert scenes.camera_view("000038").in_view(scene.labels.boxes).all()
     bearing = np.arctan2(scene.labels.boxes[:, 1], scene.labels.boxes[:, 0])
     assert (np.abs(bearing) < 0.75).all()
+
+
+@pytest.mark.parametrize(("reflectance_max", "factor"), [(None, 1.0), (255.0, 255.0), (65535.0, 65535.0)])
+def test_reflectance_is_brought_to_one_scale(tmp_path: Path, reflectance_max: float | None, factor: float) -> None:
+    root = write_frame(tmp_path, "000007", POINTS * (1.0, 1.0, 1.0, factor), CAR)
+    scene = KittiScenes(root, reflectance_max=reflectance_max).load("000007")
+    assert scene.reflectance is not None
+    np.testing.assert_allclose(scene.reflectance, POINTS[:, 3], rtol=1e-6)
+
+
+def test_reflectance_on_another_scale_names_file_row_and_remedy(tmp_path: Path) -> None:
+    root = write_frame(tmp_path, "000007", POINTS * (1.0, 1.0, 1.0, 255.0), CAR)
+    with pytest.raises(InputError, match=r"velodyne.000007\.bin: row 0 has reflectance 76\.5.*0 to 1 ") as caught:
+        KittiScenes(root).load("000007")
+    assert "scenes.reflectance_max" in caught.value.remedy

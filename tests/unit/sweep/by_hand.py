@@ -6,6 +6,7 @@ from typing import Any
 
 from shift3d.config.catalogue import Catalogue, SceneEntry
 from shift3d.config.schema import Config
+from shift3d.scenes.facts import SceneFacts
 
 VEHICLES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
 
@@ -13,7 +14,8 @@ VEHICLES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
 def catalogue(config: Config) -> Catalogue:
     """Two scenes and the five vehicles."""
     return Catalogue(
-        scenes=(SceneEntry("north", "street-hdl64", "n"), SceneEntry("south", "street-hdl64", "s")),
+        scenes=tuple(SceneEntry(name, "street-hdl64", name[0], SceneFacts(name)) for name in ("north", "south")),
+        frame_of=lambda _: None,  # no effect that asks for it
         scene_arguments={"kind": "street"},
         sector_rad=(0.5, 1.0),
         vehicles={name: f"{name}-hash" for name in VEHICLES},

@@ -89,8 +89,8 @@ def test_every_scoring_detectors_weights_change_the_tasks() -> None:
 def test_a_folder_of_an_older_version_is_refused(out: Path, suv_plan: Plan) -> None:
     open_folder(out, suv_plan)
     text = (out / "spec.yaml").read_text()
-    (out / "spec.yaml").write_text(text.replace("schema_version: 4", "schema_version: 2"))
-    with pytest.raises(InputError, match=r"has schema version 2, this is version 4\. Use the version of shift3d"):
+    (out / "spec.yaml").write_text(text.replace("schema_version: 5", "schema_version: 2"))
+    with pytest.raises(InputError, match=r"has schema version 2, this is version 5\. Use the version of shift3d"):
         open_folder(out, suv_plan)
 
 
@@ -123,6 +123,8 @@ def test_damaged_folders_are_named(out: Path, suv_plan: Plan) -> None:
 
 
 def test_in_words(suv_plan: Plan) -> None:
-    assert plan_summary(suv_plan) == "sweep default: 6 tasks (4 shape, 2 pose) of 1 vehicles in 2 scenes"
+    counts, effects = plan_summary(suv_plan).splitlines()
+    assert counts == "sweep default: 6 tasks (4 shape, 2 pose) of 1 vehicles in 2 scenes"
+    assert effects == "effects: occlusion alone; no scene calls for more"
     lines = list(plan_lines(suv_plan))
     assert len(lines) == 6 and "lambda 10" in lines[2] and "lambda" not in lines[4]

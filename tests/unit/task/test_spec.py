@@ -23,6 +23,7 @@ CHANGES: dict[str, Any] = {
     "base_seed": 1,
     "replicate": 1,
     "effects": ("rain",),
+    "effect_settings": {"rain_mm_h": 5.0},
     "accuracy_settings": {"step_m": 0.1},
     "scene_arguments": {"seed": 3},
     "attack": AttackSpec(steps=41),
@@ -44,7 +45,7 @@ def test_every_field_changes_the_id() -> None:
 
 def test_the_id_is_pinned() -> None:
     """A change of this value makes every finished sweep unresumable: raise SPEC_VERSION with it."""
-    assert SPEC.task_id == "44a9c4b47f2fa7f13c2c64d806707cc5"
+    assert SPEC.task_id == "4f6eb5e5afbfcbd8148662356e27442d"
 
 
 def test_pose_has_no_lambda() -> None:

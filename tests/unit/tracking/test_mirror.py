@@ -24,7 +24,7 @@ def record(folder: Path, adversarial: float = 0.4) -> SweepRecord:
         ("suv", "baseline", None, True),
     ]
     auc = pd.DataFrame(rows, columns=["vehicle", "method", "auc", "selected"]).assign(
-        mode="shape", alpha=0.01, detector="p", scored_by="p", accuracy="standard", scores=4
+        mode="shape", alpha=0.01, detector="p", scored_by="p", accuracy="standard", effects="auto", scores=4
     )
     settings = {"attack": {"steps": 40}, "axes": {"vehicle": ["coupe", "suv"]}}
     return SweepRecord("default", "0123", folder, settings, auc, {"tasks_done": 60})

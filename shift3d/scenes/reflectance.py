@@ -1,0 +1,69 @@
+"""Reflectance as files have it, on the scale 0 to 1 that scenes have it on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from shift3d.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["MOST_RAW", "full_reflectance"]
+
+MOST_RAW = 1e5
+"""Largest number that stands for full reflectance in any sensor's files."""
+STRAY_SHARE = 0.05
+"""Up to this share of values may lie beyond a scale (our choice): bits that flipped, mirrors that outshine the
+sensor's calibration. More of them are on another scale."""
+
+
+def full_reflectance(
+    values: NDArray[np.floating], where: str, stated: float | None = None, remedy: str = "State its maximum"
+) -> float:
+    """The number that stands for full reflectance: divide by it, then cut what is beyond 0 to 1.
+
+    stated: that number, as the sensor's manual has it: 1, 255, or for raw intensities up to `MOST_RAW`.
+    None: it is recognised: 1 where values lie in 0 to 1, 255 where they are whole numbers from 0 to 255. Raw
+        intensities cannot be recognised: the largest value of a scene differs from scene to scene, and is never used.
+
+    Args:
+        values: (N,) of one file, finite. where: the file, for errors. remedy: what to do where no scale fits.
+
+    Raises:
+        InputError: a maximum out of range; more than `STRAY_SHARE` of the values not on that scale, or on none:
+            naming file and row.
+
+    Source: our choice; mixed scales turned whole frames into fog in a public simulator.
+    """
+    if stated is not None:
+        if not 0.0 < stated <= MOST_RAW:
+            raise InputError(f"a largest reflectance of {stated}", where, f"Give more than 0, at most {MOST_RAW:g}")
+        _refuse(_misfits(values, stated), values, where, f"the scale 0 to {stated:g}", remedy)
+        return stated
+    off_unit, off_bytes = _misfits(values, 1.0), _misfits(values, 255.0, whole=True)
+    if off_unit.any() and off_bytes.any():
+        both = off_unit & off_bytes
+        scales = "either of the scales 0 to 1 and 0 to 255 (whole numbers)"
+        _refuse(both if both.any() else off_unit, values, where, scales, remedy)
+    return 255.0 if off_unit.any() else 1.0
+
+
+def _misfits(values: NDArray[np.floating], full: float, whole: bool = False) -> NDArray[np.bool_]:
+    """(N,) bool: values that are not on a scale; none where they are few. whole: beyond 1 it has whole numbers alone.
+
+    Where hardly anything exceeds 1, fractions show the scale 0 to 1, whatever the file is said to have.
+    """
+    few = STRAY_SHARE * len(values)
+    misfits: NDArray[np.bool_] = (values < 0.0) | (values > full)
+    if full > 1.0 and (whole or (values > 1.0).sum() <= few):
+        misfits |= values % 1.0 != 0.0
+    return misfits if misfits.sum() > few else misfits & False
+
+
+def _refuse(misfits: NDArray[np.bool_], values: NDArray[np.floating], where: str, scale: str, remedy: str) -> None:
+    if misfits.any():
+        row = int(misfits.argmax())
+        count = f"{int(misfits.sum())} of {len(values)} rows are not"
+        raise InputError(f"row {row} has reflectance {values[row]:g}, not on {scale} ({count})", where, remedy)

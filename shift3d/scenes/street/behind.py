@@ -1,0 +1,142 @@
+"""Second returns: what lies behind a surface that lets a part of the beam pass."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.scenes.street.raycast import Float, Hits, Sweep
+from shift3d.scenes.street.returns import Paint, finish
+from shift3d.scenes.street.shapes import Material
+from shift3d.scenes.street.world import World
+
+SEPARATION_M = 1.0
+"""Echoes nearer together than this are one to the sensor (our choice: the length in space of a pulse of 7 ns)."""
+_SIDES = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # of a beam's cone: left, right, up, down
+
+Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
+
+
+def second_returns(
+    world: World,
+    sweep: Sweep,
+    range_m: NDArray[np.float32],
+    kept: NDArray[np.bool_],
+    paint: dict[int, Paint],
+    rng: np.random.Generator,
+) -> tuple[Cells, NDArray[np.float32], NDArray[np.float32]]:
+    """Second returns of the beams that have a first one.
+
+    A part of the light goes on where the first hit is
+    foliage: the leaves met first cover a random share of the beam's width, the rest goes on among the leaves
+        (hedges are solid: what is dense enough to have a surface lets nothing pass a metre deep);
+    glass: windows let through the share that they do not send back, on the way there and on the way back;
+    a silhouette: a side of the beam's cone misses the thing that its axis meets. (Only something else behind counts:
+        ground met at a grazing angle stretches an echo, it does not split it.)
+    The second echo takes part in the law of power with that share, and lies at least SEPARATION_M behind the first.
+
+    Args:
+        sweep: first hits; range_m, kept: (rows, columns) as finished.
+
+    Returns:
+        The beams' cells (row and column (K,), row by row), ranges (K,) and reflectances (K,), float32.
+
+    Source: our choice, from the physics.
+    """
+    through, through_hits, through_share = _through(world, sweep, kept, paint, rng)
+    edge, edge_hits, edge_share = _past_edges(world, sweep, kept, rng)
+    cell = np.concatenate((through, edge))
+    share = np.concatenate((through_share, edge_share))
+    order = np.argsort(cell, kind="stable")
+    names = ("range_m", "item", "material", "cosine")
+    joined = {name: np.concatenate((getattr(through_hits, name), getattr(edge_hits, name)))[order] for name in names}
+    second_range_m, reflectance, second_kept = finish(Hits(sweep.sensor, **joined), paint, rng, share[order])
+    cell = cell[order]
+    second_kept &= second_range_m - range_m.reshape(-1)[cell] >= SEPARATION_M
+    row, column = np.unravel_index(cell[second_kept], kept.shape)
+    return (row, column), second_range_m[second_kept], reflectance[second_kept]
+
+
+def _through(
+    world: World, sweep: Sweep, kept: NDArray[np.bool_], paint: dict[int, Paint], rng: np.random.Generator
+) -> tuple[NDArray[np.intp], Hits, Float]:
+    """Flat cells of beams that foliage or glass lets through, what they meet next, and the share that passes."""
+    glass = sweep.material == Material.GLASS
+    passing = np.array([paint[number].glass_loss ** 2 if number in paint else 0.0 for number in range(_most(sweep))])
+    share = np.where(glass, passing[np.maximum(sweep.item, 0)], 0.0)
+    leaves = _in_leaves(world, sweep)
+    share[leaves] = rng.uniform(0.0, 1.0, int(leaves.sum()))
+    cell = np.flatnonzero(kept & np.isfinite(sweep.range_m) & (share > 0.0))
+    row, column = np.unravel_index(cell, kept.shape)
+    directions = sweep.directions[row, column].astype(np.float64)
+    from_m = sweep.range_m[row, column].astype(np.float64) + SEPARATION_M
+    hits = world.hits_from(sweep.sensor, _starts(sweep, column), directions, from_m, rng)
+    return cell, hits, share.reshape(-1)[cell]
+
+
+def _past_edges(
+    world: World, sweep: Sweep, kept: NDArray[np.bool_], rng: np.random.Generator
+) -> tuple[NDArray[np.intp], Hits, Float]:
+    """Flat cells of beams that a silhouette cuts, the nearest thing behind it, and the share of the cone beside it."""
+    solid = (sweep.material != Material.GLASS) & ~_in_leaves(world, sweep)
+    cell = np.flatnonzero(kept & solid & _beside_a_step(sweep))
+    row, column = np.unravel_index(cell, kept.shape)
+    axis, starts = sweep.directions[row, column].astype(np.float64), _starts(sweep, column)
+    first_m, item = sweep.range_m[row, column], sweep.item[row, column]
+    half = sweep.sensor.divergence_rad / 2
+    hits = []
+    for left, up in _SIDES:
+        aim = np.cos(half) * axis + np.sin(half) * _aside(axis, left, up)
+        side = world.hits_from(sweep.sensor, starts, aim, np.zeros(len(cell)), rng)
+        side.range_m[(side.range_m < first_m + SEPARATION_M) | (side.item == item)] = np.inf
+        hits.append(side)
+    ranges = np.stack([side.range_m for side in hits])
+    nearest, each = ranges.argmin(axis=0), np.arange(len(cell))
+    names = ("range_m", "item", "material", "cosine")
+    chosen = {name: np.stack([getattr(side, name) for side in hits])[nearest, each] for name in names}
+    met = np.isfinite(chosen["range_m"])
+    # Of the axis and four sides, those that pass the edge and meet something.
+    share = np.isfinite(ranges).sum(axis=0) / (len(_SIDES) + 1)
+    return cell[met], Hits(sweep.sensor, **{name: values[met] for name, values in chosen.items()}), share[met]
+
+
+def _beside_a_step(sweep: Sweep) -> NDArray[np.bool_]:
+    """Hits with another thing well behind in a neighbouring cell; no silhouette can cut the others.
+
+    A beam's cone is narrower than the steps between beams. (Of gaps narrower than those, some are overlooked.)
+    """
+    behind: NDArray[np.bool_] = np.zeros(sweep.range_m.shape, dtype=np.bool_)
+    nearer = sweep.range_m + SEPARATION_M
+    for axis in (0, 1):
+        for step in (1, -1):
+            deeper = (np.roll(sweep.range_m, step, axis) > nearer) & (np.roll(sweep.item, step, axis) != sweep.item)
+            if axis == 0:  # top and bottom rows are no neighbours; first and last columns are
+                deeper[0 if step == 1 else -1] = False
+            behind |= deeper
+    behind &= np.isfinite(sweep.range_m)
+    return behind
+
+
+def _in_leaves(world: World, sweep: Sweep) -> NDArray[np.bool_]:
+    """Hits among loose leaves."""
+    numbers = [number for number, _ in world.foliage]
+    leaves: NDArray[np.bool_] = (sweep.material == Material.FOLIAGE) & np.isin(sweep.item, numbers)
+    return leaves
+
+
+def _aside(axis: Float, left: float, up: float) -> Float:
+    """(N, 3) unit vectors at right angles to the beams, to the left of them or upwards."""
+    flat = np.hypot(axis[:, 0], axis[:, 1])
+    leftwards = np.stack((-axis[:, 1], axis[:, 0], np.zeros(len(axis))), axis=1) / flat[:, None]
+    aside: Float = left * leftwards + up * np.cross(axis, leftwards)
+    return aside
+
+
+def _starts(sweep: Sweep, column: NDArray[np.intp]) -> Float:
+    """(K, 3) where the beams of some columns start."""
+    only_one = len(sweep.origins_m) == 1
+    return sweep.origins_m[np.zeros_like(column) if only_one else column]
+
+
+def _most(sweep: Sweep) -> int:
+    return max(int(sweep.item.max()), 0) + 1

@@ -1,0 +1,143 @@
+"""What a street scene may state or show beyond one return a beam of one sensor that stands still in dry air."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from decimal import Decimal
+
+from shift3d.errors import InputError
+
+__all__ = ["MOST_SENSORS", "PLAIN", "WEATHER_STRENGTHS", "StreetOptions"]
+
+WEATHER_STRENGTHS = {"rain": ("rain_mm_h", 10.0), "fog": ("visibility_m", 100.0), "snow": ("snow_mm_h", 1.0)}
+"""Of each weather: the field that says how strong it is, and what null stands for (our choice): heavy rain, thick
+fog, moderate snow."""
+LIMITS = {"rain_mm_h": 500.0, "visibility_m": 1e5, "snow_mm_h": 50.0, "ego_speed_m_s": 50.0}
+"""Largest values (our choice): beyond them lie typing errors."""
+MOST_SENSORS = 5  # one on the roof, one at each corner of the car
+_WHERE = "street scenes"
+_TAG = re.compile(
+    r"(?:-(?P<weather>rain|fog|snow)(?P<strength>[\d.]+))?(?P<sensor_model>-model)?(?P<range_image>-image)?"
+    r"(?:-returns(?P<returns>\d+))?(?:-sensors(?P<sensors>\d+))?(?:-ego(?P<ego>[\d.]+)(?P<compensated>comp)?)?"
+)
+
+
+@dataclass(frozen=True)
+class StreetOptions:
+    """Options of street scenes; all off by default.
+
+    Attributes:
+        weather: "dry", "rain", "fog" or "snow". Only stated in the scene's conditions: effects put it into the points.
+        rain_mm_h, visibility_m, snow_mm_h: how strong; None: as in :data:`WEATHER_STRENGTHS`, filled in here for
+            the weather that there is.
+        sensor_model: the scene states its sensor's noise, divergence and law of power.
+        range_image: the scene knows its beams without a return.
+        returns: 1, or 2 returns of a beam that a surface lets through in part.
+        sensors: 1, or up to 5 with short-range ones at the corners of the car: front left, front right, rear left,
+            rear right. Points then carry no pixels.
+        ego_speed_m_s: along +x during the turn.
+        motion_compensated: points as they were at time 0, with the origins that follow the sensor; otherwise in
+            the frame of the sensor as it fires.
+
+    Raises:
+        InputError: for values out of range or settings that contradict each other, naming the field and the remedy.
+    """
+
+    weather: str = "dry"
+    rain_mm_h: float | None = None
+    visibility_m: float | None = None
+    snow_mm_h: float | None = None
+    sensor_model: bool = False
+    range_image: bool = False
+    returns: int = 1
+    sensors: int = 1
+    ego_speed_m_s: float = 0.0
+    motion_compensated: bool = False
+
+    def __post_init__(self) -> None:
+        if self.weather not in ("dry", *WEATHER_STRENGTHS):
+            remedy = f"Choose from dry, {', '.join(WEATHER_STRENGTHS)}"
+            raise InputError(f"unknown weather {self.weather!r}", _WHERE, remedy)
+        for weather, (name, usual) in WEATHER_STRENGTHS.items():
+            self._settle(weather, name, usual)
+        if not 0.0 <= self.ego_speed_m_s <= LIMITS["ego_speed_m_s"]:
+            remedy = f"Give 0 to {LIMITS['ego_speed_m_s']:g}"
+            raise InputError(f"ego_speed_m_s is {self.ego_speed_m_s}", _WHERE, remedy)
+        for name, most in (("returns", 2), ("sensors", MOST_SENSORS)):
+            if getattr(self, name) not in range(1, most + 1):
+                raise InputError(f"{name} is {getattr(self, name)}", _WHERE, f"Give 1 to {most}")
+        if self.returns > 1 and self.sensors > 1:
+            what = f"returns={self.returns} with sensors={self.sensors}: points of several sensors carry no pixels"
+            raise InputError(f"{what} that would tell which returns share a beam", _WHERE, "Set one of them to 1")
+        if self.motion_compensated and not self.ego_speed_m_s:
+            what = "motion_compensated=true, but ego_speed_m_s is 0: there is no motion"
+            raise InputError(what, _WHERE, "Give ego_speed_m_s, or set motion_compensated=false")
+
+    def _settle(self, weather: str, name: str, usual: float) -> None:
+        """Check the strength of one weather; fill it in where that weather is wanted and nothing is said."""
+        value: float | None = getattr(self, name)
+        if weather != self.weather:
+            if value is not None:
+                what = f"{name}={value} says how strong {weather} is, but weather is {self.weather}"
+                raise InputError(what, _WHERE, f"Set weather={weather}, or leave {name} null")
+            return
+        value = usual if value is None else float(value)
+        if not 0.0 < value <= LIMITS[name]:
+            raise InputError(f"{name} is {value}", _WHERE, f"Give more than 0, at most {LIMITS[name]:g}, or null")
+        object.__setattr__(self, name, value)  # equal scenes have equal options, whoever filled them in
+
+    @property
+    def tag(self) -> str:
+        """Of the options that are on, for names: "" or such as "-fog50-returns2-ego15comp"; see `from_tag`."""
+        words = []
+        if self.weather != "dry":
+            words.append(self.weather + _digits(getattr(self, WEATHER_STRENGTHS[self.weather][0])))
+        words += ["model"] if self.sensor_model else []
+        words += ["image"] if self.range_image else []
+        words += [f"{name}{count}" for name in ("returns", "sensors") if (count := getattr(self, name)) > 1]
+        if self.ego_speed_m_s:
+            words.append(f"ego{_digits(self.ego_speed_m_s)}" + ("comp" if self.motion_compensated else ""))
+        return "".join(f"-{word}" for word in words)
+
+    @staticmethod
+    def from_tag(tag: str) -> StreetOptions:
+        """The options that a tag stands for: ``StreetOptions.from_tag(options.tag) == options``.
+
+        Raises:
+            InputError: for what is no tag.
+        """
+        match = _TAG.fullmatch(tag)
+        try:
+            options = StreetOptions() if match is None else _from_groups(match)
+        except ValueError:
+            options = StreetOptions()
+        if options.tag != tag:
+            raise InputError(f"{tag!r} names no options", _WHERE, "Give a tag such as -fog50-returns2-ego15comp")
+        return options
+
+
+def _from_groups(match: re.Match[str]) -> StreetOptions:
+    weather = match["weather"] or "dry"
+    strength = {WEATHER_STRENGTHS[weather][0]: float(match["strength"])} if match["weather"] else {}
+    return StreetOptions(
+        weather=weather,
+        rain_mm_h=strength.get("rain_mm_h"),
+        visibility_m=strength.get("visibility_m"),
+        snow_mm_h=strength.get("snow_mm_h"),
+        sensor_model=match["sensor_model"] is not None,
+        range_image=match["range_image"] is not None,
+        returns=int(match["returns"] or 1),
+        sensors=int(match["sensors"] or 1),
+        ego_speed_m_s=float(match["ego"] or 0.0),
+        motion_compensated=match["compensated"] is not None,
+    )
+
+
+def _digits(value: float) -> str:
+    """The shortest decimal number that reads back as the same float, without an exponent (its sign is a dash)."""
+    text = format(Decimal(repr(float(value))), "f")
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+PLAIN = StreetOptions()

@@ -1,0 +1,216 @@
+"""Everything of one street that beams can meet, and casting beams at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.scenes.street.ground import Ground
+from shift3d.scenes.street.item import LABELLED, OWN_CAR_M, Item, stand_on
+from shift3d.scenes.street.layout import Layout
+from shift3d.scenes.street.pool import PoolVehicle, pool_vehicle
+from shift3d.scenes.street.raycast import (
+    LEAVES_COSINE,
+    Float,
+    Float32,
+    Hits,
+    Intersector,
+    Sweep,
+    hit_instance,
+    through_ellipsoid,
+)
+from shift3d.scenes.street.sensors import Sensor
+from shift3d.scenes.street.shapes import Material, Mesh, Part, merge
+from shift3d.scenes.street.things import LOOKS, Leaves
+from shift3d.seeding import generator
+
+# Windows lie between these shares of a vehicle's height; some vehicles lose most of the returns from them.
+GLASS_FROM, GLASS_TO = 0.62, 0.92
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A vehicle of the pool on its four wheels: its item number, and the pose of its object frame in the scene."""
+
+    number: int
+    vehicle: PoolVehicle
+    scene_R_object: Float  # noqa: N815
+    position: Float
+
+    @property
+    def glass_band_m(self) -> tuple[float, float]:
+        """Heights of the object frame between which windows lie."""
+        height = float(self.vehicle.size_m[2])
+        return GLASS_FROM * height - height / 2, GLASS_TO * height - height / 2
+
+
+@dataclass(frozen=True)
+class World:
+    """What stands on the street, scene frame.
+
+    Attributes:
+        mesh: the ground and every solid thing but vehicles; material and item: (F,) of its faces.
+        vehicles: in the order of their item numbers. foliage: (item number, leaves).
+        boxes: (7,) of every labelled item, by item number.
+    """
+
+    mesh: Intersector
+    material: NDArray[np.uint8]
+    item: NDArray[np.int32]
+    vehicles: tuple[Standing, ...]
+    foliage: tuple[tuple[int, Leaves], ...]
+    boxes: dict[int, Float]
+
+    @staticmethod
+    def of(layout: Layout, split: str, driven_m: float = 0.0) -> World:
+        """The world of a layout. What stands where the own car drives during the turn is left out."""
+        solid: list[tuple[int, Part]] = []
+        foliage: list[tuple[int, Leaves]] = []
+        boxes: dict[int, Float] = {}
+        vehicles = []
+        away = _in_the_way(layout, driven_m)
+        for number, item in enumerate(layout.items):
+            if away[number]:
+                continue
+            if item.kind == "vehicle":
+                standing = _stand(layout.ground, item, number, pool_vehicle(split, item.variant))
+                vehicles.append(standing)
+                boxes[number] = np.array([*standing.position, *standing.vehicle.size_m, item.heading_rad])
+                continue
+            parts, leaves = LOOKS[item.kind](item, generator("street-thing", item.variant))
+            z = _lowest_ground(layout.ground, item) if item.kind != "pedestrian" else _ground_at(layout.ground, item)
+            solid += [(number, part.placed(item.x, item.y, z, item.heading_rad)) for part in parts]
+            if item.kind in LABELLED:
+                boxes[number] = _box_of_parts(parts, item, z)
+            foliage += [(number, _placed_leaves(leaf, item, z)) for leaf in leaves]
+        vertices, faces, material = layout.ground.mesh()
+        ground = Mesh(vertices, faces, material, np.full(len(faces), -1, dtype=np.int32))
+        mesh = merge(solid, ground)
+        intersector = Intersector(mesh.vertices, mesh.faces)
+        return World(intersector, mesh.material, mesh.item, tuple(vehicles), tuple(foliage), boxes)
+
+    def cast(self, sweep: Sweep, rng: np.random.Generator) -> None:
+        """First hits of every beam of a sweep."""
+        sweep.cast_static(self.mesh, self.material, self.item)
+        for standing in self.vehicles:
+            vehicle, radius_m = standing.vehicle, standing.vehicle.radius_m
+            pose = (standing.scene_R_object, standing.position)
+            sweep.cast_instance(vehicle.intersector, *pose, radius_m, standing.glass_band_m, standing.number)
+        for number, leaf in self.foliage:
+            sweep.cast_foliage(leaf.centre, leaf.radii, leaf.free_path_m, number, rng)
+
+    def hits_from(
+        self, sensor: Sensor, starts: Float, directions: Float, from_m: Float, rng: np.random.Generator
+    ) -> Hits:
+        """First hits of single beams beyond a range.
+
+        Args:
+            starts, directions: (N, 3) float64, scene frame. from_m: (N,) range from which on they are looked for.
+
+        Returns:
+            Hits of shape (N,), ranges from the starts.
+        """
+        aims, begins = directions.astype(np.float32), starts + from_m[:, None] * directions
+        range_m, face, cosine = self.mesh.first_hit(begins.astype(np.float32), aims)
+        met = face >= 0
+        hits = Hits(
+            sensor,
+            range_m,
+            np.where(met, self.item[face], -2).astype(np.int32),
+            np.where(met, self.material[face], 0).astype(np.uint8),
+            cosine,
+        )
+        for standing in self.vehicles:
+            near = _near(begins, directions, standing.position, standing.vehicle.radius_m)
+            if not len(near):
+                continue
+            pose = (standing.scene_R_object, standing.position)
+            mesh = standing.vehicle.intersector
+            on_mesh = hit_instance(mesh, *pose, standing.glass_band_m, begins[near], aims[near])
+            _nearer(hits, near, *on_mesh, standing.number)
+        for number, leaf in self.foliage:
+            near = _near(begins, directions, leaf.centre, float(leaf.radii.max()))
+            crossed, enter, leave = through_ellipsoid(begins[near], directions[near], leaf.centre, leaf.radii)
+            depth = np.maximum(enter, 0.0) + rng.exponential(leaf.free_path_m, len(near))
+            range_m = np.where(crossed & (depth < leave), depth, np.inf).astype(np.float32)
+            leaves = np.full(len(near), Material.FOLIAGE, dtype=np.uint8)
+            _nearer(hits, near, range_m, leaves, np.full(len(near), LEAVES_COSINE, np.float32), number)
+        hits.range_m = (hits.range_m + from_m).astype(np.float32)
+        return hits
+
+
+def _near(starts: Float, directions: Float, centre: Float, radius_m: float) -> NDArray[np.intp]:
+    """Which rays pass a sphere ahead of them."""
+    offset = centre - starts
+    along = np.einsum("ij,ij->i", offset, directions)
+    apart = np.einsum("ij,ij->i", offset, offset) - np.maximum(along, 0.0) ** 2
+    return np.flatnonzero(apart <= radius_m**2)
+
+
+def _nearer(
+    hits: Hits, rows: NDArray[np.intp], range_m: Float32, material: NDArray[np.uint8], cosine: Float32, item: int
+) -> None:
+    """Enter hits of one item on some rows where they are nearer than what is there."""
+    nearer = range_m < hits.range_m[rows]
+    target = rows[nearer]
+    hits.range_m[target], hits.material[target] = range_m[nearer], material[nearer]
+    hits.cosine[target], hits.item[target] = cosine[nearer], item
+
+
+def _in_the_way(layout: Layout, driven_m: float) -> NDArray[np.bool_]:
+    """(items,) bool: which stand on the floor that the own car drives over, driven_m ahead of it."""
+    if not driven_m:
+        return np.zeros(len(layout.items), dtype=np.bool_)
+    x, y, length_m, width_m = OWN_CAR_M
+    return stand_on(layout.items, x + (length_m + driven_m) / 2, y, driven_m, width_m)
+
+
+def _stand(ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> Standing:
+    """A vehicle on its four wheels."""
+    length, width, height = vehicle.size_m
+    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
+    along = np.array([0.3, 0.3, -0.3, -0.3]) * length
+    across = np.array([0.45, -0.45, -0.45, 0.45]) * width
+    z = ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across)
+    rise = (z[0] + z[1] - z[2] - z[3]) / (2 * 0.6 * length)
+    roll = (z[0] + z[3] - z[1] - z[2]) / (2 * 0.9 * width)
+    forward = np.array([cos, sin, rise]) / np.sqrt(1 + rise**2)
+    left = np.array([-sin, cos, roll])
+    left -= (left @ forward) * forward
+    left /= np.linalg.norm(left)
+    scene_R_object = np.stack((forward, left, np.cross(forward, left)), axis=1)
+    return Standing(number, vehicle, scene_R_object, np.array([item.x, item.y, float(z.mean()) + height / 2]))
+
+
+def _box_of_parts(parts: list[Part], item: Item, z: float) -> NDArray[np.float64]:
+    vertices = np.concatenate([part.vertices for part in parts])
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    middle = (low + high) / 2
+    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
+    x = item.x + cos * middle[0] - sin * middle[1]
+    y = item.y + sin * middle[0] + cos * middle[1]
+    return np.array([x, y, z + middle[2], *(high - low), item.heading_rad])
+
+
+def _placed_leaves(leaf: Leaves, item: Item, z: float) -> Leaves:
+    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
+    x, y, up = leaf.centre
+    centre = np.array([item.x + cos * x - sin * y, item.y + sin * x + cos * y, z + up])
+    # The blob keeps its reach along the scene's axes but not its tilt: nobody can tell.
+    along = np.hypot(leaf.radii[0] * cos, leaf.radii[1] * sin)
+    across = np.hypot(leaf.radii[0] * sin, leaf.radii[1] * cos)
+    return Leaves(centre, np.array([along, across, leaf.radii[2]]), leaf.free_path_m)
+
+
+def _ground_at(ground: Ground, item: Item) -> float:
+    return float(ground.height(np.asarray(item.x), np.asarray(item.y)))
+
+
+def _lowest_ground(ground: Ground, item: Item) -> float:
+    """Lowest ground under an item's corners, so that nothing floats."""
+    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
+    along = np.array([0.5, 0.5, -0.5, -0.5, 0.0]) * item.size_m[0]
+    across = np.array([0.5, -0.5, -0.5, 0.5, 0.0]) * item.size_m[1]
+    return float(ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across).min())

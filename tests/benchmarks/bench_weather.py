@@ -1,0 +1,62 @@
+"""What weather costs over a whole scene."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from analytic_fields import Frame
+from benchmarks.results import Results
+from benchmarks.timing import milliseconds, repeat
+
+from shift3d.render.beams import Beams
+from shift3d.render.called_for import effect_named
+from shift3d.render.effects.base import Returns, Situation
+from shift3d.render.effects.fog import soft_echo
+from shift3d.render.effects.rain import crossings
+from shift3d.scenes.scene import Conditions, Scene
+from shift3d.scenes.sensor import SensorModel
+
+POINTS = 180_000
+WEATHER = {
+    "fog": Conditions("fog", visibility_m=60.0, weather_in_points=False),
+    "rain": Conditions("rain", rain_mm_h=10.0, weather_in_points=False),
+    "snow": Conditions("snow", snow_mm_h=1.0, weather_in_points=False),
+}
+
+
+def scene_in(conditions: Conditions) -> tuple[Situation, Returns]:
+    """Beams in all directions, 2 to 100 m long, by a sensor of the streets."""
+    rng = np.random.default_rng(1)
+    directions = rng.standard_normal((POINTS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = (rng.uniform(2.0, 100.0, (POINTS, 1)) * directions).astype(np.float32)
+    reflectance = rng.uniform(0.0, 1.0, POINTS).astype(np.float32)
+    origins = np.broadcast_to(np.zeros(3, np.float32), (POINTS, 3))
+    sensor = SensorModel(limit_range_m=640.0, power_spread=0.45)
+    scene = Scene(
+        "weather", "made", points, origins, -1.7, reflectance=reflectance, conditions=conditions, sensor=sensor
+    )
+    beams = Beams.from_scene(scene)
+    no, yes = torch.zeros(POINTS, dtype=torch.bool), torch.ones(POINTS, dtype=torch.bool)
+    albedo, one = torch.from_numpy(reflectance).double(), torch.ones(POINTS, dtype=torch.float64)
+    rows = torch.arange(POINTS)
+    returns = Returns(rows, beams.points.double(), beams.origins, beams.directions, no, yes, one, albedo, albedo)
+    return Situation(scene, beams, Frame(), seed=1), returns
+
+
+@pytest.mark.parametrize("name", WEATHER)
+def bench_weather(bench: Results, name: str, quick: bool) -> None:
+    """Binding (draws for every beam) and the step, one thread; the first call in a process also makes the table."""
+    situation, returns = scene_in(WEATHER[name])
+    effect = effect_named(name)
+
+    def whole() -> Returns:
+        return effect.bind(situation)(returns)  # type: ignore[arg-type, return-value]
+
+    soft_echo.cache_clear()
+    crossings.cache_clear()
+    first_ms = milliseconds(whole)
+    timing = repeat(whole, budget_s=0.5 if quick else 3.0)
+    note = f"{first_ms:.0f} ms the first time, with the table"
+    bench.time(f"{name}_180k_ms", timing, f"{name} over a scene of {POINTS} points, bind and step", note)

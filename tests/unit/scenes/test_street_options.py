@@ -1,0 +1,110 @@
+"""Options of street scenes: contradictions are refused, names tell them all, and settings are the generator's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from pydantic import ValidationError
+
+from shift3d.config.catalogue import scene_set
+from shift3d.config.schema import StreetConfig, StreetOptionsConfig
+from shift3d.errors import InputError
+from shift3d.scenes.sets import StreetScenes
+from shift3d.scenes.street.options import PLAIN, StreetOptions
+
+CONF = Path(__file__).parents[3] / "conf" / "scenes" / "street.yaml"
+EVERY: list[tuple[dict[str, Any], str]] = [
+    ({}, ""),
+    ({"weather": "fog", "visibility_m": 50}, "-fog50"),
+    ({"weather": "fog"}, "-fog100"),
+    ({"weather": "rain", "rain_mm_h": 2.5}, "-rain2.5"),
+    ({"weather": "snow", "snow_mm_h": 1e-7}, "-snow0.0000001"),
+    ({"sensor_model": True, "range_image": True}, "-model-image"),
+    ({"returns": 2, "ego_speed_m_s": 15.0}, "-returns2-ego15"),
+    ({"sensors": 3, "ego_speed_m_s": 1 / 3, "motion_compensated": True}, "-sensors3-ego0.3333333333333333comp"),
+    ({"weather": "fog", "sensor_model": True, "range_image": True, "returns": 2}, "-fog100-model-image-returns2"),
+]
+WRONG: list[tuple[dict[str, Any], str, str]] = [
+    ({"visibility_m": 50.0}, "visibility_m=50.0", "weather=fog"),
+    ({"weather": "fog", "rain_mm_h": 5.0}, "rain_mm_h=5.0", "weather=rain"),
+    ({"weather": "rain", "visibility_m": 50.0, "rain_mm_h": 5.0}, "visibility_m=50.0", "leave visibility_m null"),
+    ({"returns": 2, "sensors": 3}, "returns=2 with sensors=3", "Set one of them to 1"),
+    ({"motion_compensated": True}, "motion_compensated=true", "Give ego_speed_m_s"),
+]
+OUT_OF_RANGE: list[dict[str, Any]] = [
+    {"weather": "hail"},
+    {"weather": "fog", "visibility_m": 0.0},
+    {"weather": "rain", "rain_mm_h": float("nan")},
+    {"weather": "snow", "snow_mm_h": float("inf")},
+    {"returns": 3},
+    {"sensors": 0},
+    {"sensors": 6},
+    {"ego_speed_m_s": -1.0},
+    {"ego_speed_m_s": float("nan")},
+]
+
+
+def street(**options: Any) -> StreetConfig:
+    return StreetConfig(kind="street", sensor="hdl64", split="test", seed=0, count=2, **options)
+
+
+@pytest.mark.parametrize(("values", "tag"), EVERY)
+def test_a_tag_tells_the_options(values: dict[str, Any], tag: str) -> None:
+    options = StreetOptions(**values)
+    assert options.tag == tag
+    assert StreetOptions.from_tag(tag) == options
+
+
+@pytest.mark.parametrize("tag", ["fog50", "-fog", "-fog050", "-fog1e2", "-image-model", "-returns1", "-fog.", "-ego0"])
+def test_what_no_options_would_write_is_no_tag(tag: str) -> None:
+    with pytest.raises(InputError, match="names no options"):
+        StreetOptions.from_tag(tag)
+
+
+@pytest.mark.parametrize(("values", "what", "remedy"), WRONG)
+def test_contradictions_name_the_field_and_the_remedy(values: dict[str, Any], what: str, remedy: str) -> None:
+    with pytest.raises(InputError) as caught:
+        StreetOptions(**values)
+    assert what in caught.value.what and remedy in caught.value.remedy
+    with pytest.raises(ValidationError) as refused:
+        street(**values)
+    assert what in str(refused.value) and remedy in str(refused.value)
+
+
+@pytest.mark.parametrize("values", OUT_OF_RANGE)
+def test_values_out_of_range_are_refused_by_both(values: dict[str, Any]) -> None:
+    name = list(values)[-1]
+    with pytest.raises(InputError, match=name):
+        StreetOptions(**values)
+    with pytest.raises(ValidationError, match=name):
+        street(**values)
+
+
+def test_settings_are_those_of_the_generator_and_off_by_default() -> None:
+    assert street().options() == PLAIN
+    shipped = yaml.safe_load(CONF.read_text())
+    names = StreetOptionsConfig.model_fields
+    assert {name: shipped[name] for name in names} == {name: getattr(PLAIN, name) for name in names}
+    assert set(names) == set(vars(PLAIN))
+    config = street(weather="fog", visibility_m=50, returns=2)
+    assert scene_set(config).dataset == "street-hdl64-fog50-returns2"
+    # As a task carries them, and as its worker reads them.
+    dumped = config.model_dump(mode="json")
+    assert StreetConfig(**dumped) == config
+
+
+def test_names_carry_the_options_and_are_checked() -> None:
+    foggy = StreetOptions(weather="fog", visibility_m=50.0)
+    scenes = StreetScenes("mixed", seed=3, count=2, options=foggy)
+    assert scenes.dataset == "street-mixed-fog50"
+    assert scenes.names() == ["street-test-hdl64-000000-fog50-seed3", "street-test-waymo_top-000001-fog50-seed3"]
+    scene = scenes.load(scenes.names()[0])
+    assert (scene.scene_id, scene.dataset) == (scenes.names()[0], "street-hdl64-fog50")
+    for name in ("street-test-hdl64-000000-seed3", "street-test-hdl64-000000-fog60-seed3", "street-test-hdl64-000000"):
+        with pytest.raises(InputError, match="unknown scene"):
+            scenes.load(name)
+    with pytest.raises(InputError, match="unknown scene"):
+        StreetScenes("hdl64").load("street-test-hdl64-000000-fog50")

@@ -1,0 +1,74 @@
+"""What a plan decides about effects: once for each scene, said in a table, and part of each task."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from by_hand import catalogue
+
+from shift3d.config.catalogue import Catalogue
+from shift3d.config.compose import compose_sweep
+from shift3d.config.schema import Config
+from shift3d.errors import InputError
+from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.labels import Conditions
+from shift3d.sweep.effects import effect_table
+from shift3d.sweep.plan import Plan, make_plan
+
+FOG = SceneFacts("north", conditions=Conditions(weather="fog", visibility_m=40.0))
+
+
+def one_foggy(config: Config) -> Catalogue:
+    """North lies in fog, south is dry."""
+    plain = catalogue(config)
+    north, south = plain.scenes
+    return dataclasses.replace(plain, scenes=(dataclasses.replace(north, facts=FOG), south))
+
+
+def plan_of(*overrides: str, of=catalogue) -> Plan:  # type: ignore[no-untyped-def]
+    return make_plan(compose_sweep("default", ["vehicle=suv", "mode=shape", "attack.lambda=1", *overrides]), of)[0]
+
+
+def test_auto_on_dry_scenes_asks_for_the_same_tasks_as_none() -> None:
+    auto, none = plan_of(), plan_of("effects=none")
+    assert [task.spec for task in auto.tasks] == [task.spec for task in none.tasks]
+    assert auto.effects == () and effect_table(auto.effects, 2) == "effects: occlusion alone; no scene calls for more"
+
+
+def test_auto_takes_what_one_scene_calls_for_there_and_nowhere_else() -> None:
+    plan = plan_of(of=one_foggy)
+    assert {task.spec.scene: task.spec.effects for task in plan.tasks} == {"north": ("fog",), "south": ()}
+    (line,) = plan.effects
+    assert (line.effect, line.used, line.scenes) == ("fog", True, ("north",)) and "40 m" in line.reason
+    table = effect_table(plan.effects, 2).splitlines()
+    assert "fog" in table[2] and "1 of 2" in table[2] and line.reason in table[2]
+
+
+def test_what_is_said_of_scenes_is_part_of_the_tasks_that_use_it() -> None:
+    thick, thin = (plan_of("effects=fog", f"effects.visibility_m={metres}") for metres in (30, 60))
+    assert thick.tasks[0].spec.effect_settings == {"visibility_m": 30.0}
+    assert thick.tasks[0].spec.task_id != thin.tasks[0].spec.task_id
+    unused = plan_of("effects=none", "effects.visibility_m=30")
+    assert unused.tasks[0].spec.task_id == plan_of().tasks[0].spec.task_id
+
+
+def test_an_effect_without_data_is_refused_with_what_would_supply_it() -> None:
+    with pytest.raises(InputError, match=r"north has no data for fog: its visibility.*effects\.visibility_m"):
+        plan_of("effects=fog")
+
+
+def test_settings_of_effects_as_an_axis_and_a_task_that_two_of_them_share() -> None:
+    plan = plan_of("effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25")
+    asked = {(task.spec.scene, task.spec.effects): task.effects_asked for task in plan.tasks}
+    assert asked["south", ()] == ("none",) and asked["south", ("rain", "range_noise")] == ("auto", "rain+range_noise")
+
+
+def test_a_scene_is_asked_once_a_vehicle() -> None:
+    asked: list[str] = []
+
+    def counting(config: Config) -> Catalogue:
+        return dataclasses.replace(one_foggy(config), frame_of=lambda name: asked.append(name))
+
+    plan_of("attack.lambda=1,10", "attack.alpha=0.01,0.02", of=counting)
+    assert len(asked) == 4  # a combination of settings each, not a scene each
