@@ -18,7 +18,7 @@ from shift3d.render.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import SensorModel
 
-__all__ = ["EFFECT", "Crossings", "Particles", "Precipitation", "Rain", "crossings", "drops", "noise_share"]
+__all__ = ["EFFECT", "Crossings", "Particles", "Precipitation", "Rain", "crossings", "drops", "extra_noise_m"]
 
 EXIT_M, DIVERGENCE_RAD = 0.01, 2e-3
 """Width of a beam where it leaves the sensor, and its full angle where the sensor states none (our choice: HDL-64E)."""
@@ -27,8 +27,8 @@ DROP_ALBEDO = 0.024
 R (1 + ((1 - R) n / (2 - n))^2) of a large sphere of water, front and rear face, n = 1.33, R = 0.02 (our choice)."""
 LEAST_ALBEDO = 0.01
 """Of what sent an echo: a reported 0 is a rounding, not a surface that any particle outshines (our choice)."""
-LEAST_NOISE_M = 0.01
-"""Range noise at the far end of the placements below which a detector sees none: a tenth of a cell (our choice)."""
+PULSE_M = 0.09
+"""Range resolution of a pulse, which a strong echo's noise is a small part of (Kilic et al. 2021)."""
 EXTINCTION_EFFICIENCY = 2.0
 """Q_ext of particles much larger than the wavelength: pi D / wavelength is 3500 for a drop of 1 mm at 905 nm."""
 _FAR_M, _LEAST_POWER, _MOST_POWER = 250.0, 1e-10, 10.0
@@ -65,9 +65,21 @@ def drops(rain_mm_h: float) -> Particles:
     return Particles(8000.0, 4.1 * rain_mm_h**-0.21, DROP_ALBEDO)
 
 
-def noise_share(rain_mm_h: float) -> float:
-    """Standard deviation of a range over the range: 0.02 (1 - exp(-rate))^2. Source: Goodin et al. 2019."""
-    return 0.02 * math.expm1(-rain_mm_h) ** 2
+def extra_noise_m(power: Tensor, transmission: Tensor, least: float) -> Tensor:
+    """(K,) standard deviation, metres, by which weakened echoes scatter more than they did; 0 where nothing is lost.
+
+    Args:
+        power, least: (K,) of the echoes before, and the sensor's least, 1/m^2. transmission: (K,) in [0, 1].
+
+    A range scatters by PULSE_M / sqrt(2 SNR), SNR = power / least power, at least 1 for what is noticed; what is
+    added is the difference of the variances, since scene and sensor have the noise of clear air already.
+
+    Source: Kilic et al. 2021. Not the 0.02 R (1 - exp(-rate))^2 of Goodin et al. 2019: that is 0.4 m at 20 m in any
+    rain above 3 mm/h, fifty times what sensors show; with it, rain took 0.69 of a score of 0.84 by noise alone.
+    """
+    before = (least / power.clamp(min=least)).clamp(max=1.0)
+    after = (least / (power * transmission).clamp(min=least)).clamp(max=1.0)
+    return PULSE_M / math.sqrt(2.0) * (after - before).clamp(min=0.0).sqrt()
 
 
 @dataclass(frozen=True)
@@ -166,13 +178,14 @@ def crossings(particles: Particles, divergence_rad: float) -> Crossings:
 class Precipitation:
     """Particles in front of what beams meet.
 
-    arrival, size: (N,) exponential draws: where a beam's nearest particle is, and how wide.
+    arrival, size: (N,) exponential draws: where a beam's nearest particle is, and how wide. noise: (N,) normal draws.
     """
 
     crossings: Crossings
     limit: PowerLimit
     arrival: Tensor
     size: Tensor
+    noise: Tensor
 
     @staticmethod
     def of(situation: Situation, effect: str, particles: Particles) -> Precipitation:
@@ -183,15 +196,13 @@ class Precipitation:
             for what in ("arrival", "size")
         )
         table = crossings(particles, sensor.divergence_rad or DIVERGENCE_RAD)
-        return Precipitation(table, PowerLimit.of(situation, effect), arrival, size)
+        noise = torch.from_numpy(situation.draws(effect, "noise").standard_normal(len(situation.beams)))
+        return Precipitation(table, PowerLimit.of(situation, effect), arrival, size, noise)
 
-    def act(self, returns: Returns) -> tuple[Returns, Tensor]:
+    def act(self, returns: Returns) -> Returns:
         """Weaken echoes, lose what is too weak, and put the nearest particle in the place of what it outdoes.
 
         A particle is in the place of the echo behind it if it sends back more, and at least the sensor's least power.
-
-        Returns:
-            The returns, and (K,) bool: surfaces that are still met.
         """
         range_m = law.range_along(returns).detach()
         transmission = torch.exp(-2.0 * self.crossings.particles.extinction_per_m * range_m)
@@ -210,7 +221,12 @@ class Precipitation:
             cosine=torch.where(particle, 1.0, returns.cosine),
             reflectance=None if returns.reflectance is None else returns.reflectance * left,
         )
-        return self._with_particles(changed, particle, nearest, outdone), surface
+        if self.limit.least > 0.0:
+            weak = echo_power(returns.albedo.clamp(min=LEAST_ALBEDO), returns.cosine, range_m)
+            shift = self.noise[returns.row] * extra_noise_m(weak, transmission, self.limit.least)
+            points = torch.where(surface[:, None], changed.points + shift[:, None] * changed.directions, changed.points)
+            changed = replace(changed, points=points)
+        return self._with_particles(changed, particle, nearest, outdone)
 
     def _with_particles(
         self, returns: Returns, particle: Tensor, nearest: NDArray[np.float64], outdone: NDArray[np.float64]
@@ -231,15 +247,15 @@ class Precipitation:
 
 
 class Rain:
-    """Extinction, drops that send back more than what lies behind them, and range noise.
+    """Extinction, drops that send back more than what lies behind them, and the noise of weaker echoes.
 
     A drop counts if its centre is in the beam, a cone of `DIVERGENCE_RAD` or what the sensor states. It covers the
     share (D / width)^2 of the beam; drops that outdo the echo behind them are then a Poisson process along the beam
     (`crossings`), of which the nearest becomes the return: met with the probability 1 - exp(-Lambda). Its echo is not
     from the object (`on_object` False), with cosine 1 and the apparent albedo that gives its power.
 
-    Echoes of surfaces are lost below the sensor's least power, where that is known, and their ranges scatter by
-    0.02 R (1 - exp(-rate))^2, along the beam. Reflectance and albedo are from here on as seen through the rain. Left
+    Echoes of surfaces are lost below the sensor's least power, where that is known, and their ranges then scatter by
+    `extra_noise_m`, along the beam. Reflectance and albedo are from here on as seen through the rain. Left
     as they are: directions, cosine of surfaces, rows without a return (drops in front of the sky are left out). No
     rain changes nothing.
 
@@ -247,45 +263,31 @@ class Rain:
     is that a drop is itself seen through the fog in front of it. Within one effect, the echo behind is weakened by the
     mean extinction, not by the drops that happen to be in the beam.
 
-    Differentiable: surfaces keep their gradients, times 1 plus the relative noise. The gradient ignores that echoes
-    are lost or replaced; points of drops, reflectance and albedo carry none.
+    Differentiable: surfaces keep their gradients. The gradient ignores that echoes are lost or replaced, and that the
+    noise depends on the range; points of drops, reflectance and albedo carry none.
 
-    Source: Marshall and Palmer 1948 (sizes), Goodin et al. 2019 (noise), Kilic et al. 2021 (limit); the rest: our
-    choice.
+    Source: Marshall and Palmer 1948 (sizes), Kilic et al. 2021 (limit and noise); the rest: our choice.
     """
 
     name = "rain"
     kind: Kind = "returns"
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
-        """Where a hundredth of the light is lost as far as there is something to see, or ranges scatter visibly."""
+        """Where a hundredth of the light is lost as far as there is something to see."""
         rate = scene.conditions.rain_mm_h
         if rate == 0.0:
             return None
         extinction = drops(rate).extinction_per_m
-        noise_m = noise_share(rate) * law.OBJECT_FAR_M
-        if loss(extinction, law.reach_m(scene.conditions)) < LEAST_LOSS and noise_m < LEAST_NOISE_M:
+        if loss(extinction, law.reach_m(scene.conditions)) < LEAST_LOSS:
             return None
-        return (
-            f"rain {rate:g} mm/h: {100.0 * loss(extinction, 30.0):.2g} % of the light is lost at 30 m and back, "
-            f"ranges scatter by {100.0 * noise_share(rate):.2g} %"
-        )
+        return f"rain {rate:g} mm/h: {100.0 * loss(extinction, 30.0):.2g} % of the light is lost at 30 m and back"
 
     def bind(self, situation: Situation) -> ReturnsStep:
         """Three draws a beam, and two more where the sensor's limit is known."""
         rate = situation.scene.conditions.rain_mm_h
         if rate == 0.0:
             return unchanged
-        rain = Precipitation.of(situation, self.name, drops(rate))
-        drawn = situation.draws(self.name, "noise").standard_normal(len(situation.beams))
-        noise = noise_share(rate) * torch.from_numpy(drawn)
-
-        def step(returns: Returns) -> Returns:
-            changed, surface = rain.act(returns)
-            shift = (noise[returns.row] * law.range_along(changed))[:, None] * changed.directions
-            return replace(changed, points=torch.where(surface[:, None], changed.points + shift, changed.points))
-
-        return step
+        return Precipitation.of(situation, self.name, drops(rate)).act
 
     def on_scene(self, situation: Situation) -> bool:
         """Where the scene's points are those of dry air."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shift3d.render.effects.base import DetectorFacts, Kind, Returns, ReturnsStep, Situation
+from shift3d.render.effects.base import DetectorFacts, Kind, ReturnsStep, Situation
 from shift3d.render.effects.power import LEAST_LOSS, loss, reach_m, unchanged
 from shift3d.render.effects.rain import Particles, Precipitation
 from shift3d.render.object_field import VehicleFrame
@@ -34,9 +34,9 @@ class Snow:
     1 - exp(-Lambda). All others weaken that echo, by the mean extinction of snow. A flake's echo is not from the object
     (`on_object` False), with cosine 1 and the apparent albedo that gives its power.
 
-    Echoes of surfaces are lost below the sensor's least power, where that is known. Reflectance and albedo are from
-    here on as seen through the snow. Left as they are: points that no flake outdoes, directions, cosine of surfaces,
-    rows without a return (flakes in front of the sky are left out). No snow changes nothing.
+    Echoes of surfaces are lost below the sensor's least power, where that is known, and scatter as in rain. Reflectance
+    and albedo are from here on as seen through the snow. Left as they are: directions, cosine of surfaces, rows without
+    a return (flakes in front of the sky are left out). No snow changes nothing.
 
     With fog and rain: each acts in turn on what the one before has left. Extinctions add up as they should; left out
     is that a flake is itself seen through the fog or rain in front of it.
@@ -61,16 +61,11 @@ class Snow:
         return f"snow {rate:g} mm/h: {100.0 * loss(extinction, 30.0):.2g} % of the light is lost at 30 m and back"
 
     def bind(self, situation: Situation) -> ReturnsStep:
-        """Two draws a beam, and two more where the sensor's limit is known."""
+        """Three draws a beam, and two more where the sensor's limit is known."""
         rate = situation.scene.conditions.snow_mm_h
         if rate == 0.0:
             return unchanged
-        snow = Precipitation.of(situation, self.name, flakes(rate))
-
-        def step(returns: Returns) -> Returns:
-            return snow.act(returns)[0]
-
-        return step
+        return Precipitation.of(situation, self.name, flakes(rate)).act
 
     def on_scene(self, situation: Situation) -> bool:
         """Where the scene's points are those of dry air."""

@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from shift3d.render.beams import Beams
 from shift3d.render.called_for import DetectorFacts
 from shift3d.render.effects.base import Returns, Situation
-from shift3d.render.effects.rain import DIVERGENCE_RAD, DROP_ALBEDO, EFFECT, EXIT_M, crossings, drops, noise_share
+from shift3d.render.effects.rain import DIVERGENCE_RAD, DROP_ALBEDO, EFFECT, EXIT_M, crossings, drops, extra_noise_m
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
@@ -157,19 +157,30 @@ def test_a_drop_is_wider_than_it_has_to_be_by_one_mean_width():
     assert abs(mean - 1.0 / rain.slope) < 3.0 / rain.slope / math.sqrt(clear.sum())
 
 
-@pytest.mark.parametrize("rain_mm_h", [0.5, 10.0])
-def test_ranges_scatter_along_the_beam_alone(rain_mm_h):
-    situation = situation_of(rain_mm_h)
-    before = returns_of(situation, 10.0)
+def test_weaker_echoes_scatter_more_along_the_beam_alone():
+    """Albedo 0.9 at half of the limit range: four times the least power, before the rain."""
+    sensor = SensorModel(limit_range_m=100.0)
+    situation = situation_of(50.0, sensor)
+    before = returns_of(situation, 50.0, 0.9)
     after = EFFECT.bind(situation)(before)
-    surface = after.on_object
-    relative = (after.range_m / 10.0 - 1.0)[surface]
-    sigma, count = 0.02 * (1.0 - math.exp(-rain_mm_h)) ** 2, int(surface.sum())
-    assert noise_share(rain_mm_h) == pytest.approx(sigma)
-    assert abs(float(relative.mean())) < 3.0 * sigma / math.sqrt(count)
-    assert abs(float(relative.std()) - sigma) < 3.0 * sigma / math.sqrt(2.0 * count)
+    surface = after.on_object & after.returned
+    moved, count = (after.range_m - 50.0)[surface], int(surface.sum())
+    transmission = math.exp(-2.0 * drops(50.0).extinction_per_m * 50.0)
+    sigma = 0.09 * math.sqrt(0.5 * (1.0 / (4.0 * transmission) - 1.0 / 4.0))
+    assert 1.0 / 4.0 < transmission < 0.9 and count > COUNT // 2
+    assert abs(float(moved.mean())) < 3.0 * sigma / math.sqrt(count)
+    assert abs(float(moved.std()) - sigma) < 3.0 * sigma / math.sqrt(2.0 * count)
     across = after.points - (after.points * before.directions).sum(-1, keepdim=True) * before.directions
     assert float(across.norm(dim=-1).max()) < 1e-12
+
+
+def test_noise_that_is_added_is_bounded_and_none_where_nothing_is_lost():
+    power, all_of_it = torch.tensor([0.0, 1e-5, 1.0], dtype=torch.float64), torch.ones(3, dtype=torch.float64)
+    assert extra_noise_m(power, all_of_it, 1e-4).tolist() == [0.0, 0.0, 0.0]
+    lost = extra_noise_m(power, 0.0 * all_of_it, 1e-4)
+    assert bool((lost <= 0.09 / math.sqrt(2.0)).all()) and float(lost[2]) == pytest.approx(
+        0.09 / math.sqrt(2.0), rel=1e-4
+    )
 
 
 @pytest.mark.parametrize("range_m", [15.0, 30.0])
@@ -261,12 +272,12 @@ def facts_of(rain_mm_h: float, in_points: bool = True) -> SceneFacts:
 def test_called_for_with_figures():
     reason = EFFECT.called_for(facts_of(10.0), Frame(), BLIND)
     # 1 - exp(-2 * 1.555e-3 * 30) = 0.089
-    assert reason == "rain 10 mm/h: 8.9 % of the light is lost at 30 m and back, ranges scatter by 2 %"
+    assert reason == "rain 10 mm/h: 8.9 % of the light is lost at 30 m and back"
 
 
 def test_not_called_for_where_it_cannot_matter():
     assert EFFECT.called_for(facts_of(0.0), Frame(), BLIND) is None
-    # 0.02 * 50 m (1 - exp(-0.1))^2 = 9 mm, and 0.8 % of the light.
+    # 0.9 % of the light at 50 m, and 1.1 %.
     assert EFFECT.called_for(facts_of(0.1), Frame(), BLIND) is None
     assert EFFECT.called_for(facts_of(0.15), Frame(), BLIND) is not None
 
