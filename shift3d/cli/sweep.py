@@ -5,13 +5,17 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
 from shift3d.cli.completion import sweep_words
+from shift3d.errors import InputError
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from shift3d.config.schema import Config
     from shift3d.sweep.drive import SweepResult
     from shift3d.sweep.kind import TaskKind
@@ -120,6 +124,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> None:
     assert final is not None
     frames = {name: final.frame(name) for name in final.tables}
     print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
+    _show_effects(plan, result.folder, frames)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
     if "verification" in frames:
         from shift3d.report.stability import stability_lines
@@ -128,6 +133,21 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> None:
     else:
         print(f"are its hard cases hard, or rounding? shift3d verify {result.folder}")
     _mirror(plan, config, result)
+
+
+def _show_effects(plan: Plan, folder: Path, frames: Mapping[str, pd.DataFrame]) -> None:
+    """What effects are worth, where the sweep ran the same tasks with them and without."""
+    variants = {asked for task in plan.tasks for asked in task.effects_asked}
+    if "none" not in variants or len(variants) == 1:
+        return
+    from shift3d.report.effects import effect_lines, effect_worths, write_effects_page
+
+    try:
+        worths = effect_worths(frames["scores"], frames["timings"])
+    except InputError as error:
+        print(f"nothing to compare: {error}\n")
+        return
+    print(f"{effect_lines(worths)}\n\n{write_effects_page(folder / 'final' / 'effects.html', plan.sweep, worths)}")
 
 
 def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
