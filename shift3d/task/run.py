@@ -27,7 +27,6 @@ from shift3d.task.audit import AUDITED, audit
 from shift3d.task.rows import Rows
 from shift3d.task.scoring import Candidate, score_object
 from shift3d.task.spec import TaskResult, TaskSpec
-from shift3d.vehicles.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from shift3d.render.effects.chain import EffectChain
@@ -124,11 +123,11 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProble
         travel_m=spec.attack.max_shift_m,
         others=_other_vehicles(scene),
         space=assets.space_of(spec, settings),
-        effects=_effects(spec, scene, vehicle),
+        effects=_effects(spec, assets),
     )
 
 
-def _effects(spec: TaskSpec, scene: Scene, vehicle: Vehicle) -> EffectChain | None:
+def _effects(spec: TaskSpec, assets: Assets) -> EffectChain | None:
     """The task's effects; none of their code is imported where there are none.
 
     Their randomness is that of the placement: shape and pose attacks of one placement have one baseline.
@@ -137,8 +136,16 @@ def _effects(spec: TaskSpec, scene: Scene, vehicle: Vehicle) -> EffectChain | No
         return None
     from shift3d.render.effects.chain import EffectChain
 
-    settings = EffectSettings(**spec.effect_settings)
-    return EffectChain.of(spec.effects, scene, vehicle, derive_seed("effects", spec.placement_seed), settings)
+    scene, vehicle, settings = assets.scene(spec)[0], assets.vehicle(spec), EffectSettings(**spec.effect_settings)
+    heading_rad = _driving_heading_rad(spec, assets) if settings.object_speed_m_s else 0.0
+    seed = derive_seed("effects", spec.placement_seed)
+    return EffectChain.of(spec.effects, scene, vehicle, seed, settings, heading_rad)
+
+
+def _driving_heading_rad(spec: TaskSpec, assets: Assets) -> float:
+    """A vehicle that drives does so along the heading it was placed with, whatever an attack makes of its pose."""
+    placement = place_vehicle(spec, assets)
+    return 0.0 if isinstance(placement, NoPlacement) else float(placement.theta[3])
 
 
 def _constraints(spec: TaskSpec) -> Constraints:
