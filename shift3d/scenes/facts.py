@@ -48,6 +48,8 @@ class EffectSettings:
             if not np.isfinite(value) or value < least or (strictly and value == 0.0):
                 remedy = "Give a positive number" if strictly else f"Give a finite number of at least {least:g}"
                 raise InputError(f"{name} is {value}", "effects", remedy)
+        # A scene has these bounds too, and nobody validates it again once settings describe it.
+        _sensor(SensorModel(), self.given()).validate("effects")
 
     def given(self) -> dict[str, float]:
         """The settings that are not None, by name."""
@@ -55,7 +57,6 @@ class EffectSettings:
 
 
 _POSITIVE = ("visibility_m", "range_noise_m", "divergence_rad", "limit_range_m")
-NOTHING_SAID = EffectSettings()
 _SENSOR = {part.name for part in fields(SensorModel)}
 
 
@@ -71,6 +72,9 @@ def with_settings(scene: Scene, settings: EffectSettings) -> Scene:
 
 def _sensor(sensor: SensorModel, given: dict[str, float]) -> SensorModel:
     return replace(sensor, **{name: value for name, value in given.items() if name in _SENSOR})
+
+
+NOTHING_SAID = EffectSettings()
 
 
 def _weather(conditions: Conditions, given: dict[str, float]) -> Conditions:

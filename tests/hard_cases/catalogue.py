@@ -24,6 +24,7 @@ AREAS = (
     "voxelisation",
     "detector",
     "constraints",
+    "effects",
     "evaluation",
     "scene files",
     "vehicle files",

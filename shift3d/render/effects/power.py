@@ -126,7 +126,7 @@ class PowerLimit:
     """Losses of one effect that weakens echoes.
 
     sensor, least: whose limit, and its least power, 1/m^2. shared, own: (N,) draws, see `survival_draws`; None where
-    the limit is unknown.
+    the limit is unknown or infinitely far away.
     """
 
     sensor: SensorModel
@@ -138,7 +138,7 @@ class PowerLimit:
     def of(situation: Situation, effect: str) -> PowerLimit:
         """The limit of the situation's sensor, with the draws of one effect."""
         sensor = situation.scene.sensor or SensorModel()
-        if sensor.limit_range_m is None:
+        if sensor.limit_range_m is None or math.isinf(sensor.limit_range_m):  # no least power
             return PowerLimit(sensor)
         own = torch.from_numpy(situation.draws(effect, "survival").random(len(situation.beams)))
         return PowerLimit(sensor, least_power(sensor.limit_range_m), survival_draws(situation), own)
