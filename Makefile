@@ -8,7 +8,7 @@ BIN := .venv/bin
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep verify test check bench frontier stress ui train pictures clean
+.PHONY: help setup sweep verify report test check bench frontier stress ui train pictures clean
 
 help:  ## what there is to run
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
@@ -32,6 +32,10 @@ sweep: .venv/.runtime  ## run sweeps/$(SWEEP).yaml; the same command again resum
 verify: .venv/.runtime  ## score a sweep's solutions again at reference accuracy: OUT=outputs/NAME-HASH
 	@test -n "$(OUT)" || { echo 'which sweep? make verify OUT=outputs/NAME-HASH'; exit 2; }
 	$(BIN)/shift3d verify $(OUT) $(ARGS)
+
+report: .venv/.runtime  ## write a sweep's page, report.html: OUT=outputs/NAME-HASH
+	@test -n "$(OUT)" || { echo 'which sweep? make report OUT=outputs/NAME-HASH'; exit 2; }
+	$(BIN)/shift3d report $(OUT) $(ARGS)
 
 test: .venv/.dev  ## every test
 	$(BIN)/python -m pytest $(ARGS)

@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from shift3d.cli import effects, evaluate, export, fit, frontier, plan, sweep, train, ui, verify
+from shift3d.cli import effects, evaluate, export, fit, frontier, plan, report, sweep, train, ui, verify
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
 
@@ -19,6 +19,7 @@ COMMANDS: tuple[Command, ...] = (
     sweep.COMMAND,
     plan.COMMAND,
     verify.COMMAND,
+    report.COMMAND,
     effects.COMMAND,
     export.COMMAND,
     fit.COMMAND,

@@ -146,7 +146,7 @@ class _Groups:
     """What Hydra asks to expand ``glob()``: the options of a group."""
 
     def get_group_options(self, group_name: str, *_: object, **__: object) -> list[str]:
-        return sorted(path.stem for path in (config_folder() / group_name).glob("*.yaml"))
+        return sorted(path.stem for path in (config_folder() / group_name).glob("[!_]*.yaml"))
 
 
 def _no_hydra(config: Any) -> list[str]:

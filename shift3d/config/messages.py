@@ -66,7 +66,8 @@ def from_hydra(error: Exception, where: str, config: Mapping[str, Any] | None) -
     if match := re.search(r"Could not find '([^']+)'", text):
         group, _, name = match.group(1).rpartition("/")
         options = re.search(r"Available options in '[^']*':\n((?:\t.*\n?)*)", text)
-        allowed = options.group(1).split() if options else []
+        # What begins with _ is what options have in common, and no option.
+        allowed = [name for name in (options.group(1).split() if options else []) if not name.startswith("_")]
         return choice_error(group or "sweep", name, allowed, where)
     if match := re.search(r"Could not override '([^']+)'", text):
         key, siblings = match.group(1), _siblings(match.group(1), config or {})

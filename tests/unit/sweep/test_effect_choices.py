@@ -72,3 +72,10 @@ def test_a_scene_is_asked_once_a_vehicle() -> None:
 
     plan_of("attack.lambda=1,10", "attack.alpha=0.01,0.02", of=counting)
     assert len(asked) == 4  # a combination of settings each, not a scene each
+
+
+def test_a_misspelt_effect_is_told_the_nearest_and_nothing_internal() -> None:
+    with pytest.raises(
+        InputError, match=r"unknown effects 'fogg'\. Did you mean 'fog'\? One of: auto, divergence, fog, none"
+    ):
+        plan_of("effects=fogg")
