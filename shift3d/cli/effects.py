@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
+from shift3d.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["COMMAND"]
 
@@ -24,24 +29,49 @@ examples:
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", metavar="OUT", type=Path, help="output folder of a finished sweep")
+    parser.add_argument(
+        "--times", metavar="OUT", type=Path, help="take milliseconds from this sweep, run on a machine of its own"
+    )
+    parser.add_argument("--picture", metavar="FILE", type=Path, help="draw change against milliseconds into a file")
     parser.add_argument("--adopt", action="store_true", help="let effects=auto go by these numbers")
+
+
+def _tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Scores and timings of a finished sweep."""
+    from shift3d.store.tables import read_table
+
+    scores, timings = (
+        read_table(folder / "final" / f"{name}.parquet", name).to_pandas() for name in ("scores", "timings")
+    )
+    return scores, timings
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.render.called_for import WORTH
-    from shift3d.report.effects import effect_lines, effect_worths, write_effects_page, write_worth
-    from shift3d.store.tables import read_table
+    from shift3d.report.effects import (
+        LEAST_SCENES,
+        effect_lines,
+        effect_milliseconds,
+        effect_worths,
+        effects_figure,
+        write_effects_page,
+        write_worth,
+    )
     from shift3d.sweep.folder import read_plan
 
     folder = arguments.out.expanduser()
     sweep = read_plan(folder).sweep
-    scores, timings = (
-        read_table(folder / "final" / f"{name}.parquet", name).to_pandas() for name in ("scores", "timings")
-    )
-    worths = effect_worths(scores, timings)
+    quiet = arguments.times.expanduser() if arguments.times else folder
+    (scores, _), timed = _tables(folder), _tables(quiet)
+    worths = effect_worths(scores, effect_milliseconds(*timed))
     print(f"{effect_lines(worths)}\n")
     print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, worths)} written")
+    if arguments.picture:
+        effects_figure(worths).savefig(arguments.picture, dpi=110, metadata={"Software": None})
     if arguments.adopt:
+        if (fewest := min(worth.scenes for worth in worths)) < LEAST_SCENES:
+            what = f"{fewest} scenes behind an effect: intervals are too narrow below {LEAST_SCENES}"
+            raise InputError(what, str(folder), f"Run the sweep with scenes.count={LEAST_SCENES} or more")
         print(f"{write_worth(WORTH, sweep, worths)} written: effects=auto goes by it")
     return 0
 

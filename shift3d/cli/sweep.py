@@ -140,10 +140,10 @@ def _show_effects(plan: Plan, folder: Path, frames: Mapping[str, pd.DataFrame]) 
     variants = {asked for task in plan.tasks for asked in task.effects_asked}
     if "none" not in variants or len(variants) == 1:
         return
-    from shift3d.report.effects import effect_lines, effect_worths, write_effects_page
+    from shift3d.report.effects import effect_lines, effect_milliseconds, effect_worths, write_effects_page
 
     try:
-        worths = effect_worths(frames["scores"], frames["timings"])
+        worths = effect_worths(frames["scores"], effect_milliseconds(frames["scores"], frames["timings"]))
     except InputError as error:
         print(f"nothing to compare: {error}\n")
         return

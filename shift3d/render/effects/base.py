@@ -160,6 +160,8 @@ class Effect(Protocol):
 
     name: str
     kind: Kind
+    reads_incidence: bool
+    """Whether `bind`'s step looks at `Returns.cosine`: a gradient of the field at every hit, which costs."""
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Why this scene calls for the effect, in a few words with figures; None where it does not.

@@ -46,6 +46,7 @@ class EffectChain:
     _footprints: list[tuple[str, FootprintStep]] = field(default_factory=list)
     _returns: list[tuple[str, ReturnsStep]] = field(default_factory=list)
     _background: Returns | None = None
+    _incidence: bool = False
 
     @staticmethod
     def of(
@@ -72,6 +73,7 @@ class EffectChain:
                 cast = step(cast)
                 situation = replace(situation, beams=cast.beams)
         chain = EffectChain(ordered, situation, cast)
+        chain._incidence = any(effect.reads_incidence for effect in effects)
         on_scene: list[ReturnsStep] = []
         for effect in effects:
             if effect.kind == "footprint":
@@ -139,7 +141,7 @@ class EffectChain:
         exact = beams.origins[row] + core.range_m[row, None] * directions
         cast_points = cast_points + (exact - cast_points).detach()
         cosine = core.grazing.cosine
-        if not self._returns:
+        if not self._incidence:
             cosine = torch.ones(len(row), dtype=torch.float64)
         elif cosine is None or len(cosine) != len(row):
             cosine = cosine_of_incidence(directions, cast_points, insertion.metric(), insertion.theta)

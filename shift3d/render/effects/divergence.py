@@ -52,6 +52,7 @@ class Divergence:
 
     name = "divergence"
     kind: Kind = "footprint"
+    reads_incidence = False
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the cone is wider than `LEAST_FOOTPRINT_M` at the farthest place."""

@@ -154,6 +154,7 @@ class Fog:
 
     name = "fog"
     kind: Kind = "returns"
+    reads_incidence = True
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see, and that shows: in reflectance,

@@ -23,6 +23,7 @@ class Origins:
 
     name = "origins"
     kind: Kind = "cast"
+    reads_incidence = False
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`. However small the distance between the places: the facts do not tell it."""

@@ -271,6 +271,7 @@ class Rain:
 
     name = "rain"
     kind: Kind = "returns"
+    reads_incidence = True
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see."""

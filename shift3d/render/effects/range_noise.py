@@ -32,6 +32,7 @@ class RangeNoise:
 
     name = "range_noise"
     kind: Kind = "returns"
+    reads_incidence = False
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where the sensor states a noise that float32 can hold."""

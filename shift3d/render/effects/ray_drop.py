@@ -46,6 +46,7 @@ class RayDrop:
 
     name = "ray_drop"
     kind: Kind = "returns"
+    reads_incidence = True
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where the darkest material, far out and at a flat angle, loses echoes to this sensor."""

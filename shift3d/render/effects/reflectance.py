@@ -33,6 +33,7 @@ class Reflectance:
 
     name = "reflectance"
     kind: Kind = "returns"
+    reads_incidence = True
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where the detector reads it and the scene has it."""

@@ -38,6 +38,7 @@ class RollingShutter:
 
     name = "rolling_shutter"
     kind: Kind = "cast"
+    reads_incidence = False
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the displacement over a scan exceeds the range noise.

@@ -35,6 +35,7 @@ class SecondReturns:
 
     name = "second_returns"
     kind: Kind = "returns"
+    reads_incidence = False
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where beams have more than one return that can be paired."""

@@ -30,6 +30,7 @@ class SilentBeamsCast:
 
     name = "silent_beams"
     kind: Kind = "cast"
+    reads_incidence = False
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`. The facts do not tell where the beams point, so any is a reason."""

@@ -49,6 +49,7 @@ class Snow:
 
     name = "snow"
     kind: Kind = "returns"
+    reads_incidence = True
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see."""

@@ -84,6 +84,7 @@ class WetGround:
 
     name = "wet_ground"
     kind: Kind = "returns"
+    reads_incidence = False
 
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Rain that is not in the points yet, ground in view, and a limit below which its echoes are lost."""

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from shift3d.errors import InputError
-from shift3d.report.effects import effect_lines, effect_worths, write_effects_page, write_worth
+from shift3d.report.effects import effect_lines, effect_milliseconds, effect_worths, write_effects_page, write_worth
 from shift3d.report.resampling import mean_interval
 
 SCENES = [f"street-{number}" for number in range(12)]
@@ -38,7 +38,8 @@ def tables(changes: dict[str, np.ndarray], milliseconds: dict[str, float]) -> tu
 
 def test_changes_are_paired_and_absolute_and_auto_follows_the_bound() -> None:
     wobble = np.where(np.arange(12) % 2, 0.1, -0.1)
-    found = effect_worths(*tables({"fog": wobble, "range_noise": np.full(12, 1e-3)}, {"fog": 20.0, "range_noise": 3.0}))
+    scores, timings = tables({"fog": wobble, "range_noise": np.full(12, 1e-3)}, {"fog": 20.0, "range_noise": 3.0})
+    found = effect_worths(scores, effect_milliseconds(scores, timings))
     fog, noise = found
     assert (fog.effect, fog.scenes, fog.objects) == ("fog", 12, 12)
     assert fog.score_change.mean == pytest.approx(0.1) and fog.auc_baseline.mean == pytest.approx(0.0, abs=1e-12)
@@ -50,23 +51,24 @@ def test_changes_are_paired_and_absolute_and_auto_follows_the_bound() -> None:
 
 def test_one_scene_says_nothing_so_the_effect_stays() -> None:
     scores, timings = tables({"fog": np.full(12, 1e-3)}, {"fog": 1.0})
-    (fog,) = effect_worths(scores[scores["scene"] == SCENES[0]], timings)
+    (fog,) = effect_worths(scores[scores["scene"] == SCENES[0]], effect_milliseconds(scores, timings))
     assert fog.score_change.high == np.inf and fog.worth.matters
 
 
 def test_a_sweep_without_pairs_is_refused() -> None:
-    scores, timings = tables({"fog": np.zeros(12)}, {"fog": 1.0})
+    scores, _ = tables({"fog": np.zeros(12)}, {"fog": 1.0})
     with pytest.raises(InputError, match=r"with and without one effect.*sweeps/effects\.yaml"):
-        effect_worths(scores[scores["effects"].map(len) == 0], timings)
+        effect_worths(scores[scores["effects"].map(len) == 0], {})
     apart = scores[(scores["scene"] == SCENES[0]) ^ (scores["effects"].map(len) == 0)]
     with pytest.raises(InputError, match="scored both with fog and without"):
-        effect_worths(apart, timings)
+        effect_worths(apart, {})
 
 
 def test_page_and_what_auto_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from shift3d.render import called_for
 
-    found = effect_worths(*tables({"fog": np.full(12, 0.2)}, {"fog": 20.0}))
+    scores, timings = tables({"fog": np.full(12, 0.2)}, {"fog": 20.0})
+    found = effect_worths(scores, effect_milliseconds(scores, timings))
     text = write_effects_page(tmp_path / "effects.html", "effects", found).read_text()
     assert "fog: 0.200 for 20 ms" in text and "data:image/png" in text
     monkeypatch.setattr(called_for, "WORTH", write_worth(tmp_path / "worth.json", "effects", found))

@@ -90,9 +90,7 @@ def test_time_is_told_by_effect(everything: TaskResult) -> None:
     assert all(row["milliseconds"] >= 0.0 for row in everything.timings)
 
 
-def test_a_written_scene_with_effects_gets_the_same_score(
-    rich: Assets, everything: TaskResult, tmp_path: Path
-) -> None:
+def test_a_written_scene_with_effects_gets_the_same_score(rich: Assets, everything: TaskResult, tmp_path: Path) -> None:
     spec = rich_spec(rich, *NEEDS)
     solution, row = everything.solutions[-1], everything.scores[-1]
     export_solution(spec, solution, rich, tmp_path)
