@@ -1,0 +1,47 @@
+"""``shift3d report``: a finished sweep as one page."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from shift3d.cli.command import Command
+
+__all__ = ["COMMAND"]
+
+_DESCRIPTION = """\
+Writes OUT/report.html, one page that needs nothing but itself: what was run and at what cost, AUC with bootstrap
+intervals beside the paper's, paired tests, threshold-recall curves with bands, where in the bird's-eye view the
+score falls, the hard cases in 3D and measured, accuracy against time, effects, stability, and what failed."""
+
+_EPILOG = """\
+examples:
+  shift3d report outputs/default-1a2b3c4d5e6f7a8b
+  shift3d report outputs/default-1a2b3c4d5e6f7a8b --cases 8
+
+Each hard case is rendered again, which takes some seconds. Run shift3d verify before for the part on stability."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("out", metavar="OUT", type=Path, help="output folder of a finished sweep")
+    parser.add_argument("--cases", metavar="N", type=_count, default=4, help="hard cases to show (default 4)")
+
+
+def _count(text: str) -> int:
+    # A browser draws about 16 views in 3D at once; two are needed for a case.
+    if not text.isdigit() or not 1 <= int(text) <= 8:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 8")
+    return int(text)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.report.html.write import write_report
+    from shift3d.sweep.worker import one_thread
+
+    one_thread()  # the same page on any machine
+    path = write_report(arguments.out.expanduser(), arguments.cases)
+    print(f"{path} written, {path.stat().st_size / 1e6:.1f} MB")
+    return 0
+
+
+COMMAND = Command("report", "write a finished sweep's page", _DESCRIPTION, _EPILOG, _add_arguments, _run)

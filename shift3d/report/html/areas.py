@@ -1,0 +1,123 @@
+"""Areas under the threshold-recall curves, with intervals, and the paper's beside them."""
+
+from __future__ import annotations
+
+import math
+
+from shift3d.report.html.document import OPEN, Markup, Section, aside, escape, paragraph, table, terms
+from shift3d.report.html.paper import PaperTable, paper_table
+from shift3d.report.html.statistics import Area, area, mean_area
+from shift3d.report.html.sweep import METHODS, Variant
+
+__all__ = ["areas", "in_short"]
+
+_MEANINGS = {
+    "AUC": "area under recall(t) = P(score > t), t from 0 to 1: exactly the mean score of the best box within 5 m of "
+    "the inserted vehicle, 0 where there is none",
+    "interval": "95 %, BCa bootstrap, whole scenes redrawn; with fewer than about 20 scenes it is too narrow",
+    "mean": "mean of the vehicles' AUCs; for the paper's rows it is computed here, over the vehicles shown",
+    "of baseline": "mean over the baseline's mean",
+    "lambda": "shape results are those of the weight that the paper's rule chose for each vehicle",
+}
+
+
+def areas(found: list[Variant]) -> Section:
+    """The section: a table a variant."""
+    if not found:
+        return Section("auc", "Area under the curve", [paragraph("No task has a score.", "missing")])
+    body = [paragraph("Lower means that the detector misses more of these vehicles."), terms(_MEANINGS)]
+    for number, variant in enumerate(found):
+        parts = _table(variant)
+        body += parts if number < OPEN else [aside(f"AUC: {variant.label}", parts)]
+    return Section("auc", "Area under the curve", body)
+
+
+def in_short(found: list[Variant]) -> Section:
+    """How far the mean AUC falls, a line a variant, and how far it fell in the paper over the same vehicles."""
+    if not found:
+        return Section("short", "In short", [paragraph("No task has a score.", "missing")])
+    lines = [f"<li>{escape(_headline(variant))}</li>" for variant in found]
+    return Section("short", "In short", [f"<ul>{''.join(lines)}</ul>"])
+
+
+def _headline(variant: Variant) -> str:
+    means = [mean_area(variant.rows[variant.rows["method"] == name]) for name in ("baseline", "adversarial")]
+    before, after = means
+    name = f"{variant.label[0].upper()}{variant.label[1:]}"
+    if before is None or after is None:
+        return f"{name}: no baseline, or nothing found."
+    ratio = f"{after.interval.mean / before.interval.mean:.2f}" if before.interval.mean else "-"
+    text = f"{name}: mean AUC {before.interval.mean:.3f} → {after.interval.mean:.3f}, {ratio} of the baseline's"
+    paper = paper_table(variant.mode, variant.detector, variant.scored_by)
+    if paper and {"baseline", "adversarial"} <= set(paper.auc):
+        known = [vehicle for vehicle in variant.vehicles if vehicle in paper.auc["adversarial"]]
+        if known:
+            old, new = (sum(paper.auc[key][vehicle] for vehicle in known) for key in ("baseline", "adversarial"))
+            text += f" (paper: {new / old:.2f})"
+    return f"{text}; {after.scenes} scene{'s' if after.scenes != 1 else ''}, {_vehicles(variant)}."
+
+
+def _vehicles(variant: Variant) -> str:
+    count = len(variant.vehicles)
+    return f"{count} vehicle{'s' if count != 1 else ''}"
+
+
+def _table(variant: Variant) -> list[str]:
+    paper = paper_table(variant.mode, variant.detector, variant.scored_by)
+    vehicles = variant.vehicles
+    if paper and not any(vehicle in row for row in paper.auc.values() for vehicle in vehicles):
+        paper = None
+    lines, kinds = [], []
+    baseline = mean_area(variant.rows[variant.rows["method"] == "baseline"])
+    for method in METHODS:
+        if method in variant.methods:
+            lines.append(_ours(variant, method, baseline))
+            kinds.append("ours" if method == "adversarial" else "")
+        if paper and method in paper.auc:
+            lines.append(_papers(paper, method, vehicles))
+            kinds.append("paper")
+    if (chosen := _lambdas(variant)) is not None:
+        lines.append(chosen)
+        kinds.append("")
+    named = [vehicle.replace("_", " ") for vehicle in vehicles]
+    beside = f"; paper: {paper.name}, {variant.detector}, 500 scenes a vehicle" if paper else ""
+    caption = f"AUC, {variant.label}, scored by {variant.scored_by}{beside}"
+    parts = [table(caption, ["method", *named, "mean", "of baseline"], lines, kinds)]
+    if paper is None:
+        parts.append(paragraph(f"The paper has no table of these vehicles for {variant.label}.", "missing"))
+    return parts
+
+
+def _ours(variant: Variant, method: str, baseline: Area | None) -> list[str]:
+    rows = variant.rows[variant.rows["method"] == method]
+    cells = [_cell(area(rows[rows["vehicle"] == vehicle])) for vehicle in variant.vehicles]
+    mean = mean_area(rows)
+    ratio = mean.interval.mean / baseline.interval.mean if mean and baseline and baseline.interval.mean else None
+    return [METHODS[method], *cells, _cell(mean), "-" if ratio is None else f"{ratio:.2f}"]
+
+
+def _cell(found: Area | None) -> str:
+    if found is None:
+        return "-"
+    interval = found.interval
+    known = math.isfinite(interval.low)
+    between = f"[{interval.low:.3f}, {interval.high:.3f}]" if known else "no interval"
+    scenes = f"{found.scenes} scene{'s' if found.scenes != 1 else ''}"
+    return Markup(f"{interval.mean:.3f}<small>{escape(between)}</small><small>{scenes}</small>")
+
+
+def _papers(paper: PaperTable, method: str, vehicles: list[str]) -> list[str]:
+    row, first = paper.auc[method], paper.auc.get("baseline", {})
+    known = [vehicle for vehicle in vehicles if vehicle in row]
+    mean = sum(row[vehicle] for vehicle in known) / len(known)
+    cells = [f"{row[vehicle]:.3f}" if vehicle in row else "-" for vehicle in vehicles]
+    whole = [first[vehicle] for vehicle in known if vehicle in first]
+    ratio = f"{mean / (sum(whole) / len(whole)):.2f}" if len(whole) == len(known) else "-"
+    return [f"{METHODS[method]}, paper", *cells, f"{mean:.3f}", ratio]
+
+
+def _lambdas(variant: Variant) -> list[str] | None:
+    chosen = variant.rows.drop_duplicates("vehicle").set_index("vehicle")["lambda"]
+    if not chosen.notna().any():
+        return None
+    return ["lambda", *(f"{chosen[vehicle]:g}" for vehicle in variant.vehicles), "", ""]

@@ -1,0 +1,56 @@
+"""The report: its sections in order, as one file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from shift3d.report.html.accuracy import accuracy
+from shift3d.report.html.areas import areas, in_short
+from shift3d.report.html.bev import bev
+from shift3d.report.html.cases import hard_cases
+from shift3d.report.html.coverage import coverage_section
+from shift3d.report.html.curves import curves
+from shift3d.report.html.differences import differences
+from shift3d.report.html.document import document
+from shift3d.report.html.effects import effects
+from shift3d.report.html.figure import plotly_library
+from shift3d.report.html.overview import overview
+from shift3d.report.html.stability import stability
+from shift3d.report.html.sweep import Sweep, read_sweep, variants
+from shift3d.store.atomic import write_atomic
+
+__all__ = ["report_page", "write_report"]
+
+
+def report_page(sweep: Sweep, cases: int = 4) -> str:
+    """The page of a sweep; the same sweep to the same text. cases: hard cases to show, fewer where fewer fell."""
+    found = variants(sweep)
+    sections = [
+        in_short(found),
+        overview(sweep),
+        areas(found),
+        differences(found),
+        curves(found),
+        bev(sweep, found),
+        hard_cases(sweep, cases),
+        accuracy(sweep),
+        effects(sweep),
+        stability(sweep),
+        coverage_section(sweep),
+    ]
+    lead = (
+        f"{len(sweep.plan.tasks)} attacks on a LiDAR vehicle detector: a vehicle is inserted into a scene, and its "
+        "shape or pose is changed, by the detector's gradient, until the detector misses it."
+    )
+    return document(f"shift3d: {sweep.plan.sweep}", lead, sections, plotly_library())
+
+
+def write_report(folder: Path, cases: int = 4) -> Path:
+    """Write ``report.html`` into a finished sweep's folder, whole or not at all; returns its path.
+
+    Raises:
+        InputError: the folder is no finished sweep's, a table in it is damaged, or the disk is full.
+    """
+    path = folder / "report.html"
+    write_atomic(path, report_page(read_sweep(folder), cases).encode())
+    return path
