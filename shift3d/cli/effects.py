@@ -24,13 +24,13 @@ _EPILOG = """\
 examples:
   make sweep SWEEP=effects
   shift3d effects outputs/effects-1a2b3c4d5e6f7a8b
-  shift3d effects outputs/effects-1a2b3c4d5e6f7a8b --adopt"""
+  shift3d effects outputs/effects-1a2b3c4d5e6f7a8b --times outputs/bench.json --adopt"""
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", metavar="OUT", type=Path, help="output folder of a finished sweep")
     parser.add_argument(
-        "--times", metavar="OUT", type=Path, help="take milliseconds from this sweep, run on a machine of its own"
+        "--times", metavar="FILE", type=Path, help='milliseconds from outputs/bench.json (make bench ARGS="-k effects")'
     )
     parser.add_argument("--picture", metavar="FILE", type=Path, help="draw change against milliseconds into a file")
     parser.add_argument("--adopt", action="store_true", help="let effects=auto go by these numbers")
@@ -44,6 +44,25 @@ def _tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
         read_table(folder / "final" / f"{name}.parquet", name).to_pandas() for name in ("scores", "timings")
     )
     return scores, timings
+
+
+def _measured(path: Path) -> dict[str, float]:
+    """Effect to milliseconds, of a benchmark's results.
+
+    Raises:
+        InputError: a file that holds none.
+    """
+    import json
+
+    remedy = 'Make it: make bench ARGS="-k effects"'
+    try:
+        rows = json.loads(path.expanduser().read_text(encoding="utf-8"))
+        measured = {name: float(row["value"]) for name, row in rows.items() if name.startswith("effect_")}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"cannot be read ({error})", where=str(path), remedy=remedy) from error
+    if not measured:
+        raise InputError("holds no times of effects", where=str(path), remedy=remedy)
+    return {name.removeprefix("effect_").removesuffix("_ms"): value for name, value in measured.items()}
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -61,9 +80,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
     folder = arguments.out.expanduser()
     sweep = read_plan(folder).sweep
-    quiet = arguments.times.expanduser() if arguments.times else folder
-    (scores, _), timed = _tables(folder), _tables(quiet)
-    worths = effect_worths(scores, effect_milliseconds(*timed))
+    scores, timings = _tables(folder)
+    milliseconds = _measured(arguments.times) if arguments.times else effect_milliseconds(scores, timings)
+    worths = effect_worths(scores, milliseconds)
     print(f"{effect_lines(worths)}\n")
     print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, worths)} written")
     if arguments.picture:
