@@ -10,6 +10,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from shift3d.attack.objective import latent_distance
 from shift3d.attack.problem import AttackProblem, Measurement, count_non_finite, measure
 from shift3d.attack.records import AttackResult, StepRecord
 
@@ -55,7 +56,8 @@ def descend(
         warm = measurement.rendering.warm
         loss = measurement.adversarial + search.penalty(variable)
         gradient, milliseconds = _gradient(loss, variable) if step < steps else (None, 0.0)
-        record = _record(step, loss, gradient, measurement, milliseconds)
+        where = tuple(theta.detach().tolist()), latent_distance(code, problem.code0)
+        record = _record(step, where, loss, gradient, measurement, milliseconds)
         trace.append(record)
         if on_step is not None:
             on_step(record)
@@ -82,10 +84,20 @@ def _gradient(loss: Tensor, variable: Tensor) -> tuple[Tensor, float]:
     return gradient, 1e3 * (time.perf_counter() - start)
 
 
-def _record(step: int, loss: Tensor, gradient: Tensor | None, measured: Measurement, backward_ms: float) -> StepRecord:
+def _record(
+    step: int,
+    where: tuple[tuple[float, ...], float],
+    loss: Tensor,
+    gradient: Tensor | None,
+    measured: Measurement,
+    backward_ms: float,
+) -> StepRecord:
+    """where: the pose and the distance from the baseline's code."""
     rendering = measured.rendering
     return StepRecord(
         step=step,
+        theta=where[0],
+        latent_distance=where[1],
         loss=float(loss.detach()),
         adversarial_loss=float(measured.adversarial.detach()),
         proposal_score=measured.proposal_score,

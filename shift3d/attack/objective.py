@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -69,6 +71,15 @@ def adversarial_loss(proposals: Proposals, box: np.ndarray) -> Tensor:
 def latent_penalty(code: Tensor, baseline_code: Tensor) -> Tensor:
     """||z - z0||^2, to be weighed by lambda. Source: SHIFT3D eq. loss_z."""
     return (code - baseline_code).square().sum()
+
+
+def latent_distance(code: Tensor, baseline_code: Tensor) -> float:
+    """||z - z0||, summed in float64 and in a fixed order: the same bytes whatever the build of torch does."""
+    offset = code.detach().double().numpy() - baseline_code.detach().double().numpy()
+    try:
+        return math.sqrt(math.fsum(float(value) ** 2 for value in offset))
+    except OverflowError:  # squares beyond float64, on the way to a divergence
+        return math.hypot(*offset.tolist())
 
 
 def detection_score(detections: Detections, box: np.ndarray, radius_m: float = DETECTION_RADIUS_M) -> float:

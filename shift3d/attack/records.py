@@ -15,15 +15,17 @@ from shift3d.attack.constraints import ConstraintCheck
 class StepRecord:
     """One rendering of an attack; step 0 is the start.
 
-    loss: what is descended. adversarial_loss: its first term. proposal_score: best score near the object before
-    suppression. grazing_gradient: share of the gradient that LEAVES this step carried by grazing beams, None
-    where none leaves it (the last).
+    theta: (6,) pose. latent_distance: ||z - z0||. loss: what is descended. adversarial_loss: its first term.
+    proposal_score: best score near the object before suppression. grazing_gradient: share of the gradient that LEAVES
+    this step carried by grazing beams, None where none leaves it (the last).
     least_slope: smallest |e . grad g| of this step's hits, infinite where no gradient was taken. non_finite: NaN and
     infinities among the moved points, the proposals, the loss and the gradient; 0 by construction.
     milliseconds: by stage (render, detector, backward, constraints).
     """
 
     step: int
+    theta: tuple[float, ...]
+    latent_distance: float
     loss: float
     adversarial_loss: float
     proposal_score: float

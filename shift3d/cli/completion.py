@@ -32,6 +32,8 @@ def _settings() -> list[str]:
     for path in (_ROOT / "conf").glob("*/*.yaml"):
         group = path.parent.name
         names.add(group)
+        if path.read_text().startswith("# @package _global_"):
+            continue  # it sets what stands elsewhere
         parents: list[str] = []
         for indent, name in re.findall(r"^( *)(\w+):", path.read_text(), flags=re.MULTILINE):
             parents = [*parents[: len(indent) // 2], name]

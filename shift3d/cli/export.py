@@ -14,15 +14,17 @@ __all__ = ["COMMAND"]
 _KEYS = ("task", "method", "replicate", "to")
 
 _DESCRIPTION = """\
-Writes the edited scene of a solution as KITTI scene.bin (same point order as the scene), the vehicle as
-object.ply (metres, sensor frame), its box as box.json, and which beams meet it as hit_mask.npy."""
+Writes the edited scene of a solution as KITTI scene.bin (same point order as the scene) and scene.ply, which beams
+meet the vehicle as hit_mask.npy, the vehicle as object.ply (metres, sensor frame) and object.glb (its own frame, y
+up), boxes as box.json and boxes.json, and all of it as a KITTI folder, kitti/training/ (velodyne, calib, label_2)."""
 
 _EPILOG = """\
 example:
   shift3d export outputs/default-1a2b3c4d5e6f7a8b task=0f3a method=adversarial to=hard_case
 
 task= is a task's id or its beginning; method= is baseline, random, adversarial or adversarial_noise
-(replicate= picks one of several, default 0). Both are in final/scores.parquet."""
+(replicate= picks one of several, default 0). Both are in final/scores.parquet. The KITTI folder is read by
+scenes=kitti scenes.root=DIR/kitti, ground height included; its calibration is that of a camera in the LiDAR's place."""
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -195,7 +195,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
             detector=config.detector.name,
             accuracy="reference",
             base_seed=config.seed,
-            attack=AttackSpec(**attack.model_dump(exclude={"alpha", "lambda_", "placement"})),
+            attack=AttackSpec(**attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})),
             placement=PlacementSpec(**placement, sector_centre_rad=centre, sector_half_width_rad=half_width),
         )
         assets = AssetsSpec(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["Axis", "Composed", "compose_sweep", "config_folder", "sweep_names", "sweeps_folder", "validate"]
 
 Values = dict[str, Any]
+_SMALL = "small"
 
 
 @dataclass(frozen=True)
@@ -77,20 +79,26 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     """Compose a sweep file with overrides, once, whatever the number of tasks.
 
     An override with several values (``vehicle=coupe,suv``) is an axis, and replaces the sweep file's axis of
-    the same key in its place; the order is Hydra's own multirun order.
+    the same key in its place; the order is Hydra's own multirun order. ``size=small`` stands for the overrides that
+    the sweep's file lists under ``small``; those that are given come after them.
 
     Raises:
-        InputError: unknown sweep, group, option or setting; an unreadable override; a continuous axis.
+        InputError: unknown sweep, group, option or setting; an unreadable override; a continuous axis; a small size
+            of a sweep that has none.
     """
     where = f"sweep {name}"
     if name not in sweep_names():
         raise messages.choice_error("sweep", name, sweep_names(), "sweeps/")
     compose, parse = _hydra(name, where)
-    params = compose([])["hydra"]["sweeper"]["params"] or {}
-    axis_texts, fixed = _split(parse([f"{key}={value}" for key, value in params.items()] + list(overrides)), where)
+    stated = compose([])
+    params = stated["hydra"]["sweeper"]["params"] or {}
+    own = [f"{key}={value}" for key, value in params.items()]
+    small = _small(stated.get(_SMALL), parse(list(overrides)), where)
+    axis_texts, fixed = _split(parse([*own, *small, *overrides]), where)
     first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]
     base = compose([*fixed, *first])
     base.pop("hydra")
+    base.pop(_SMALL, None)
     _refuse_interpolations(base, where)
     axes = []
     for key, texts in axis_texts.items():
@@ -103,6 +111,20 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
         axes.append(Axis(key, tuple(texts), values, is_group))
     # Groups first, as in Hydra, where a setting given by name wins over the option that it belongs to.
     return Composed(name, tuple(overrides), base, tuple(axes))
+
+
+def _small(listed: Any, given: Sequence[Any], where: str) -> list[str]:
+    """The overrides that the small size of a sweep stands for; none where it is not asked for."""
+    sizes = [override for override in given if override.get_key_element() == "size"]
+    if any(override.is_sweep_override() for override in sizes):
+        raise InputError("size cannot be an axis", where=where, remedy="Give it one value")
+    if not sizes or sizes[-1].get_value_element_as_str() != _SMALL:
+        return []
+    if not isinstance(listed, dict) or not listed:
+        remedy = "Cut it by hand, as with scenes.count=4"
+        raise InputError("it has no small size", where=where, remedy=remedy)
+    # A text is written as in an override, where 1,10 are two values; the others as YAML and Hydra both have them.
+    return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in listed.items()]
 
 
 def _hydra(name: str, where: str) -> tuple[Any, Any]:

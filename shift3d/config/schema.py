@@ -150,7 +150,7 @@ class PlacementConfig(_Record):
 
 
 class AttackConfig(_Record):
-    """The search and its comparisons."""
+    """The search and its comparisons. transfer_scenes: into how many other scenes each shape that is found is put."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
 
@@ -164,6 +164,7 @@ class AttackConfig(_Record):
     max_tilt_rad: NotNegative
     sphere_m: Positive
     detection_radius_m: Positive
+    transfer_scenes: Number = 0
     placement: PlacementConfig
 
 
@@ -256,7 +257,8 @@ class NoTrackingConfig(_Record):
 class Config(_Record):
     """Everything one task is made from, and how its sweep runs.
 
-    ``runner`` and ``tracking`` cannot change a result; all else can.
+    ``runner`` and ``tracking`` cannot change a result; all else can. size: which of a sweep's sizes these settings
+    come from; by itself it changes nothing.
     """
 
     scenes: Annotated[StreetConfig | KittiConfig, Field(discriminator="kind")]
@@ -267,6 +269,7 @@ class Config(_Record):
     effects: EffectsConfig
     runner: Annotated[RayRunnerConfig | LocalRunnerConfig, Field(discriminator="kind")]
     tracking: Annotated[MlflowConfig | NoTrackingConfig, Field(discriminator="kind")]
+    size: Literal["full", "small"] = "full"
     mode: Literal["shape", "pose"]
     scene: str | None
     seed: Seed

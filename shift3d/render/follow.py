@@ -12,7 +12,7 @@ from shift3d.render.object_field import ObjectField
 from shift3d.render.settings import RenderSettings
 
 _STEPS = 4
-_FLATTEST = -0.02
+FLATTEST = -0.02
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def follow(
     Not differentiable. Source: our choice: the paper searches every beam afresh.
     """
     start = torch.minimum(torch.maximum(start_m, rays.near_m), rays.far_m)
-    k, slope = start.clone(), slope.clamp_max(_FLATTEST).clone()
+    k, slope = start.clone(), slope.clamp_max(FLATTEST).clone()
     g = field(rays.at(k)).double()
     g_start = g.clone()
     settled = g.abs() <= settings.tolerance_m
@@ -57,7 +57,7 @@ def follow(
         g_new = field(rays.at(k_new, active)).double()
         step = k_new - k[active]
         secant = torch.where(step.abs() > 1e-9, (g_new - g[active]) / step, slope[active])
-        k[active], g[active], slope[active] = k_new, g_new, secant.clamp_max(_FLATTEST)
+        k[active], g[active], slope[active] = k_new, g_new, secant.clamp_max(FLATTEST)
         # A slope that is not negative is a way out of the object, not into it.
         lost = (secant >= 0) | ((k_new - start[active]).abs() >= reach_m) | torch.isnan(g_new)
         done = (g_new.abs() <= settings.tolerance_m) & ~lost

@@ -25,17 +25,25 @@ import torch
 from torch import Tensor
 
 from shift3d.geometry.se3 import object_from_scene, scene_R_object
+from shift3d.render.approach import STEEP
 from shift3d.render.beams import Beams
+from shift3d.render.culling import Rays, object_rays
 from shift3d.render.object_field import ObjectField
 from shift3d.render.rendering import FirstHits, GrazingShare
+from shift3d.render.tangents import Tangents, tangents_at
 
 _POLISH_M = 0.002
-_POLISH_SLOPE = 0.05
 
 
 def surface_points(
-    beams: Beams, hits: FirstHits, field: ObjectField, theta: Tensor, grazing_floor: float, polish: bool = False
-) -> tuple[Tensor, FirstHits, GrazingShare]:
+    beams: Beams,
+    hits: FirstHits,
+    field: ObjectField,
+    theta: Tensor,
+    grazing_floor: float,
+    polish: bool = False,
+    known: Tangents | None = None,
+) -> tuple[Tensor, FirstHits, GrazingShare, Tangents | None]:
     """Hit points as functions of pose and latent code.
 
     Args:
@@ -45,35 +53,51 @@ def surface_points(
         theta: (6,) pose, scene frame.
         grazing_floor: smallest |e . grad g| to divide by.
         polish: g and its slope are at hand here: take the Newton step that they make, where it is shorter than 2 mm.
+        known: tangents that the search has made at some of the hits.
 
     Returns:
         (M, 3) float64 points, scene frame, metres; the hits, polished, their residual being the one before that
-        step; and the share of the gradient that grazing beams carry.
+        step; the share of the gradient that grazing beams carry; and the tangents at all hits, None where nobody asks
+        for a gradient.
 
     Differentiable w.r.t. theta and whatever the field depends on.
     Source: SHIFT3D eqs. dl_dz to theta_final and supplement, Gradient Calculation.
     """
     origins, directions = beams.origins[hits.index], beams.directions[hits.index]
     share = GrazingShare()
-    with_code = len(hits.index) > 0 and field.depends_on_code()
-    if len(hits.index) == 0 or not wants_gradient(theta, with_code):
-        return origins + hits.range_m[:, None] * directions, hits, share
+    if len(hits.index) == 0 or not wants_gradient(theta, field.depends_on_code()):
+        return origins + hits.range_m[:, None] * directions, hits, share, None
     pose = theta.double()
-    x_object = object_from_scene(origins + hits.range_m[:, None] * directions, pose)
-    change, gradient, g = _change_of_g(field, x_object, with_code)
-    slope = (gradient * (directions @ scene_R_object(pose.detach()))).sum(-1)
+    tangents = _at_all(hits, known, field, object_rays(beams, hits.index, theta))
+    change = tangents.change(field, object_from_scene(origins + hits.range_m[:, None] * directions, pose))
+    slope = (tangents.gradient * (directions @ scene_R_object(pose.detach()))).sum(-1)
     if polish:
-        hits = _polished(hits, g, slope)
+        hits = _polished(hits, tangents.g, slope)
     # Hits go from outside to inside, so the slope is negative; a wrong sign is noise about zero.
     steep = -slope.neg().clamp_min(grazing_floor)
     inverse = torch.where(steep < 0, 1.0 / torch.where(steep < 0, steep, 1.0), 0.0)
-    range_m = hits.range_m - change * inverse
+    range_m = hits.range_m - (change - change.detach()) * inverse
     share.beams = int((slope.abs() < grazing_floor).sum())
     share.least_slope = float(slope.abs().min())
-    share.cosine = cosine_of(slope, gradient)
+    share.cosine = cosine_of(slope, tangents.gradient)
     if range_m.requires_grad:
         range_m.register_hook(_measure(share, inverse.abs(), slope.abs() < grazing_floor))
-    return origins + range_m[:, None] * directions, hits, share
+    return origins + range_m[:, None] * directions, hits, share, tangents
+
+
+def _at_all(hits: FirstHits, known: Tangents | None, field: ObjectField, rays: Rays) -> Tangents:
+    """Tangents at every hit: those that are known, and the missing ones, evaluated.
+
+    The march may have found another surface in front of a place that is known, or none at all: only what was made at
+    the hit itself counts.
+    """
+    if known is None or len(known) == 0:
+        return tangents_at(field, rays, hits.range_m)
+    row = known.rows_of(hits.index)
+    at_hit = (row >= 0) & (known.range_m[row] == hits.range_m)
+    missing = torch.nonzero(~at_hit).squeeze(1)
+    kept = known.select(row[at_hit])
+    return kept.joined(tangents_at(field, rays.select(missing), hits.range_m[missing])) if len(missing) else kept
 
 
 def cosine_of(slope: Tensor, gradient: Tensor) -> Tensor:
@@ -87,9 +111,12 @@ def cosine_of_incidence(directions: Tensor, points: Tensor, field: ObjectField, 
 
     Constant: not differentiable.
     """
-    pose = theta.detach().double()
-    _, gradient, _ = _change_of_g(field, object_from_scene(points.detach().double(), pose), False)
-    return cosine_of((gradient * (directions @ scene_R_object(pose))).sum(-1), gradient)
+    rotation = scene_R_object(theta.detach().double())
+    places = (points.detach().double() - theta.detach().double()[:3]) @ rotation
+    still = torch.zeros(len(places), dtype=torch.float64)
+    rays = Rays(torch.arange(len(places)), places, directions @ rotation, still, still)
+    gradient = tangents_at(field, rays, still).gradient
+    return cosine_of((gradient * rays.directions).sum(-1), gradient)
 
 
 def wants_gradient(theta: Tensor, with_code: bool) -> bool:
@@ -99,25 +126,9 @@ def wants_gradient(theta: Tensor, with_code: bool) -> bool:
 
 def _polished(hits: FirstHits, g: Tensor, slope: Tensor) -> FirstHits:
     """One Newton step with the exact slope; none on beams that graze, where it may lead anywhere."""
-    step = -g / slope.clamp_max(-_POLISH_SLOPE)
-    step = torch.where((slope <= -_POLISH_SLOPE) & (step.abs() <= _POLISH_M), step, 0.0)
+    step = -g / slope.clamp_max(STEEP)
+    step = torch.where((slope <= STEEP) & (step.abs() <= _POLISH_M), step, 0.0)
     return replace(hits, range_m=hits.range_m + step, residual_m=g.abs())
-
-
-def _change_of_g(field: ObjectField, x_object: Tensor, with_code: bool) -> tuple[Tensor, Tensor, Tensor]:
-    """g - g* as a function of pose and code (value 0); its gradient in the object frame, and g*, constants.
-
-    The pose enters through grad g . (x - x*), which has the same derivative as g itself and saves a second
-    pass through the decoder; the code enters through the decoder.
-    """
-    with torch.enable_grad():
-        leaf = x_object.detach().requires_grad_()
-        g = field(leaf)
-        (gradient,) = torch.autograd.grad(g.sum(), leaf, retain_graph=with_code)
-    change = ((x_object - x_object.detach()) * gradient).sum(-1)
-    if with_code:
-        change = change + (g - g.detach()).double()
-    return change, gradient, g.detach().double()
 
 
 def _measure(share: GrazingShare, inverse: Tensor, grazing: Tensor):  # type: ignore[no-untyped-def]

@@ -97,7 +97,7 @@ class ObjectField:
         )
 
     def __call__(self, x_object: Tensor) -> Tensor:
-        x_sdf = self._to_sdf(x_object)
+        x_sdf = self.to_sdf(x_object)
         self.count.evaluations += len(x_sdf)
         if len(x_sdf) <= self.batch:
             return self.sdf(x_sdf) * self.scale_m if len(x_sdf) else x_sdf[:, 0]
@@ -110,7 +110,7 @@ class ObjectField:
         """
         if self.coarse is None or len(x_object) < _WORTH_IT:
             return self(x_object)
-        x_sdf = self._to_sdf(x_object)
+        x_sdf = self.to_sdf(x_object)
         g = torch.cat([self.coarse(part) for part in x_sdf.split(self.batch)]) * self.scale_m
         # NaN compares false both ways: it is looked at again.
         near = torch.nonzero(~(g >= self.coarse_band_m)).squeeze(1)
@@ -146,14 +146,15 @@ class ObjectField:
         along = direction @ (self.sdf_R_object.T / self.scale_m)
         parts = [
             self.sdf.piece(x, d)
-            for x, d in zip(self._to_sdf(x_object).split(self.batch), along.split(self.batch), strict=True)
+            for x, d in zip(self.to_sdf(x_object).split(self.batch), along.split(self.batch), strict=True)
         ]
         value, slope, length = (
             torch.cat([getattr(part, name) for part in parts]).double() for name in ("value", "slope", "length")
         )
         return Piece(value * self.scale_m, slope * self.scale_m, length)
 
-    def _to_sdf(self, x_object: Tensor) -> Tensor:
+    def to_sdf(self, x_object: Tensor) -> Tensor:
+        """Points (N, 3) of the object frame in the sdf frame, in the field's dtype."""
         x_sdf = x_object @ (self.sdf_R_object.T / self.scale_m) + self.sdf_t_object
         return x_sdf.to(self.dtype)
 
@@ -161,4 +162,6 @@ class ObjectField:
         """Whether the field carries gradients of its own (a latent code that requires them)."""
         if not torch.is_grad_enabled():
             return False
+        if isinstance(self.sdf, DecoderField):
+            return bool(self.sdf.code_layers)
         return bool(self.sdf(torch.zeros(1, 3, dtype=self.dtype)).requires_grad)

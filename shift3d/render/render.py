@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -91,7 +93,10 @@ def assemble(
     """The scene with the hit points in place, differentiable where gradients are wanted."""
     evaluations, coarse = field.count.evaluations, field.count.coarse
     polish = settings.unchecked_m > 0
-    surface, hits, grazing = surface_points(beams, hits, field, theta, settings.grazing_floor, polish)
+    known = None if warm is None else warm.tangents
+    surface, hits, grazing, tangents = surface_points(beams, hits, field, theta, settings.grazing_floor, polish, known)
+    if warm is not None:
+        warm = replace(warm, tangents=None if tangents is None else tangents.without_graph())
     points = beams.points
     if len(hits.index):
         points = points.index_copy(0, hits.index, surface.to(points.dtype))

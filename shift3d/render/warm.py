@@ -1,9 +1,10 @@
 """Starting from the previous rendering of an object that changes its shape: what moved little is not searched again.
 
-Between two steps of an attack a surface moves by millimetres or centimetres. A beam that hit is followed by secant
-steps from its last range. A beam that came near the surface without meeting it, or before it met it, is looked at
-where it came nearest: it is left alone while what is left there is more than what the field has lost there since the
-last march, half as much again. Only the others are marched, and every `warm_refresh` renderings all are.
+Between two steps of an attack a surface moves by millimetres or centimetres. A beam that hit is looked at where the
+derivatives of the last step say that it will hit now (see `approach`), and followed by secant steps where that is not
+near. A beam that came near the surface without meeting it, or before it met it, is looked at where it came nearest: it
+is left alone while what is left there is more than what the field has lost there since the last march, half as much
+again. Only the others are marched, and every `warm_refresh` renderings all are.
 
 Source: our choice: the paper renders every step afresh. What this misses is measured against that.
 """
@@ -16,6 +17,7 @@ import torch
 from torch import Tensor
 
 from shift3d.geometry.se3 import scene_from_object
+from shift3d.render.approach import find_near
 from shift3d.render.beams import Beams
 from shift3d.render.bounds import Box, Guard, guarded_box
 from shift3d.render.bracket import Brackets, first_brackets
@@ -26,6 +28,7 @@ from shift3d.render.follow import follow
 from shift3d.render.object_field import ObjectField
 from shift3d.render.rendering import FirstHits
 from shift3d.render.settings import RenderSettings
+from shift3d.render.tangents import Tangents
 
 _SAFETY = 1.5
 _FLOOR_M = 0.003
@@ -51,6 +54,8 @@ class WarmStart:
         closest_m: (M,) range of that place.
         drift_m: (M,) how much g has changed there since the last march.
         age: warm renderings since everything was searched.
+        tangents: the field about the hits, to first order; while a rendering is being made, about those of its hits
+            for which the search has made them. None where no gradient was asked for.
     """
 
     beams: Beams
@@ -64,6 +69,7 @@ class WarmStart:
     closest_m: Tensor
     drift_m: Tensor
     age: int
+    tangents: Tangents | None = None
 
 
 def _blank(beams: Beams, theta: Tensor, guard: Guard | None, rays: Rays) -> WarmStart:
@@ -133,7 +139,8 @@ def warm_start(
     if len(rows) == 0:
         # Nothing was hit, so nothing can tell how far the surface has moved.
         return cold_start(beams, field, theta, size_m, settings)
-    found = follow(state.rays.select(rows), state.range_m[rows], state.slope[rows], field, settings, _MOTION_REACH_M)
+    then = state.range_m[rows], state.slope[rows]
+    found, tangents = find_near(state.rays.select(rows), *then, warm.tangents, field, settings, _MOTION_REACH_M)
     moved_m = _SAFETY * float(torch.nan_to_num(found.g_start, nan=torch.inf).abs().max())
     after = guard.after(field, moved_m)
     if after is None:
@@ -152,6 +159,7 @@ def warm_start(
         clearance_m=clearance,
         drift_m=drift,
         age=warm.age + 1,
+        tangents=tangents,
     )
     return _search(state, torch.nonzero(doubt).squeeze(1), field, settings)
 

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from shift3d.report.accuracy_cost import accuracy_cost, measured_presets
+from shift3d.report.choices import candidate_tables, reasons
 from shift3d.report.numerics import diagnostics
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["aligned", "auc_tables", "coverage", "stage_times", "sweep_report"]
+__all__ = ["aligned", "auc_tables", "choice_tables", "coverage", "stage_times", "still_cars", "sweep_report"]
 
 _ROWS = (
     ("baseline", "baseline"),
@@ -27,7 +28,11 @@ def sweep_report(tables: Mapping[str, pd.DataFrame], planned: int) -> str:
     times = stage_times(tables["timings"], tables["scores"])
     covered = coverage(tables["scores"], tables["attempts"], planned)
     cost = accuracy_cost(tables["scores"], tables["timings"], *measured_presets())
-    return "\n\n".join([*auc_tables(tables["auc"]), covered, times, cost, diagnostics(tables["scores"])])
+    cars = still_cars(tables["scores"], tables["shapes"]) if "shapes" in tables else []
+    chosen = choice_tables(tables["choices"]) if "choices" in tables else []
+    return "\n\n".join(
+        [*auc_tables(tables["auc"]), *cars, *chosen, covered, times, cost, diagnostics(tables["scores"])]
+    )
 
 
 def auc_tables(auc: pd.DataFrame) -> list[str]:
@@ -67,6 +72,42 @@ def _auc_table(title: str, auc: pd.DataFrame) -> str:
         chosen = [f"{lambdas[v]:g}" if v in lambdas.index else "-" for v in vehicles]
         lines.append(["lambda", *chosen, "", ""])
     return aligned(title, ["", *_short(vehicles), "mean", "of baseline"], lines)
+
+
+def still_cars(scores: pd.DataFrame, shapes: pd.DataFrame) -> list[str]:
+    """How many adversarial shapes are still cars by a coarse look, and what the AUC is over these alone.
+
+    shapes: the table of ``final/``. Scores are those of the attacked detector; means over tasks.
+    """
+    rows = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
+    table = rows.pivot_table(index="task_id", columns="method", values="score")
+    if shapes.empty or not {"baseline", "adversarial"} <= set(table.columns):
+        return []
+    whole = shapes.merge(table[["baseline", "adversarial"]], on="task_id", how="inner")
+    lines = []
+    for (detector, alpha, weight), group in whole.groupby(["detector", "alpha", "lambda"], sort=False, dropna=False):
+        cars = group[group["still_a_car"]]
+        line = [f"{detector}, alpha {alpha:g}, lambda {weight:g}", f"{len(cars)} of {len(group)}"]
+        for part in (group, cars):
+            means = part[["baseline", "adversarial"]].mean()
+            known = len(part) and means["baseline"] > 0
+            line += [f"{value:.3f}" for value in means] if len(part) else ["-", "-"]
+            line.append(f"{means['adversarial'] / means['baseline']:.2f}" if known else "-")
+        lines.append(line)
+    header = ["", "still a car", "baseline", "adversarial", "ratio", "cars: baseline", "adversarial", "ratio"]
+    return [
+        aligned(
+            "Adversarial shapes that are still cars (one piece, sides 0.75 to 1.35 of the baseline's)", header, lines
+        )
+    ]
+
+
+def choice_tables(choices: pd.DataFrame) -> list[str]:
+    """The candidates of each hyper-parameter, then why each was chosen; nothing where there was no choice."""
+    if choices.empty:
+        return []
+    tables = [aligned(*table) for table in candidate_tables(choices)]
+    return [*tables, "\n".join(reasons(choices))]
 
 
 def _short(names: list[str], longest: int = 16) -> list[str]:

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d, points_in_boxes
-from shift3d.scenes.kitti_files import CLASSES, Calibration, KittiLabel, read_calibration, read_labels, read_points
+from shift3d.scenes.kitti_files import (
+    CLASSES,
+    GROUND,
+    Calibration,
+    KittiLabel,
+    read_calibration,
+    read_ground_z,
+    read_labels,
+    read_points,
+)
 from shift3d.scenes.scene import Labels, Scene
 
 NOMINAL_GROUND_Z_M = -1.73
@@ -109,12 +118,13 @@ class KittiScenes:
         if name not in self._names:
             raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {_first_few(self._names)}.")
         points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin", self.reflectance_max)
+        ground = self.folder / GROUND / f"{name}.txt"
         scene = Scene(
             scene_id=name,
             dataset=self.dataset,
             points=points,
             origins=np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape),
-            ground_z_m=estimate_ground_z(points),
+            ground_z_m=read_ground_z(ground) if ground.is_file() else estimate_ground_z(points),
             labels=self._labels(name, points),
             reflectance=reflectance,
         )

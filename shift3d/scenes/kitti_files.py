@@ -26,6 +26,8 @@ CLASSES = {
 }
 _CALIB_SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
 _LABEL_COLUMNS = 15
+GROUND = "ground"
+"""Folder of an exported frame's ground height, a number a file: KITTI's own frames have none, theirs is estimated."""
 FARTHEST_M = 1e4
 """No return, label or camera is farther from the LiDAR, and no object larger: such numbers come from damaged files."""
 SMALLEST_M = 0.01  # labels are written to the centimetre
@@ -205,6 +207,19 @@ def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
         box = lidar_box(values[7:10], values[10:13], values[13], calibration)
         labels.append(KittiLabel(columns[0], box, values[0], int(values[1]), values[6] - values[4]))
     return labels
+
+
+def read_ground_z(path: Path) -> float:
+    """Height of the ground in the LiDAR frame, metres.
+
+    Raises:
+        InputError: where the file holds anything else.
+    """
+    words = " ".join(_read_lines(path, "ground")).split()
+    values = _numbers(words, str(path))
+    if len(values) != 1 or abs(values[0]) > FARTHEST_M:
+        raise InputError(f"{len(values)} numbers, one height in metres expected", str(path), "Export the frame again.")
+    return values[0]
 
 
 def lidar_box(size_hwl: list[float], bottom_camera: list[float], rotation_y: float, calibration: Calibration) -> Float:

@@ -18,6 +18,7 @@ from torch.nn.utils import parametrizations
 
 from shift3d.errors import InputError
 from shift3d.sdf.pieces import Piece, linear_piece
+from shift3d.sdf.tangent import Tangent, tangent
 from shift3d.sdf.tensors import check_magnitude, checked_tensors, without_subnormals
 
 CODE_LENGTH = 256
@@ -104,6 +105,16 @@ class Field:
             return linear_piece(
                 self.weights, self.biases, self.skip_layer, x_sdf.to(self.dtype), direction.to(self.dtype)
             )
+
+    @property
+    def code_layers(self) -> tuple[int, ...]:
+        """Layers through whose bias a code that requires gradients enters; none where there is no such code."""
+        return tuple(layer for layer, bias in enumerate(self.biases) if bias.requires_grad)
+
+    def tangent(self, x_sdf: Tensor, layers: tuple[int, ...] = ()) -> Tangent:
+        """Values and derivatives at points (N, 3) and by the biases of some layers; constants, see `tangent`."""
+        weights, biases = ([part.detach() for part in parts] for parts in (self.weights, self.biases))
+        return tangent(weights, biases, self.skip_layer, x_sdf.detach().to(self.dtype), layers)
 
     def detach(self) -> Field:
         """The same field without the graph back to z."""

@@ -138,6 +138,68 @@ _VERIFICATION = _schema(
     nullable={*_NULLABLE, "cause"},
 )
 
+# One row a step of a search, step 0 its start: the numbers that the search has anyway.
+_TRAJECTORIES = _schema(
+    "trajectories",
+    [
+        *_SPEC_FIELDS,
+        ("step", pa.int32()),
+        ("kept", pa.bool_()),  # the step that the solution is
+        # Of the best box near the object before suppression, at the search's own precision: what the search sees.
+        ("proposal_score", pa.float64()),
+        ("loss", pa.float64()),
+        ("adversarial_loss", pa.float64()),  # the rest of the loss is lambda times the squared latent distance
+        ("latent_distance", pa.float64()),
+        *_POSE,
+        ("object_points", pa.int32()),
+        ("valid", pa.bool_()),  # all realism constraints hold
+    ],
+    # Null where a search that diverged met a number that is not finite.
+    nullable={*_NULLABLE, "proposal_score", "loss", "adversarial_loss", "latent_distance"},
+)
+
+# A shape that was found, put into another scene at a random place and heading, and its baseline at the same one.
+_TRANSFERS = _schema(
+    "transfers",
+    [
+        *_SPEC_FIELDS,
+        ("scored_by", pa.string()),
+        ("other_scene", pa.string()),
+        ("effects", pa.list_(pa.string())),
+        ("score_baseline", pa.float64()),
+        ("score", pa.float64()),
+        # Of the baseline; the shape stands on the ground at the same x, y and heading, at a height of its own.
+        *_POSE,
+        ("z_shape_m", pa.float64()),
+        ("range_m", pa.float64()),
+        ("object_points_baseline", pa.int32()),
+        ("object_points", pa.int32()),
+        ("overlap_ok", pa.bool_()),  # of the shape
+        ("contact_ok", pa.bool_()),
+        ("status", pa.string()),  # ok | no_placement
+    ],
+    nullable={
+        *_NULLABLE, "score_baseline", "score", *(n for n, _ in _POSE), "z_shape_m", "range_m", "overlap_ok",
+        "object_points_baseline", "object_points", "contact_ok",
+    },
+)  # fmt: skip
+
+# What the mesh of a shape that was found looks like, see vehicles/outline.py.
+_SHAPES = _schema(
+    "shapes",
+    [
+        *_SPEC_FIELDS,
+        ("method", pa.string()),
+        ("replicate", pa.int32()),
+        ("length_m", pa.float64()),
+        ("width_m", pa.float64()),
+        ("height_m", pa.float64()),
+        ("largest_piece", pa.float64()),  # share of the surface
+        ("still_a_car", pa.bool_()),
+    ],
+    nullable={*_NULLABLE, "length_m", "width_m", "height_m"},  # null for a code without a surface
+)
+
 _ATTEMPTS = _schema(
     "attempts",
     [
@@ -206,19 +268,63 @@ _BEV = _schema(
     nullable=_NULLABLE,
 )
 
-# Written by commits, task by task.
-SEGMENTS = ("scores", "solutions", "timings", "verification", "attempts")
+# The scores of `transfers` by the cell that the vehicle was put into. A cell that nothing was put into is a row without
+# scores; cells are those of the square that the tasks' largest range needs.
+_BEV_TRANSFER = _schema(
+    "bev_transfer",
+    [
+        *GROUP_FIELDS,
+        ("cell_x_m", pa.float64()),  # lower corner of the cell, scene frame
+        ("cell_y_m", pa.float64()),
+        ("cell_size_m", pa.float64()),
+        ("scores", pa.int64()),
+        ("mean_score_baseline", pa.float64()),
+        ("mean_score", pa.float64()),
+        ("mean_reduction", pa.float64()),
+    ],
+    nullable={*_NULLABLE, "mean_score_baseline", "mean_score", "mean_reduction"},
+)
+
+# What there was a choice of and why one was taken, see sweep/hyperparameters.py: one row a candidate.
+_CHOICES = _schema(
+    "choices",
+    [
+        ("sweep", pa.string()),
+        ("parameter", pa.string()),  # alpha | lambda
+        ("mode", pa.string()),
+        ("vehicle", pa.string()),  # null: for all of them
+        ("alpha", pa.float64()),  # that lambda is chosen at
+        ("detector", pa.string()),
+        ("accuracy", pa.string()),
+        ("effects", pa.string()),
+        ("candidate", pa.float64()),
+        ("found", pa.float64()),  # alpha: AUC of what was found; lambda: its mean adversarial loss
+        ("tasks", pa.int64()),
+        ("chosen", pa.bool_()),
+        ("why", pa.string()),
+    ],
+    nullable={"vehicle", "alpha"},
+)
+
+# Written by commits, task by task. A table that a folder does not have is empty: those that came later than the first
+# ones need no new version, and folders without them stay readable.
+SEGMENTS = ("scores", "solutions", "timings", "verification", "trajectories", "transfers", "shapes", "attempts")
 # Computed from the scores when a sweep has finished.
-AGGREGATES = ("curves", "auc", "bev")
+AGGREGATES = ("curves", "auc", "bev", "bev_transfer", "choices")
 SCHEMAS: dict[str, pa.Schema] = {
     "scores": _SCORES,
     "solutions": _SOLUTIONS,
     "timings": _TIMINGS,
     "verification": _VERIFICATION,
+    "trajectories": _TRAJECTORIES,
+    "transfers": _TRANSFERS,
+    "shapes": _SHAPES,
     "attempts": _ATTEMPTS,
     "curves": _CURVES,
     "auc": _AUC,
     "bev": _BEV,
+    "bev_transfer": _BEV_TRANSFER,
+    "choices": _CHOICES,
 }
 
 

@@ -16,12 +16,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.evaluation.bev_grid import CELL_SIZE_M, bev_grid
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.store.log import Commit
 from shift3d.store.schemas import GROUP_COLUMNS, SCHEMAS, SEGMENTS
 from shift3d.store.tables import read_table, table_from_rows, write_table
-from shift3d.sweep.lambda_rule import select_lambda
+from shift3d.sweep.grids import bev_rows, groups, transfer_rows
+from shift3d.sweep.hyperparameters import RULE_KEYS, choice_rows, choose_lambdas
 from shift3d.sweep.plan import Plan
 from shift3d.sweep.verified_scores import read_verification, with_verification
 
@@ -37,7 +37,6 @@ METHODS = {
     "shape": ("baseline", "random", "adversarial_noise", "adversarial"),
     "pose": ("baseline", "random", "adversarial"),
 }
-_RULE_KEYS = ("vehicle", "mode", "alpha", "detector", "accuracy", "effects")
 _PLAN_GROUP = GROUP_COLUMNS[:10]  # what a task alone determines, and the detector that scores it
 
 
@@ -72,10 +71,19 @@ def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTab
     auc = _auc_rows(scored, plan)
     tables["curves"] = table_from_rows("curves", _curve_rows(scored))
     tables["auc"] = table_from_rows("auc", auc)
-    tables["bev"] = table_from_rows("bev", _bev_rows(scored))
+    tables["bev"] = table_from_rows("bev", bev_rows(scored))
+    steps = {task.spec.attack.steps for task in plan.tasks}
+    tables["choices"] = table_from_rows("choices", choice_rows(scored, plan.sweep, steps))
+    transfers = _by_effects_asked(tables["transfers"].to_pandas(), plan)
+    tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
     for name, table in tables.items():
         write_table(folder / "final" / f"{name}.parquet", table)
     return FinalTables(tables)
+
+
+def _reach_m(plan: Plan) -> float:
+    """How far from the sensor a vehicle may stand."""
+    return max(task.spec.placement.max_range_m for task in plan.tasks)
 
 
 def _by_effects_asked(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
@@ -125,18 +133,9 @@ def _in_plan_order(name: str, table: pa.Table, plan: Plan) -> pa.Table:
     return table.take(pa.array(order)).combine_chunks()
 
 
-def _groups(frame: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
-    """Groups in the order in which they first appear; a missing lambda (pose) is a value like any other."""
-    grouped = frame.groupby(list(GROUP_COLUMNS), sort=False, dropna=False)
-    return [
-        ({name: None if value != value else value for name, value in zip(GROUP_COLUMNS, key)}, rows)
-        for key, rows in grouped
-    ]
-
-
 def _curve_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    for group, members in _groups(scored):
+    for group, members in groups(scored):
         curve = recall_curve(members["score"])
         for threshold, recall in zip(curve.score_threshold.tolist(), curve.recall.tolist()):
             rows.append({**group, "score_threshold": threshold, "recall": recall})
@@ -145,9 +144,9 @@ def _curve_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
 
 def _auc_rows(scored: pd.DataFrame, plan: Plan) -> list[dict[str, Any]]:
     planned = _planned(plan)
-    chosen = _selected(scored)
+    chosen = {key: choice.chosen for key, choice in choose_lambdas(scored).items()}
     rows = []
-    for group, members in _groups(scored):
+    for group, members in groups(scored):
         rows.append(
             {
                 **group,
@@ -194,43 +193,4 @@ def _gaps(rows: list[dict[str, Any]], planned: dict[tuple[Any, ...], int]) -> li
 
 
 def _rule_key(group: dict[str, Any]) -> tuple[Any, ...]:
-    return tuple(group[name] for name in _RULE_KEYS)
-
-
-def _selected(scored: pd.DataFrame) -> dict[tuple[Any, ...], float | None]:
-    """The paper's choice of lambda for every vehicle, from the scenes that were scored under every lambda.
-
-    From the attacked detector's loss, whoever else scores: lambda belongs to the search.
-    """
-    rows = scored[(scored["method"] == "adversarial") & (scored["mode"] == "shape")]
-    rows = rows[(rows["scored_by"] == rows["detector"]) & rows["adversarial_loss"].notna()]
-    chosen: dict[tuple[Any, ...], float | None] = {}
-    for key, members in rows.groupby(list(_RULE_KEYS), sort=False):
-        losses = members.pivot_table(
-            index=["dataset", "scene"], columns="lambda", values="adversarial_loss", aggfunc="mean"
-        )
-        common = losses.dropna()
-        means = (common if len(common) else losses).mean()
-        chosen[tuple(key)] = select_lambda({float(name): float(loss) for name, loss in means.items()})
-    return chosen
-
-
-def _bev_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
-    """Reduction of the score against the same task's baseline, in the cell where the vehicle was put.
-
-    A pose attack moves the vehicle; its cell stays that of the baseline (our choice: the paper draws the grid
-    for shapes alone).
-    """
-    keys = ["task_id", "effects", "scored_by"]
-    baseline = scored[scored["method"] == "baseline"].drop_duplicates(keys)[[*keys, "score", "x_m", "y_m"]]
-    pairs = scored[scored["method"] != "baseline"].merge(baseline, on=keys, suffixes=("", "_baseline"))
-    rows: list[dict[str, Any]] = []
-    for group, members in _groups(pairs):
-        xy = members[["x_m_baseline", "y_m_baseline"]].to_numpy()
-        grid = bev_grid(xy, members["score_baseline"], members["score"])
-        for i, corner in enumerate(grid.corner_xy_m.tolist()):
-            cell = {"cell_x_m": corner[0], "cell_y_m": corner[1], "cell_size_m": CELL_SIZE_M}
-            values = {"scores": grid.count[i], "mean_score_baseline": grid.mean_before[i]}
-            more = {"mean_score": grid.mean_after[i], "mean_reduction": grid.mean_reduction[i]}
-            rows.append({**group, **cell, **values, **more})
-    return rows
+    return tuple(group[name] for name in RULE_KEYS)

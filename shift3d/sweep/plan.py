@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from shift3d.config import messages
-from shift3d.config.catalogue import Catalogue
+from shift3d.config.catalogue import Catalogue, SceneEntry
 from shift3d.config.compose import Composed
 from shift3d.config.expand import expand
 from shift3d.config.schema import Config, KittiConfig
 from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.effects import EffectChoices, EffectLine
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
+from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec, TransferScene
 
 __all__ = ["Plan", "PlannedTask", "make_plan"]
 
@@ -149,11 +149,12 @@ def _specs(config: Config, catalogue: Catalogue, decided: EffectChoices, where: 
         of = config.scenes.root if isinstance(config.scenes, KittiConfig) else config.scenes.kind
         raise InputError(f"the scene set {of} is empty", where=where, remedy="Check scenes.count and scenes.names")
     effects_of, said = decided.of(config, catalogue, vehicle), config.effects.said()
-    attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement"})
+    attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})
     centre, half_width = catalogue.sector_rad
     placement = PlacementSpec(
         **config.attack.placement.model_dump(), sector_centre_rad=centre, sector_half_width_rad=half_width
     )
+    elsewhere = {entry.name: _transfer_scenes(config, catalogue, entry, effects_of, where) for entry in scenes}
     return [
         TaskSpec(
             vehicle=vehicle,
@@ -167,7 +168,7 @@ def _specs(config: Config, catalogue: Catalogue, decided: EffectChoices, where: 
             base_seed=config.seed,
             replicate=config.replicate,
             effects=(effects := effects_of(entry)),
-            effect_settings=said if effects else {},
+            effect_settings=said if effects or any(other.effects for other in elsewhere[entry.name]) else {},
             accuracy_settings=catalogue.accuracy,
             scene_arguments=catalogue.scene_arguments,
             attack=AttackSpec(**attack),
@@ -177,6 +178,27 @@ def _specs(config: Config, catalogue: Catalogue, decided: EffectChoices, where: 
             decoder_hash=catalogue.decoder_hash,
             scored_by=tuple(catalogue.detectors),
             detector_hashes=catalogue.detectors,
+            transfer_scenes=elsewhere[entry.name],
         )
         for entry in scenes
     ]
+
+
+def _transfer_scenes(
+    config: Config,
+    catalogue: Catalogue,
+    entry: SceneEntry,
+    effects_of: Callable[[SceneEntry], tuple[str, ...]],
+    where: str,
+) -> tuple[TransferScene, ...]:
+    """The scenes after a task's own in the set, the first one after the last: tasks that follow each other share all of
+    theirs but one, and a worker has these loaded."""
+    count, scenes = config.attack.transfer_scenes, catalogue.scenes
+    if config.mode != "shape" or not count:
+        return ()
+    if count >= len(scenes):
+        what = f"attack.transfer_scenes is {count}, and the set has {len(scenes) - 1} other scenes"
+        raise InputError(what, where=where, remedy=f"Give scenes.count={count + 1} or more, or fewer of them")
+    own = scenes.index(entry)
+    others = [scenes[(own + step) % len(scenes)] for step in range(1, count + 1)]
+    return tuple(TransferScene(other.name, other.content_hash, effects_of(other)) for other in others)

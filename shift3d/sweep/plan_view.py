@@ -18,7 +18,8 @@ def plan_summary(plan: Plan) -> str:
     scenes = len({(spec.dataset, spec.scene) for spec in specs})
     modes = Counter(spec.mode for spec in specs)
     by_mode = ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items(), reverse=True))
-    counts = f"sweep {plan.sweep}: {len(specs)} tasks ({by_mode}) of {vehicles} vehicles in {scenes} scenes"
+    size = ", its small size" if plan.settings.get("size") == "small" else ""
+    counts = f"sweep {plan.sweep}{size}: {len(specs)} tasks ({by_mode}) of {vehicles} vehicles in {scenes} scenes"
     return f"{counts}\n{effect_table(plan.effects, scenes)}"
 
 

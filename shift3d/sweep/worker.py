@@ -142,6 +142,9 @@ def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, 
         "solutions": [{**effects, **row, **known} for row in result.solutions],
         "timings": [{**row, "task_id": spec.task_id} for row in result.timings],
         "verification": [{**row, **known} for row in result.verification],
+        "trajectories": [{**row, **known} for row in result.trajectories],
+        "transfers": [{**row, **known} for row in result.transfers],
+        "shapes": [{**row, **known} for row in result.shapes],
     }
 
 

@@ -14,8 +14,9 @@ import trimesh
 from numpy.typing import NDArray
 
 from shift3d.attack.objective import object_box
-from shift3d.geometry.se3 import scene_from_object
+from shift3d.geometry.se3 import object_from_scene, scene_from_object
 from shift3d.render.rendering import Rendering
+from shift3d.scenes.kitti_writing import frame_files, velodyne_bytes
 from shift3d.scenes.scene import Scene
 from shift3d.store.atomic import write_atomic
 from shift3d.task.assets import Assets
@@ -23,6 +24,11 @@ from shift3d.task.run import build_problem
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import vehicle_mesh
 
+FRAME = "000000"
+"""Name of the exported frame in its KITTI folder."""
+_BOX = ("x", "y", "z", "dx", "dy", "dz", "heading")
+_UNITS = "metres, radians; geometric centre; heading counter-clockwise from +x"
+_OBJECT_RGBA, _SCENE_RGBA = (213, 94, 0, 255), (140, 140, 140, 255)
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
@@ -35,10 +41,13 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
         folder: made if absent; each file is written whole or not at all.
 
     Returns:
-        The files: ``scene.bin`` (KITTI: float32 x, y, z, reflectance; sensor frame; the scene's point order;
-        reflectance 0 where the scene has none), ``object.ply`` (metres, sensor frame), ``box.json`` (sensor frame,
-        geometric centre) and ``hit_mask.npy`` (bool, True where a point was moved onto the object). Points that
-        effects made vanish are left out of both; returns of beams that had none follow the scene's points.
+        The files. ``scene.bin`` (KITTI: float32 x, y, z, reflectance; sensor frame; the scene's point order;
+        reflectance 0 where the scene has none) and ``scene.ply`` (the same points, the vehicle's coloured),
+        ``hit_mask.npy`` (bool, True where a point was moved onto the object), ``object.ply`` (metres, sensor frame) and
+        ``object.glb`` (the vehicle's own frame in glTF's axes, y up and z forward), ``box.json`` and ``boxes.json``
+        (sensor frame, geometric centre; of the object, and of everything in the scene), and ``kitti/training/...``, the
+        edited scene as a frame of a KITTI folder. Points that effects made vanish are left out; returns of beams that
+        had none follow the scene's points.
 
     Raises:
         InputError: a scene or vehicle that cannot be loaded, or a folder that cannot be written.
@@ -54,14 +63,21 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     mesh = vehicle_mesh(vehicle, assets.decoder, code.float())
     mesh.vertices = scene_from_object(torch.from_numpy(np.array(mesh.vertices)), theta).numpy()
     kept = slice(None) if rendering.returned is None else rendering.returned.numpy()
-    hits = rendering.hit_mask.numpy()[kept]
+    hits, points = rendering.hit_mask.numpy()[kept], rendering.points.numpy()[kept]
+    reflectance = _reflectance(scene, rendering, kept)
+    boxes = np.concatenate((scene.labels.boxes, object_box(theta, vehicle.size_m, 0.0)[None]))
+    classes = [*scene.labels.classes, "vehicle"]
+    frame = frame_files(FRAME, points, reflectance, scene.ground_z_m, boxes, classes)
     files = {
-        "scene.bin": _kitti_bytes(rendering.points.numpy()[kept], _reflectance(scene, rendering, kept)),
-        "object.ply": _ply_bytes(mesh),
-        "box.json": _box_json(spec, solution, theta, vehicle.size_m, int(hits.sum())),
+        "scene.bin": velodyne_bytes(points, reflectance),
+        "scene.ply": _exported(_coloured(points, hits), "ply"),
         "hit_mask.npy": _npy_bytes(hits),
+        "object.ply": _exported(mesh, "ply"),
+        "object.glb": _exported(_in_gltf_axes(mesh, theta), "glb"),
+        "box.json": _box_json(spec, solution, theta, vehicle.size_m, int(hits.sum())),
+        "boxes.json": _boxes_json(boxes, classes, scene.ground_z_m),
+        **{f"kitti/{path}": content for path, content in frame.items()},
     }
-    folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         write_atomic(folder / name, content)
     return [folder / name for name in files]
@@ -78,12 +94,27 @@ def _reflectance(scene: Scene, rendering: Rendering, kept: slice | NDArray[np.bo
     return values[kept]
 
 
-def _kitti_bytes(points: NDArray[np.float32], reflectance: NDArray[np.float32] | None) -> bytes:
-    rows = np.zeros((len(points), 4), dtype="<f4")
-    rows[:, :3] = points
-    if reflectance is not None:
-        rows[:, 3] = reflectance
-    return rows.tobytes()
+def _coloured(points: NDArray[np.float32], hits: NDArray[np.bool_]) -> trimesh.PointCloud:
+    colours = np.where(hits[:, None], np.array(_OBJECT_RGBA, np.uint8), np.array(_SCENE_RGBA, np.uint8))
+    return trimesh.PointCloud(points, colours)
+
+
+def _in_gltf_axes(mesh: trimesh.Trimesh, theta: torch.Tensor) -> trimesh.Trimesh:
+    """A mesh in the sensor frame turned back into the vehicle's own, with y up and z forward."""
+    vertices = object_from_scene(torch.from_numpy(np.array(mesh.vertices)), theta).numpy()
+    # A cyclic change of axes: no reflection, so faces keep their side.
+    return trimesh.Trimesh(vertices[:, [1, 2, 0]], mesh.faces, process=False)
+
+
+def _boxes_json(boxes: NDArray[np.float64], classes: list[str], ground_z_m: float) -> bytes:
+    """Every labelled object and, last, the inserted one."""
+    rows = [
+        {"class": kind, "box": dict(zip(_BOX, (float(value) for value in box), strict=True)), "inserted": False}
+        for kind, box in zip(classes, boxes, strict=True)
+    ]
+    rows[-1]["inserted"] = True
+    what = {"frame": "lidar", "ground_z_m": float(ground_z_m), "units": _UNITS, "objects": rows}
+    return (json.dumps(what, indent=2, sort_keys=True) + "\n").encode()
 
 
 def _box_json(
@@ -94,11 +125,10 @@ def _box_json(
     object_points: int,
 ) -> bytes:
     numbers = (float(value) for value in object_box(theta, size_m, 0.0))
-    names = ("x", "y", "z", "dx", "dy", "dz", "heading")
     what = {
-        "box": dict(zip(names, numbers, strict=True)),
+        "box": dict(zip(_BOX, numbers, strict=True)),
         "frame": "lidar",
-        "units": "metres, radians; geometric centre; heading counter-clockwise from +x",
+        "units": _UNITS,
         "class": "vehicle",
         "pose": {name: float(solution[name]) for name in _POSE},
         "object_points": object_points,
@@ -117,7 +147,7 @@ def _npy_bytes(array: NDArray[np.bool_]) -> bytes:
     return buffer.getvalue()
 
 
-def _ply_bytes(mesh: trimesh.Trimesh) -> bytes:
-    content = mesh.export(file_type="ply")
+def _exported(what: trimesh.Trimesh | trimesh.PointCloud, file_type: str) -> bytes:
+    content = what.export(file_type=file_type)
     assert isinstance(content, bytes)
     return content

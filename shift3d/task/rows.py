@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from torch import Tensor
 
-from shift3d.attack.records import AttackResult
+from shift3d.attack.objective import latent_distance
+from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.task.audit import Audit
 from shift3d.task.scoring import Candidate, Scored
 from shift3d.task.spec import Row, TaskResult, TaskSpec
+from shift3d.vehicles.outline import Outline
 
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
@@ -22,6 +25,9 @@ class Rows:
         self._spec = spec
         self._scores: list[Row] = []
         self._solutions: list[Row] = []
+        self._trajectories: list[Row] = []
+        self._transfers: list[Row] = []
+        self._shapes: list[Row] = []
         self._timings: dict[tuple[str, str], tuple[float, int]] = {}
         self._seen: set[tuple[str, int]] = set()
         self._descent: dict[str, Row] = {}
@@ -34,10 +40,8 @@ class Rows:
         measured, theta = scored.measurement, [float(value) for value in candidate.theta]
         check, rendering = measured.check, measured.rendering
         pose = dict(zip(_POSE, theta, strict=True))
-        # Summed in float64 and in a fixed order: the same bytes whatever the build of torch does.
-        offset = candidate.code.double().numpy() - baseline_code.double().numpy()
         same: Row = pose | {
-            "latent_distance": math.sqrt(math.fsum(float(v) ** 2 for v in offset)),
+            "latent_distance": latent_distance(candidate.code, baseline_code),
             "range_m": math.hypot(theta[0], theta[1]),
             "object_points": rendering.object_points,
             "overlap_ok": check.overlap_ok,
@@ -74,7 +78,8 @@ class Rows:
             self._scores += [self._row(name, method, replicate, status) for name in self._spec.scored_by]
 
     def attack(self, found: AttackResult) -> None:
-        """The time that the search took, by stage, and what it says of the objects at its start and its end."""
+        """The search's steps, the time that it took, by stage, and what it says of its start and its end."""
+        self._trajectories = [_step_row(record, found.best_step) for record in found.trace]
         whole = sum(record.non_finite for record in found.trace)
         ends = (("baseline", found.trace[0], found.trace[:1], 0), ("adversarial", found.best, found.trace, whole))
         for method, record, steps, met in ends:
@@ -84,6 +89,17 @@ class Rows:
             self._descent[method] = {"least_slope": slope, "grazing_gradient": share, "non_finite": met}
         for stage, milliseconds in found.milliseconds().items():
             self.time("adversarial", stage, milliseconds, len(found.trace))
+
+    def transfers(self, rows: Iterable[Row]) -> None:
+        """What became of the adversarial shape in other scenes."""
+        self._transfers += rows
+
+    def shape(self, candidate: Candidate, found: Outline) -> None:
+        """What the mesh of a shape looks like."""
+        sizes = found.size_m or (None, None, None)
+        row: Row = dict(zip(("length_m", "width_m", "height_m"), sizes))
+        row |= {"largest_piece": found.largest_piece, "still_a_car": found.still_a_car}
+        self._shapes.append({"method": candidate.method, "replicate": candidate.replicate, **row})
 
     def time(self, method: str, stage: str, milliseconds: float, calls: int = 1) -> None:
         """Add time to one stage of one method."""
@@ -96,7 +112,14 @@ class Rows:
             {"method": method, "stage": stage, "milliseconds": spent, "calls": calls}
             for (method, stage), (spent, calls) in self._timings.items()
         ]
-        return TaskResult([self._described(row) for row in self._scores], self._solutions, timings)
+        return TaskResult(
+            scores=[self._described(row) for row in self._scores],
+            solutions=self._solutions,
+            timings=timings,
+            trajectories=self._trajectories,
+            transfers=self._transfers,
+            shapes=self._shapes,
+        )
 
     def _described(self, row: Row) -> Row:
         """A row with what the search says of its object; what was met on the way adds to what was met at the end."""
@@ -113,3 +136,21 @@ class Rows:
             "status": status,
             "effects": list(self._spec.effects),
         }
+
+
+def _step_row(record: StepRecord, best_step: int) -> Row:
+    """A step as the search saw it. A number that is not finite, at the last step of a divergence, is none."""
+    losses = {
+        "proposal_score": record.proposal_score,
+        "loss": record.loss,
+        "adversarial_loss": record.adversarial_loss,
+        "latent_distance": record.latent_distance,
+    }
+    return {
+        "step": record.step,
+        "kept": record.step == best_step,
+        **{name: value if math.isfinite(value) else None for name, value in losses.items()},
+        **dict(zip(_POSE, record.theta, strict=True)),
+        "object_points": record.check.object_points,
+        "valid": record.valid,
+    }

@@ -5,33 +5,26 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
-import torch
-from torch import Tensor
 
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
-from shift3d.attack.constraints import Constraints
-from shift3d.attack.placement import NoPlacement, Placement, PlacementLimits, place
+from shift3d.attack.placement import NoPlacement
 from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import SETTLE_M, attack_shape, standing
 from shift3d.detectors.base import Detector
-from shift3d.render.settings import REFERENCE, STANDARD
-from shift3d.scenes.facts import EffectSettings
-from shift3d.scenes.scene import Scene
-from shift3d.seeding import derive_seed, generator
-from shift3d.task.assets import Assets, load_assets, render_settings, score_precision, search_precision
+from shift3d.render.settings import REFERENCE
+from shift3d.seeding import generator
+from shift3d.task.assets import Assets, load_assets, score_precision, search_precision
 from shift3d.task.audit import AUDITED, audit
+from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.rows import Rows
 from shift3d.task.scoring import Candidate, score_object
 from shift3d.task.spec import TaskResult, TaskSpec
+from shift3d.task.transfer import put_elsewhere
+from shift3d.vehicles.outline import outline
 
-if TYPE_CHECKING:
-    from shift3d.render.effects.chain import EffectChain
-
-__all__ = ["build_problem", "load_assets", "run_task"]
+__all__ = ["build_problem", "load_assets", "place_vehicle", "run_task"]
 
 
 def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
@@ -64,10 +57,23 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
             audited = candidate.method in AUDITED and problem.settings != REFERENCE
             checked = audit(spec, assets, problem, candidate, scored) if audited else None
             rows.add(candidate, problem.code0, scored, checked)
+            if candidate.method == "adversarial" and spec.mode == "shape":
+                _look_at(spec, assets, candidate, rows)
         for method, replicate in _planned(spec):
             rows.skip(method, replicate, "no_random_pose")
     rows.time("adversarial", "total", 1e3 * (time.perf_counter() - start))
     return rows.result()
+
+
+def _look_at(spec: TaskSpec, assets: Assets, found: Candidate, rows: Rows) -> None:
+    """Whether the shape that was found is still a car, and what it does in other scenes."""
+    start = time.perf_counter()
+    rows.shape(found, outline(assets.vehicle(spec), assets.decoder, found.code.float()))
+    rows.time(found.method, "mesh", 1e3 * (time.perf_counter() - start))
+    if spec.transfer_scenes:
+        start = time.perf_counter()
+        rows.transfers(put_elsewhere(spec, assets, found.code))
+        rows.time(found.method, "transfers", 1e3 * (time.perf_counter() - start), len(spec.transfer_scenes))
 
 
 def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
@@ -77,85 +83,6 @@ def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
     yield "adversarial", 0
     if spec.mode == "shape":
         yield from (("adversarial_noise", i) for i in range(spec.attack.noise_replicates))
-
-
-def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
-    """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings.
-
-    Whatever the task's mode, weights of the loss, accuracy or detector. Source: our choice: the paper is silent.
-    """
-    scene, beams = assets.scene(spec)
-    vehicle = assets.vehicle(spec)
-    limits = PlacementLimits(
-        spec.placement.min_range_m,
-        spec.placement.max_range_m,
-        (spec.placement.sector_centre_rad, spec.placement.sector_half_width_rad),
-        spec.placement.attempts,
-    )
-    # Always at the standard accuracy: a rounding that turns one draw down would put the vehicle elsewhere, and
-    # accuracies could no longer be compared object by object.
-    sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
-    rng = generator("placement", spec.placement_seed)
-    constraints, others = _constraints(spec), _other_vehicles(scene)
-    space = assets.space_of(spec, STANDARD)
-    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others, space)
-
-
-def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:
-    """The task's vehicle, placed at ``theta`` (6,), before the detector that scores it.
-
-    Raises:
-        InputError: a scene or vehicle that cannot be loaded.
-    """
-    scene, beams = assets.scene(spec)
-    vehicle = assets.vehicle(spec)
-    settings = render_settings(spec)
-    return AttackProblem(
-        beams=beams,
-        ground_z_m=scene.ground_z_m,
-        field_of=assets.decoder_of(settings.dtype).field,
-        vehicle=vehicle,
-        detector=assets.detector_of(spec.detector, score_precision(spec)),
-        theta0=theta,
-        code0=torch.from_numpy(vehicle.latent_code).to(settings.dtype),
-        constraints=_constraints(spec),
-        settings=settings,
-        travel_m=spec.attack.max_shift_m,
-        others=_other_vehicles(scene),
-        space=assets.space_of(spec, settings),
-        effects=_effects(spec, assets),
-    )
-
-
-def _effects(spec: TaskSpec, assets: Assets) -> EffectChain | None:
-    """The task's effects; none of their code is imported where there are none.
-
-    Their randomness is that of the placement: shape and pose attacks of one placement have one baseline.
-    """
-    if not spec.effects:
-        return None
-    from shift3d.render.effects.chain import EffectChain
-
-    scene, vehicle, settings = assets.scene(spec)[0], assets.vehicle(spec), EffectSettings(**spec.effect_settings)
-    heading_rad = _driving_heading_rad(spec, assets) if settings.object_speed_m_s else 0.0
-    seed = derive_seed("effects", spec.placement_seed)
-    return EffectChain.of(spec.effects, scene, vehicle, seed, settings, heading_rad)
-
-
-def _driving_heading_rad(spec: TaskSpec, assets: Assets) -> float:
-    """A vehicle that drives does so along the heading it was placed with, whatever an attack makes of its pose."""
-    placement = place_vehicle(spec, assets)
-    return 0.0 if isinstance(placement, NoPlacement) else float(placement.theta[3])
-
-
-def _constraints(spec: TaskSpec) -> Constraints:
-    where = spec.placement
-    return Constraints(where.overlap_m, where.contact_m, where.min_object_points)
-
-
-def _other_vehicles(scene: Scene) -> Tensor:
-    """(M, 2) centres of the scene's own vehicles: a box of theirs near the object would pass for a detection of it."""
-    return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())
 
 
 def _candidates(spec: TaskSpec, problem: AttackProblem, searched: Detector, rows: Rows) -> Iterator[Candidate]:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from shift3d.seeding import derive_seed
 
-__all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec"]
+__all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec", "TransferScene"]
 
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
 SPEC_VERSION = 5
@@ -70,6 +70,15 @@ class AttackSpec:
 
 
 @dataclass(frozen=True)
+class TransferScene:
+    """Another scene that a shape is put into: its name, the hash of its content, and the effects it calls for."""
+
+    scene: str
+    scene_hash: str
+    effects: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class TaskSpec:
     """One vehicle in one scene, attacked once.
 
@@ -79,7 +88,8 @@ class TaskSpec:
     effect_settings what is said about the scene beyond what it states (`scenes.facts.EffectSettings`).
     scene_arguments: what the scene was made from, for the reader of a plan. scored_by: detectors that score every
     solution; the attacked one is put first, whether it is named or not. detector_hashes: of each of them, by name.
-    The hashes are 128-bit BLAKE2b, hex.
+    transfer_scenes: other scenes that the adversarial shape is put into; none for a pose task, whose pose belongs to
+    its scene. The hashes are 128-bit BLAKE2b, hex.
     """
 
     vehicle: str
@@ -103,11 +113,13 @@ class TaskSpec:
     decoder_hash: str = ""
     scored_by: tuple[str, ...] = ()
     detector_hashes: Mapping[str, str] = field(default_factory=dict)
+    transfer_scenes: tuple[TransferScene, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scored_by", tuple(dict.fromkeys((self.detector, *self.scored_by))))
         if self.mode == "pose":
             object.__setattr__(self, "lambda_", None)
+            object.__setattr__(self, "transfer_scenes", ())
 
     def to_dict(self) -> dict[str, Any]:
         """Plain nested dictionaries, ready for JSON."""
@@ -119,6 +131,9 @@ class TaskSpec:
         values["scene_arguments"] = dict(self.scene_arguments)
         values["attack"] = dict(vars(self.attack))
         values["placement"] = dict(vars(self.placement))
+        values["transfer_scenes"] = [{**vars(other), "effects": list(other.effects)} for other in self.transfer_scenes]
+        if not self.transfer_scenes:  # as before there were any: tasks without them keep their ids
+            del values["transfer_scenes"]
         values["spec_version"] = SPEC_VERSION
         return values
 
@@ -132,6 +147,10 @@ class TaskSpec:
         values["effects"], values["scored_by"] = tuple(values["effects"]), tuple(values["scored_by"])
         values["attack"] = AttackSpec(**values["attack"])
         values["placement"] = PlacementSpec(**values["placement"])
+        values["transfer_scenes"] = tuple(
+            TransferScene(other["scene"], other["scene_hash"], tuple(other["effects"]))
+            for other in values.get("transfer_scenes", ())
+        )
         return TaskSpec(**values)
 
     def canonical_json(self) -> str:
@@ -160,6 +179,18 @@ class TaskSpec:
         where = json.dumps(vars(self.placement), sort_keys=True)
         return derive_seed("placement", self.base_seed, self.replicate, *what, where)
 
+    def moved_to(self, other: TransferScene) -> TaskSpec:
+        """The same task in another scene, for putting what was found there: a place of its own, the same under every
+        lambda, step size, accuracy and detector."""
+        return dataclasses.replace(
+            self,
+            scene=other.scene,
+            scene_hash=other.scene_hash,
+            effects=other.effects,
+            base_seed=self.placement_seed,
+            transfer_scenes=(),
+        )
+
 
 _FIELD_NAMES = tuple(f.name for f in dataclasses.fields(TaskSpec))
 
@@ -170,13 +201,18 @@ class TaskResult:
 
     scores, solutions, timings: rows whose keys are the columns of design section 5 that the spec does not
     already determine (the columns of ``store.schemas.SPEC_COLUMNS`` are filled in by the sweep).
-    verification: likewise, of a task that verifies another one's solutions.
+    verification: likewise, of a task that verifies another one's solutions. trajectories: likewise, a row a step.
+    transfers: likewise, a row a scene that a solution was put into and a detector. shapes: likewise, a row a shape that
+    a search found.
     """
 
     scores: list[Row]
     solutions: list[Row]
     timings: list[Row]
     verification: list[Row] = field(default_factory=list)
+    trajectories: list[Row] = field(default_factory=list)
+    transfers: list[Row] = field(default_factory=list)
+    shapes: list[Row] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

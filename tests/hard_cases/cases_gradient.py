@@ -87,8 +87,8 @@ def a_saturated_field_has_the_gradient_of_its_surface() -> None:
     must="grazing hits are where a rendering without a gradient has them",
     guard="a root is polished only where the slope is below -0.05",
     edits=(
-        Edit(IMPLICIT, "slope.clamp_max(-_POLISH_SLOPE)", "slope"),
-        Edit(IMPLICIT, "(slope <= -_POLISH_SLOPE) & (step", "(step"),
+        Edit(IMPLICIT, "slope.clamp_max(STEEP)", "slope"),
+        Edit(IMPLICIT, "(slope <= STEEP) & (step", "(step"),
     ),
 )
 def a_root_on_a_grazing_beam_is_not_polished() -> None:

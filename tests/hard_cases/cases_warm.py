@@ -12,8 +12,9 @@ from hard_scenes import AT_TEN, FAST, PLAIN, beams_along_x, draw, fan, hit_at, p
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering
+from shift3d.render.warm import WarmStart
 
-WARM, FOLLOW = "shift3d.render.warm", "shift3d.render.follow"
+WARM, FOLLOW, APPROACH = "shift3d.render.warm", "shift3d.render.follow", "shift3d.render.approach"
 SPHERE, SLAB = sphere(1.0), box((0.2, 1.0, 0.5), (0.6, 0.0, 0.0))
 
 
@@ -246,3 +247,44 @@ def the_last_beam_leaves_the_box() -> None:
     first = draw(beams, metric, frame=PLAIN)
     unmoved(first, beams)
     unmoved(again(beams, metric, first, pose(10.0, -0.04)), beams)
+
+
+@hard_case(
+    area="renderer",
+    why="a surface that is predicted to a millimetre moves just behind the return of its beam",
+    must="the return stays",
+    guard="a predicted root counts on the stretch of its beam alone",
+    edits=Edit(APPROACH, "near &= (start + step >= rays.near_m) & (start + step <= rays.far_m)", "pass"),
+)
+def a_predicted_surface_that_moves_behind_the_return() -> None:
+    beams, metric = beams_along_x(end_x=9.3), box((0.7005, 0.5, 0.5))
+    first = draw(beams, metric, AT_TEN.clone().requires_grad_(), frame=PLAIN)
+    hit_at(first, 9.2995)
+    unmoved(again(beams, metric, first, pose(10.001)), beams)
+
+
+@hard_case(
+    area="renderer",
+    why="a ball comes up in front of a wall whose hit was predicted",
+    must="the ball is hit, and the gradient is that of its surface",
+    guard="a tangent counts only at the very hit it was made at",
+    edits=Edit("shift3d.render.implicit", "(row >= 0) & (known.range_m[row] == hits.range_m)", "row >= 0"),
+)
+def a_predicted_hit_that_is_covered() -> None:
+    def gradient(metric: Field, warm: WarmStart | None) -> tuple[Tensor, Rendering]:
+        theta = AT_TEN.clone().requires_grad_()
+        drawn = draw(beams, metric, theta, warm=warm, frame=PLAIN)
+        drawn.points.sum().backward()
+        assert theta.grad is not None
+        return theta.grad, drawn
+
+    def ball_at(y: float) -> Field:
+        return union(SLAB, sphere(0.2, (-0.5, y, 0.0)))
+
+    beams = beams_at(0.0)
+    before = draw(beams, ball_at(-0.27), AT_TEN.clone().requires_grad_(), frame=PLAIN)
+    hit_at(before, 10.4)
+    warm, found = gradient(ball_at(-0.15), before.warm)
+    cold, afresh = gradient(ball_at(-0.15), None)
+    assert 9.3 < float(found.range_m) < 9.5 and torch.allclose(found.range_m, afresh.range_m, atol=1e-5)
+    assert torch.allclose(warm, cold, atol=1e-4)

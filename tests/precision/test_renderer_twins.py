@@ -139,7 +139,7 @@ def test_gradients_at_the_surface() -> None:
     for dtype in (torch.float32, torch.float64):
         z, theta = code.clone().requires_grad_(), THETA.clone().requires_grad_()
         metric = ObjectField.of(in_frame(soft_car(z), SHAPENET_FRAME), SHAPENET_FRAME, dtype, 4096)
-        points, _, share = surface_points(beams, hits, metric, theta, settings.grazing_floor)
+        points, _, share, _ = surface_points(beams, hits, metric, theta, settings.grazing_floor)
         assert torch.equal(points, beams.origins[rows] + hits.range_m[:, None] * beams.directions[rows])
         gradients.append(torch.cat(torch.autograd.grad(points.sin().sum(), (z, theta))))
         least = max(share.least_slope, settings.grazing_floor)

@@ -69,9 +69,12 @@ def test_the_shape_attack_ends(name: str, weight: float, alpha: float) -> None:
     result = attack_shape(problem, weight, alpha, STEPS)
     ended_well(result, problem)
     if alpha == 0.0:
-        # Nothing moves, so every record is that of the start.
+        # Nothing moves, so every record is that of the start: the first is searched cold and may differ in a beam at
+        # the silhouette, the others follow it and only come closer to the same roots.
         assert torch.equal(result.latent_code, problem.code0)
-        assert len({record.adversarial_loss for record in result.trace}) <= 2  # cold, then warm
+        cold, *warm = [record.adversarial_loss for record in result.trace]
+        assert max(warm) - min(warm) <= 1e-5 * max(warm)
+        assert cold == pytest.approx(warm[0], rel=0.01)
 
 
 @few(7)

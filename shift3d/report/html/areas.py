@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from shift3d.report.html.document import OPEN, Markup, Section, aside, escape, paragraph, table, terms
 from shift3d.report.html.paper import PaperTable, paper_table
-from shift3d.report.html.statistics import Area, area, mean_area
+from shift3d.report.html.statistics import Area, area, mean_area, ratio_interval
 from shift3d.report.html.sweep import METHODS, Variant
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["areas", "in_short"]
 
@@ -16,7 +20,9 @@ _MEANINGS = {
     "the inserted vehicle, 0 where there is none",
     "interval": "95 %, BCa bootstrap, whole scenes redrawn; with fewer than about 20 scenes it is too narrow",
     "mean": "mean of the vehicles' AUCs; for the paper's rows it is computed here, over the vehicles shown",
-    "of baseline": "mean over the baseline's mean",
+    "of baseline": "mean over the baseline's mean; interval: 95 %, scenes redrawn with both of them",
+    "still a car": "only tasks whose adversarial shape is one piece but for 3 % of its surface, with sides 0.75 to "
+    "1.35 of the baseline's, and the baseline of the same tasks: a coarse look, which some broken shapes pass",
     "lambda": "shape results are those of the weight that the paper's rule chose for each vehicle",
 }
 
@@ -46,7 +52,8 @@ def _headline(variant: Variant) -> str:
     name = f"{variant.label[0].upper()}{variant.label[1:]}"
     if before is None or after is None:
         return f"{name}: no baseline, or nothing found."
-    ratio = f"{after.interval.mean / before.interval.mean:.2f}" if before.interval.mean else "-"
+    found, whole = (variant.rows[variant.rows["method"] == name] for name in ("adversarial", "baseline"))
+    ratio = " ".join(part for part in _ratio(found, whole) if part)
     text = f"{name}: mean AUC {before.interval.mean:.3f} → {after.interval.mean:.3f}, {ratio} of the baseline's"
     paper = paper_table(variant.mode, variant.detector, variant.scored_by)
     if paper and {"baseline", "adversarial"} <= set(paper.auc):
@@ -68,32 +75,67 @@ def _table(variant: Variant) -> list[str]:
     if paper and not any(vehicle in row for row in paper.auc.values() for vehicle in vehicles):
         paper = None
     lines, kinds = [], []
-    baseline = mean_area(variant.rows[variant.rows["method"] == "baseline"])
     for method in METHODS:
         if method in variant.methods:
-            lines.append(_ours(variant, method, baseline))
+            lines.append(_ours(variant, METHODS[method], variant.rows, method))
             kinds.append("ours" if method == "adversarial" else "")
         if paper and method in paper.auc:
             lines.append(_papers(paper, method, vehicles))
             kinds.append("paper")
+    cars = _cars(variant)
+    if len(cars):
+        for method in ("baseline", "adversarial"):
+            lines.append(_ours(variant, f"{METHODS[method]}, still a car", cars, method))
+            kinds.append("")
     if (chosen := _lambdas(variant)) is not None:
         lines.append(chosen)
         kinds.append("")
     named = [vehicle.replace("_", " ") for vehicle in vehicles]
     beside = f"; paper: {paper.name}, {variant.detector}, 500 scenes a vehicle" if paper else ""
     caption = f"AUC, {variant.label}, scored by {variant.scored_by}{beside}"
-    parts = [table(caption, ["method", *named, "mean", "of baseline"], lines, kinds)]
+    parts = [table(caption, ["method", *named, "mean", "of baseline"], lines, kinds), *_still_cars(variant)]
     if paper is None:
         parts.append(paragraph(f"The paper has no table of these vehicles for {variant.label}.", "missing"))
     return parts
 
 
-def _ours(variant: Variant, method: str, baseline: Area | None) -> list[str]:
-    rows = variant.rows[variant.rows["method"] == method]
+def _ours(variant: Variant, label: str, of: pd.DataFrame, method: str) -> list[str]:
+    """A line of one method. of: the rows that count, of all methods."""
+    rows, baseline = of[of["method"] == method], of[of["method"] == "baseline"]
     cells = [_cell(area(rows[rows["vehicle"] == vehicle])) for vehicle in variant.vehicles]
-    mean = mean_area(rows)
-    ratio = mean.interval.mean / baseline.interval.mean if mean and baseline and baseline.interval.mean else None
-    return [METHODS[method], *cells, _cell(mean), "-" if ratio is None else f"{ratio:.2f}"]
+    return [label, *cells, _cell(mean_area(rows)), _ratio_cell(rows, baseline)]
+
+
+def _ratio(rows: pd.DataFrame, baseline: pd.DataFrame) -> tuple[str, str]:
+    """The ratio of two AUCs and its interval, the latter nothing where it is a point or infinite."""
+    found = ratio_interval(rows, baseline)
+    if found is None:
+        return "-", ""
+    between = f"[{found.low:.2f}, {found.high:.2f}]" if 0 < found.high - found.low < math.inf else ""
+    return f"{found.mean:.2f}", between
+
+
+def _ratio_cell(rows: pd.DataFrame, baseline: pd.DataFrame) -> str:
+    ratio, between = _ratio(rows, baseline)
+    return Markup(f"{ratio}<small>{between}</small>") if between else ratio
+
+
+def _cars(variant: Variant) -> pd.DataFrame:
+    """Rows of the tasks whose shape is still a car; none where nothing was looked at."""
+    if "still_a_car" not in variant.rows:
+        return variant.rows.iloc[:0]
+    return variant.rows[variant.rows["still_a_car"].eq(True)]
+
+
+def _still_cars(variant: Variant) -> list[str]:
+    """How many shapes are still cars."""
+    if variant.mode != "shape" or "still_a_car" not in variant.rows or not variant.rows["still_a_car"].notna().any():
+        return []
+    tasks = variant.rows[variant.rows["still_a_car"].notna()].drop_duplicates("task_id")
+    cars = tasks[tasks["still_a_car"].eq(True)]
+    each = [f"{name.replace('_', ' ')} {(cars['vehicle'] == name).sum()} of {(tasks['vehicle'] == name).sum()}"
+            for name in variant.vehicles]  # fmt: skip
+    return [paragraph(f"Still a car: {len(cars)} of {len(tasks)} adversarial shapes ({', '.join(each)}).")]
 
 
 def _cell(found: Area | None) -> str:

@@ -14,6 +14,7 @@ from shift3d.report.html.case_figures import from_above, turnable
 from shift3d.report.html.document import Markup, Section, escape, paragraph, table, terms
 from shift3d.report.html.hardest import Case, Seen, hardest, see
 from shift3d.report.html.measures import DEFINITIONS, change_lines, in_words, measure_mesh
+from shift3d.report.html.paths import case_path
 from shift3d.report.html.sweep import Sweep
 
 if TYPE_CHECKING:
@@ -44,8 +45,7 @@ def hard_cases(sweep: Sweep, count: int = 4) -> Section:
         f"The {len(chosen)} solutions whose score fell furthest below the baseline's of the same task, other vehicles "
         "and scenes first. Each is rendered again here as the sweep rendered it. Drag a vehicle to turn both."
     )
-    path = "The score along the steps is not among what a sweep keeps."
-    return Section("cases", _TITLE, [paragraph(lead), *parts, _definitions(), paragraph(path, "missing")])
+    return Section("cases", _TITLE, [paragraph(lead), *parts, _definitions()])
 
 
 def _definitions() -> str:
@@ -77,6 +77,7 @@ def _case(sweep: Sweep, case: Case, number: int, made: _Made) -> list[str]:
         turnable(key, case, before, after),
         *_changes(case, number, before, after),
         from_above(key, case, before, after, centre),
+        case_path(key, sweep.trajectories[sweep.trajectories["task_id"] == case.task_id]),
         paragraph(_again(case, before, after)),
         paragraph(Markup(f"Take it away (OUT is this page's folder): <code>{_command(case, number)}</code>")),
         "</article>",

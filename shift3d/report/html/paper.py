@@ -29,5 +29,8 @@ def _tables() -> dict[tuple[str, str, str], PaperTable]:
 
 
 def paper_table(mode: str, detector: str, scored_by: str) -> PaperTable | None:
-    """What the paper found for a detector that was attacked and one that scores; None where it has no such table."""
-    return _tables().get((mode, detector, scored_by))
+    """What the paper found for a detector that was attacked and one that scores; None where it has no such table.
+
+    Beside the small SST stands the paper's SST.
+    """
+    return _tables().get((mode, detector.removesuffix("_small"), scored_by.removesuffix("_small")))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.errors import InputError
-from shift3d.store.schemas import GROUP_COLUMNS
+from shift3d.store.schemas import GROUP_COLUMNS, SCHEMAS
 from shift3d.sweep.plan import Plan
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ METHODS = {
 }
 """Methods in the order of the paper's tables, and what they are called."""
 _TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
+_LATER = ("trajectories", "bev_transfer", "choices", "shapes")  # tables that sweeps of an earlier program do not have
 _VARIANT = ("mode", "detector", "scored_by", "alpha", "accuracy", "effects")
 _NAMES = {"detector": "attacked", "scored_by": "scored by", "alpha": "alpha", "accuracy": "accuracy"}
 
@@ -32,8 +33,8 @@ _NAMES = {"detector": "attacked", "scored_by": "scored by", "alpha": "alpha", "a
 class Sweep:
     """A sweep's plan and tables.
 
-    environment: what ran it (``env.json``). scores, solutions, auc, bev, timings, attempts, verification: tables of
-    ``final/``; verification is None where the sweep was not verified.
+    environment: what ran it (``env.json``). The others: tables of ``final/``; verification is None where the sweep was
+    not verified; trajectories, bev_transfer, choices and shapes are empty where it has none.
     """
 
     plan: Plan
@@ -44,15 +45,24 @@ class Sweep:
     bev: pd.DataFrame
     timings: pd.DataFrame
     attempts: pd.DataFrame
+    trajectories: pd.DataFrame
+    bev_transfer: pd.DataFrame
+    choices: pd.DataFrame
+    shapes: pd.DataFrame
     verification: pd.DataFrame | None = None
 
     @property
     def scored(self) -> pd.DataFrame:
-        """Rows that have a score, with the effects that were asked for (a row for each), and `place`: their scene."""
+        """Rows that have a score, with the effects that were asked for (a row for each), and `place`: their scene.
+
+        still_a_car: of the shape that the row's task found; None where it was not looked at.
+        """
         rows = self.scores[self.scores["score"].notna()]
         asked = {task.spec.task_id: list(task.effects_asked) for task in self.plan.tasks}
         rows = rows.assign(effects=rows["task_id"].map(asked)).explode("effects")
-        return rows.assign(place=rows["dataset"] + "/" + rows["scene"])
+        looked_at = dict(zip(self.shapes["task_id"], self.shapes["still_a_car"].astype(object)))
+        cars = rows["task_id"].map(looked_at).astype(object)
+        return rows.assign(place=rows["dataset"] + "/" + rows["scene"], still_a_car=cars.where(cars.notna(), None))
 
 
 @dataclass(frozen=True)
@@ -99,6 +109,9 @@ def read_sweep(folder: Path) -> Sweep:
     if not (final / "scores.parquet").is_file():
         raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
     tables = {name: read_table(final / f"{name}.parquet", name).to_pandas() for name in _TABLES}
+    for name in _LATER:
+        path = final / f"{name}.parquet"
+        tables[name] = (read_table(path, name) if path.is_file() else SCHEMAS[name].empty_table()).to_pandas()
     verified = final / "verification.parquet"
     verification = read_table(verified, "verification").to_pandas() if verified.is_file() else None
     return Sweep(plan, _environment(folder / "env.json"), **tables, verification=verification)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from shift3d.report.html.accuracy import accuracy
 from shift3d.report.html.areas import areas, in_short
-from shift3d.report.html.bev import bev
+from shift3d.report.html.bev import bev, transfer_grid
 from shift3d.report.html.cases import hard_cases
+from shift3d.report.html.choices import choices
 from shift3d.report.html.coverage import coverage_section
 from shift3d.report.html.curves import curves
 from shift3d.report.html.differences import differences
@@ -15,6 +16,7 @@ from shift3d.report.html.document import document
 from shift3d.report.html.effects import effects
 from shift3d.report.html.figure import plotly_library
 from shift3d.report.html.overview import overview
+from shift3d.report.html.paths import paths
 from shift3d.report.html.stability import stability
 from shift3d.report.html.sweep import Sweep, read_sweep, variants
 from shift3d.store.atomic import write_atomic
@@ -32,6 +34,9 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         differences(found),
         curves(found),
         bev(sweep, found),
+        transfer_grid(sweep, found),
+        paths(sweep, found),
+        choices(sweep),
         hard_cases(sweep, cases),
         accuracy(sweep),
         effects(sweep),

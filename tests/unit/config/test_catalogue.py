@@ -56,9 +56,9 @@ def attacked(name: str, scored_by: list[str] | None, **weights: str | None) -> D
 def test_the_attacked_detector_scores_first_and_always(tmp_path: Path) -> None:
     file = tmp_path / "sst.safetensors"
     file.touch()
-    both = {"pointpillars": None, "sst": str(file)}
-    assert list(scoring_detectors(attacked("pointpillars", None, sst=str(file))).items()) == list(both.items())
-    assert list(scoring_detectors(attacked("sst", None, sst=str(file)))) == ["sst", "pointpillars"]
+    every = {"pointpillars": None, "sst": str(file), "sst_small": None}
+    assert list(scoring_detectors(attacked("pointpillars", None, sst=str(file))).items()) == list(every.items())
+    assert list(scoring_detectors(attacked("sst", None, sst=str(file)))) == ["sst", "pointpillars", "sst_small"]
     assert scoring_detectors(attacked("sst", [], sst=str(file))) == {"sst": str(file)}
     assert list(scoring_detectors(attacked("sst", ["pointpillars", "sst"], sst=str(file)))) == ["sst", "pointpillars"]
     assert list(scoring_detectors(attacked("pointpillars", ["sst"], sst=str(file)))) == ["pointpillars", "sst"]
@@ -67,7 +67,7 @@ def test_the_attacked_detector_scores_first_and_always(tmp_path: Path) -> None:
 def test_a_detector_without_weights_is_left_out_unless_it_is_asked_for(tmp_path: Path) -> None:
     shipped = [
         name
-        for name in ("pointpillars", "sst")
+        for name in ("pointpillars", "sst", "sst_small")
         if (Path(shift3d.__file__).parent / "weights" / f"{name}.safetensors").is_file()
     ]
     assert list(scoring_detectors(attacked("pointpillars", None, sst=None))) == shipped

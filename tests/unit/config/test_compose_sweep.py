@@ -92,7 +92,8 @@ def test_accuracy_lists_every_setting_of_the_renderer() -> None:
 
 
 def test_every_option_of_every_group_is_valid() -> None:
-    for folder in sorted(path for path in config_folder().iterdir() if path.is_dir()):
+    folders = [path for path in config_folder().iterdir() if path.is_dir()]
+    for folder in sorted(path for path in folders if path.name != "size"):  # no axis: see test_sizes
         options = sorted(path.stem for path in folder.glob("[!_]*.yaml"))
         composed = compose_sweep("smoke", ["vehicle=suv", "mode=shape", f"{folder.name}={','.join(options)}"])
         for axis in composed.axes:

@@ -42,9 +42,11 @@ def _found(detector: AnchorDetector, scene: Scene, iou_threshold: float) -> np.n
 
 
 @pytest.mark.parametrize("sensor", ["hdl64", "waymo_top"])
-def test_finds_vehicles_of_held_out_streets(detector: AnchorDetector, sensor: str) -> None:
-    scenes = StreetScenes(sensor, count=2, split="test")
-    scores = np.concatenate([_found(detector, scenes.load(name), 0.7) for name in scenes.names()])
+@pytest.mark.parametrize(("name", "overlap"), [("pointpillars", 0.7), ("sst_small", 0.5)])
+def test_finds_vehicles_of_held_out_streets(name: str, overlap: float, sensor: str) -> None:
+    """SST at half its size places boxes less well: at IoU 0.5."""
+    detector, scenes = load_detector(name), StreetScenes(sensor, count=2, split="test")
+    scores = np.concatenate([_found(detector, scenes.load(scene), overlap) for scene in scenes.names()])
     assert len(scores) >= 6
     assert np.mean(scores > 0.3) >= 0.8
     assert 0.5 <= np.median(scores) <= 0.97  # neither blind nor saturated
@@ -77,7 +79,11 @@ def _untrained_sst() -> AnchorDetector:
     return AnchorDetector(net)
 
 
-@pytest.mark.parametrize("make", [load_detector, _untrained_sst])
+def _small_sst() -> AnchorDetector:
+    return load_detector("sst_small")
+
+
+@pytest.mark.parametrize("make", [load_detector, _small_sst, _untrained_sst])
 def test_scores_are_the_same_to_the_bit(make: Callable[[], AnchorDetector], street: Scene) -> None:
     """Ten runs, each with the points in another order, on one thread; and to rounding on two."""
     detector = make()

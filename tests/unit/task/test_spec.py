@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
+from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene
 
 SPEC = TaskSpec("suv", "street_000", "street-hdl64", "shape", 1.0, 0.01, "pointpillars", "standard")
 
@@ -33,6 +33,7 @@ CHANGES: dict[str, Any] = {
     "decoder_hash": "a",
     "scored_by": ("pointpillars", "sst"),
     "detector_hashes": {"pointpillars": "a"},
+    "transfer_scenes": (TransferScene("street_001", "b"),),
 }
 
 
@@ -85,3 +86,31 @@ def test_tasks_that_are_compared_stand_in_one_place(name: str) -> None:
 @pytest.mark.parametrize("name", ["base_seed", "replicate", "scene_hash", "vehicle_hash", "placement"])
 def test_other_places(name: str) -> None:
     assert dataclasses.replace(SPEC, **{name: CHANGES[name]}).placement_seed != SPEC.placement_seed
+
+
+def test_scenes_of_transfers_are_part_of_the_id_by_content_and_order() -> None:
+    one, two = TransferScene("street_001", "b"), TransferScene("street_002", "c", ("rain",))
+    ids = {
+        dataclasses.replace(SPEC, transfer_scenes=others).task_id
+        for others in ((), (one,), (two,), (one, two), (two, one), (dataclasses.replace(one, scene_hash="d"),))
+    }
+    assert len(ids) == 6
+    spec = dataclasses.replace(SPEC, transfer_scenes=(one, two))
+    back = TaskSpec.from_dict(json.loads(spec.canonical_json()))
+    assert back == spec and back.task_id == spec.task_id
+    assert "transfer_scenes" not in SPEC.to_dict()
+    assert dataclasses.replace(spec, mode="pose").transfer_scenes == ()
+
+
+def test_a_transfer_has_a_place_of_its_own_whatever_the_search() -> None:
+    other = TransferScene("street_001", "b")
+    spec = dataclasses.replace(SPEC, transfer_scenes=(other,), scene_hash="a")
+    there = spec.moved_to(other)
+    assert (there.scene, there.scene_hash, there.transfer_scenes) == ("street_001", "b", ())
+    own_task = dataclasses.replace(SPEC, scene="street_001", scene_hash="b")
+    assert there.placement_seed not in (own_task.placement_seed, spec.placement_seed)
+    for name in ("lambda_", "alpha", "accuracy", "attack", "detector"):
+        same = dataclasses.replace(spec, **{name: CHANGES[name]}).moved_to(other)
+        assert same.placement_seed == there.placement_seed
+    from_elsewhere = dataclasses.replace(spec, scene_hash="c").moved_to(other)
+    assert from_elsewhere.placement_seed != there.placement_seed

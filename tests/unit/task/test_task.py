@@ -13,12 +13,16 @@ import torch
 import trimesh
 from toy_detector import WaveDetector
 
+from shift3d.attack.constraints import ConstraintCheck
+from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.config.catalogue import accuracy_settings
 from shift3d.config.schema import AccuracyConfig
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
+from shift3d.store.tables import table_from_rows
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.export import export_solution
+from shift3d.task.rows import Rows
 from shift3d.task.run import run_task
 from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskResult, TaskSpec
 from shift3d.vehicles.sources import vehicle_hash
@@ -250,3 +254,50 @@ def test_rows_say_how_the_search_stood_numerically(shape: TaskResult, pose: Task
                 assert "least_slope" not in row and "grazing_gradient" not in row
         (start,) = by_method(result, "baseline")
         assert 0.0 <= start["grazing_gradient"] <= 1.0
+
+
+def test_the_path_of_a_search_leads_from_the_baseline_to_its_solution(shape: TaskResult, pose: TaskResult) -> None:
+    for result in (shape, pose):
+        path = result.trajectories
+        assert [row["step"] for row in path] == list(range(SHORT.steps + 1))
+        (start,), (found,) = by_method(result, "baseline"), by_method(result, "adversarial")
+        kept = [row for row in path if row["kept"]]
+        assert [row["step"] for row in kept] == [found["best_step"]] and kept[0]["valid"]
+        for row, scored in ((path[0], start), (kept[0], found)):
+            same = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad", "latent_distance")
+            assert [row[name] for name in same] == [scored[name] for name in same]
+            assert row["object_points"] == pytest.approx(scored["object_points"], rel=0.01)
+            # The search's window and precision are not those of the score.
+            assert row["adversarial_loss"] == pytest.approx(scored["adversarial_loss"], rel=0.05)
+            assert row["proposal_score"] == pytest.approx(scored["score"], abs=0.05)
+        weight = 1.0 if result is shape else 0.0
+        for row in path:
+            expected = row["adversarial_loss"] + weight * row["latent_distance"] ** 2
+            assert row["loss"] == pytest.approx(expected, rel=1e-5)
+
+
+def test_nothing_placed_has_no_path(assets: Assets) -> None:
+    nowhere = PlacementSpec(min_range_m=49.0, max_range_m=50.0, attempts=1)
+    assert run_task(make_spec(placement=nowhere), assets).trajectories == []
+
+
+def test_a_step_that_is_not_finite_has_no_number_and_still_has_its_row() -> None:
+    check = ConstraintCheck(0.0, 0.0, 400, True, True, True)
+    record = StepRecord(3, (1.0,) * 6, 0.5, math.inf, math.nan, 0.4, check, 0, 0.0, 10)
+    rows = Rows(make_spec())
+    rows.attack(AttackResult("shape", torch.zeros(4), torch.zeros(6), 0, "diverged", (record,)))
+    (row,) = rows.result().trajectories
+    assert (row["loss"], row["adversarial_loss"], row["proposal_score"]) == (None, None, 0.4)
+    assert not row["kept"]
+    known = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape"}
+    known |= {"alpha": 0.01, "detector": "p", "accuracy": "a"}
+    assert table_from_rows("trajectories", [row | known]).num_rows == 1
+
+
+def test_a_shape_is_looked_at_and_a_pose_is_not(shape: TaskResult, pose: TaskResult, assets: Assets) -> None:
+    (row,) = shape.shapes
+    assert (row["method"], row["replicate"]) == ("adversarial", 0) and pose.shapes == []
+    # Three steps away from the baseline it still is one.
+    assert row["still_a_car"] and row["largest_piece"] > 0.97
+    sizes = [row[name] for name in ("length_m", "width_m", "height_m")]
+    assert sizes == pytest.approx(assets.vehicle(make_spec()).size_m, rel=0.1)

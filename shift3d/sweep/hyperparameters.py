@@ -1,0 +1,143 @@
+"""The paper's rules for lambda and alpha, applied to a sweep's own scores, with the reasons.
+
+Source: SHIFT3D section Hyper-parameters and its supplement. alpha: the lowest AUC of what the search found. lambda: for
+each vehicle the lowest adversarial loss, and 'in cases where different settings of λ produce very similar loss values,
+we will choose the larger λ'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["NEARLY_EQUAL", "RULE_KEYS", "Choice", "choice_rows", "choose_alphas", "choose_lambdas", "select_lambda"]
+
+NEARLY_EQUAL = 0.05
+"""Losses this share above the lowest count as 'very similar' to it. Our choice: the paper gives no number."""
+RULE_KEYS = ("vehicle", "mode", "alpha", "detector", "accuracy", "effects")
+"""What lambda is chosen for. alpha is chosen for all vehicles together."""
+_ALPHA_KEYS = ("mode", "detector", "accuracy", "effects")
+_SCENE = ["dataset", "scene"]
+
+
+def select_lambda(mean_loss: Mapping[float, float]) -> float:
+    """The lambda with the lowest mean adversarial loss, or a larger one whose loss is nearly equal to it.
+
+    Args:
+        mean_loss: lambda to the mean of L_adv over the scenes that were scored under every lambda.
+
+    Raises:
+        ValueError: no lambda.
+    """
+    if not mean_loss:
+        raise ValueError("no lambda to choose from")
+    limit = min(mean_loss.values()) * (1.0 + NEARLY_EQUAL)
+    return max(value for value, loss in mean_loss.items() if loss <= limit)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One value chosen of several.
+
+    found: candidate to what it came to, a mean adversarial loss (lambda) or an AUC (alpha). tasks: behind each.
+    """
+
+    found: Mapping[float, float]
+    chosen: float
+    tasks: int
+
+
+def choose_lambdas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
+    """The choice for every vehicle, by `RULE_KEYS`, from the scenes that were scored under every lambda.
+
+    scored: rows of scores that have one, `effects` as asked for. From the attacked detector's loss, whoever else
+    scores: lambda belongs to the search.
+    """
+    rows = _found(scored)
+    rows = rows[(rows["mode"] == "shape") & rows["adversarial_loss"].notna()]
+    chosen = {}
+    for key, members in rows.groupby(list(RULE_KEYS), sort=False):
+        losses = members.pivot_table(index=_SCENE, columns="lambda", values="adversarial_loss", aggfunc="mean")
+        means, tasks = _common_means(losses)
+        chosen[tuple(key)] = Choice(means, select_lambda(means), tasks)
+    return chosen
+
+
+def choose_alphas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
+    """The choice for shape and for pose, by (mode, detector, accuracy, effects).
+
+    AUC is the mean over vehicles, each with the lambda that is chosen for it under that alpha, over the scenes that
+    were scored under every alpha; of equal ones the smaller alpha.
+    """
+    rows = _found(scored)
+    lambdas = {key: choice.chosen for key, choice in choose_lambdas(scored).items()}
+    if rows.empty:
+        return {}
+    keys = rows[list(RULE_KEYS)].itertuples(index=False, name=None)
+    kept = [lambdas.get(key, weight) == weight or key[1] == "pose" for key, weight in zip(keys, rows["lambda"])]
+    chosen = {}
+    for key, members in rows[kept].groupby(list(_ALPHA_KEYS), sort=False):
+        scores = members.pivot_table(index=["vehicle", *_SCENE], columns="alpha", values="score", aggfunc="mean")
+        common = scores.dropna()
+        by_vehicle = (common if len(common) else scores).groupby(level="vehicle").mean()
+        means = {float(alpha): float(auc) for alpha, auc in by_vehicle.mean().items()}
+        best = min(means, key=lambda alpha: (means[alpha], alpha))
+        chosen[tuple(key)] = Choice(means, best, len(common) or len(scores))
+    return chosen
+
+
+def choice_rows(scored: pd.DataFrame, sweep: str, steps: set[int]) -> list[dict[str, Any]]:
+    """Rows of ``choices``: every candidate of everything that there was a choice of, and why one was taken."""
+    rows: list[dict[str, Any]] = []
+    known = {"sweep": sweep}
+    for key, choice in choose_alphas(scored).items():
+        named = dict(zip(_ALPHA_KEYS, key)) | {"vehicle": None, "alpha": None}
+        rows += _candidates(known | named | {"parameter": "alpha"}, choice, _why_alpha(key[0], choice, steps))
+    for key, choice in choose_lambdas(scored).items():
+        named = dict(zip(RULE_KEYS, key))
+        rows += _candidates(known | named | {"parameter": "lambda"}, choice, _why_lambda(named, choice))
+    return rows
+
+
+def _found(scored: pd.DataFrame) -> pd.DataFrame:
+    return scored[(scored["method"] == "adversarial") & (scored["scored_by"] == scored["detector"])]
+
+
+def _common_means(table: pd.DataFrame) -> tuple[dict[float, float], int]:
+    """Means of the columns over the rows that have all of them; over all rows where none has."""
+    common = table.dropna()
+    rows = common if len(common) else table
+    return {float(name): float(value) for name, value in rows.mean().items()}, len(rows)
+
+
+def _candidates(known: dict[str, Any], choice: Choice, why: str) -> list[dict[str, Any]]:
+    if len(choice.found) < 2:
+        return []
+    return [
+        known
+        | {"candidate": value, "found": found, "tasks": choice.tasks, "chosen": value == choice.chosen, "why": why}
+        for value, found in sorted(choice.found.items())
+    ]
+
+
+def _why_alpha(mode: str, choice: Choice, steps: set[int]) -> str:
+    best, others = choice.chosen, sorted((auc, alpha) for alpha, auc in choice.found.items() if alpha != choice.chosen)
+    text = f"alpha {best:g} for the {mode}: the AUC of what was found is the lowest, {choice.found[best]:.3f}"
+    text += f" (next: {others[0][0]:.3f} at {others[0][1]:g})" if others else ""
+    return f"{text}, in searches of {', '.join(str(count) for count in sorted(steps))} steps."
+
+
+def _why_lambda(named: Mapping[str, Any], choice: Choice) -> str:
+    found, best = choice.found, choice.chosen
+    lowest = min(found, key=lambda value: (found[value], -value))
+    of = f"lambda {best:g} for the {str(named['vehicle']).replace('_', ' ')} at alpha {named['alpha']:g}"
+    if best != lowest:
+        near = f"is within {NEARLY_EQUAL:.0%} of the lowest, {found[lowest]:.3f} at {lowest:g}, and lambda is larger"
+        return f"{of}: its mean adversarial loss, {found[best]:.3f}, {near}."
+    larger = any(value > best for value in found)
+    beyond = f", and no larger lambda comes within {NEARLY_EQUAL:.0%} of it" if larger else ""
+    return f"{of}: its mean adversarial loss, {found[best]:.3f}, is the lowest{beyond}."

@@ -1,0 +1,102 @@
+"""A task's vehicle in its scene: where it stands, and the problem that an attack solves there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from shift3d.attack.constraints import Constraints
+from shift3d.attack.placement import NoPlacement, Placement, PlacementLimits, place
+from shift3d.attack.problem import AttackProblem
+from shift3d.render.settings import STANDARD
+from shift3d.scenes.facts import EffectSettings
+from shift3d.scenes.scene import Scene
+from shift3d.seeding import derive_seed, generator
+from shift3d.task.assets import Assets, render_settings, score_precision
+from shift3d.task.spec import TaskSpec
+
+if TYPE_CHECKING:
+    from shift3d.render.effects.chain import EffectChain
+
+__all__ = ["build_problem", "place_vehicle"]
+
+
+def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
+    """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings.
+
+    Whatever the task's mode, weights of the loss, accuracy or detector. Source: our choice: the paper is silent.
+    """
+    scene, beams = assets.scene(spec)
+    vehicle = assets.vehicle(spec)
+    limits = PlacementLimits(
+        spec.placement.min_range_m,
+        spec.placement.max_range_m,
+        (spec.placement.sector_centre_rad, spec.placement.sector_half_width_rad),
+        spec.placement.attempts,
+    )
+    # Always at the standard accuracy: a rounding that turns one draw down would put the vehicle elsewhere, and
+    # accuracies could no longer be compared object by object.
+    sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
+    rng = generator("placement", spec.placement_seed)
+    constraints, others = _constraints(spec), _other_vehicles(scene)
+    space = assets.space_of(spec, STANDARD)
+    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others, space)
+
+
+def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:
+    """The task's vehicle, placed at ``theta`` (6,), before the detector that scores it.
+
+    Raises:
+        InputError: a scene or vehicle that cannot be loaded.
+    """
+    scene, beams = assets.scene(spec)
+    vehicle = assets.vehicle(spec)
+    settings = render_settings(spec)
+    return AttackProblem(
+        beams=beams,
+        ground_z_m=scene.ground_z_m,
+        field_of=assets.decoder_of(settings.dtype).field,
+        vehicle=vehicle,
+        detector=assets.detector_of(spec.detector, score_precision(spec)),
+        theta0=theta,
+        code0=torch.from_numpy(vehicle.latent_code).to(settings.dtype),
+        constraints=_constraints(spec),
+        settings=settings,
+        travel_m=spec.attack.max_shift_m,
+        others=_other_vehicles(scene),
+        space=assets.space_of(spec, settings),
+        effects=_effects(spec, assets),
+    )
+
+
+def _effects(spec: TaskSpec, assets: Assets) -> EffectChain | None:
+    """The task's effects; none of their code is imported where there are none.
+
+    Their randomness is that of the placement: shape and pose attacks of one placement have one baseline.
+    """
+    if not spec.effects:
+        return None
+    from shift3d.render.effects.chain import EffectChain
+
+    scene, vehicle, settings = assets.scene(spec)[0], assets.vehicle(spec), EffectSettings(**spec.effect_settings)
+    heading_rad = _driving_heading_rad(spec, assets) if settings.object_speed_m_s else 0.0
+    seed = derive_seed("effects", spec.placement_seed)
+    return EffectChain.of(spec.effects, scene, vehicle, seed, settings, heading_rad)
+
+
+def _driving_heading_rad(spec: TaskSpec, assets: Assets) -> float:
+    """A vehicle that drives does so along the heading it was placed with, whatever an attack makes of its pose."""
+    placement = place_vehicle(spec, assets)
+    return 0.0 if isinstance(placement, NoPlacement) else float(placement.theta[3])
+
+
+def _constraints(spec: TaskSpec) -> Constraints:
+    where = spec.placement
+    return Constraints(where.overlap_m, where.contact_m, where.min_object_points)
+
+
+def _other_vehicles(scene: Scene) -> Tensor:
+    """(M, 2) centres of the scene's own vehicles: a box of theirs near the object would pass for a detection of it."""
+    return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())

@@ -1,0 +1,63 @@
+"""A shape that was found in one scene put into others: does it fool the detector there too?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from torch import Tensor
+
+from shift3d.attack.placement import NoPlacement
+from shift3d.attack.shape import SETTLE_M, standing
+from shift3d.task.assets import Assets, score_precision
+from shift3d.task.problem import build_problem, place_vehicle
+from shift3d.task.scoring import score_object
+from shift3d.task.spec import Row, TaskSpec, TransferScene
+
+__all__ = ["put_elsewhere"]
+
+_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+
+
+def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor) -> Iterator[Row]:
+    """Score a code (d,) and its baseline at one place of each of the task's other scenes.
+
+    Yields: a row a scene and detector, scenes in the spec's order. The place and heading are random, drawn for the
+    baseline under its own constraints; the shape stands on the ground at the same x, y and heading. A scene without
+    room is a row without scores.
+
+    Raises:
+        InputError: a scene that cannot be loaded, or is not what the task was planned with.
+    Source: SHIFT3D, Adversarial Shape Generation Results (10 distinct scenes, random yaw, the baseline under identical
+        rotation and translation). That the height follows the shape is our choice, as in `attack.shape`.
+    """
+    for other in spec.transfer_scenes:
+        yield from _put(spec.moved_to(other), other, assets, code)
+
+
+def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor) -> Iterator[Row]:
+    known: Row = {"other_scene": other.scene, "effects": list(other.effects)}
+    placement = place_vehicle(moved, assets)
+    if isinstance(placement, NoPlacement):
+        yield from (known | {"scored_by": name, "status": "no_placement"} for name in moved.scored_by)
+        return
+    problem = build_problem(moved, assets, placement.theta)
+    others = {name: assets.detector_of(name, score_precision(moved)) for name in moved.scored_by[1:]}
+    radius_m = moved.attack.detection_radius_m
+    stands = standing(code, problem, SETTLE_M)
+    before = score_object(problem, problem.code0, placement.theta, radius_m, others)
+    after = score_object(problem, code, stands, radius_m, others)
+    theta = [float(value) for value in placement.theta]
+    known |= {
+        **dict(zip(_POSE, theta, strict=True)),
+        "z_shape_m": float(stands[2]),
+        "range_m": math.hypot(theta[0], theta[1]),
+        "object_points_baseline": before.measurement.rendering.object_points,
+        "object_points": after.measurement.rendering.object_points,
+        "overlap_ok": after.measurement.check.overlap_ok,
+        "contact_ok": after.measurement.check.contact_ok,
+        "status": "ok",
+    }
+    for name in moved.scored_by:
+        scores = {"score_baseline": before.answers[name].score, "score": after.answers[name].score}
+        yield known | scores | {"scored_by": name}

@@ -1,0 +1,148 @@
+"""A solution taken out of the sweep: what is loaded again is what was scored."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from shift3d.attack.objective import SCORE_RADIUS_M, detection_score, object_box, to_network_frame, window_around
+from shift3d.config.catalogue import accuracy_settings
+from shift3d.config.schema import AccuracyConfig
+from shift3d.detectors.nms import suppress
+from shift3d.detectors.weights import load_detector
+from shift3d.errors import InputError
+from shift3d.geometry.boxes import points_in_boxes
+from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.kitti_files import lidar_box
+from shift3d.scenes.kitti_writing import CALIBRATION, label_line
+from shift3d.task.assets import Assets, load_assets
+from shift3d.task.export import FRAME, export_solution
+from shift3d.task.run import run_task
+from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
+from shift3d.task.spec import AssetsSpec, AttackSpec, Row, TaskSpec
+
+STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 1}
+POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+SPEC = TaskSpec(
+    vehicle="suv",
+    scene="street-test-hdl64-000000",
+    dataset="street-hdl64",
+    mode="shape",
+    lambda_=1.0,
+    alpha=0.01,
+    detector="pointpillars",
+    accuracy="standard",
+    accuracy_settings=accuracy_settings(AccuracyConfig(name="standard", render={})),
+    attack=AttackSpec(steps=2, noise_replicates=0, random_replicates=0),
+)
+
+
+@pytest.fixture(scope="module")
+def assets() -> Assets:
+    return load_assets(AssetsSpec(scenes=STREET))
+
+
+@pytest.fixture(scope="module")
+def exported(assets: Assets, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Row, Row]:
+    """The folder, the solution and its row of scores."""
+    result, folder = run_task(SPEC, assets), tmp_path_factory.mktemp("export")
+    (solution,) = (row for row in result.solutions if row["method"] == "adversarial")
+    (scored,) = (row for row in result.scores if row["method"] == "adversarial")
+    written = export_solution(SPEC, solution, assets, folder)
+    assert all(path.is_file() for path in written)
+    return folder, solution, scored
+
+
+def test_the_frame_loaded_again_has_the_score_of_the_sweep(exported: tuple[Path, Row, Row], assets: Assets) -> None:
+    folder, solution, scored = exported
+    scene = KittiScenes(folder / "kitti").load(FRAME)
+    detector = load_detector("pointpillars")
+    theta = torch.tensor([solution[name] for name in POSE], dtype=torch.float64)
+    box = object_box(theta, assets.vehicle(SPEC).size_m, scene.ground_z_m)
+    points = to_network_frame(torch.from_numpy(scene.points.copy()), scene.ground_z_m)
+    with torch.no_grad():
+        proposals = detector.proposals(points, window_around(detector, theta, SCORE_RADIUS_M))
+    found = detection_score(suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU), box)
+    assert scored["score"] > 0.0 and found == pytest.approx(scored["score"], abs=1e-6)
+
+
+def test_the_frame_has_every_box_and_the_inserted_one_last(exported: tuple[Path, Row, Row], assets: Assets) -> None:
+    folder, solution, _ = exported
+    original, _ = assets.scene(SPEC)
+    scene = KittiScenes(folder / "kitti").load(FRAME)
+    theta = torch.tensor([solution[name] for name in POSE], dtype=torch.float64)
+    expected = np.concatenate((original.labels.boxes, object_box(theta, assets.vehicle(SPEC).size_m, 0.0)[None]))
+    found = scene.labels.boxes
+    assert found[:, :6] == pytest.approx(expected[:, :6], abs=1e-6)
+    turned = found[:, 6] - expected[:, 6]
+    assert np.abs(np.sin(turned)).max() < 1e-6 and np.cos(turned).min() > 0.999
+    assert scene.labels.classes == (*original.labels.classes, "vehicle")
+    assert scene.ground_z_m == original.ground_z_m and len(scene.points) == len(original.points)
+    stated = json.loads((folder / "boxes.json").read_text())
+    assert [row["inserted"] for row in stated["objects"]] == [False] * len(original.labels.boxes) + [True]
+    assert stated["objects"][-1]["box"] == json.loads((folder / "box.json").read_text())["box"]
+    assert stated["ground_z_m"] == original.ground_z_m
+
+
+def test_the_coloured_cloud_is_the_scene(exported: tuple[Path, Row, Row]) -> None:
+    folder, _, _ = exported
+    raw = np.fromfile(folder / "scene.bin", dtype="<f4").reshape(-1, 4)
+    cloud, hits = trimesh.load(folder / "scene.ply"), np.load(folder / "hit_mask.npy", allow_pickle=False)
+    assert np.abs(np.asarray(cloud.vertices) - raw[:, :3]).max() < 1e-4
+    coloured = (np.asarray(cloud.colors)[:, :3] == (213, 94, 0)).all(axis=1)
+    assert np.array_equal(coloured, hits) and 0 < hits.sum() < len(hits)
+    assert (folder / "kitti" / "training" / "velodyne" / f"{FRAME}.bin").read_bytes() == raw.tobytes()
+
+
+def test_the_glb_is_the_mesh_in_its_own_frame_standing_upright(exported: tuple[Path, Row, Row], assets: Assets) -> None:
+    folder, _, _ = exported
+    glb, ply = trimesh.load(folder / "object.glb", force="mesh"), trimesh.load(folder / "object.ply")
+    length, width, height = assets.vehicle(SPEC).size_m
+    assert glb.extents == pytest.approx((width, height, length), rel=0.1)  # x, y, z of glTF
+    assert glb.volume == pytest.approx(ply.volume, rel=1e-4) and glb.volume > 0
+    assert np.abs(glb.bounds.mean(axis=0)).max() < 0.2
+    points = np.fromfile(folder / "scene.bin", dtype="<f4").reshape(-1, 4)[np.load(folder / "hit_mask.npy"), :3]
+    box = json.loads((folder / "box.json").read_text())["box"]
+    values = np.array([[box[name] for name in ("x", "y", "z", "dx", "dy", "dz", "heading")]])
+    assert points_in_boxes(points, values, margin_m=0.3).mean() > 0.95
+
+
+@pytest.mark.parametrize("heading", [-3.0, -1.0, 0.0, 0.7, 2.5, np.pi])
+def test_a_label_is_the_inverse_of_reading_it(heading: float) -> None:
+    box = np.array([12.0, -3.5, -0.9, 4.4, 1.8, 1.5, heading])
+    words = label_line("vehicle", box).split()
+    assert len(words) == 15 and words[0] == "Car"
+    values = [float(word) for word in words[1:]]
+    back = lidar_box(values[7:10], values[10:13], values[13], CALIBRATION)
+    assert back[:6] == pytest.approx(box[:6], abs=1e-7) and np.cos(back[6] - heading) == pytest.approx(1.0)
+    left, top, right, low = values[3:7]
+    assert 0 <= left < right <= 1242 and 0 <= top < low <= 375  # ahead of the camera
+    assert label_line("cyclist", box * [-1, 1, 1, 1, 1, 1, 1]).split()[4:8] == ["0.000000000"] * 4  # behind it
+
+
+def test_a_ground_file_that_is_none_is_refused(exported: tuple[Path, Row, Row], tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(exported[0] / "kitti", tmp_path / "kitti")
+    path = tmp_path / "kitti" / "training" / "ground" / f"{FRAME}.txt"
+    for text, said in (("-1.7 -1.6", "2 numbers, one height"), ("low", "not a finite number"), ("1e9", "one height")):
+        path.write_text(text)
+        with pytest.raises(InputError, match=said):
+            KittiScenes(tmp_path / "kitti").load(FRAME)
+    path.unlink()
+    assert abs(KittiScenes(tmp_path / "kitti").load(FRAME).ground_z_m + 1.73) < 0.35  # estimated, as KITTI's own
+
+
+def test_a_pose_is_exported_where_it_stands(assets: Assets, tmp_path: Path) -> None:
+    spec = dataclasses.replace(SPEC, mode="pose", attack=AttackSpec(steps=1, random_replicates=0))
+    (solution,) = (row for row in run_task(spec, assets).solutions if row["method"] == "adversarial")
+    export_solution(spec, solution, assets, tmp_path)
+    stated = json.loads((tmp_path / "box.json").read_text())
+    assert stated["pose"] == {name: solution[name] for name in POSE}
+    assert stated["box"]["x"] == solution["x_m"] and stated["box"]["heading"] == solution["yaw_rad"]
