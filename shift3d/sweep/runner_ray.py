@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import math
-import os
 import threading
 import time
 from collections import deque
@@ -18,6 +15,7 @@ from shift3d.store.tables import table_from_rows
 from shift3d.sweep.batches import BatchSizer
 from shift3d.sweep.kind import TaskKind
 from shift3d.sweep.plan import Plan, PlannedTask
+from shift3d.sweep.ray_connection import connect
 from shift3d.sweep.worker import BatchOutcome, Worker, attempt_row
 
 __all__ = ["RayRunner"]
@@ -42,7 +40,7 @@ class RayRunner:
     """
 
     def __init__(self, kind: TaskKind, plan: Plan, config: RayRunnerConfig, tasks_left: int) -> None:
-        self._ray = _connect(config, tasks_left)
+        self._ray = connect(config, tasks_left)
         room = int(self._ray.cluster_resources().get("CPU", 0) // config.cpus_per_worker)
         if room < 1:
             self.close()
@@ -118,37 +116,3 @@ class RayRunner:
     def close(self) -> None:
         """End the workers, and the private Ray where there is one."""
         self._ray.shutdown()
-
-
-def _connect(config: RayRunnerConfig, tasks_left: int) -> Any:
-    for name, value in (
-        ("RAY_USAGE_STATS_ENABLED", "0"),
-        ("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0"),
-        ("RAY_DISABLE_IMPORT_WARNING", "1"),
-        ("OMP_NUM_THREADS", "1"),
-    ):
-        os.environ.setdefault(name, value)
-    import ray
-
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
-    try:
-        if config.address:
-            ray.init(address=config.address, **quiet)
-        else:
-            workers = min(config.workers or os.cpu_count() or 1, max(tasks_left, 1))
-            ray.init(
-                address="local",
-                num_cpus=max(1, math.ceil(workers * config.cpus_per_worker)),
-                include_dashboard=False,
-                _node_ip_address="127.0.0.1",
-                object_store_memory=256 * 2**20,
-                **quiet,
-            )
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        message = " ".join(str(error).split())[:300]
-        raise InputError(
-            f"Ray did not start: {message}",
-            where=f"runner.address={config.address}",
-            remedy="Check the address, or use runner=local",
-        ) from error
-    return ray
