@@ -52,7 +52,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _one_task(tasks: Any, prefix: str, out: Path) -> Any:
-    found = [task for task in tasks if task.spec.task_id.startswith(prefix)]
+    found = tasks.starting_with(prefix)
     if len(found) != 1:
         what = f"{len(found)} tasks have an id that begins with {prefix!r}"
         raise InputError(what, where=str(out), remedy="The ids are in final/scores.parquet")

@@ -137,7 +137,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> None:
 
 def _show_effects(plan: Plan, folder: Path, frames: Mapping[str, pd.DataFrame]) -> None:
     """What effects are worth, where the sweep ran the same tasks with them and without."""
-    variants = {asked for task in plan.tasks for asked in task.effects_asked}
+    variants = {asked for group in plan.tasks.groups() for asked in group.effects_asked}
     if "none" not in variants or len(variants) == 1:
         return
     from shift3d.report.effects import effect_lines, effect_milliseconds, effect_worths, write_effects_page

@@ -214,7 +214,7 @@ def main(arguments: list[str]) -> None:
     plan = read_plan(out)
     assets = load_assets(plan.assets[0])
     task_id = _hardest_car(tables["scores"], tables["solutions"], assets.decoder)
-    (task,) = (task for task in plan.tasks if task.spec.task_id == task_id)
+    (task,) = plan.tasks.starting_with(task_id)
     own = {name: tables[name][tables[name]["task_id"] == task_id] for name in ("solutions", "scores")}
     draw_case(assets, task.spec, own["solutions"], own["scores"], folder / "case.png")
 

@@ -63,9 +63,8 @@ def run_sweep(
     began = time.monotonic()
     open_folder(folder, plan)
     log = CommitLog(folder, plan.spec_hash)
-    finished = log.done() | log.quarantined()
-    left = [task for task in plan.tasks if task.spec.task_id not in finished]
-    if left:
+    left = plan.tasks.select(plan.tasks.without(log.done() | log.quarantined()))
+    if len(left):
         runner = make_runner(kind, plan, runner_config, len(left))
         try:
             with Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress:
@@ -79,7 +78,7 @@ def run_sweep(
     return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), seconds)
 
 
-def _run(runner: Runner, left: list[PlannedTask], committer: Committer, progress: Progress) -> None:
+def _run(runner: Runner, left: Sequence[PlannedTask], committer: Committer, progress: Progress) -> None:
     with _stop_on_signals(committer, progress) as stop:
         try:
             for outcome in runner.run(left, stop.first):

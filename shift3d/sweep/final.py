@@ -72,7 +72,7 @@ def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTab
     tables["curves"] = table_from_rows("curves", _curve_rows(scored))
     tables["auc"] = table_from_rows("auc", auc)
     tables["bev"] = table_from_rows("bev", bev_rows(scored))
-    steps = {task.spec.attack.steps for task in plan.tasks}
+    steps = {group.ground.attack.steps for group in plan.tasks.groups()}
     tables["choices"] = table_from_rows("choices", choice_rows(scored, plan.sweep, steps))
     transfers = _by_effects_asked(tables["transfers"].to_pandas(), plan)
     tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
@@ -83,13 +83,12 @@ def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTab
 
 def _reach_m(plan: Plan) -> float:
     """How far from the sensor a vehicle may stand."""
-    return max(task.spec.placement.max_range_m for task in plan.tasks)
+    return max(group.ground.placement.max_range_m for group in plan.tasks.groups())
 
 
 def _by_effects_asked(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     """Scores with the effects that were asked for; where several settings lead to one task, a row for each."""
-    asked = {task.spec.task_id: list(task.effects_asked) for task in plan.tasks}
-    return scored.assign(effects=scored["task_id"].map(asked)).explode("effects")
+    return scored.assign(effects=plan.tasks.effects_asked_of(scored["task_id"])).explode("effects")
 
 
 def segments_in_plan_order(folder: Path, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
@@ -120,8 +119,7 @@ def _segments(folder: Path, entries: Sequence[Commit], name: str) -> pa.Table:
 
 def _in_plan_order(name: str, table: pa.Table, plan: Plan) -> pa.Table:
     """Rows by the position of their task in the plan; within a task as the task gave them."""
-    ids = pa.array([task.spec.task_id for task in plan.tasks])
-    found = pc.index_in(table["task_id"], value_set=ids)
+    found = pc.index_in(table["task_id"], value_set=plan.tasks.ids)
     if found.null_count:
         what = f"{found.null_count} rows of {name} are of tasks that the plan does not have"
         raise InputError(what, where="data", remedy="Restore the folder from a copy, or run the sweep in another one")
@@ -169,12 +167,12 @@ def _mean(values: pd.Series) -> float | None:
 
 def _planned(plan: Plan) -> dict[tuple[Any, ...], int]:
     counts: dict[tuple[Any, ...], int] = {}
-    for task in plan.tasks:
-        spec = task.spec
+    for group in plan.tasks.groups():
+        spec = group.ground
         method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
-        for asked, scored_by in itertools.product(task.effects_asked, spec.scored_by):
+        for asked, scored_by in itertools.product(group.effects_asked, spec.scored_by):
             key = (plan.sweep, spec.dataset, spec.vehicle, *method, asked, scored_by)
-            counts[key] = counts.get(key, 0) + 1
+            counts[key] = counts.get(key, 0) + group.tasks
     return counts
 
 

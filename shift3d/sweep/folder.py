@@ -18,6 +18,7 @@ from shift3d.errors import InputError
 from shift3d.store.atomic import put_if_absent, write_atomic
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.plan import Plan, PlannedTask
+from shift3d.sweep.tasks_builder import tasks_of
 from shift3d.task.spec import AssetsSpec, TaskSpec
 
 __all__ = ["default_folder", "open_folder", "read_plan", "read_spec"]
@@ -203,7 +204,10 @@ def read_plan(folder: Path) -> Plan:
         table = pq.read_table(path, columns=["spec", "assets", "effects_asked"])
         specs = [TaskSpec.from_dict(json.loads(text)) for text in table["spec"].to_pylist()]
         asked = [tuple(names) for names in table["effects_asked"].to_pylist()]
-        tasks = tuple(map(PlannedTask, specs, table["assets"].to_pylist(), asked))
+        assets = table["assets"].to_pylist()
+        if not all(type(index) is int for index in assets):
+            raise ValueError("an index of assets is missing")
+        tasks = tasks_of(map(PlannedTask, specs, assets, asked))
     except (OSError, pa.ArrowException, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"cannot be read ({error})", where=str(path), remedy="Restore it from a copy") from error
     try:
@@ -217,7 +221,7 @@ def read_plan(folder: Path) -> Plan:
         )
         # One number that depends on every task: what was changed in either file does not give it.
         complete = plan.spec_hash == spec["spec_hash"]
-        complete &= all(type(task.assets) is int and 0 <= task.assets < len(plan.assets) for task in tasks)
+        complete &= all(0 <= index < len(plan.assets) for index in tasks.assets.tolist())
     except (KeyError, ValueError, TypeError) as error:
         what = f"is not the spec of a sweep ({type(error).__name__}: {error})"
         raise InputError(what, where=str(folder / "spec.yaml"), remedy="Restore it from a copy") from error

@@ -13,20 +13,22 @@ __all__ = ["plan_lines", "plan_summary"]
 
 def plan_summary(plan: Plan) -> str:
     """How many tasks, of what; and which effects their scenes call for."""
-    specs = [task.spec for task in plan.tasks]
-    vehicles = len({spec.vehicle for spec in specs})
-    scenes = len({(spec.dataset, spec.scene) for spec in specs})
-    modes = Counter(spec.mode for spec in specs)
+    groups = plan.tasks.groups()
+    vehicles = len({group.ground.vehicle for group in groups})
+    scenes = len(plan.tasks.scenes())
+    modes: Counter[str] = Counter()
+    for group in groups:
+        modes[group.ground.mode] += group.tasks
     by_mode = ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items(), reverse=True))
     size = ", its small size" if plan.settings.get("size") == "small" else ""
-    counts = f"sweep {plan.sweep}{size}: {len(specs)} tasks ({by_mode}) of {vehicles} vehicles in {scenes} scenes"
+    counts = f"sweep {plan.sweep}{size}: {len(plan.tasks)} tasks ({by_mode}) of {vehicles} vehicles in {scenes} scenes"
     return f"{counts}\n{effect_table(plan.effects, scenes)}"
 
 
 def plan_lines(plan: Plan) -> Iterator[str]:
     """One line a task: id, vehicle, scene, mode and what varies."""
-    width = max(len(task.spec.vehicle) for task in plan.tasks)
-    scene_width = max(len(task.spec.scene) for task in plan.tasks)
+    width = max(len(group.ground.vehicle) for group in plan.tasks.groups())
+    scene_width = max(len(scene) for _, scene in plan.tasks.scenes())
     for task in plan.tasks:
         spec = task.spec
         weight = "" if spec.lambda_ is None else f"lambda {spec.lambda_:g}"

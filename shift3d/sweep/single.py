@@ -17,7 +17,7 @@ def run_single(plan: Plan, kind: TaskKind, task_id: str) -> str:
     Raises:
         InputError: no task of the plan, or several, have such an id. Whatever the task itself raises.
     """
-    found = [task for task in plan.tasks if task.spec.task_id.startswith(task_id)]
+    found = plan.tasks.starting_with(task_id)
     if len(found) != 1:
         raise InputError(
             f"{len(found)} tasks have an id that begins with {task_id!r}",

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pyarrow.compute as pc
 
 from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
@@ -43,13 +44,13 @@ def verification_plan(folder: Path) -> Plan:
     path = folder / "final" / "solutions.parquet"
     if not path.exists():
         raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
-    solved = set(pc.unique(read_table(path, "solutions")["task_id"]).to_pylist())
-    tasks = [task for task in plan.tasks if task.spec.task_id in solved]
-    if not tasks:
+    solved = pc.unique(read_table(path, "solutions")["task_id"])
+    tasks = plan.tasks.select(np.flatnonzero(pc.is_in(plan.tasks.ids, value_set=solved).to_numpy(zero_copy_only=False)))
+    if not len(tasks):
         raise InputError("no task has a solution", where=str(path), remedy="See status in final/scores.parquet")
     results = str((folder / "final").resolve())
     assets = tuple(dataclasses.replace(part, results=results) for part in plan.assets)
-    return dataclasses.replace(plan, tasks=tuple(tasks), assets=assets)
+    return dataclasses.replace(plan, tasks=tasks, assets=assets)
 
 
 def verify_sweep(folder: Path, plan: Plan, runner: RayRunnerConfig | LocalRunnerConfig) -> SweepResult:

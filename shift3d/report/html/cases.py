@@ -63,7 +63,7 @@ class _Made:
 def _case(sweep: Sweep, case: Case, number: int, made: _Made) -> list[str]:
     from shift3d.task.assets import load_assets
 
-    (task,) = (task for task in sweep.plan.tasks if task.spec.task_id == case.task_id)
+    (task,) = sweep.plan.tasks.starting_with(case.task_id)
     if task.assets not in made.assets:
         made.assets[task.assets] = load_assets(sweep.plan.assets[task.assets])
     rows = sweep.solutions[(sweep.solutions["task_id"] == case.task_id) & (sweep.solutions["replicate"] == 0)]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from shift3d.report.html.document import Section, aside, paragraph, table, terms
 from shift3d.report.html.sweep import Sweep
+from shift3d.sweep.tasks import TaskGroup
 
 __all__ = ["overview"]
 
@@ -22,22 +24,22 @@ def overview(sweep: Sweep) -> Section:
 
 def _facts(sweep: Sweep) -> dict[str, str]:
     plan = sweep.plan
-    specs = [task.spec for task in plan.tasks]
-    modes = Counter(spec.mode for spec in specs)
-    datasets = sorted({(spec.dataset, spec.scene) for spec in specs})
-    by_dataset = Counter(dataset for dataset, _ in datasets)
+    groups = plan.tasks.groups()
+    specs = [group.ground for group in groups]
+    modes = _counted((group.tasks, (group.ground.mode,)) for group in groups)
+    asked = _counted((group.tasks, group.effects_asked) for group in groups)
+    by_dataset = Counter(dataset for dataset, _ in sorted(plan.tasks.scenes()))
     attack = plan.settings.get("attack", {})
-    asked = Counter(name for task in plan.tasks for name in task.effects_asked)
     return {
         "Sweep": f"{plan.sweep}, hash {plan.spec_hash}",
-        "Tasks": f"{len(specs)}: {', '.join(f'{count} {mode}' for mode, count in modes.items())}",
+        "Tasks": f"{len(plan.tasks)}: {', '.join(f'{count} {mode}' for mode, count in modes.items())}",
         "Changed settings": ", ".join(plan.overrides) or "none",
         "Scenes": "; ".join(f"{count} of {name}" for name, count in by_dataset.items()),
         "Vehicles": ", ".join(dict.fromkeys(spec.vehicle.replace("_", " ") for spec in specs)),
         "Detectors": "; ".join(_detectors(specs)),
         "Accuracy": ", ".join(dict.fromkeys(spec.accuracy for spec in specs)),
         "Effects asked, by tasks": ", ".join(f"{name} ({count})" for name, count in asked.items()),
-        "Effects that ran, by tasks": _ran(specs),
+        "Effects that ran, by tasks": _ran(groups),
         "Attack": ", ".join(f"{name} {attack[name]}" for name in _SETTINGS if name in attack),
     }
 
@@ -47,8 +49,17 @@ def _detectors(specs: list[Any]) -> list[str]:
     return [f"{attacked} attacked, scored by {', '.join(by)}" for attacked, by in pairs]
 
 
-def _ran(specs: list[Any]) -> str:
-    ran = Counter(name for spec in specs for name in spec.effects)
+def _counted(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
+    """How many tasks there are of each name."""
+    counts: Counter[str] = Counter()
+    for tasks, names in named:
+        for name in names:
+            counts[name] += tasks
+    return counts
+
+
+def _ran(groups: list[TaskGroup]) -> str:
+    ran = _counted((group.tasks, group.ground.effects) for group in groups)
     return ", ".join(f"{name} ({count})" for name, count in ran.items()) or "none: occlusion alone, as the paper"
 
 

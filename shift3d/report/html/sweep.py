@@ -58,8 +58,7 @@ class Sweep:
         still_a_car: of the shape that the row's task found; None where it was not looked at.
         """
         rows = self.scores[self.scores["score"].notna()]
-        asked = {task.spec.task_id: list(task.effects_asked) for task in self.plan.tasks}
-        rows = rows.assign(effects=rows["task_id"].map(asked)).explode("effects")
+        rows = rows.assign(effects=self.plan.tasks.effects_asked_of(rows["task_id"])).explode("effects")
         looked_at = dict(zip(self.shapes["task_id"], self.shapes["still_a_car"].astype(object)))
         cars = rows["task_id"].map(looked_at).astype(object)
         return rows.assign(place=rows["dataset"] + "/" + rows["scene"], still_a_car=cars.where(cars.notna(), None))
