@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+import secrets
 from collections.abc import Callable
 from pathlib import Path
 
 # One thread: the tests run beside each other, and a task's bytes are defined on one thread.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Every Ray of a session of tests asks for one token, and nothing is written to anybody's home.
+os.environ.setdefault("RAY_AUTH_MODE", "token")
+os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
 import pytest
 import torch

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import os
+import sys
+from collections.abc import Iterator
 from typing import Any
 
 from shift3d.config.schema import RayRunnerConfig
 from shift3d.errors import InputError
+from shift3d.sweep.ray_token import require_token
 
 __all__ = ["connect"]
 
@@ -16,10 +20,12 @@ __all__ = ["connect"]
 def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
     """Ray, started or joined: the module, ready to use.
 
+    A private Ray listens on loopback alone, has no dashboard, and asks whoever comes for the token of its owner.
+
     tasks_left: a private Ray needs no more workers than this.
 
     Raises:
-        InputError: Ray does not start, or the cluster does not answer.
+        InputError: Ray does not start, the cluster does not answer, or it does not take our token.
     """
     for name, value in (
         ("RAY_USAGE_STATS_ENABLED", "0"),
@@ -28,23 +34,37 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
         ("OMP_NUM_THREADS", "1"),
     ):
         os.environ.setdefault(name, value)
+    if not require_token(private=not config.address) and config.address:
+        print(
+            f"warning: no token of the Ray at {config.address} is known. If it asks for none, whoever reaches it can "
+            "run code there",
+            file=sys.stderr,
+        )
     import ray
 
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     try:
         if config.address:
+            _check_token(config.address)
             ray.init(address=config.address, **quiet)
         else:
             workers = min(config.workers or os.cpu_count() or 1, max(tasks_left, 1))
-            ray.init(
-                address="local",
-                num_cpus=max(1, math.ceil(workers * config.cpus_per_worker)),
-                include_dashboard=False,
-                _node_ip_address="127.0.0.1",
-                object_store_memory=256 * 2**20,
-                **quiet,
-            )
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+            with _on_loopback():
+                ray.init(
+                    address="local",
+                    num_cpus=max(1, math.ceil(workers * config.cpus_per_worker)),
+                    include_dashboard=False,
+                    _node_ip_address="127.0.0.1",
+                    object_store_memory=256 * 2**20,
+                    **quiet,
+                )
+    except ray.exceptions.AuthenticationError as error:
+        raise InputError(
+            "this Ray asks for a token, and ours is none or another one",
+            where=f"runner.address={config.address}",
+            remedy="Copy the token from there, or name its file in RAY_AUTH_TOKEN_PATH",
+        ) from error
+    except (ConnectionError, RuntimeError, ValueError, OSError, ray.exceptions.RpcError) as error:
         message = " ".join(str(error).split())[:300]
         raise InputError(
             f"Ray did not start: {message}",
@@ -52,3 +72,39 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
             remedy="Check the address, or use runner=local",
         ) from error
     return ray
+
+
+def _check_token(address: str) -> None:
+    """Ask a cluster whether it takes our token: ``ray.init`` would try for 20 s and then not say why it gave up.
+
+    Raises:
+        ray.exceptions.AuthenticationError: it does not.
+    """
+    from ray._private.services import canonicalize_bootstrap_address
+    from ray._raylet import GcsClient
+
+    if "://" not in address and (known := canonicalize_bootstrap_address(address)):
+        GcsClient(address=known).check_alive([], timeout=10)
+
+
+@contextlib.contextmanager
+def _on_loopback() -> Iterator[None]:
+    """Keep a Ray that is about to start from turning 127.0.0.1 into the machine's own address.
+
+    On Linux it does so whatever it is told, and its servers then listen on every interface. On Windows and macOS it
+    does not, for the sake of their firewalls; the switch between the two is the only one there is (Ray 2.60).
+    """
+    from ray._private import ray_constants
+
+    name, before = ray_constants.ENABLE_RAY_CLUSTERS_ENV_VAR, ray_constants.ENABLE_RAY_CLUSTER
+    said = os.environ.get(name)
+    os.environ[name] = "0"  # for the processes that Ray starts
+    ray_constants.ENABLE_RAY_CLUSTER = False  # for this one, which has read the variable already
+    try:
+        yield
+    finally:
+        ray_constants.ENABLE_RAY_CLUSTER = before
+        if said is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = said

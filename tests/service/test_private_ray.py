@@ -1,0 +1,105 @@
+"""A Ray that a sweep starts: on loopback alone, without a dashboard, and nobody without the token gets in."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+STARTS = """
+import sys
+from shift3d.config.schema import RayRunnerConfig
+from shift3d.errors import InputError
+from shift3d.sweep.ray_connection import connect
+
+address = sys.argv[1] if len(sys.argv) > 1 else None
+config = RayRunnerConfig.model_validate({
+    "kind": "ray", "workers": 1, "address": address, "cpus_per_worker": 1, "batch_seconds": 1, "commit_seconds": 1,
+})
+try:
+    ray = connect(config, 1)
+except InputError as error:
+    sys.exit(str(error))
+print(ray.get_runtime_context().gcs_address, flush=True)
+if address is None:
+    sys.stdin.read()
+ray.shutdown()
+"""
+
+
+def without_a_token(home: Path, **more: str) -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("RAY_AUTH_")}
+    return {**kept, "HOME": str(home), **more}
+
+
+@dataclass(frozen=True)
+class PrivateRay:
+    process: subprocess.Popen[str]
+    address: str
+    token: Path
+
+
+@pytest.fixture(scope="module")
+def private_ray(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PrivateRay]:
+    home = tmp_path_factory.mktemp("home")
+    process = subprocess.Popen(
+        [sys.executable, "-c", STARTS],
+        env=without_a_token(home),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdin and process.stdout
+    yield PrivateRay(process, process.stdout.readline().strip(), home / ".shift3d" / "ray_token")
+    process.stdin.close()
+    process.wait(timeout=60)
+
+
+def descendants(of: int) -> Iterator[int]:
+    for children in Path(f"/proc/{of}/task").glob("*/children"):
+        for child in children.read_text().split():
+            yield int(child)
+            yield from descendants(int(child))
+
+
+def listening(process: int) -> set[str]:
+    """Addresses (hex, as in /proc/net) that a process listens on."""
+    inodes = {os.readlink(link) for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()}
+    rows = [row.split() for kind in ("tcp", "tcp6") for row in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]]
+    return {row[1].partition(":")[0] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in inodes}
+
+
+def joins(ray: PrivateRay, home: Path, **more: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", STARTS, ray.address]
+    environment = without_a_token(home, **more)
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_it_listens_on_loopback_alone_and_has_no_dashboard(private_ray: PrivateRay) -> None:
+    processes = list(descendants(private_ray.process.pid))
+    found = set().union(*(listening(process) for process in processes))
+    loopback = {"0100007F", "0000000000000000FFFF00000100007F", "00000000000000000000000001000000"}
+    assert found and found <= loopback
+    # Ray starts the process that would serve the dashboard in any case.
+    commands = [Path(f"/proc/{process}/cmdline").read_text() for process in processes]
+    assert all("--disable-frontend" in command for command in commands if "dashboard/dashboard.py" in command)
+
+
+def test_its_token_is_its_owners(private_ray: PrivateRay) -> None:
+    assert stat.S_IMODE(private_ray.token.stat().st_mode) == 0o600
+
+
+def test_only_who_has_the_token_gets_in(private_ray: PrivateRay, tmp_path: Path) -> None:
+    welcome = joins(private_ray, tmp_path, RAY_AUTH_TOKEN_PATH=str(private_ray.token))
+    assert welcome.returncode == 0 and welcome.stdout.strip() == private_ray.address, welcome.stderr
+    for more in ({}, {"RAY_AUTH_MODE": "disabled"}, {"RAY_AUTH_TOKEN": "0" * 64}):
+        refused = joins(private_ray, tmp_path, **more)
+        assert refused.returncode == 1 and refused.stdout == ""
+        assert "asks for a token, and ours is none or another one" in refused.stderr, refused.stderr
+        assert "Traceback" not in refused.stderr
