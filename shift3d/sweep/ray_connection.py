@@ -6,6 +6,7 @@ import contextlib
 import logging
 import math
 import os
+import socket
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -78,12 +79,15 @@ def _check_token(address: str) -> None:
     """Ask a cluster whether it takes our token: ``ray.init`` would try for 20 s and then not say why it gave up.
 
     Raises:
-        ray.exceptions.AuthenticationError: it does not.
+        ray.exceptions.AuthenticationError: it does not. OSError: nobody answers there.
     """
+    from ray._common.network_utils import parse_address
     from ray._private.services import canonicalize_bootstrap_address
     from ray._raylet import GcsClient
 
-    if "://" not in address and (known := canonicalize_bootstrap_address(address)):
+    known = None if "://" in address else canonicalize_bootstrap_address(address)
+    if known and (found := parse_address(known)):
+        socket.create_connection((found[0], int(found[1])), timeout=10).close()
         GcsClient(address=known).check_alive([], timeout=10)
 
 

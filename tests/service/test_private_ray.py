@@ -35,7 +35,8 @@ ray.shutdown()
 
 def without_a_token(home: Path, **more: str) -> dict[str, str]:
     kept = {name: value for name, value in os.environ.items() if not name.startswith("RAY_AUTH_")}
-    return {**kept, "HOME": str(home), **more}
+    # Without the last one, Ray would look for 127.0.0.1 under the address by which other machines know this one.
+    return {**kept, "HOME": str(home), **more, "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def private_ray(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PrivateRay
     home = tmp_path_factory.mktemp("home")
     process = subprocess.Popen(
         [sys.executable, "-c", STARTS],
-        env=without_a_token(home),
+        env={**without_a_token(home), "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "1"},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -70,7 +71,7 @@ def descendants(of: int) -> Iterator[int]:
 
 def listening(process: int) -> set[str]:
     """Addresses (hex, as in /proc/net) that a process listens on."""
-    inodes = {os.readlink(link) for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()}
+    inodes = {str(link.readlink()) for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()}
     rows = [row.split() for kind in ("tcp", "tcp6") for row in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]]
     return {row[1].partition(":")[0] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in inodes}
 
@@ -103,3 +104,10 @@ def test_only_who_has_the_token_gets_in(private_ray: PrivateRay, tmp_path: Path)
         assert refused.returncode == 1 and refused.stdout == ""
         assert "asks for a token, and ours is none or another one" in refused.stderr, refused.stderr
         assert "Traceback" not in refused.stderr
+
+
+def test_an_address_where_nobody_answers_is_said_at_once(private_ray: PrivateRay, tmp_path: Path) -> None:
+    nobody = PrivateRay(private_ray.process, "127.0.0.1:9", private_ray.token)
+    refused = joins(nobody, tmp_path, RAY_AUTH_TOKEN_PATH=str(private_ray.token))
+    assert refused.returncode == 1
+    assert "runner.address=127.0.0.1:9" in refused.stderr and "Connection refused" in refused.stderr
