@@ -81,9 +81,9 @@ def _check_token(address: str) -> None:
     Raises:
         ray.exceptions.AuthenticationError: it does not. OSError: nobody answers there.
     """
-    from ray._common.network_utils import parse_address
+    from ray._common.network_utils import parse_address  # type: ignore[attr-defined]
     from ray._private.services import canonicalize_bootstrap_address
-    from ray._raylet import GcsClient
+    from ray._raylet import GcsClient  # type: ignore[attr-defined]
 
     known = None if "://" in address else canonicalize_bootstrap_address(address)
     if known and (found := parse_address(known)):

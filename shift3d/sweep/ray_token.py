@@ -43,7 +43,7 @@ def require_token(private: bool) -> bool:
     os.environ[_MODE] = "token"
     if "ray" in sys.modules:
         # Ray reads both variables when it is imported, and keeps them.
-        from ray._raylet import AuthenticationTokenLoader, Config
+        from ray._raylet import AuthenticationTokenLoader, Config  # type: ignore[attr-defined]
 
         Config.initialize("")
         AuthenticationTokenLoader.instance().reset_cache()
