@@ -8,10 +8,10 @@ BIN := .venv/bin
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep verify report test check bench frontier stress ui train pictures clean
+.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress ui train pictures clean
 
 help:  ## what there is to run
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
 	@echo '  make sweep SWEEP=kitti ARGS="scenes.root=PATH"   any sweep of sweeps/, any override'
 
 # Two stamps, so that a sweep does not wait for the tools that only developers need.
@@ -28,6 +28,10 @@ setup: .venv/.runtime  ## install shift3d and its libraries in .venv
 
 sweep: .venv/.runtime  ## run sweeps/$(SWEEP).yaml; the same command again resumes
 	$(BIN)/shift3d sweep $(SWEEP) $(ARGS)
+
+retry-quarantined: .venv/.runtime  ## run again what a sweep gave up on: OUT=outputs/NAME-HASH
+	@test -n "$(OUT)" || { echo 'which sweep? make retry-quarantined OUT=outputs/NAME-HASH'; exit 2; }
+	$(BIN)/shift3d sweep $(OUT) $(ARGS) --retry-quarantined
 
 verify: .venv/.runtime  ## score a sweep's solutions again at reference accuracy: OUT=outputs/NAME-HASH
 	@test -n "$(OUT)" || { echo 'which sweep? make verify OUT=outputs/NAME-HASH'; exit 2; }

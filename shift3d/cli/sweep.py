@@ -39,7 +39,9 @@ examples:
   shift3d sweep default detector=sst             attack SST, and let PointPillars score what it found
   shift3d sweep kitti scenes.root=PATH out=runs/kitti
   shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
-  shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder"""
+  shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder
+  shift3d sweep status outputs/default-1a2b3c4d  how it is going, from any shell or machine
+  shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also what it gave up on"""
 
 
 def add_words(parser: argparse.ArgumentParser) -> None:
@@ -57,6 +59,9 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_words(parser)
     parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing")
     parser.add_argument(
+        "--retry-quarantined", action="store_true", help="run the tasks again that earlier runs gave up on"
+    )
+    parser.add_argument(
         "--task", metavar="ID", help="run this one task here, show its rows or its traceback, write nothing"
     )
 
@@ -69,6 +74,19 @@ def split_words(words: list[str]) -> tuple[str, list[str], Path | None]:
     out = [word.removeprefix("out=") for word in words if word.startswith("out=")]
     rest = [word for word in words if not word.startswith("out=")]
     return name, rest, Path(out[-1]).expanduser() if out else None
+
+
+def _words_of_folder(words: list[str]) -> list[str]:
+    """The words that a sweep was begun with where its output folder stands for them; words after it are added."""
+    folder = Path(words[0]).expanduser() if words else Path()
+    if not words or "=" in words[0] or not (folder / "spec.yaml").is_file():
+        return words
+    from shift3d.sweep.folder import read_spec
+
+    spec = read_spec(folder)
+    changed = {word.partition("=")[0] for word in words[1:]}
+    kept = [word for word in spec["overrides"] if word.partition("=")[0] not in changed]
+    return [spec["sweep"], *kept, *words[1:], f"out={folder}"]
 
 
 def load_plan(name: str, overrides: list[str], kind: TaskKind) -> tuple[Plan, Config]:
@@ -93,7 +111,9 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     from shift3d.sweep.folder import default_folder
     from shift3d.sweep.plan_view import plan_summary
 
-    name, overrides, out = split_words(arguments.words)
+    if arguments.words[:1] == ["status"]:
+        return _status(arguments.words[1:])
+    name, overrides, out = split_words(_words_of_folder(arguments.words))
     plan, config = load_plan(name, overrides, kind)
     folder = out or default_folder(plan)
     print(plan_summary(plan), flush=True)
@@ -106,7 +126,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         print(run_single(plan, kind, arguments.task))
         return 0
     print(f"writing to {folder}", flush=True)
-    result = run_sweep(plan, config.runner, kind, folder)
+    result = run_sweep(plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined)
     if result.final is None:
         command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
         left = result.planned - result.done - result.quarantined
@@ -115,6 +135,16 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         return 130
     _show(plan, config, result)
     return 3 if result.quarantined else 0
+
+
+def _status(words: list[str]) -> int:
+    """How a sweep is going. words: its output folder."""
+    from shift3d.sweep.status import read_status, status_lines
+
+    if len(words) != 1:
+        raise InputError("which sweep?", where="sweep status", remedy="shift3d sweep status outputs/NAME-HASH")
+    print(status_lines(read_status(Path(words[0].removeprefix("out=")).expanduser())))
+    return 0
 
 
 def _show(plan: Plan, config: Config, result: SweepResult) -> None:

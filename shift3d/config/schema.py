@@ -35,6 +35,7 @@ _MOST, _LARGEST = 10**6, 1e9
 Count = Annotated[int, Field(ge=1, le=_MOST)]
 Number = Annotated[int, Field(ge=0, le=_MOST)]
 Positive = Annotated[float, Field(gt=0, le=_LARGEST, allow_inf_nan=False)]
+Share = Annotated[float, Field(gt=0, lt=1)]
 NotNegative = Annotated[float, Field(ge=0, le=_LARGEST, allow_inf_nan=False)]
 
 
@@ -229,8 +230,12 @@ class RayRunnerConfig(_Record):
     workers: Count | None
     address: str | None
     cpus_per_worker: Positive
+    worker_memory_mb: Positive | None
+    task_timeout_s: Positive | None
     batch_seconds: Positive
     commit_seconds: NotNegative
+    abort_after: Count | None
+    abort_share: Share | None
 
 
 class LocalRunnerConfig(_Record):
@@ -238,6 +243,8 @@ class LocalRunnerConfig(_Record):
 
     kind: Literal["local"]
     commit_seconds: NotNegative
+    abort_after: Count | None
+    abort_share: Share | None
 
 
 class MlflowConfig(_Record):

@@ -137,6 +137,7 @@ def coverage(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int) -> str:
     for status, count in without.groupby("status", sort=True)["task_id"].nunique().items():
         lines.append(f"  {count} without a score: {status}")
     given_up = attempts[attempts["quarantined"] & ~attempts["task_id"].isin(scores["task_id"])]
+    given_up = given_up.drop_duplicates("task_id", keep="last")  # one that was retried has several
     if len(given_up):
         lines.append(f"  {len(given_up)} quarantined (tracebacks in final/attempts.parquet):")
         lines += [f"    {row.task_id}  {row.error}"[:160] for row in given_up.head(5).itertuples()]

@@ -12,6 +12,9 @@ from shift3d.sweep.worker import BatchOutcome
 
 __all__ = ["Committer"]
 
+# Results that wait for their commit take no more memory than about this, whatever commit_seconds says.
+_MOST_BYTES = 64 * 2**20
+
 
 class Committer:
     """Collects outcomes and commits them.
@@ -34,6 +37,7 @@ class Committer:
         self._done: list[str] = []
         self._quarantined: list[str] = []
         self._tables: dict[str, list[pa.Table]] = {name: [] for name in SEGMENTS}
+        self._bytes = 0
 
     def add(self, outcome: BatchOutcome) -> None:
         """Take an outcome in, and commit where it is time.
@@ -47,8 +51,9 @@ class Committer:
         for name, table in outcome.tables.items():
             if table.num_rows:
                 self._tables[name].append(table)
+                self._bytes += table.nbytes
         self.busy = False
-        if time.monotonic() - self._last >= self._every_s:
+        if time.monotonic() - self._last >= self._every_s or self._bytes > _MOST_BYTES:
             self.flush()
 
     def flush(self) -> None:

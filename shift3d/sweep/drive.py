@@ -10,16 +10,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
 from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
+from shift3d.errors import InputError
 from shift3d.signals import stop_signals
-from shift3d.store.log import Commit, CommitLog
+from shift3d.store.log import Commit, CommitLog, TakenOverError
+from shift3d.sweep.abort import AbortRule
 from shift3d.sweep.commit import Committer
-from shift3d.sweep.final import FinalTables, write_final
+from shift3d.sweep.final import FinalTables, segments_in_plan_order, write_final
 from shift3d.sweep.folder import open_folder
 from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import Plan, PlannedTask
+from shift3d.sweep.plan import Plan
 from shift3d.sweep.progress import Progress
 from shift3d.sweep.runner import Runner, make_runner
+from shift3d.sweep.status import State, Teller
+from shift3d.sweep.worker import BatchOutcome
 
 __all__ = ["SweepResult", "run_sweep"]
 
@@ -48,27 +56,37 @@ class SweepResult:
 
 
 def run_sweep(
-    plan: Plan, runner_config: RunnerConfig, kind: TaskKind, folder: Path, finish: Finish = write_final
+    plan: Plan,
+    runner_config: RunnerConfig,
+    kind: TaskKind,
+    folder: Path,
+    finish: Finish = write_final,
+    retry_quarantined: bool = False,
 ) -> SweepResult:
     """Run what a plan has left to run, and write ``final/``.
 
-    finish: writes the final tables from (folder, plan, log entries) when everything has run.
+    finish: writes the final tables from (folder, plan, log entries) when everything has run. retry_quarantined: tasks
+    that earlier runs gave up on are left to run, too.
 
     The first Ctrl-C (or SIGTERM) lets the tasks in flight finish and commits them, the second one drops them.
 
     Raises:
         InputError: the folder is another sweep's, another driver took over, the disk is full, or the tasks'
             assets cannot be loaded. What was committed stays.
+        AbortedError: too much failed to go on.
     """
     began = time.monotonic()
     open_folder(folder, plan)
     log = CommitLog(folder, plan.spec_hash)
-    left = plan.tasks.select(plan.tasks.without(log.done() | log.quarantined()))
+    given_up = log.quarantined() if retry_quarantined else set()
+    left = plan.tasks.without((log.done() | log.quarantined()) - given_up)
     if len(left):
-        runner = make_runner(kind, plan, runner_config, len(left))
+        runner = make_runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up))
         try:
             with Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress:
-                _run(runner, left, Committer(log, runner_config.commit_seconds), progress)
+                rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
+                watchers = _Watchers(progress, Teller(log, len(plan.tasks)), rule)
+                _run(runner, left, Committer(log, runner_config.commit_seconds), watchers)
         finally:
             runner.close()
     done, quarantined = log.done(), log.quarantined()
@@ -78,22 +96,58 @@ def run_sweep(
     return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), seconds)
 
 
-def _run(runner: Runner, left: Sequence[PlannedTask], committer: Committer, progress: Progress) -> None:
-    with _stop_on_signals(committer, progress) as stop:
+def _tried(log: CommitLog, plan: Plan, given_up: set[str]) -> dict[int, int]:
+    """Attempts so far of the tasks that are tried again, by position: their numbers go on."""
+    if not given_up:
+        return {}
+    attempts = segments_in_plan_order(log.folder, log.entries, "attempts", plan)
+    last = dict(zip(attempts["task_id"].to_pylist(), attempts["attempt"].to_pylist()))  # in the order of attempts
+    found = pc.index_in(pa.array(sorted(given_up), type=pa.string()), value_set=plan.tasks.ids).to_pylist()
+    return {position: last.get(task, 0) for task, position in zip(sorted(given_up), found) if position is not None}
+
+
+@dataclass(frozen=True)
+class _Watchers:
+    """Whoever looks at outcomes as they come."""
+
+    progress: Progress
+    teller: Teller
+    rule: AbortRule
+
+    def see(self, outcome: BatchOutcome, runner: Runner) -> None:
+        """Raises AbortedError where too much failed."""
+        running = runner.running()
+        self.progress.update(len(outcome.done), len(outcome.quarantined), running, runner.workers)
+        self.teller.finished(len(outcome.done) + len(outcome.quarantined), outcome.peak_mb)
+        self.teller.tell(running, runner.workers)
+        if outcome.fatal:
+            raise outcome.fatal
+        if aborted := self.rule.seen(outcome):
+            raise aborted
+
+
+def _run(runner: Runner, left: np.ndarray, committer: Committer, watchers: _Watchers) -> None:
+    state: State = "stopped"
+    with _stop_on_signals(committer, watchers.progress) as stop:
         try:
             for outcome in runner.run(left, stop.first):
                 committer.add(outcome)
-                progress.update(len(outcome.done), len(outcome.quarantined))
-                if outcome.fatal:
-                    committer.flush()
-                    raise outcome.fatal
+                watchers.see(outcome, runner)
                 if stop.second.is_set():
                     break
+            state = "interrupted" if stop.first.is_set() else "finished"
         except KeyboardInterrupt:
-            pass
+            state = "interrupted"
+        except TakenOverError:
+            raise  # this driver has no say any more, in the status neither
+        except InputError:
+            committer.flush()
+            watchers.teller.tell([], runner.workers, state)
+            raise
         if stop.second.is_set():
-            progress.say("dropping the tasks in flight")
+            watchers.progress.say("dropping the tasks in flight")
         committer.flush()
+        watchers.teller.tell([], runner.workers, state)
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,15 @@ class TaskKind:
     """A kind of task. All three are importable functions, since workers import them by name.
 
     run: (spec, assets) to a result, a pure function of both. load: what a worker loads once and passes to
-    every ``run``. catalogue: settings to what there is to run on, with content hashes.
+    every ``run``. catalogue: settings to what there is to run on, with content hashes. single: whether one of its tasks
+    can be run by its id (``shift3d sweep NAME --task ID``). memory_mb: what a worker needs, about, in 2^20 bytes.
     """
 
     run: Callable[[TaskSpec, Any], TaskResult]
     load: Callable[[AssetsSpec], Any]
     catalogue: Callable[[Config], Catalogue]
+    single: bool = True
+    memory_mb: float = 1200.0
 
 
 def shift3d_kind() -> TaskKind:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from types import TracebackType
 
+from shift3d.sweep.running import Running
+
 __all__ = ["Progress"]
+
+_LONG_S = 5.0
 
 
 class Progress:
@@ -24,7 +29,7 @@ class Progress:
             total=total,
             initial=finished,
             unit="task",
-            desc=f"{workers} worker{'s' if workers > 1 else ''}",
+            desc=_workers(workers),
             dynamic_ncols=True,
             mininterval=0.2 if terminal else 15.0,
             maxinterval=1.0 if terminal else 60.0,
@@ -40,11 +45,15 @@ class Progress:
     ) -> None:
         self._bar.close()
 
-    def update(self, done: int, quarantined: int) -> None:
-        """Count finished tasks; zero of both only redraws."""
-        if quarantined:
-            self._failed += quarantined
-            self._bar.set_postfix_str(f"{self._failed} failed", refresh=False)
+    def update(self, done: int, quarantined: int, running: Sequence[Running] = (), workers: int | None = None) -> None:
+        """Count finished tasks; zero of both only redraws. running: what is in flight, the oldest first."""
+        self._failed += quarantined
+        if workers is not None:
+            self._bar.set_description(_workers(workers), refresh=False)
+        parts = [f"{self._failed} failed"] if self._failed else []
+        # Of calls that take a while it is worth knowing which they are.
+        parts += [f"{running[0].label} {running[0].seconds:.0f} s"] if running and running[0].seconds >= _LONG_S else []
+        self._bar.set_postfix_str(", ".join(parts), refresh=False)
         if done or quarantined:
             self._bar.update(done + quarantined)
         elif sys.stderr.isatty():
@@ -53,3 +62,7 @@ class Progress:
     def say(self, text: str) -> None:
         """A line above the bar."""
         self._bar.write(text, file=sys.stderr)
+
+
+def _workers(count: int) -> str:
+    return f"{count} worker{'' if count == 1 else 's'}"

@@ -1,117 +1,175 @@
-"""Ray workers: long-lived actors that hold the weights, one call in flight each."""
+"""Ray workers: long-lived actors that hold what tasks need, one call in flight each.
+
+What can go wrong with a call and what follows from it (design section 9):
+
+- the worker died, of several tasks: nobody knows which did it, so each is run again alone, and none is charged;
+- the worker died or ran out of memory, or the task hung, alone: charged, and given up on the second time;
+- the machine went away: run again, not charged.
+
+Source: our choice.
+"""
 
 from __future__ import annotations
 
 import threading
-import time
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from typing import Any
+
+import numpy as np
 
 from shift3d.config.schema import RayRunnerConfig
 from shift3d.errors import InputError
 from shift3d.store.tables import table_from_rows
+from shift3d.sweep.backlog import Backlog
 from shift3d.sweep.batches import BatchSizer
 from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import Plan, PlannedTask
+from shift3d.sweep.plan import Plan
+from shift3d.sweep.ray_calls import Call, Calls
 from shift3d.sweep.ray_connection import connect
-from shift3d.sweep.worker import BatchOutcome, Worker, attempt_row
+from shift3d.sweep.ray_crew import Crew
+from shift3d.sweep.ray_deaths import Death, death_of
+from shift3d.sweep.ray_watch import Watch
+from shift3d.sweep.ray_worker import BESIDE, RayWorker
+from shift3d.sweep.reproduce import reproduce_command, with_command
+from shift3d.sweep.running import Running
+from shift3d.sweep.worker import BatchOutcome, attempt_row
 
 __all__ = ["RayRunner"]
 
-# A task that was alone in a worker each time it crashed is given up on after so many crashes.
-_CRASHES = 2
 _HEARTBEAT_S = 0.5
-
-
-@dataclass
-class _Call:
-    actor: Any
-    tasks: list[PlannedTask]
-    started: float
 
 
 class RayRunner:
     """Runs tasks in Ray actors, on this machine or a cluster.
 
+    tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
+
     Raises:
         InputError: the cluster cannot be reached, or has no room for a worker.
     """
 
-    def __init__(self, kind: TaskKind, plan: Plan, config: RayRunnerConfig, tasks_left: int) -> None:
+    def __init__(
+        self, kind: TaskKind, plan: Plan, config: RayRunnerConfig, tasks_left: int, tried: dict[int, int] | None = None
+    ) -> None:
+        self._plan = plan
+        self._tried = tried
+        self._command = reproduce_command(kind, plan)
         self._ray = connect(config, tasks_left)
-        room = int(self._ray.cluster_resources().get("CPU", 0) // config.cpus_per_worker)
-        if room < 1:
+        try:
+            memory_mb = config.worker_memory_mb or kind.memory_mb
+            self._crew = Crew(self._ray, self._starter(kind, config), config, memory_mb, tasks_left)
+        except InputError:
             self.close()
-            raise InputError(
-                f"Ray has no room for a worker of {config.cpus_per_worker} CPUs",
-                where="runner",
-                remedy="Lower runner.cpus_per_worker, or use runner=local",
-            )
-        self.workers = max(1, min(config.workers or room, tasks_left))
-        # One call in flight each, and a crash is the driver's to handle: Ray itself retries nothing.
-        actor = self._ray.remote(num_cpus=config.cpus_per_worker, max_restarts=0, max_task_retries=0)(Worker)
-        self._start: Callable[[], Any] = lambda: actor.remote(kind, plan.sweep, plan.assets)
+            raise
         self._sizer = BatchSizer(config.batch_seconds)
-        self._crashes: dict[str, int] = {}
+        self._calls = Calls(least_s=2 * config.batch_seconds)
+        self._watch = Watch(self._ray, config.task_timeout_s)
+        self._backlog = Backlog([])
 
-    def run(self, tasks: Sequence[PlannedTask], stop: threading.Event) -> Iterator[BatchOutcome]:
+    def _starter(self, kind: TaskKind, config: RayRunnerConfig) -> Callable[[], Any]:
+        # One call in flight each, and a crash is the driver's to handle: Ray itself retries nothing.
+        options: dict[str, Any] = {"num_cpus": config.cpus_per_worker, "max_restarts": 0, "max_task_retries": 0}
+        if config.worker_memory_mb:
+            options["memory"] = int(config.worker_memory_mb * 2**20)
+        # A thread of its own answers what the worker is at while a task runs.
+        actor = self._ray.remote(concurrency_groups={BESIDE: 1}, **options)(RayWorker)
+        tasks, assets = self._ray.put(self._plan.tasks), self._ray.put(self._plan.assets)
+        return lambda: actor.remote(kind, self._plan.sweep, assets, tasks, self._command)
+
+    @property
+    def workers(self) -> int:
+        """Workers there shall be; as machines join and leave, this changes."""
+        return self._crew.wanted
+
+    def running(self) -> list[Running]:
         """See :class:`Runner`."""
-        queue = deque(tasks)
-        alone: deque[PlannedTask] = deque()  # was in a worker that crashed: not together with others again
-        idle = [self._start() for _ in range(self.workers)]
-        calls: dict[Any, _Call] = {}
-        while calls or ((queue or alone) and not stop.is_set()):
-            while idle and (queue or alone) and not stop.is_set():
-                batch = self._next_batch(queue, alone)
-                actor = idle.pop()
-                first = 1 + self._crashes.get(batch[0].spec.task_id, 0)
-                calls[actor.run_batch.remote(batch, first_attempt=first)] = _Call(actor, batch, time.time())
-            ready, _ = self._ray.wait(list(calls), num_returns=1, timeout=_HEARTBEAT_S)
-            if not ready:
-                yield BatchOutcome()
-            for reference in ready:
-                call = calls.pop(reference)
-                outcome = self._result(reference, call, alone)
-                idle.append(call.actor)
-                yield outcome
-                if outcome.fatal:
-                    return
+        tasks = self._plan.tasks
+        return [
+            Running(tasks[c.positions[0]], len(c.positions), c.seconds, c.member.process) for c in self._calls.live()
+        ]
 
-    def _next_batch(self, queue: deque[PlannedTask], alone: deque[PlannedTask]) -> list[PlannedTask]:
-        if alone:
-            return [alone.popleft()]
-        size = self._sizer.size(len(queue), self.workers)
-        return [queue.popleft() for _ in range(size)]
+    def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
+        """See :class:`Runner`."""
+        self._backlog = Backlog(positions, self._tried)
+        while self._calls or (self._backlog and not stop.is_set()):
+            self._crew.grow(len(self._backlog) + len(self._calls))
+            self._give_out(stop)
+            waited = [*self._calls.references, *self._crew.greetings]
+            ready, _ = self._ray.wait(waited, num_returns=1, timeout=_HEARTBEAT_S) if waited else ([], [])
+            outcome = self._end_of(ready[0]) if ready else BatchOutcome()
+            yield outcome
+            if outcome.fatal:
+                return
+            for hang in self._watch.hanging(self._calls.live()):
+                self._calls.pop(hang.call.reference)
+                self._crew.lost(hang.call.member)
+                yield self._died(hang.call, hang.death, hang.position)
 
-    def _result(self, reference: Any, call: _Call, alone: deque[PlannedTask]) -> BatchOutcome:
-        errors = self._ray.exceptions
+    def _give_out(self, stop: threading.Event) -> None:
+        while not stop.is_set() and (member := self._crew.idle()):
+            if len(self._backlog):
+                positions, twin = self._backlog.take(self._sizer.size(len(self._backlog), self._crew.wanted)), None
+                attempt = self._backlog.first_attempt(positions)
+            elif twin := self._calls.straggler():
+                positions, attempt = twin.positions, twin.attempt + 1
+                self._backlog.tried(positions, attempt)
+            else:
+                return
+            call = Call(member.actor.run.remote(positions, attempt), member, positions, attempt, twin=twin)
+            if twin:
+                twin.twin = call
+            self._calls.add(call)
+
+    def _end_of(self, reference: Any) -> BatchOutcome:
+        if reference in self._crew.greetings:
+            return BatchOutcome(fatal=self._crew.greeted(reference))
+        call, wanted = self._calls.pop(reference)
         try:
             outcome: BatchOutcome = self._ray.get(reference)
-        except (errors.RayActorError, errors.OutOfMemoryError) as error:
-            call.actor = self._start()
-            return self._crashed(call, error, alone)
-        self._sizer.finished(len(outcome.done) + len(outcome.quarantined), outcome.seconds)
+        except self._ray.exceptions.RayError as error:
+            self._crew.lost(call.member)
+            return self._died(call, death_of(self._ray, error, call.member.node_id)) if wanted else BatchOutcome()
+        if not wanted:
+            return BatchOutcome()
+        ran = len(outcome.done) + len(outcome.quarantined)
+        self._calls.finished(call, ran, outcome.seconds)
+        self._sizer.finished(ran, outcome.seconds)
         return outcome
 
-    def _crashed(self, call: _Call, error: Exception, alone: deque[PlannedTask]) -> BatchOutcome:
-        """A worker died. Of several tasks nobody knows which did it: each is run again alone."""
-        if len(call.tasks) > 1:
-            alone.extend(call.tasks)
-            return BatchOutcome()
-        task = call.tasks[0]
-        task_id = task.spec.task_id
-        crashes = self._crashes[task_id] = self._crashes.get(task_id, 0) + 1
-        given_up = crashes >= _CRASHES
-        what = f"the worker died: {' '.join(str(error).split())}"[:2_000]
-        row = attempt_row(task_id, crashes, "crashed", call.started, error=what, quarantined=given_up, worker="ray")
-        outcome = BatchOutcome(tables={"attempts": table_from_rows("attempts", [row])})
-        if given_up:
-            outcome.quarantined.append(task_id)
-        else:
-            alone.append(task)
+    def _died(self, call: Call, death: Death, culprit: int | None = None) -> BatchOutcome:
+        """A call ended without a result. culprit: the task that did it, where that is known."""
+        if culprit is None and len(call.positions) == 1:
+            culprit = call.positions[0]
+        others = [position for position in call.positions if position != culprit]
+        self._backlog.tried(call.positions, call.attempt)
+        alone = [] if culprit is None else [culprit]
+        given_up = [position for position in alone if self._give_up(position, death)]
+        if not self._calls.twin_of(call):
+            # Where it is known who did it, the others may stay together.
+            self._backlog.put_back(others, alone=culprit is None and death.kind != "node_lost")
+            self._backlog.put_back([position for position in alone if position not in given_up], alone=True)
+        rows = [
+            self._row(position, call, death, position in alone, position in given_up) for position in call.positions
+        ]
+        outcome = BatchOutcome(tables={"attempts": table_from_rows("attempts", rows)})
+        outcome.quarantined = [self._id(position) for position in given_up]
+        outcome.errors = [f"{death.kind}: {death.what}" for _ in given_up]
         return outcome
+
+    def _give_up(self, position: int, death: Death) -> bool:
+        return self._backlog.charge(position) if death.charged else self._backlog.lose(position)
+
+    def _id(self, position: int) -> str:
+        return str(self._plan.tasks.ids[position])
+
+    def _row(self, position: int, call: Call, death: Death, alone: bool, given_up: bool) -> dict[str, Any]:
+        outcome = death.kind if alone or not death.charged else "bystander"
+        row = attempt_row(
+            self._plan.tasks.ids[position].as_py(), call.attempt, outcome, call.began_unix_s, call.seconds
+        )
+        row |= {"error": death.what, "traceback": death.traceback if alone else None, "quarantined": given_up}
+        row |= {"worker": call.member.process}
+        return with_command(row, self._command) if given_up else row
 
     def close(self) -> None:
         """End the workers, and the private Ray where there is one."""

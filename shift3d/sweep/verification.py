@@ -28,7 +28,7 @@ def verification_kind() -> TaskKind:
     from shift3d.config.catalogue import read_catalogue
     from shift3d.task.verify import load_verify_assets, verify_task
 
-    return TaskKind(run=verify_task, load=load_verify_assets, catalogue=read_catalogue)
+    return TaskKind(run=verify_task, load=load_verify_assets, catalogue=read_catalogue, single=False)
 
 
 def verification_plan(folder: Path) -> Plan:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import socket
 import sys
@@ -17,7 +18,8 @@ from shift3d.errors import InputError
 from shift3d.store.schemas import SEGMENTS, SPEC_COLUMNS
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import PlannedTask
+from shift3d.sweep.reproduce import with_command
+from shift3d.sweep.tasks import PlannedTask
 from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
 
 __all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows", "one_thread"]
@@ -34,14 +36,17 @@ class BatchOutcome:
     """What a batch came to.
 
     done, quarantined: task ids in the order they were run. tables: segment tables by name.
-    fatal: why no task can be run at all (assets cannot be loaded); the sweep stops with it.
+    errors: of each quarantined one. fatal: why no task can be run at all (assets cannot be loaded); the sweep stops
+    with it. peak_mb: the most memory that the worker's process has had, 10^6 bytes.
     """
 
     done: list[str] = field(default_factory=list)
     quarantined: list[str] = field(default_factory=list)
     tables: dict[str, pa.Table] = field(default_factory=dict)
+    errors: list[str] = field(default_factory=list)
     fatal: InputError | None = None
     seconds: float = 0.0
+    peak_mb: float = 0.0
 
 
 def one_thread(threads: int = 1) -> None:
@@ -52,21 +57,47 @@ def one_thread(threads: int = 1) -> None:
         sys.modules["torch"].set_num_threads(threads)
 
 
-def attempt_row(task_id: str, attempt: int, outcome: str, started: float, **more: Any) -> Row:
-    """One row of ``attempts``."""
-    row: Row = {"error": None, "traceback": None, "quarantined": False, "seconds": time.time() - started}
-    row |= {"task_id": task_id, "attempt": attempt, "outcome": outcome, "started_unix_s": started}
-    return {**row, "worker": f"{socket.gethostname()}:{os.getpid()}", **more}
+def attempt_row(task_id: str, attempt: int, outcome: str, started_unix_s: float, seconds: float) -> Row:
+    """One row of ``attempts``, of this process.
+
+    outcome: done; failed or out_of_memory (the task's exception); crashed, out_of_memory or timeout (its worker's end);
+    bystander (the end of a worker that had other tasks, too); node_lost or unreachable (its machine's). seconds: by a
+    clock that never jumps.
+    """
+    return {
+        "task_id": task_id,
+        "attempt": attempt,
+        "outcome": outcome,
+        "error": None,
+        "traceback": None,
+        "quarantined": False,
+        "worker": _process(),
+        "started_unix_s": started_unix_s,
+        "seconds": seconds,
+    }
+
+
+@functools.cache
+def _process() -> str:
+    return f"{socket.gethostname()}:{os.getpid()}"
 
 
 class Worker:
-    """Holds what tasks need and runs them. The same class in this process and in a Ray actor."""
+    """Holds what tasks need and runs them. The same class in this process and in a Ray actor.
 
-    def __init__(self, kind: TaskKind, sweep: str, assets: Sequence[AssetsSpec]) -> None:
+    command: that shows a task again, up to its id.
+
+    Attributes:
+        current: the place in its batch of the task that runs (None between tasks), and since when, monotonic.
+    """
+
+    def __init__(self, kind: TaskKind, sweep: str, assets: Sequence[AssetsSpec], command: str = "") -> None:
         self._kind = kind
         self._sweep = sweep
         self._assets_specs = assets
+        self._command = command
         self._assets: dict[int, Any] = {}
+        self.current: tuple[int | None, float] = (None, time.monotonic())
 
     def run_batch(
         self, tasks: Sequence[PlannedTask], stop: Callable[[], bool] = lambda: False, first_attempt: int = 1
@@ -80,7 +111,7 @@ class Worker:
         began = time.perf_counter()
         outcome = BatchOutcome()
         results: list[_Rows] = []
-        for task in tasks:
+        for index, task in enumerate(tasks):
             if stop():
                 break
             try:
@@ -88,17 +119,25 @@ class Worker:
             except InputError as error:
                 outcome.fatal = error
                 break
+            self.current = (index, time.monotonic())
             results.append(self._run_task(task.spec, assets, first_attempt))
-        try:
-            outcome.tables = _tables(results)
-        except ValueError:
-            for rows in results:
-                _refuse_broken_rows(rows)
-            outcome.tables = _tables(results)
+        self.current = (None, time.monotonic())
+        outcome.tables = self._tables_of(results)
         for rows in results:
             (outcome.done if rows.done else outcome.quarantined).append(rows.task_id)
+            if not rows.done:
+                outcome.errors.append(rows.attempts[-1]["error"])
         outcome.seconds = time.perf_counter() - began
+        outcome.peak_mb = _peak_mb()
         return outcome
+
+    def _tables_of(self, results: list[_Rows]) -> dict[str, pa.Table]:
+        try:
+            return _tables(results)
+        except ValueError:
+            for rows in results:
+                _refuse_broken_rows(rows, self._command)
+            return _tables(results)
 
     def _load(self, index: int) -> Any:
         if index not in self._assets:
@@ -112,14 +151,17 @@ class Worker:
         rows = _Rows(spec.task_id)
         tries = 0
         while True:
-            started = time.time()
+            started, began = time.time(), time.perf_counter()
             tries += 1
             try:
                 result = completed_rows(spec, self._sweep, self._kind.run(spec, assets))
             except Exception as error:
                 io = isinstance(error, OSError)
                 given_up = tries >= (_IO_TRIES if io else _DETERMINISTIC_TRIES)
-                rows.attempts.append(_failure(spec.task_id, attempt, started, error, given_up))
+                outcome = "out_of_memory" if isinstance(error, MemoryError) else "failed"
+                row = attempt_row(spec.task_id, attempt, outcome, started, time.perf_counter() - began)
+                row |= _failure(error, given_up)
+                rows.attempts.append(with_command(row, self._command) if given_up else row)
                 if given_up:
                     return rows
                 if io:
@@ -128,8 +170,15 @@ class Worker:
                 continue
             rows.done = True
             rows.result = result
-            rows.attempts.append(attempt_row(spec.task_id, attempt, "done", started))
+            rows.attempts.append(attempt_row(spec.task_id, attempt, "done", started, time.perf_counter() - began))
             return rows
+
+
+def _peak_mb() -> float:
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
 def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, list[Row]]:
@@ -168,19 +217,16 @@ def _tables(results: Sequence[_Rows]) -> dict[str, pa.Table]:
     return {**tables, "attempts": table_from_rows("attempts", attempts)}
 
 
-def _refuse_broken_rows(rows: _Rows) -> None:
+def _refuse_broken_rows(rows: _Rows, command: str) -> None:
     """Quarantine a task whose rows do not fit their schema: its defect, and no other task's."""
     try:
         _tables([rows])
     except ValueError as error:
-        last = rows.attempts[-1]
-        last |= {"outcome": "failed", "quarantined": True, "error": f"ValueError: {error}"[:2_000]}
-        last["traceback"] = "".join(traceback.format_exception(error))[-20_000:]
+        failed = {**rows.attempts[-1], "outcome": "failed", **_failure(error, True)}
+        rows.attempts[-1] = with_command(failed, command)
         rows.done, rows.result = False, {}
 
 
-def _failure(task_id: str, attempt: int, started: float, error: Exception, given_up: bool) -> Row:
+def _failure(error: Exception, given_up: bool) -> Row:
     text = "".join(traceback.format_exception(error))[-20_000:]
-    name = f"{type(error).__name__}: {error}"[:2_000]
-    more = {"error": name, "traceback": text, "quarantined": given_up}
-    return attempt_row(task_id, attempt, "failed", started, **more)
+    return {"error": f"{type(error).__name__}: {error}"[:2_000], "traceback": text, "quarantined": given_up}

@@ -1,6 +1,6 @@
 """A real but cheap kind of task: a pure function of its spec, run through the same service as the real one.
 
-SHIFT3D_TEST_* variables make it slow, or make a chosen task fail, kill its process, or return a bad row.
+SHIFT3D_TEST_* variables make it slow, or make a chosen task fail, hang, kill its process, or return a bad row.
 """
 
 from __future__ import annotations
@@ -63,7 +63,9 @@ def _misbehave(spec: TaskSpec) -> None:
         with Path(journal).open("a") as file:
             file.write(f"{spec.task_id}\n")
     target = f"{spec.vehicle}/{spec.scene}/{spec.mode}"
-    if target == os.environ.get("SHIFT3D_TEST_FAILS"):
+    if target == os.environ.get("SHIFT3D_TEST_HANGS"):
+        time.sleep(3600)
+    if (fails := os.environ.get("SHIFT3D_TEST_FAILS")) and target.startswith(fails):
         raise ArithmeticError(f"no root for {target}")
     if target == os.environ.get("SHIFT3D_TEST_CRASHES"):
         mark = os.environ.get("SHIFT3D_TEST_CRASH_ONCE")
@@ -88,4 +90,4 @@ def catalogue(config: Config) -> Catalogue:
     )
 
 
-KIND = TaskKind(run=run, load=load, catalogue=catalogue)
+KIND = TaskKind(run=run, load=load, catalogue=catalogue, memory_mb=200)

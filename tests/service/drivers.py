@@ -23,7 +23,12 @@ class Drivers:
         self.started: list[subprocess.Popen[str]] = []
 
     def start(self, out: str, *words: str, prefix: tuple[str, ...] = (), **environment: str) -> subprocess.Popen[str]:
-        command = [*prefix, sys.executable, str(DRIVER), "sweep", "default", *QUICK, *words, f"out={self.folder / out}"]
+        return self._start([*prefix, sys.executable, str(DRIVER), *self._words(out, *words)], environment)
+
+    def _words(self, out: str, *words: str) -> list[str]:
+        return ["sweep", "default", *QUICK, *words, f"out={self.folder / out}"]
+
+    def _start(self, command: list[str], environment: dict[str, str]) -> subprocess.Popen[str]:
         process = subprocess.Popen(
             command,
             cwd=self.folder,
@@ -39,6 +44,12 @@ class Drivers:
     def run(self, out: str, *words: str, prefix: tuple[str, ...] = (), **environment: str) -> tuple[int, str, str]:
         """(exit code, stdout, stderr) of a command that ends by itself."""
         process = self.start(out, *words, prefix=prefix, **environment)
+        output, errors = process.communicate(timeout=90)
+        return process.returncode, output, errors
+
+    def command(self, *words: str) -> tuple[int, str, str]:
+        """(exit code, stdout, stderr) of any command."""
+        process = self._start([sys.executable, str(DRIVER), *words], {})
         output, errors = process.communicate(timeout=90)
         return process.returncode, output, errors
 

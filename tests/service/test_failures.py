@@ -43,3 +43,55 @@ def test_a_row_that_breaks_its_schema_is_its_own_tasks_failure(drivers: Drivers)
     attempts = pd.read_parquet(drivers.folder / "out" / "final" / "attempts.parquet")
     assert attempts["quarantined"].sum() == 1
     assert "scores.score is nan" in attempts.loc[attempts["quarantined"], "error"].item()
+
+
+def test_a_task_that_hangs_is_ended_and_given_up_on_alone(drivers: Drivers) -> None:
+    settings = ("runner.workers=2", "runner.task_timeout_s=1", "runner.batch_seconds=0.5")
+    code, _, errors = drivers.run("out", *settings, SHIFT3D_TEST_HANGS="suv/street_002/pose")
+    assert code == 3, errors
+    attempts = pd.read_parquet(drivers.folder / "out" / "final" / "attempts.parquet")
+    hung = attempts[attempts["outcome"] == "timeout"]
+    given_up = hung[hung["quarantined"]]
+    assert given_up["task_id"].nunique() == 1 and set(given_up["task_id"]) == set(hung["task_id"]) - set(
+        attempts.loc[attempts["outcome"] == "done", "task_id"]
+    )
+    assert "time.sleep" in given_up["traceback"].item(), "where it hung is not shown"
+    assert f"--task {given_up['task_id'].item()}" in given_up["traceback"].item()
+
+
+def test_what_was_given_up_on_is_run_again_when_asked(drivers: Drivers, undisturbed: dict[str, bytes]) -> None:
+    assert drivers.run("out", "runner=local", SHIFT3D_TEST_FAILS="suv/street_002/pose")[0] == 3
+    assert drivers.run("out", "runner=local")[0] == 3, "without being asked nothing is run again"
+    code, output, errors = drivers.run("out", "runner=local", "--retry-quarantined")
+    assert code == 0, errors
+    assert "60 of 60 tasks scored" in output
+    assert drivers.final("out") == undisturbed
+    committed = drivers.committed("out")
+    assert len(committed) == len(set(committed)) == TASKS
+    attempts = pd.read_parquet(drivers.folder / "out" / "final" / "attempts.parquet")
+    again = attempts[attempts["task_id"].isin(attempts.loc[attempts["quarantined"], "task_id"])]
+    assert again["attempt"].tolist() == [1, 2, 3] and again["outcome"].tolist() == ["failed", "failed", "done"]
+
+
+def test_a_sweep_whose_first_tasks_fail_alike_stops_and_says_what_to_do(drivers: Drivers) -> None:
+    code, _, errors = drivers.run("out", "runner=local", "runner.commit_seconds=0", SHIFT3D_TEST_FAILS="coupe/")
+    assert code == 5, errors
+    assert "the first 5 tasks failed alike: ArithmeticError: no root for coupe" in errors.splitlines()[-1]
+    assert "--retry-quarantined" in errors.splitlines()[-1]
+    code, output, errors = drivers.run("out", "runner=local", "--retry-quarantined")
+    assert code == 0 and "60 of 60 tasks scored" in output, errors
+
+
+def test_the_status_says_how_it_goes(drivers: Drivers) -> None:
+    driver = drivers.start("out", "runner=local", "runner.commit_seconds=0", SHIFT3D_TEST_SECONDS="0.2")
+    drivers.wait_for_commits("out", 3)
+    folder = str(drivers.folder / "out")
+    code, output, errors = drivers.command("sweep", "status", folder)
+    assert code == 0, errors
+    assert "of 60 tasks done" in output and ": running" in output and "runs now: coupe/" in output
+    driver.kill()
+    driver.wait()
+    assert ": dead; the same command resumes" in drivers.command("sweep", "status", folder)[1]
+    assert drivers.run("out", "runner=local")[0] == 0
+    output = drivers.command("sweep", "status", folder)[1]
+    assert "60 of 60 tasks done (100%), 0 quarantined, 0 left" in output and ": finished" in output

@@ -36,7 +36,7 @@ def commit(out: Path, plan: Plan, order: list[int], size: int, skip: tuple[int, 
         done = [task for task in tasks if plan.tasks.index(task) not in skip]
         lost = [task.spec.task_id for task in tasks if task not in done]
         scores = [row for task in done for row in rows_of(task, plan.sweep)]
-        attempts = [attempt_row(task.spec.task_id, 1, "done", 0.0) for task in done]
+        attempts = [attempt_row(task.spec.task_id, 1, "done", 0.0, 0.0) for task in done]
         tables = {"scores": table_from_rows("scores", scores), "attempts": table_from_rows("attempts", attempts)}
         log.commit(tuple(task.spec.task_id for task in done), tuple(lost), tables)
     return write_final(out, plan, log.entries)

@@ -1,0 +1,178 @@
+"""How a sweep is going, for another shell or machine.
+
+The driver leaves ``status.json`` beside the log every few seconds: what runs now, and how fast. It is only a
+note: what is done is counted from the log.
+
+Source: our choice.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from shift3d.errors import InputError
+from shift3d.store.atomic import write_atomic
+from shift3d.store.log import CommitLog, read_log
+from shift3d.sweep.folder import read_spec
+from shift3d.sweep.running import Running
+
+__all__ = ["State", "SweepStatus", "Teller", "read_status", "status_lines"]
+
+_FILE = "status.json"
+_EVERY_S = 3.0
+# A driver writes more often than this, a long commit included.
+_SILENT_S = 60.0
+_SHOWN = 8
+
+State = Literal["running", "finished", "interrupted", "stopped"]
+
+
+class Teller:
+    """Writes what the driver of a sweep is doing. log: of this driver. planned: tasks of the whole sweep."""
+
+    def __init__(self, log: CommitLog, planned: int) -> None:
+        self._log = log
+        self._planned = planned
+        self._began = time.monotonic()
+        self._told = float("-inf")
+        self._finished = 0
+        self._peak_mb = 0.0
+        self._entries = len(log.entries)
+        self._committed_unix_s: float | None = None
+
+    def finished(self, tasks: int, peak_mb: float) -> None:
+        """Tasks that came to an end, one way or the other. peak_mb: memory of the worker that had them."""
+        self._finished += tasks
+        self._peak_mb = max(self._peak_mb, peak_mb)
+
+    def tell(self, running: Sequence[Running], workers: int, state: State = "running") -> None:
+        """Write it, unless that was just done. It never ends a sweep: without a status the log still counts."""
+        if len(self._log.entries) != self._entries:
+            self._entries, self._committed_unix_s = len(self._log.entries), time.time()
+        now = time.monotonic()
+        if state == "running" and now - self._told < _EVERY_S:
+            return
+        self._told = now
+        values = {
+            "driver": self._log.driver,
+            "host": socket.gethostname(),
+            "pid": os.getpid(),
+            "state": state,
+            "written_unix_s": time.time(),
+            "planned": self._planned,
+            "workers": workers,
+            "per_s": self._finished / max(now - self._began, 1e-3),
+            "worker_peak_mb": self._peak_mb,
+            "committed_unix_s": self._committed_unix_s,
+            "running": [{"what": r.label, "seconds": r.seconds, "worker": r.worker} for r in running[:_SHOWN]],
+            "running_calls": len(running),
+        }
+        try:
+            write_atomic(self._log.folder / _FILE, json.dumps(values, indent=1).encode() + b"\n")
+        except (InputError, OSError):
+            return
+
+
+@dataclass(frozen=True)
+class SweepStatus:
+    """How far a sweep is, by its log, and what its driver last said (None where it said nothing readable).
+
+    driver: of the last log entry.
+    """
+
+    sweep: str
+    planned: int
+    done: int
+    quarantined: int
+    commits: int
+    driver: str | None
+    said: dict[str, Any] | None
+
+    @property
+    def left(self) -> int:
+        """Tasks that are neither done nor given up on."""
+        return self.planned - self.done - self.quarantined
+
+
+def read_status(folder: Path) -> SweepStatus:
+    """The status of the sweep in ``folder``.
+
+    Raises:
+        InputError: the folder is not a sweep's, or its log is damaged.
+    """
+    spec = read_spec(folder)
+    entries = read_log(folder)
+    done = {task for entry in entries for task in entry.done}
+    given_up = {task for entry in entries for task in entry.quarantined} - done
+    commits = sum(entry.kind == "commit" for entry in entries)
+    driver = entries[-1].driver if entries else None
+    return SweepStatus(spec["sweep"], int(spec["tasks"]), len(done), len(given_up), commits, driver, _said(folder))
+
+
+def _said(folder: Path) -> dict[str, Any] | None:
+    try:
+        said = json.loads((folder / _FILE).read_bytes())
+        numbers = [said[name] for name in ("written_unix_s", "per_s", "workers", "pid", "running_calls")]
+        texts = [said[name] for name in ("driver", "host", "state")]
+        calls = [(str(call["what"]), float(call["seconds"])) for call in said["running"]]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    sound = all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)
+    return {**said, "running": calls} if sound else None
+
+
+def status_lines(status: SweepStatus) -> str:
+    """What ``shift3d sweep status`` prints."""
+    share = (status.done + status.quarantined) / max(status.planned, 1)
+    lines = [
+        f"{status.sweep}: {status.done} of {status.planned} tasks done ({share:.0%}), "
+        f"{status.quarantined} quarantined, {status.left} left, {status.commits} commits"
+    ]
+    said = status.said
+    if said is None:
+        return "\n".join([*lines, "no driver has said anything here"])
+    alive = _alive(status, said)
+    lines.append(f"driver {said['driver']} on {said['host']}: {alive}")
+    if committed := said.get("committed_unix_s"):
+        lines.append(f"last commit {_ago(time.time() - committed)} ago")
+    if alive == "running":
+        rate = said["per_s"]
+        eta = f", about {_ago(status.left / rate)} left" if rate > 0 else ""
+        lines.append(f"{rate:.3g} tasks a second on {said['workers']} workers{eta}")
+        if said.get("worker_peak_mb"):
+            lines.append(f"a worker takes up to {said['worker_peak_mb']:.0f} MB")
+        since = time.time() - said["written_unix_s"]
+        lines += [f"  runs now: {what}, for {_ago(seconds + since)}" for what, seconds in said["running"]]
+        if (more := said["running_calls"] - len(said["running"])) > 0:
+            lines.append(f"  and {more} calls more")
+    return "\n".join(lines)
+
+
+def _alive(status: SweepStatus, said: dict[str, Any]) -> str:
+    """running, or why not. A driver on this machine is looked for; of one elsewhere only its silence tells."""
+    if status.driver not in (None, said["driver"]):
+        return f"taken over by driver {status.driver}"
+    if said["state"] != "running":
+        return str(said["state"])
+    here = said["host"] == socket.gethostname() and Path("/proc/self").exists()
+    if here and not Path(f"/proc/{said['pid']:d}").exists():
+        return "dead; the same command resumes"
+    silent = time.time() - said["written_unix_s"]
+    if not here and silent > _SILENT_S:
+        return f"silent for {_ago(silent)}; if it is dead, the same command resumes"
+    return "running"
+
+
+def _ago(seconds: float) -> str:
+    seconds = max(seconds, 0.0)
+    for size, name in ((86_400, "d"), (3_600, "h"), (60, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {name}"
+    return f"{seconds:.0f} s"

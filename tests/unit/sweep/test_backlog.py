@@ -1,0 +1,40 @@
+"""Every task is handed out once unless it comes back, and only what it did itself is charged to it."""
+
+from __future__ import annotations
+
+from shift3d.sweep.backlog import Backlog
+
+
+def test_tasks_are_handed_out_in_order_and_once() -> None:
+    backlog = Backlog([3, 5, 8, 9])
+    assert (backlog.take(3), len(backlog)) == ([3, 5, 8], 1)
+    assert (backlog.take(3), len(backlog)) == ([9], 0)
+    assert backlog.take(3) == []
+
+
+def test_what_comes_back_goes_first_and_suspects_go_alone() -> None:
+    backlog = Backlog(range(10))
+    backlog.take(4)
+    backlog.put_back([0, 1], alone=True)
+    backlog.put_back([2, 3], alone=False)
+    assert [backlog.take(3) for _ in range(4)] == [[0], [1], [2, 3, 4], [5, 6, 7]]
+    assert len(backlog) == 2
+
+
+def test_a_task_is_given_up_on_at_its_second_charge_and_a_lost_machine_is_none() -> None:
+    backlog = Backlog([0])
+    assert [backlog.lose(0), backlog.charge(0), backlog.lose(0), backlog.charge(0)] == [False, False, False, True]
+
+
+def test_a_task_under_which_machine_after_machine_goes_away_is_given_up_on() -> None:
+    backlog = Backlog([0])
+    assert [backlog.lose(0) for _ in range(6)] == [False] * 5 + [True]
+
+
+def test_attempts_are_numbered_on() -> None:
+    backlog = Backlog([0, 1, 2], tried={1: 2})
+    assert backlog.first_attempt([0]) == 1
+    assert backlog.first_attempt([0, 1]) == 3
+    backlog.tried([0, 1], 3)
+    assert backlog.first_attempt([0]) == backlog.first_attempt([1]) == 4
+    assert backlog.first_attempt([2]) == 1
