@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from shift3d.config.catalogue import Catalogue, SceneEntry
+from shift3d.config.catalogue import Catalogue
 from shift3d.config.schema import Config
 from shift3d.render.called_for import NEEDS, Choice, DetectorFacts, choose
-from shift3d.scenes.facts import EffectSettings
+from shift3d.scenes.facts import EffectSettings, SceneFacts
+
+if TYPE_CHECKING:
+    from shift3d.render.object_field import VehicleFrame
 
 __all__ = ["EffectChoices", "EffectLine", "effect_table"]
 
@@ -29,35 +33,53 @@ class EffectLine:
 
 @dataclass
 class EffectChoices:
-    """Remembers what was decided: a scene is asked once for all tasks that attack one vehicle in it."""
+    """Remembers what was decided: scenes that are alike, but for their names, are asked once for a vehicle."""
 
-    _names: dict[tuple[str, ...], tuple[str, ...]] = field(default_factory=dict)
     _lines: dict[tuple[str, bool], tuple[Choice, dict[str, None]]] = field(default_factory=dict)
+    _alike: dict[int, tuple[Catalogue, list[int], list[SceneFacts]]] = field(default_factory=dict)
 
-    def of(self, config: Config, catalogue: Catalogue, vehicle: str) -> Callable[[SceneEntry], tuple[str, ...]]:
-        """Scene to names of the effects of its tasks, in the order of the physics.
+    def of(self, config: Config, catalogue: Catalogue, vehicle: str, scenes: Sequence[int]) -> list[tuple[str, ...]]:
+        """The names of the effects of tasks that attack a vehicle, in the order of the physics.
 
-        The function raises InputError where an effect is forced that the scene has no data for.
+        Args:
+            scenes: positions in the catalogue.
+
+        Raises:
+            InputError: an effect is forced that a scene has no data for.
         """
-        effects, said = config.effects, EffectSettings(**config.effects.said())
+        said = EffectSettings(**config.effects.said())
         frame, detector = catalogue.frame_of(vehicle), DetectorFacts(config.detector.name)
-        key = (vehicle, detector.name, repr(effects.use), repr(said))
+        kind, facts = self._kinds(catalogue)
+        found: dict[int, tuple[tuple[str, ...], list[dict[str, None]]]] = {}
+        names = []
+        for at in scenes:
+            if kind[at] not in found:
+                choices = _choices(config, facts[kind[at]].described(said), frame, detector)
+                lines = [self._lines.setdefault((c.effect, c.used), (c, {}))[1] for c in choices.values()]
+                used = tuple(effect for effect in NEEDS if effect in choices and choices[effect].used)
+                found[kind[at]] = used, lines
+            effects, lines = found[kind[at]]
+            names.append(effects)
+            for line in lines:
+                line[catalogue.scenes[at].name] = None
+        return names
 
-        def names_for(entry: SceneEntry) -> tuple[str, ...]:
-            if (known := self._names.get((entry.content_hash, *key))) is not None:
-                return known
-            facts = entry.facts.described(said)
-            choices = (
-                {choice.effect: choice for choice in choose("auto", facts, frame, detector)} if effects.auto else {}
-            )
-            choices |= {choice.effect: choice for choice in choose(effects.forced(), facts, frame, detector)}
-            for choice in choices.values():
-                _, scenes = self._lines.setdefault((choice.effect, choice.used), (choice, {}))
-                scenes[entry.name] = None
-            names = tuple(effect for effect in NEEDS if effect in choices and choices[effect].used)
-            return self._names.setdefault((entry.content_hash, *key), names)
-
-        return names_for
+    def _kinds(self, catalogue: Catalogue) -> tuple[list[int], list[SceneFacts]]:
+        """Of each scene the number of its facts, its name apart, and the facts by number."""
+        if id(catalogue) not in self._alike:
+            numbers: dict[tuple[object, ...], int] = {}
+            facts: list[SceneFacts] = []
+            kind = []
+            for entry in catalogue.scenes:
+                values = tuple(value for name, value in vars(entry.facts).items() if name != "scene_id")
+                number = numbers.setdefault(values, len(numbers))
+                if number == len(facts):
+                    facts.append(entry.facts)
+                kind.append(number)
+            # The catalogue is kept: no other one has its identity while it lives.
+            self._alike[id(catalogue)] = (catalogue, kind, facts)
+        _, kind, facts = self._alike[id(catalogue)]
+        return kind, facts
 
     def lines(self) -> tuple[EffectLine, ...]:
         """What was decided, by effect in the order of the physics."""
@@ -68,6 +90,13 @@ class EffectChoices:
                 self._lines.items(), key=lambda item: (order[item[0][0]], not item[0][1])
             )
         )
+
+
+def _choices(config: Config, facts: SceneFacts, frame: VehicleFrame, detector: DetectorFacts) -> dict[str, Choice]:
+    """What is decided about each effect for a scene: what it calls for where that is asked, and what is forced."""
+    found = choose("auto", facts, frame, detector) if config.effects.auto else []
+    found += choose(config.effects.forced(), facts, frame, detector)
+    return {choice.effect: choice for choice in found}
 
 
 def effect_table(lines: tuple[EffectLine, ...], scenes: int) -> str:

@@ -10,38 +10,17 @@ import platform
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 import yaml  # type: ignore[import-untyped]
 
 import shift3d
 from shift3d.errors import InputError
 from shift3d.store.atomic import put_if_absent, write_atomic
 from shift3d.store.schemas import SCHEMA_VERSION
-from shift3d.sweep.plan import Plan, PlannedTask
-from shift3d.sweep.tasks_builder import tasks_of
-from shift3d.task.spec import AssetsSpec, TaskSpec
+from shift3d.sweep.plan import Plan
+from shift3d.sweep.plan_file import plan_bytes, read_tasks
+from shift3d.task.spec import AssetsSpec
 
 __all__ = ["default_folder", "open_folder", "read_plan", "read_spec"]
-
-_PLAN_SCHEMA = pa.schema(
-    [
-        ("position", pa.int64()),
-        ("task_id", pa.string()),
-        ("vehicle", pa.string()),
-        ("scene", pa.string()),
-        ("dataset", pa.string()),
-        ("mode", pa.string()),
-        ("lambda", pa.float64()),
-        ("alpha", pa.float64()),
-        ("detector", pa.string()),
-        ("accuracy", pa.string()),
-        ("effects", pa.list_(pa.string())),
-        ("effects_asked", pa.list_(pa.string())),
-        ("assets", pa.int32()),
-        ("spec", pa.string()),
-    ],
-    metadata={"shift3d.schema": "plan", "shift3d.schema_version": str(SCHEMA_VERSION)},
-)
 
 _LIBRARIES = ("numpy", "torch", "trimesh", "embreex", "scipy", "pyarrow", "ray", "hydra-core", "pydantic")
 
@@ -74,7 +53,7 @@ def open_folder(folder: Path, plan: Plan) -> None:
         )
     if not spec_path.exists():
         # spec.yaml last: a folder that has it has all three.
-        write_atomic(folder / "plan.parquet", _plan_bytes(plan))
+        write_atomic(folder / "plan.parquet", plan_bytes(plan.tasks))
         write_atomic(folder / "env.json", json.dumps(_environment(), indent=1, sort_keys=True).encode() + b"\n")
         if not put_if_absent(spec_path, _spec_bytes(plan)):
             open_folder(folder, plan)  # another driver was quicker: it must be of the same plan
@@ -122,27 +101,6 @@ def _spec_bytes(plan: Plan) -> bytes:
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
     return {key: dict(value) if hasattr(value, "items") else value for key, value in values.items()}
-
-
-def _plan_bytes(plan: Plan) -> bytes:
-    import pyarrow.parquet as pq
-
-    specs = [task.spec for task in plan.tasks]
-    columns: dict[str, list[Any]] = {
-        "position": list(range(len(specs))),
-        "assets": [task.assets for task in plan.tasks],
-        "spec": [spec.canonical_json() for spec in specs],
-        "effects": [list(spec.effects) for spec in specs],
-        "effects_asked": [list(task.effects_asked) for task in plan.tasks],
-        "lambda": [spec.lambda_ for spec in specs],
-    }
-    for field in _PLAN_SCHEMA.names:
-        columns.setdefault(field, [getattr(spec, field, None) for spec in specs])
-    table = pa.table({name: columns[name] for name in _PLAN_SCHEMA.names}, schema=_PLAN_SCHEMA)
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd")
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
 
 
 def _environment() -> dict[str, Any]:
@@ -196,20 +154,13 @@ def read_plan(folder: Path) -> Plan:
     Raises:
         InputError: the folder is not a sweep's, or a file in it is damaged.
     """
-    import pyarrow.parquet as pq
-
     spec = read_spec(folder)
     path = folder / "plan.parquet"
     try:
-        table = pq.read_table(path, columns=["spec", "assets", "effects_asked"])
-        specs = [TaskSpec.from_dict(json.loads(text)) for text in table["spec"].to_pylist()]
-        asked = [tuple(names) for names in table["effects_asked"].to_pylist()]
-        assets = table["assets"].to_pylist()
-        if not all(type(index) is int for index in assets):
-            raise ValueError("an index of assets is missing")
-        tasks = tasks_of(map(PlannedTask, specs, assets, asked))
-    except (OSError, pa.ArrowException, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        content = path.read_bytes()
+    except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path), remedy="Restore it from a copy") from error
+    tasks = read_tasks(content, str(path))
     try:
         plan = Plan(
             sweep=spec["sweep"],
@@ -221,7 +172,7 @@ def read_plan(folder: Path) -> Plan:
         )
         # One number that depends on every task: what was changed in either file does not give it.
         complete = plan.spec_hash == spec["spec_hash"]
-        complete &= all(0 <= index < len(plan.assets) for index in tasks.assets.tolist())
+        complete &= bool(((tasks.assets >= 0) & (tasks.assets < len(plan.assets))).all())
     except (KeyError, ValueError, TypeError) as error:
         what = f"is not the spec of a sweep ({type(error).__name__}: {error})"
         raise InputError(what, where=str(folder / "spec.yaml"), remedy="Restore it from a copy") from error

@@ -6,22 +6,21 @@ import functools
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from shift3d.config import messages
-from shift3d.config.catalogue import Catalogue, SceneEntry
+from shift3d.config.catalogue import Catalogue
 from shift3d.config.compose import Composed
 from shift3d.config.expand import expand
-from shift3d.config.schema import Config, KittiConfig
+from shift3d.config.schema import Config
 from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.effects import EffectChoices, EffectLine
+from shift3d.sweep.layout import Layouts
 from shift3d.sweep.tasks import PlannedTask, TaskGroup, Tasks
 from shift3d.sweep.tasks_builder import TasksBuilder
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec, TransferScene
+from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
 
 __all__ = ["Plan", "PlannedTask", "TaskGroup", "Tasks", "make_plan"]
 
@@ -77,6 +76,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
     builder = TasksBuilder()
     first: Config | None = None
     decided = EffectChoices()
+    layouts = Layouts(builder, decided, where)
     for config in expand(composed):
         first = first or config
         key = _assets_key(config)
@@ -87,7 +87,8 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
                 assets.append(loaded)
             catalogues[key] = (catalogue, assets.index(loaded))
         catalogue, index = catalogues[key]
-        builder.add(*_tasks_of(config, catalogue, decided, builder, where), index, config.effects.label)
+        spec = _spec(config, catalogue, _vehicle_name(config, catalogue, where))
+        builder.add(*layouts.tasks_of(config, catalogue, spec), index, config.effects.label)
     tasks = builder.tasks()
     if not tasks or first is None:
         raise InputError("the sweep has no task", where=where, remedy="Give it at least one scene and one vehicle")
@@ -135,35 +136,6 @@ def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
     raise messages.choice_error("vehicle", name, names, where)
 
 
-def _tasks_of(
-    config: Config, catalogue: Catalogue, decided: EffectChoices, builder: TasksBuilder, where: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of each task of one combination of settings, a scene each: its ground and its place, as the builder numbers
-    them."""
-    vehicle = _vehicle_name(config, catalogue, where)
-    scenes = [(at, entry) for at, entry in enumerate(catalogue.scenes) if config.scene in (None, entry.name)]
-    if not scenes and config.scene is not None:
-        raise messages.choice_error("scene", config.scene, [e.name for e in catalogue.scenes], f"{where}, scene")
-    if not scenes:
-        of = config.scenes.root if isinstance(config.scenes, KittiConfig) else config.scenes.kind
-        raise InputError(f"the scene set {of} is empty", where=where, remedy="Check scenes.count and scenes.names")
-    effects_of, said = decided.of(config, catalogue, vehicle), config.effects.said()
-    transfers = _Transfers(config, catalogue, effects_of, where)
-    spec = _spec(config, catalogue, vehicle)
-    known: dict[tuple[str, tuple[str, ...], bool], int] = {}
-    ground, place = np.empty(len(scenes), dtype=np.int32), np.empty(len(scenes), dtype=np.int32)
-    for row, (at, entry) in enumerate(scenes):
-        others, effects = transfers.after(at), effects_of(entry)
-        key = (entry.dataset, effects, bool(effects) or any(other.effects for other in others))
-        if key not in known:
-            settings = said if key[2] else {}
-            own = replace(spec, dataset=entry.dataset, effects=effects, effect_settings=settings)
-            known[key] = builder.ground(own)
-        ground[row] = known[key]
-        place[row] = builder.place((entry.name, entry.content_hash, others))
-    return ground, place
-
-
 def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
     """What the tasks of one combination of settings have in common."""
     attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})
@@ -191,31 +163,3 @@ def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
         scored_by=tuple(catalogue.detectors),
         detector_hashes=catalogue.detectors,
     )
-
-
-class _Transfers:
-    """The scenes that shapes are put into: those after a task's own in the set, the first one after the last. Tasks
-    that follow each other share all of theirs but one, and a worker has these loaded.
-
-    Raises:
-        InputError: more of them are asked for than there are other scenes.
-    """
-
-    def __init__(
-        self,
-        config: Config,
-        catalogue: Catalogue,
-        effects_of: Callable[[SceneEntry], tuple[str, ...]],
-        where: str,
-    ) -> None:
-        self._count = config.attack.transfer_scenes if config.mode == "shape" else 0
-        self._scenes, self._effects_of = catalogue.scenes, effects_of
-        if self._count and self._count >= len(self._scenes):
-            what = f"attack.transfer_scenes is {self._count}, and the set has {len(self._scenes) - 1} other scenes"
-            remedy = f"Give scenes.count={self._count + 1} or more, or fewer of them"
-            raise InputError(what, where=where, remedy=remedy)
-
-    def after(self, own: int) -> tuple[TransferScene, ...]:
-        """Those of the scene at one position of the set."""
-        others = (self._scenes[(own + step) % len(self._scenes)] for step in range(1, self._count + 1))
-        return tuple(TransferScene(other.name, other.content_hash, self._effects_of(other)) for other in others)

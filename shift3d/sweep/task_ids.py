@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from shift3d.task.spec import TaskSpec, TransferScene
 
-__all__ = ["Place", "at_place", "ground_of", "place_json", "read_place", "task_ids"]
+__all__ = ["Place", "at_place", "ground_json", "ground_of", "place_json", "read_ground", "read_place", "task_ids"]
 
 Place = tuple[str, str, tuple[TransferScene, ...]]
 """A scene, the hash of its content, and the scenes of transfers."""
@@ -41,6 +41,16 @@ def at_place(ground: TaskSpec, place: Place, task_id: str | None = None) -> Task
     if task_id is not None:
         vars(spec)["task_id"] = task_id  # where functools.cached_property looks for it
     return spec
+
+
+def ground_json(ground: TaskSpec) -> str:
+    """The one spelling of a ground: its canonical JSON without the place."""
+    return _json({name: value for name, value in ground.to_dict().items() if name not in _VARYING})
+
+
+def read_ground(text: str) -> TaskSpec:
+    """The inverse of :func:`ground_json`. Raises ValueError, KeyError or TypeError for another text or version."""
+    return TaskSpec.from_dict({**json.loads(text), "scene": "", "scene_hash": ""})
 
 
 def place_json(place: Place) -> str:

@@ -64,14 +64,14 @@ def test_settings_of_effects_as_an_axis_and_a_task_that_two_of_them_share() -> N
     assert asked["south", ()] == ("none",) and asked["south", ("rain", "range_noise")] == ("auto", "rain+range_noise")
 
 
-def test_a_scene_is_asked_once_a_vehicle() -> None:
+def test_scenes_are_asked_once_a_vehicle() -> None:
     asked: list[str] = []
 
     def counting(config: Config) -> Catalogue:
         return dataclasses.replace(one_foggy(config), frame_of=lambda name: asked.append(name))
 
     plan_of("attack.lambda=1,10", "attack.alpha=0.01,0.02", of=counting)
-    assert len(asked) == 4  # a combination of settings each, not a scene each
+    assert len(asked) == 1  # neither a scene each nor a combination of settings each
 
 
 def test_a_misspelt_effect_is_told_the_nearest_and_nothing_internal() -> None:
