@@ -12,6 +12,8 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
+    from shift3d.store.location import Location
+
 __all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
@@ -28,7 +30,7 @@ examples:
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", type=Path, help="output folder of a finished sweep")
+    parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
     parser.add_argument(
         "--times", metavar="FILE", type=Path, help='milliseconds from outputs/bench.json (make bench ARGS="-k effects")'
     )
@@ -36,7 +38,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--adopt", action="store_true", help="let effects=auto go by these numbers")
 
 
-def _tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+def _tables(folder: Location) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Scores and timings of a finished sweep."""
     from shift3d.store.tables import read_table
 
@@ -76,9 +78,10 @@ def _run(arguments: argparse.Namespace) -> int:
         write_effects_page,
         write_worth,
     )
+    from shift3d.store.location import as_location
     from shift3d.sweep.folder import read_plan
 
-    folder = arguments.out.expanduser()
+    folder = as_location(arguments.out)
     sweep = read_plan(folder).sweep
     scores, timings = _tables(folder)
     milliseconds = _measured(arguments.times) if arguments.times else effect_milliseconds(scores, timings)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, key_values
 from shift3d.errors import InputError
+
+if TYPE_CHECKING:
+    from shift3d.store.location import Location
 
 __all__ = ["COMMAND"]
 
@@ -28,7 +31,7 @@ scenes=kitti scenes.root=DIR/kitti, ground height included; its calibration is t
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", type=Path, help="output folder of a finished sweep")
+    parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
     parser.add_argument("words", nargs="*", metavar="key=value", help="task=ID method=M to=DIR [replicate=N]")
 
 
@@ -37,11 +40,13 @@ def _run(arguments: argparse.Namespace) -> int:
     replicate = values.get("replicate", "0")
     if not replicate.isdigit():
         raise InputError(f"replicate={replicate!r} is not a number", where="export", remedy="Give replicate=0")
+    from shift3d.store.location import as_location
     from shift3d.sweep.folder import read_plan
 
-    plan = read_plan(arguments.out)
-    task = _one_task(plan.tasks, values["task"], arguments.out)
-    row = _solution(arguments.out, task.spec.task_id, values["method"], int(replicate))
+    out = as_location(arguments.out)
+    plan = read_plan(out)
+    task = _one_task(plan.tasks, values["task"], out)
+    row = _solution(out, task.spec.task_id, values["method"], int(replicate))
     from shift3d.task.export import export_solution
     from shift3d.task.run import load_assets
 
@@ -51,7 +56,7 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _one_task(tasks: Any, prefix: str, out: Path) -> Any:
+def _one_task(tasks: Any, prefix: str, out: Location) -> Any:
     found = tasks.starting_with(prefix)
     if len(found) != 1:
         what = f"{len(found)} tasks have an id that begins with {prefix!r}"
@@ -59,7 +64,7 @@ def _one_task(tasks: Any, prefix: str, out: Path) -> Any:
     return found[0]
 
 
-def _solution(out: Path, task_id: str, method: str, replicate: int) -> dict[str, Any]:
+def _solution(out: Location, task_id: str, method: str, replicate: int) -> dict[str, Any]:
     """The solution's row: latent_code, the six columns of its pose, and its keys."""
     import pyarrow.compute as pc
 
@@ -67,7 +72,7 @@ def _solution(out: Path, task_id: str, method: str, replicate: int) -> dict[str,
     from shift3d.store.tables import read_table
 
     path = out / "final" / "solutions.parquet"
-    if not path.exists():
+    if not path.is_file():
         raise InputError("the sweep is not finished", where=str(out), remedy="Run its command again: it resumes")
     table = read_table(path, "solutions")
     rows = table.filter(pc.equal(table["task_id"], task_id)).to_pylist()

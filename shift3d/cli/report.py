@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from shift3d.cli.command import Command
 
@@ -23,7 +22,7 @@ Each hard case is rendered again, which takes some seconds. Run shift3d verify b
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", type=Path, help="output folder of a finished sweep")
+    parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
     parser.add_argument("--cases", metavar="N", type=_count, default=4, help="hard cases to show (default 4)")
 
 
@@ -39,8 +38,8 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.sweep.worker import one_thread
 
     one_thread()  # the same page on any machine
-    path = write_report(arguments.out.expanduser(), arguments.cases)
-    print(f"{path} written, {path.stat().st_size / 1e6:.1f} MB")
+    path = write_report(arguments.out, arguments.cases)
+    print(f"{path} written, {path.size() / 1e6:.1f} MB")
     return 0
 
 

@@ -6,7 +6,6 @@ import argparse
 import shlex
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from shift3d.config.schema import Config
+    from shift3d.store.location import Location
     from shift3d.sweep.drive import SweepResult
     from shift3d.sweep.kind import TaskKind
     from shift3d.sweep.plan import Plan
@@ -66,23 +66,32 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def split_words(words: list[str]) -> tuple[str, list[str], Path | None]:
-    """Words to (name, overrides, out)."""
+def split_words(words: list[str]) -> tuple[str, list[str], Location | None]:
+    """Words to (name, overrides, out).
+
+    Raises:
+        InputError: out= is a URL that cannot be used.
+    """
+    from shift3d.store.location import as_location
+
     name = "default"
     if words and "=" not in words[0] and not words[0].startswith(("+", "~")):
         name, words = words[0], words[1:]
     out = [word.removeprefix("out=") for word in words if word.startswith("out=")]
     rest = [word for word in words if not word.startswith("out=")]
-    return name, rest, Path(out[-1]).expanduser() if out else None
+    return name, rest, as_location(out[-1]) if out else None
 
 
 def _words_of_folder(words: list[str]) -> list[str]:
     """The words that a sweep was begun with where its output folder stands for them; words after it are added."""
-    folder = Path(words[0]).expanduser() if words else Path()
-    if not words or "=" in words[0] or not (folder / "spec.yaml").is_file():
+    if not words or "=" in words[0]:
         return words
+    from shift3d.store.location import as_location
     from shift3d.sweep.folder import read_spec
 
+    folder = as_location(words[0])
+    if not (folder / "spec.yaml").is_file():
+        return words
     spec = read_spec(folder)
     changed = {word.partition("=")[0] for word in words[1:]}
     kept = [word for word in spec["overrides"] if word.partition("=")[0] not in changed]
@@ -143,7 +152,7 @@ def _status(words: list[str]) -> int:
 
     if len(words) != 1:
         raise InputError("which sweep?", where="sweep status", remedy="shift3d sweep status outputs/NAME-HASH")
-    print(status_lines(read_status(Path(words[0].removeprefix("out=")).expanduser())))
+    print(status_lines(read_status(words[0].removeprefix("out="))))
     return 0
 
 
@@ -165,7 +174,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> None:
     _mirror(plan, config, result)
 
 
-def _show_effects(plan: Plan, folder: Path, frames: Mapping[str, pd.DataFrame]) -> None:
+def _show_effects(plan: Plan, folder: Location, frames: Mapping[str, pd.DataFrame]) -> None:
     """What effects are worth, where the sweep ran the same tasks with them and without."""
     variants = {asked for group in plan.tasks.groups() for asked in group.effects_asked}
     if "none" not in variants or len(variants) == 1:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
@@ -34,18 +33,19 @@ A solution takes about as long as twenty steps of its attack, more than half of 
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", type=Path, help="output folder of a finished sweep")
+    parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
     parser.add_argument("words", nargs="*", metavar="runner=...", help="where it runs: settings of conf/runner")
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.report.numerics import diagnostics
     from shift3d.report.stability import stability_lines, write_stability_page
+    from shift3d.store.location import as_location
     from shift3d.sweep.verification import verification_plan, verify_sweep
     from shift3d.sweep.worker import one_thread
 
     one_thread()
-    folder = arguments.out.expanduser()
+    folder = as_location(arguments.out)
     runner = _runner(arguments.words)
     plan = verification_plan(folder)
     print(f"verifying {len(plan.tasks)} tasks of {folder}", flush=True)

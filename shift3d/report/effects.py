@@ -20,6 +20,7 @@ from shift3d.report.page import html_image, html_table, page
 from shift3d.report.resampling import Interval, mean_interval
 from shift3d.report.tables import aligned
 from shift3d.store.atomic import write_atomic
+from shift3d.store.location import Location, Place, as_location
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -180,7 +181,7 @@ def effects_figure(worths: list[EffectWorth]) -> Figure:
     return figure
 
 
-def write_effects_page(path: Path, sweep: str, worths: list[EffectWorth]) -> Path:
+def write_effects_page(path: Place, sweep: str, worths: list[EffectWorth]) -> Location:
     """The page: figure, table, what the columns mean. Written whole or not at all; returns its path."""
     kinds = ["preset" if worth.worth.matters else "dominated" for worth in worths]
     meanings = "".join(f"<dt>{html.escape(word)}</dt><dd>{html.escape(text)}</dd>" for word, text in _MEANINGS)
@@ -192,8 +193,9 @@ def write_effects_page(path: Path, sweep: str, worths: list[EffectWorth]) -> Pat
         html_table(_HEADER, _cells(worths), kinds),
         f"<dl>{meanings}</dl>",
     ]
-    write_atomic(path, page("What effects are worth", body).encode())
-    return path
+    location = as_location(path)
+    location.write_atomic(page("What effects are worth", body).encode())
+    return location
 
 
 def write_worth(path: Path, sweep: str, worths: list[EffectWorth]) -> Path:

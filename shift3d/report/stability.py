@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from shift3d.report.numerics import diagnostics
 from shift3d.report.page import html_image, html_table, page
 from shift3d.report.tables import aligned
-from shift3d.store.atomic import write_atomic
+from shift3d.store.location import Location, Place, as_location
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,7 +76,7 @@ def _unstable_line(row: dict[str, object]) -> str:
     )
 
 
-def write_stability_page(path: Path, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Path:
+def write_stability_page(path: Place, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
     """Write the page of one sweep's stability: self-contained, the same tables to the same bytes.
 
     Raises:
@@ -100,8 +99,9 @@ def write_stability_page(path: Path, sweep: str, scores: pd.DataFrame, verificat
         "<h2>What the numbers mean</h2>",
         f"<dl>{meanings}</dl>",
     ]
-    write_atomic(path, page(f"Stability of {sweep}", body).encode())
-    return path
+    location = as_location(path)
+    location.write_atomic(page(f"Stability of {sweep}", body).encode())
+    return location
 
 
 def stability_figure(verification: pd.DataFrame) -> Figure:

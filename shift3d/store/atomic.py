@@ -5,14 +5,24 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
+import secrets
+import socket
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["put_if_absent", "remove_leftovers", "write_atomic"]
+__all__ = ["UncertainError", "leftovers", "put_if_absent", "remove_leftovers", "write_atomic"]
 
 _TEMPORARY = ".tmp-"
+# .tmp-<process>-<machine><one use>-<final name>; earlier programs left the middle part out.
+_OWNER = re.compile(r"\.tmp-(\d+)-(?:([0-9a-f]{8})[0-9a-f]{8}-)?")
+
+
+class UncertainError(InputError):
+    """A file was to be created, and nobody can say whether it was: what it names must not be removed."""
 
 
 def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
@@ -25,7 +35,7 @@ def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
     Raises:
         InputError: the disk is full or not writable; nothing is left under either name.
     """
-    temporary = path.with_name(f"{_TEMPORARY}{os.getpid()}-{path.name}")
+    temporary = _temporary(path)
     with _clear_disk_errors(path), _removed_on_failure(temporary):
         path.parent.mkdir(parents=True, exist_ok=True)
         _fill(temporary, write)
@@ -34,14 +44,16 @@ def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
 
 
 def put_if_absent(path: Path, content: bytes) -> bool:
-    """Create ``path`` with ``content`` in one step, unless it exists. True when this call created it.
+    """Create ``path`` with ``content`` in one step, unless it exists. True where its content is now the given one.
 
-    A hard link from a complete temporary file: unlike O_EXCL, a kill cannot leave a torn file under the name.
+    A hard link from a complete temporary file: unlike O_EXCL, a kill cannot leave a torn file under the name. On a
+    network's file system the answer may get lost after the link was made, so what is there is compared.
 
     Raises:
         InputError: the disk is full or not writable; nothing is left under either name.
+        UncertainError: the folder cannot be flushed, so the file may or may not be there after a power cut.
     """
-    temporary = path.with_name(f"{_TEMPORARY}{os.getpid()}-{path.name}")
+    temporary = _temporary(path)
     with _clear_disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -49,21 +61,42 @@ def put_if_absent(path: Path, content: bytes) -> bool:
             try:
                 os.link(temporary, path)
             except FileExistsError:
-                return False
-            _flush_folder(path.parent)
+                return path.read_bytes() == content
+            try:
+                _flush_folder(path.parent)
+            except OSError as error:
+                what = f"cannot be flushed to the disk ({error.strerror})"
+                raise UncertainError(what, str(path), "Check the disk and run the same command again") from error
             return True
         finally:
             temporary.unlink(missing_ok=True)
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Remove temporary files that killed processes of this machine left in ``folder``."""
+def leftovers(folder: Path) -> list[Path]:
+    """Temporary files that killed processes of this machine left in ``folder``."""
     if not folder.is_dir():
-        return
+        return []
+    found = []
     for entry in folder.glob(f"{_TEMPORARY}*"):
-        owner = entry.name.removeprefix(_TEMPORARY).split("-", 1)[0]
-        if owner.isdigit() and not Path(f"/proc/{owner}").exists():
-            entry.unlink(missing_ok=True)
+        owner = _OWNER.match(entry.name)
+        if owner and owner[2] in (None, _machine()) and not Path(f"/proc/{owner[1]}").exists():
+            found.append(entry)
+    return found
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove `leftovers`."""
+    for entry in leftovers(folder):
+        entry.unlink(missing_ok=True)
+
+
+def _temporary(path: Path) -> Path:
+    """A name that no other thread, process or machine uses."""
+    return path.with_name(f"{_TEMPORARY}{os.getpid()}-{_machine()}{secrets.token_hex(4)}-{path.name}")
+
+
+def _machine() -> str:
+    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
 
 
 def _fill(path: Path, write: bytes | Callable[[Path], None]) -> None:

@@ -11,14 +11,15 @@ from __future__ import annotations
 import json
 import os
 import secrets
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import PurePath
 from typing import Any
 
 import pyarrow as pa
 
 from shift3d.errors import InputError
-from shift3d.store.atomic import put_if_absent, remove_leftovers
+from shift3d.store.location import Location, Place, UncertainError, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SEGMENTS
 from shift3d.store.tables import write_table
 
@@ -48,20 +49,22 @@ class Commit:
     rows: tuple[tuple[str, int], ...] = ()
 
 
-def read_log(folder: Path) -> list[Commit]:
+def read_log(folder: Place) -> list[Commit]:
     """Every entry in order.
 
     Raises:
         InputError: an entry is missing, torn, or of another schema version.
     """
-    names = sorted(entry.name for entry in (folder / "_log").glob("*.json") if entry.name[0].isdigit())
-    return [_read_entry(folder / "_log" / name, sequence) for sequence, name in enumerate(names)]
+    log = as_location(folder) / "_log"
+    names = [name for name in log.names() if name.endswith(".json") and name[0].isdigit()]
+    return log.each(lambda item: _read_entry(log, *item), list(enumerate(names)))
 
 
-def _read_entry(path: Path, sequence: int) -> Commit:
+def _read_entry(log: Location, sequence: int, name: str) -> Commit:
     remedy = "Restore the file from a copy, or remove the output folder and run the sweep again"
-    if path.name != f"{sequence:08d}.json":
-        raise InputError(f"entry {sequence:08d}.json is missing", where=str(path.parent), remedy=remedy)
+    path = log / name
+    if name != _entry_name(sequence):
+        raise InputError(f"entry {_entry_name(sequence)} is missing", where=str(log), remedy=remedy)
     try:
         values = json.loads(path.read_bytes())
         version = values["schema_version"]
@@ -76,6 +79,10 @@ def _read_entry(path: Path, sequence: int) -> Commit:
     )
 
 
+def _entry_name(sequence: int) -> str:
+    return f"{sequence:08d}.json"
+
+
 def _commit(values: dict[str, Any], sequence: int) -> Commit:
     """An entry of this version. Raises ValueError where a value cannot be what a driver writes."""
     segments, rows = values["segments"], values["rows"]
@@ -87,7 +94,7 @@ def _commit(values: dict[str, Any], sequence: int) -> Commit:
         or not (segments.keys() == rows.keys() <= set(SEGMENTS))
         or not all(type(count) is int and count >= 0 for count in rows.values())
         # A segment lies in data/: an entry names no file elsewhere.
-        or any(Path(file).name != file for file in segments.values())
+        or any(PurePath(file).name != file for file in segments.values())
     )
     if wrong:
         raise ValueError("not what a driver writes")
@@ -110,22 +117,31 @@ class CommitLog:
         folder: the sweep's output folder.
         spec_hash: what the sweep is; kept in every entry.
 
+    Attributes:
+        entries: all of them, in order.
+
     Raises:
         InputError: the log cannot be read or written, or is another sweep's.
     """
 
-    def __init__(self, folder: Path, spec_hash: str) -> None:
-        self.folder = folder
+    def __init__(self, folder: Place, spec_hash: str) -> None:
+        self.folder = as_location(folder)
         self.spec_hash = spec_hash
         self.driver = f"{os.getpid()}-{secrets.token_hex(4)}"
+        self.entries: list[Commit] = []
+        self._done: set[str] = set()
+        self._given_up: set[str] = set()
         for part in ("_log", "data", "final"):
-            remove_leftovers(folder / part)
-        self.entries = read_log(folder)
+            for left in (self.folder / part).leftovers():
+                left.delete()
+        for entry in read_log(self.folder):
+            self._take(entry)
+        (self.folder / "_log").check_writable()
         for entry in self.entries:
             if entry.spec_hash != spec_hash:
                 what = f"entry {entry.sequence:08d}.json is of another sweep ({entry.spec_hash[:40]!r})"
                 raise InputError(
-                    what, where=str(folder / "_log"), remedy="Restore it from a copy, or use another folder"
+                    what, where=str(self.folder / "_log"), remedy="Restore it from a copy, or use another folder"
                 )
         self._append("session", (), (), {})
 
@@ -157,6 +173,7 @@ class CommitLog:
         segments: dict[str, tuple[str, int]],
     ) -> Commit:
         sequence = len(self.entries)
+        name = _entry_name(sequence)
         values: dict[str, Any] = {
             "schema_version": SCHEMA_VERSION,
             "kind": kind,
@@ -167,10 +184,12 @@ class CommitLog:
             "segments": {name: file for name, (file, _) in segments.items()},
             "rows": {name: rows for name, (_, rows) in segments.items()},
         }
-        path = self.folder / "_log" / f"{sequence:08d}.json"
+        path = self.folder / "_log" / name
         try:
-            created = put_if_absent(path, json.dumps(values, indent=1).encode() + b"\n")
-        except BaseException:
+            created = path.put_if_absent(json.dumps(values, indent=1).encode() + b"\n")
+        except UncertainError:
+            raise  # the entry may be there: its segments must stay
+        except InputError:
             self._discard(segments)
             raise
         if not created:
@@ -180,23 +199,32 @@ class CommitLog:
                 where=str(self.folder),
                 remedy="Let it finish, or stop it and run the same command again: it resumes",
             )
-        self.entries.append(_read_entry(path, sequence))
+        self._take(_commit(values, sequence))
         return self.entries[-1]
+
+    def _take(self, entry: Commit) -> None:
+        self.entries.append(entry)
+        self._done.update(entry.done)
+        self._given_up.update(entry.quarantined)
 
     def _discard(self, segments: dict[str, tuple[str, int]]) -> None:
         for file_name, _ in segments.values():
-            (self.folder / "data" / file_name).unlink(missing_ok=True)
+            (self.folder / "data" / file_name).delete()
 
-    def done(self) -> set[str]:
-        """Ids of the tasks whose results are committed."""
-        return {task_id for entry in self.entries for task_id in entry.done}
+    def done(self) -> AbstractSet[str]:
+        """Ids of the tasks whose results are committed, up to date for as long as the log is open."""
+        return self._done
 
     def quarantined(self) -> set[str]:
         """Ids of the tasks that were given up on and have not succeeded since."""
-        return {task_id for entry in self.entries for task_id in entry.quarantined} - self.done()
+        return self._given_up - self._done
+
+    def finished(self) -> set[str]:
+        """Ids of the tasks that are not to be run again: those that are done, and those that were given up on."""
+        return self._done | self._given_up
 
 
-def _driver_of(path: Path) -> str:
+def _driver_of(path: Location) -> str:
     try:
         return f"driver {json.loads(path.read_bytes())['driver']}"
     except (OSError, ValueError, KeyError):

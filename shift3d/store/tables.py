@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,10 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
-from shift3d.store.atomic import write_atomic
+from shift3d.store.location import LocalLocation, Location, Place, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 
-__all__ = ["check_table", "read_table", "table_from_rows", "write_table"]
+__all__ = ["check_table", "read_table", "table_bytes", "table_from_rows", "write_table"]
 
 _ROW_GROUP = 65_536
 _RESTORE = "Restore it from a copy, or remove the output folder and run the sweep again"
@@ -56,32 +55,41 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def write_table(path: Path, table: pa.Table) -> None:
+def write_table(path: Place, table: pa.Table) -> None:
     """Write a Parquet file atomically. The same table content gives the same bytes.
 
     Raises:
         InputError: the disk is full or not writable.
     """
-
-    def write(temporary: Path) -> None:
-        # One chunk, fixed row groups and no threads' choice in them: bytes follow from the content alone.
-        # With checksums: a flipped bit in compressed numbers would else be read as other numbers.
-        options = {"compression": "zstd", "row_group_size": _ROW_GROUP, "write_page_checksum": True}
-        pq.write_table(table.combine_chunks(), temporary, **options)
-
-    write_atomic(path, write)
+    as_location(path).write_atomic(table_bytes(table))
 
 
-def read_table(path: Path, name: str, filters: list[tuple[str, str, Any]] | None = None) -> pa.Table:
+def table_bytes(table: pa.Table) -> bytes:
+    """The Parquet file of a table: its bytes follow from the table's content alone."""
+    sink = pa.BufferOutputStream()
+    # One chunk, fixed row groups and no threads' choice in them.
+    # With checksums: a flipped bit in compressed numbers would else be read as other numbers.
+    options = {"compression": "zstd", "row_group_size": _ROW_GROUP, "write_page_checksum": True}
+    pq.write_table(table.combine_chunks(), sink, **options)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def read_table(
+    path: Place, name: str, filters: list[tuple[str, str, Any]] | None = None, content: bytes | None = None
+) -> pa.Table:
     """Read a Parquet file and check that it holds the schema ``name`` of this version.
 
-    filters: (column, operator, value) that rows must satisfy, as pyarrow has them.
+    filters: (column, operator, value) that rows must satisfy, as pyarrow has them. content: the file's bytes, where
+    the caller has them.
 
     Raises:
         InputError: the file is missing, torn, or of another schema or version.
     """
+    location = as_location(path)
     try:
-        table = pq.read_table(path, partitioning=None, filters=filters, page_checksum_verification=True)
+        source = _source(location, content)
+        table = pq.read_table(source, partitioning=None, filters=filters, page_checksum_verification=True)
         table = table.select(table.column_names)  # a damaged name may be no text
     except (OSError, pa.ArrowException, ValueError, KeyError) as error:  # a damaged header has many ways to fail
         raise InputError(
@@ -101,7 +109,13 @@ def read_table(path: Path, name: str, filters: list[tuple[str, str, Any]] | None
     return table
 
 
-def check_table(table: pa.Table, schema: pa.Schema, path: Path) -> None:
+def _source(location: Location, content: bytes | None) -> Any:
+    if content is None and isinstance(location, LocalLocation):
+        return location.path
+    return pa.BufferReader(location.read_bytes() if content is None else content)
+
+
+def check_table(table: pa.Table, schema: pa.Schema, path: Place) -> None:
     """Refuse a table that has not a schema's columns and types, or lacks values, or holds NaN or infinity.
 
     Raises:

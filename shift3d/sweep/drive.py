@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import FrameType
 
 import numpy as np
@@ -17,6 +16,7 @@ import pyarrow.compute as pc
 from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
 from shift3d.errors import InputError
 from shift3d.signals import stop_signals
+from shift3d.store.location import Location, Place, as_location
 from shift3d.store.log import Commit, CommitLog, TakenOverError
 from shift3d.sweep.abort import AbortRule
 from shift3d.sweep.commit import Committer
@@ -32,7 +32,7 @@ from shift3d.sweep.worker import BatchOutcome
 __all__ = ["SweepResult", "run_sweep"]
 
 RunnerConfig = RayRunnerConfig | LocalRunnerConfig
-Finish = Callable[[Path, Plan, Sequence[Commit]], FinalTables]
+Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class SweepResult:
     final: None where it was interrupted. seconds: of this driver, planning excluded.
     """
 
-    folder: Path
+    folder: Location
     final: FinalTables | None
     done: int
     quarantined: int
@@ -59,7 +59,7 @@ def run_sweep(
     plan: Plan,
     runner_config: RunnerConfig,
     kind: TaskKind,
-    folder: Path,
+    folder: Place,
     finish: Finish = write_final,
     retry_quarantined: bool = False,
 ) -> SweepResult:
@@ -76,10 +76,11 @@ def run_sweep(
         AbortedError: too much failed to go on.
     """
     began = time.monotonic()
+    folder = as_location(folder)
     open_folder(folder, plan)
     log = CommitLog(folder, plan.spec_hash)
     given_up = log.quarantined() if retry_quarantined else set()
-    left = plan.tasks.without((log.done() | log.quarantined()) - given_up)
+    left = plan.tasks.without(log.finished() - given_up)
     if len(left):
         runner = make_runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up))
         try:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ import pyarrow.compute as pc
 
 from shift3d.errors import InputError
 from shift3d.evaluation.recall_curve import area_under, recall_curve
+from shift3d.store.location import Location, Place, as_location
 from shift3d.store.log import Commit
 from shift3d.store.schemas import GROUP_COLUMNS, SCHEMAS, SEGMENTS
 from shift3d.store.tables import read_table, table_from_rows, write_table
@@ -52,12 +52,13 @@ class FinalTables:
         return frame
 
 
-def write_final(folder: Path, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
+def write_final(folder: Place, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
     """Write every table of ``final/`` from the commit log.
 
     Raises:
         InputError: a segment is missing, torn or of another length than was committed; the disk is full.
     """
+    folder = as_location(folder)
     tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in _KEPT}
     if (verification := read_verification(folder)) is not None:
         tables["scores"] = with_verification(tables["scores"], verification)
@@ -91,30 +92,29 @@ def _by_effects_asked(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     return scored.assign(effects=plan.tasks.effects_asked_of(scored["task_id"])).explode("effects")
 
 
-def segments_in_plan_order(folder: Path, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
+def segments_in_plan_order(folder: Place, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
     """One segment table of everything committed, rows by the position of their task in the plan.
 
     Raises:
         InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """
-    return _in_plan_order(name, _segments(folder, entries, name), plan)
+    return _in_plan_order(name, _segments(as_location(folder) / "data", entries, name), plan)
 
 
-def _segments(folder: Path, entries: Sequence[Commit], name: str) -> pa.Table:
-    parts = [SCHEMAS[name].empty_table()]
-    for entry in entries:
-        file_name = dict(entry.segments).get(name)
-        if file_name is None:
-            continue
-        part = read_table(folder / "data" / file_name, name)
-        if part.num_rows != dict(entry.rows)[name]:
-            raise InputError(
-                f"has {part.num_rows} rows, {dict(entry.rows)[name]} were committed",
-                where=str(folder / "data" / file_name),
-                remedy="Restore it from a copy, or remove the output folder and run the sweep again",
-            )
-        parts.append(part)
-    return pa.concat_tables(parts)
+def _segments(data: Location, entries: Sequence[Commit], name: str) -> pa.Table:
+    files = [(dict(entry.segments)[name], dict(entry.rows)[name]) for entry in entries if name in dict(entry.segments)]
+    return pa.concat_tables([SCHEMAS[name].empty_table(), *data.each(lambda file: _segment(data, name, *file), files)])
+
+
+def _segment(data: Location, name: str, file_name: str, rows: int) -> pa.Table:
+    part = read_table(data / file_name, name)
+    if part.num_rows != rows:
+        raise InputError(
+            f"has {part.num_rows} rows, {rows} were committed",
+            where=str(data / file_name),
+            remedy="Restore it from a copy, or remove the output folder and run the sweep again",
+        )
+    return part
 
 
 def _in_plan_order(name: str, table: pa.Table, plan: Plan) -> pa.Table:

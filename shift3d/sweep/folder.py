@@ -7,14 +7,13 @@ import importlib.metadata
 import json
 import os
 import platform
-from pathlib import Path
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
 import shift3d
 from shift3d.errors import InputError
-from shift3d.store.atomic import put_if_absent, write_atomic
+from shift3d.store.location import Location, Place, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.plan import Plan
 from shift3d.sweep.plan_file import plan_bytes, read_tasks
@@ -25,19 +24,21 @@ __all__ = ["default_folder", "open_folder", "read_plan", "read_spec"]
 _LIBRARIES = ("numpy", "torch", "trimesh", "embreex", "scipy", "pyarrow", "ray", "hydra-core", "pydantic")
 
 
-def default_folder(plan: Plan) -> Path:
+def default_folder(plan: Plan) -> Location:
     """``outputs/<name>-<hash of the spec>`` in the working directory."""
-    return Path("outputs") / f"{plan.sweep}-{plan.spec_hash}"
+    return as_location("outputs") / f"{plan.sweep}-{plan.spec_hash}"
 
 
-def open_folder(folder: Path, plan: Plan) -> None:
+def open_folder(folder: Place, plan: Plan) -> None:
     """Create a sweep's folder, or check that an existing one is of the same plan.
 
     Raises:
         InputError: the folder holds another sweep or something else, or the disk is full. Nothing is changed.
     """
+    folder = as_location(folder)
     spec_path = folder / "spec.yaml"
-    if spec_path.exists():
+    begun = spec_path.is_file()
+    if begun:
         found = read_spec(folder)
         if found["spec_hash"] != plan.spec_hash:
             raise InputError(
@@ -45,23 +46,27 @@ def open_folder(folder: Path, plan: Plan) -> None:
                 where=str(folder),
                 remedy="Choose another folder with out=DIR, or give the settings that it was begun with",
             )
-    elif folder.exists() and (not folder.is_dir() or any(folder.glob("[!.]*"))) and not _only_ours(folder):
+    elif not _empty_or_begun(folder):
         raise InputError(
             "is not the output folder of a sweep, and not empty",
             where=str(folder),
             remedy="Choose another folder with out=DIR",
         )
-    if not spec_path.exists():
+    if not begun:
         # spec.yaml last: a folder that has it has all three.
-        write_atomic(folder / "plan.parquet", plan_bytes(plan.tasks))
-        write_atomic(folder / "env.json", json.dumps(_environment(), indent=1, sort_keys=True).encode() + b"\n")
-        if not put_if_absent(spec_path, _spec_bytes(plan)):
+        (folder / "plan.parquet").write_atomic(plan_bytes(plan.tasks))
+        environment = json.dumps(_environment(), indent=1, sort_keys=True)
+        (folder / "env.json").write_atomic(environment.encode() + b"\n")
+        if not spec_path.put_if_absent(_spec_bytes(plan)):
             open_folder(folder, plan)  # another driver was quicker: it must be of the same plan
 
 
-def _only_ours(folder: Path) -> bool:
-    """A folder whose first driver was killed between its first and its last immutable file."""
-    return folder.is_dir() and {p.name for p in folder.glob("[!.]*")} <= {"plan.parquet", "env.json"}
+def _empty_or_begun(folder: Location) -> bool:
+    """No folder yet, an empty one, or one whose driver was killed between its first and its last immutable file."""
+    try:
+        return not folder.is_file() and set(folder.names()) <= {"plan.parquet", "env.json"}
+    except NotADirectoryError:
+        return False
 
 
 def _difference(found: dict[str, Any], plan: Plan) -> str:
@@ -121,13 +126,13 @@ def _environment() -> dict[str, Any]:
     }
 
 
-def read_spec(folder: Path) -> dict[str, Any]:
+def read_spec(folder: Place) -> dict[str, Any]:
     """``spec.yaml`` of a sweep.
 
     Raises:
         InputError: there is none, it cannot be read, or it is of another schema version.
     """
-    path = folder / "spec.yaml"
+    path = as_location(folder) / "spec.yaml"
     try:
         values = yaml.safe_load(path.read_text())
         if values["schema_version"] == SCHEMA_VERSION:
@@ -148,12 +153,13 @@ def read_spec(folder: Path) -> dict[str, Any]:
     )
 
 
-def read_plan(folder: Path) -> Plan:
+def read_plan(folder: Place) -> Plan:
     """The plan of a sweep's folder, with every task's spec: what an export or a report starts from.
 
     Raises:
         InputError: the folder is not a sweep's, or a file in it is damaged.
     """
+    folder = as_location(folder)
     spec = read_spec(folder)
     path = folder / "plan.parquet"
     try:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from shift3d.errors import InputError
-from shift3d.store.atomic import write_atomic
+from shift3d.store.location import Location, Place, as_location
 from shift3d.store.log import CommitLog, read_log
 from shift3d.sweep.folder import read_spec
 from shift3d.sweep.running import Running
@@ -75,7 +75,7 @@ class Teller:
             "running_calls": len(running),
         }
         try:
-            write_atomic(self._log.folder / _FILE, json.dumps(values, indent=1).encode() + b"\n")
+            (self._log.folder / _FILE).write_atomic(json.dumps(values, indent=1).encode() + b"\n")
         except (InputError, OSError):
             return
 
@@ -101,12 +101,13 @@ class SweepStatus:
         return self.planned - self.done - self.quarantined
 
 
-def read_status(folder: Path) -> SweepStatus:
+def read_status(folder: Place) -> SweepStatus:
     """The status of the sweep in ``folder``.
 
     Raises:
         InputError: the folder is not a sweep's, or its log is damaged.
     """
+    folder = as_location(folder)
     spec = read_spec(folder)
     entries = read_log(folder)
     done = {task for entry in entries for task in entry.done}
@@ -116,7 +117,7 @@ def read_status(folder: Path) -> SweepStatus:
     return SweepStatus(spec["sweep"], int(spec["tasks"]), len(done), len(given_up), commits, driver, _said(folder))
 
 
-def _said(folder: Path) -> dict[str, Any] | None:
+def _said(folder: Location) -> dict[str, Any] | None:
     try:
         said = json.loads((folder / _FILE).read_bytes())
         numbers = [said[name] for name in ("written_unix_s", "per_s", "workers", "pid", "running_calls")]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pyarrow.compute as pc
 
 from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
 from shift3d.errors import InputError
+from shift3d.store.location import Location, Place, as_location
 from shift3d.store.log import Commit, read_log
 from shift3d.store.tables import read_table, write_table
 from shift3d.sweep.drive import SweepResult, run_sweep
@@ -31,7 +31,7 @@ def verification_kind() -> TaskKind:
     return TaskKind(run=verify_task, load=load_verify_assets, catalogue=read_catalogue, single=False)
 
 
-def verification_plan(folder: Path) -> Plan:
+def verification_plan(folder: Place) -> Plan:
     """The tasks of a finished sweep that have solutions, in its order.
 
     Tasks of one vehicle in one scene share their baseline, which a worker scores again once: in this order they lie
@@ -40,20 +40,21 @@ def verification_plan(folder: Path) -> Plan:
     Raises:
         InputError: the folder is not a sweep's, it has not finished, or nothing in it was scored.
     """
+    folder = as_location(folder)
     plan = read_plan(folder)
     path = folder / "final" / "solutions.parquet"
-    if not path.exists():
+    if not path.is_file():
         raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
     solved = pc.unique(read_table(path, "solutions")["task_id"])
     tasks = plan.tasks.select(np.flatnonzero(pc.is_in(plan.tasks.ids, value_set=solved).to_numpy(zero_copy_only=False)))
     if not len(tasks):
         raise InputError("no task has a solution", where=str(path), remedy="See status in final/scores.parquet")
-    results = str((folder / "final").resolve())
+    results = str((folder / "final").absolute())
     assets = tuple(dataclasses.replace(part, results=results) for part in plan.assets)
     return dataclasses.replace(plan, tasks=tasks, assets=assets)
 
 
-def verify_sweep(folder: Path, plan: Plan, runner: RayRunnerConfig | LocalRunnerConfig) -> SweepResult:
+def verify_sweep(folder: Place, plan: Plan, runner: RayRunnerConfig | LocalRunnerConfig) -> SweepResult:
     """Verify what is left of a finished sweep's solutions, and put the result into its final tables.
 
     Exactly once, resumable and to the same bytes, as a sweep. plan: of `verification_plan`.
@@ -62,7 +63,9 @@ def verify_sweep(folder: Path, plan: Plan, runner: RayRunnerConfig | LocalRunner
         InputError: as `run_sweep`.
     """
 
-    def finish(own: Path, verified: Plan, entries: Sequence[Commit]) -> FinalTables:
+    folder = as_location(folder)
+
+    def finish(own: Location, verified: Plan, entries: Sequence[Commit]) -> FinalTables:
         for name in ("verification", "timings", "attempts"):
             write_table(own / "final" / f"{name}.parquet", segments_in_plan_order(own, entries, name, verified))
         return write_final(folder, read_plan(folder), read_log(folder))

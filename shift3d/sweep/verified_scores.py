@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pyarrow as pa
 
+from shift3d.store.location import Place, as_location
 from shift3d.store.tables import read_table
 
 __all__ = ["FOLDER", "read_verification", "with_verification"]
@@ -16,14 +15,14 @@ _KEY = ["task_id", "scored_by", "method", "replicate"]
 _TAKEN = ("score_reference", "stable")
 
 
-def read_verification(folder: Path) -> pa.Table | None:
+def read_verification(folder: Place) -> pa.Table | None:
     """The finished verification of the sweep in ``folder``; None where there is none.
 
     Raises:
         InputError: it is damaged, or of another version.
     """
-    path = folder / FOLDER / "final" / "verification.parquet"
-    return read_table(path, "verification") if path.exists() else None
+    path = as_location(folder) / FOLDER / "final" / "verification.parquet"
+    return read_table(path, "verification") if path.is_file() else None
 
 
 def with_verification(scores: pa.Table, verification: pa.Table) -> pa.Table:

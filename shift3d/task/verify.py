@@ -12,13 +12,13 @@ robust: under every draw of noise and pose at least half of the margin is left. 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
 from shift3d.errors import InputError
+from shift3d.store.location import LocalLocation, Location, as_location
 from shift3d.store.tables import read_table
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.rescoring import Problems, Solution, Verified, verify_object
@@ -36,7 +36,8 @@ class VerifyAssets:
     """What a worker holds: the sweep's assets, and where its final tables lie."""
 
     assets: Assets
-    results: Path
+    results: Location
+    _far: dict[str, bytes] = field(default_factory=dict)
     _baselines: dict[tuple[Any, ...], Verified] = field(default_factory=dict)
 
     def solutions(self, spec: TaskSpec) -> list[Solution]:
@@ -65,7 +66,10 @@ class VerifyAssets:
         return found
 
     def _rows(self, name: str, task_id: str) -> list[Row]:
-        table = read_table(self.results / f"{name}.parquet", name, [("task_id", "==", task_id)])
+        path = self.results / f"{name}.parquet"
+        if not isinstance(path, LocalLocation) and name not in self._far:
+            self._far[name] = path.read_bytes()  # fetched once, not for every task
+        table = read_table(path, name, [("task_id", "==", task_id)], self._far.get(name))
         rows: list[Row] = table.to_pylist()
         return rows
 
@@ -97,7 +101,7 @@ def load_verify_assets(spec: AssetsSpec) -> VerifyAssets:
         InputError: as `load_assets`.
     """
     assert spec.results is not None
-    return VerifyAssets(load_assets(spec), Path(spec.results))
+    return VerifyAssets(load_assets(spec), as_location(spec.results))
 
 
 def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:

@@ -7,8 +7,9 @@ import logging
 import os
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from shift3d.store.location import Place, local_copy
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,6 +23,8 @@ _PATIENCE = {
     "MLFLOW_ENABLE_TELEMETRY": "false",
     "MLFLOW_DISABLE_TELEMETRY": "true",
 }
+
+_FILES = ("spec.yaml", "env.json", "plan.parquet")
 
 
 class SweepRecord:
@@ -39,7 +42,7 @@ class SweepRecord:
         self,
         sweep: str,
         spec_hash: str,
-        folder: Path,
+        folder: Place,
         settings: Mapping[str, Any],
         auc: pd.DataFrame,
         counts: Mapping[str, float],
@@ -87,9 +90,10 @@ def _write(record: SweepRecord, uri: str, experiment: str) -> None:
         params=[param for param in params if param.key not in known],
         tags=[RunTag("shift3d.folder", str(record.folder))],
     )
-    client.log_artifacts(run_id, str(record.folder / "final"), "final")
-    for name in ("spec.yaml", "env.json", "plan.parquet"):
-        client.log_artifact(run_id, str(record.folder / name))
+    with local_copy(record.folder, ("final", *_FILES)) as folder:
+        client.log_artifacts(run_id, str(folder / "final"), "final")
+        for name in _FILES:
+            client.log_artifact(run_id, str(folder / name))
     client.set_terminated(run_id, "FINISHED")
 
 

@@ -60,7 +60,7 @@ def a_log_entry_that_is_torn() -> None:
     why="with an entry gone the rest still reads as a log, of fewer tasks",
     must="an error that names the entry that is missing",
     guard="entries are numbered, and the numbers are counted",
-    edits=Edit(LOG, 'if path.name != f"{sequence:08d}.json":', "if False:"),
+    edits=Edit(LOG, "if name != _entry_name(sequence):", "if False:"),
 )
 def a_log_with_an_entry_missing() -> None:
     refused(lambda: finished(lambda folder: (folder / "_log" / "00000001.json").unlink()), "00000001.json is missing")
@@ -70,8 +70,11 @@ def a_log_with_an_entry_missing() -> None:
     area=AREA,
     why="a driver that was killed leaves a temporary file in the log",
     must="it counts for nothing, and the tables are whole",
-    guard="entries begin with a digit, temporary files with a dot",
-    edits=Edit(LOG, "if entry.name[0].isdigit()", "if entry.name"),
+    guard="entries begin with a digit, temporary files with a dot, and neither is listed without the other",
+    edits=(
+        Edit(LOG, "and name[0].isdigit()", ""),
+        Edit("shift3d.store.location", 'if not entry.name.startswith(".")', "if entry.name"),
+    ),
 )
 def a_file_that_a_killed_driver_left() -> None:
     def leave(folder: Path) -> None:
@@ -96,7 +99,7 @@ def a_log_entry_of_another_version() -> None:
     why="a segment of another length than was committed is another file under the same name",
     must="an error that names it and both lengths",
     guard="rows are counted against the log",
-    edits=Edit("shift3d.sweep.final", "if part.num_rows != dict(entry.rows)[name]:", "if part.num_rows < 0:"),
+    edits=Edit("shift3d.sweep.final", "if part.num_rows != rows:", "if part.num_rows < 0:"),
 )
 def a_segment_of_another_length_than_was_committed() -> None:
     def shorten(folder: Path) -> None:

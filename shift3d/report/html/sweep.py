@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.errors import InputError
+from shift3d.store.location import Location, Place, as_location
 from shift3d.store.schemas import GROUP_COLUMNS, SCHEMAS
 from shift3d.sweep.plan import Plan
 
@@ -95,7 +95,7 @@ class Variant:
         return [name for name in METHODS if name in found]
 
 
-def read_sweep(folder: Path) -> Sweep:
+def read_sweep(folder: Place) -> Sweep:
     """Everything that a report is made of.
 
     Raises:
@@ -104,6 +104,7 @@ def read_sweep(folder: Path) -> Sweep:
     from shift3d.store.tables import read_table
     from shift3d.sweep.folder import read_plan
 
+    folder = as_location(folder)
     plan, final = read_plan(folder), folder / "final"
     if not (final / "scores.parquet").is_file():
         raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
@@ -116,9 +117,9 @@ def read_sweep(folder: Path) -> Sweep:
     return Sweep(plan, _environment(folder / "env.json"), **tables, verification=verification)
 
 
-def _environment(path: Path) -> dict[str, Any]:
+def _environment(path: Location) -> dict[str, Any]:
     try:
-        values = json.loads(path.read_text())
+        values = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
         what = f"cannot be read ({type(error).__name__})"
         raise InputError(what, where=str(path), remedy="Restore it from a copy") from error

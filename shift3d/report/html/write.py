@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from shift3d.report.html.accuracy import accuracy
 from shift3d.report.html.areas import areas, in_short
 from shift3d.report.html.bev import bev, transfer_grid
@@ -19,7 +17,7 @@ from shift3d.report.html.overview import overview
 from shift3d.report.html.paths import paths
 from shift3d.report.html.stability import stability
 from shift3d.report.html.sweep import Sweep, read_sweep, variants
-from shift3d.store.atomic import write_atomic
+from shift3d.store.location import Location, Place, as_location
 
 __all__ = ["report_page", "write_report"]
 
@@ -50,12 +48,12 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     return document(f"shift3d: {sweep.plan.sweep}", lead, sections, plotly_library())
 
 
-def write_report(folder: Path, cases: int = 4) -> Path:
+def write_report(folder: Place, cases: int = 4) -> Location:
     """Write ``report.html`` into a finished sweep's folder, whole or not at all; returns its path.
 
     Raises:
         InputError: the folder is no finished sweep's, a table in it is damaged, or the disk is full.
     """
-    path = folder / "report.html"
-    write_atomic(path, report_page(read_sweep(folder), cases).encode())
+    path = as_location(folder) / "report.html"
+    path.write_atomic(report_page(read_sweep(folder), cases).encode())
     return path

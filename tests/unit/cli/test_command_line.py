@@ -5,7 +5,6 @@ from __future__ import annotations
 import resource
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -14,6 +13,7 @@ from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
 from shift3d.cli.sweep import split_words
 from shift3d.errors import InputError
+from shift3d.store.location import as_location
 
 
 def test_help_imports_nothing_heavy_and_is_quick() -> None:
@@ -66,7 +66,7 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_2(
 
 def test_words_of_a_sweep() -> None:
     assert split_words([]) == ("default", [], None)
-    assert split_words(["kitti", "scenes.root=a=b", "out=c d"]) == ("kitti", ["scenes.root=a=b"], Path("c d"))
+    assert split_words(["kitti", "scenes.root=a=b", "out=c d"]) == ("kitti", ["scenes.root=a=b"], as_location("c d"))
     assert split_words(["vehicle=suv"]) == ("default", ["vehicle=suv"], None)
     assert split_words(["+scenes.x=1"]) == ("default", ["+scenes.x=1"], None)
 

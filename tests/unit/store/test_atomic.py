@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import socket
+import zlib
 from pathlib import Path
 
 import pytest
 
-from shift3d.store.atomic import put_if_absent, remove_leftovers, write_atomic
+from shift3d.store import atomic
+from shift3d.store.atomic import UncertainError, put_if_absent, remove_leftovers, write_atomic
 
 
 def test_write_atomic_replaces_in_one_step(tmp_path: Path) -> None:
@@ -48,3 +52,24 @@ def test_leftovers_of_dead_processes_go_and_those_of_live_ones_stay(tmp_path: Pa
     remove_leftovers(tmp_path)
     assert not dead.exists() and alive.exists()
     remove_leftovers(tmp_path / "absent")
+
+
+def test_leftovers_of_other_machines_stay(tmp_path: Path) -> None:
+    here, elsewhere = tmp_path / ".tmp-4194400-{}00000000-scores", tmp_path / ".tmp-4194400-0000000100000000-scores"
+    here = here.with_name(here.name.format(f"{zlib.crc32(socket.gethostname().encode()):08x}"))
+    here.touch()
+    elsewhere.touch()
+    remove_leftovers(tmp_path)
+    assert [entry.name for entry in tmp_path.iterdir()] == [elsewhere.name]
+
+
+def test_a_folder_that_cannot_be_flushed_leaves_the_outcome_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(folder: Path) -> None:
+        raise OSError(errno.EIO, "I/O error")
+
+    monkeypatch.setattr(atomic, "_flush_folder", fails)
+    with pytest.raises(UncertainError, match="cannot be flushed"):
+        put_if_absent(tmp_path / "entry", b"content")
+    assert (tmp_path / "entry").read_bytes() == b"content"

@@ -1,0 +1,108 @@
+"""What a sweep's folder must do wherever it lies."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from pathlib import Path
+
+import pytest
+
+from shift3d.store.location import LocalLocation, Location, as_location, local_copy
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Location:
+    return as_location(tmp_path / "sweep")
+
+
+def test_names_join_and_compare(place: Location) -> None:
+    assert str(place / "final" / "a.parquet") == f"{place}/final/a.parquet"
+    assert (place / "final" / "a.parquet").name == "a.parquet"
+    assert place / "x" == as_location(str(place)) / "x"
+    assert as_location(place) is place
+
+
+def test_what_is_written_is_read(place: Location) -> None:
+    file = place / "data" / "file"
+    assert not file.is_file() and place.names() == [] and (place / "data").names() == []
+    for missing in (file.read_bytes, file.size):
+        with pytest.raises(FileNotFoundError):
+            missing()
+    file.write_atomic(b"old")
+    file.write_atomic(b"new")
+    (place / "top").write_atomic(b"")
+    assert (file.read_bytes(), file.size(), file.read_text(), file.is_file()) == (b"new", 3, "new", True)
+    assert place.names() == ["data", "top"] and (place / "data").names() == ["file"]
+    assert not (place / "data").is_file()
+    file.delete()
+    file.delete()
+    assert not file.is_file() and place.names().count("top") == 1
+
+
+def test_one_of_many_threads_creates_a_file(place: Location) -> None:
+    for number in range(5):
+        entry, start, won = place / f"{number}.json", threading.Barrier(8), []
+        racers = [threading.Thread(target=_race, args=(entry, b"%d" % racer, start, won)) for racer in range(8)]
+        for racer in racers:
+            racer.start()
+        for racer in racers:
+            racer.join()
+        assert won == [entry.read_bytes()]
+    assert len(place.names()) == 5
+
+
+def _race(entry: Location, name: bytes, start: threading.Barrier, won: list[bytes]) -> None:
+    start.wait()
+    if entry.put_if_absent(name):
+        won.append(name)
+
+
+def _create_all(place: Location, name: bytes, start: object) -> None:
+    start.wait()  # type: ignore[attr-defined]
+    won = [number for number in range(20) if (place / f"{number:02d}").put_if_absent(name)]
+    (place / f"won-{name.decode()}").write_atomic(repr(won).encode())
+
+
+def test_one_of_two_processes_creates_a_file(place: Location) -> None:
+    start = multiprocessing.get_context("spawn").Barrier(2)
+    racers = [
+        multiprocessing.get_context("spawn").Process(target=_create_all, args=(place, name, start))
+        for name in (b"a", b"b")
+    ]
+    for racer in racers:
+        racer.start()
+    for racer in racers:
+        racer.join(60)
+        assert racer.exitcode == 0
+    there = {name: [n for n in range(20) if (place / f"{n:02d}").read_text() == name] for name in ("a", "b")}
+    assert {name: (place / f"won-{name}").read_text() for name in there} == {k: repr(v) for k, v in there.items()}
+
+
+def test_an_answer_that_was_lost_is_made_out_by_the_content(place: Location) -> None:
+    entry = place / "entry"
+    assert entry.put_if_absent(b"of driver 1")
+    assert entry.put_if_absent(b"of driver 1"), "tried again since no answer came: it is there, and one's own"
+    assert not entry.put_if_absent(b"of driver 2")
+    assert entry.read_bytes() == b"of driver 1"
+
+
+def test_each_keeps_the_order(place: Location) -> None:
+    assert place.each(lambda item: item * 2, range(100)) == list(range(0, 200, 2))
+
+
+def test_a_local_copy_holds_what_was_named(place: Location) -> None:
+    for name in ("spec.yaml", "other"):
+        (place / name).write_atomic(name.encode())
+    (place / "final" / "auc.parquet").write_atomic(b"auc")
+    with local_copy(place, ("final", "spec.yaml")) as folder:
+        assert (folder / "spec.yaml").read_bytes() == b"spec.yaml"
+        assert (folder / "final" / "auc.parquet").read_bytes() == b"auc"
+
+
+def test_text_is_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert as_location("~/a b") == LocalLocation(tmp_path / "a b")
+    assert as_location(tmp_path) == as_location(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert as_location("a").absolute() == as_location(tmp_path / "a")
