@@ -12,9 +12,12 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 
 def sweep_words(prefix: str, **_: Any) -> list[str]:
-    """Completions of a word after ``shift3d sweep``: a sweep's name, or an override."""
+    """Completions of a word after ``shift3d sweep``: a sweep's name, a job, or an override."""
+    if prefix.startswith("job="):
+        specs = (path for path in (_ROOT / "jobs").glob("*.yaml") if "\nrunner:" in path.read_text())
+        return sorted(f"job={path.stem}" for path in specs)
     names = sorted(path.stem for path in (_ROOT / "sweeps").glob("*.yaml"))
-    return [name for name in names if name.startswith(prefix)] + overrides(prefix)
+    return [name for name in [*names, "job="] if name.startswith(prefix)] + overrides(prefix)
 
 
 def overrides(prefix: str) -> list[str]:

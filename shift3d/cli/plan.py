@@ -11,11 +11,13 @@ __all__ = ["COMMAND"]
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.cli.jobs import take_job
     from shift3d.sweep.folder import default_folder
     from shift3d.sweep.kind import shift3d_kind
     from shift3d.sweep.plan_view import plan_lines, plan_summary
 
-    name, overrides, out = sweep.split_words(arguments.words)
+    _, words = take_job(arguments.words)  # where it runs changes nothing of what runs
+    name, overrides, out = sweep.split_words(words)
     plan, _ = sweep.load_plan(name, overrides, shift3d_kind())
     for line in plan_lines(plan):
         print(line)

@@ -40,6 +40,7 @@ examples:
   shift3d sweep kitti scenes.root=PATH out=runs/kitti
   shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
   shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder
+  shift3d sweep default job=ray_cluster out=s3://BUCKET/FOLDER  on a cluster, see jobs/
   shift3d sweep status outputs/default-1a2b3c4d  how it is going, from any shell or machine
   shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also what it gave up on"""
 
@@ -50,7 +51,7 @@ def add_words(parser: argparse.ArgumentParser) -> None:
         "words",
         nargs="*",
         metavar="NAME | key=value",
-        help="the sweep's name, overrides, and out=DIR for the folder to write to",
+        help="the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs",
     )
     words.completer = sweep_words  # type: ignore[attr-defined]
 
@@ -116,13 +117,23 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     """Run the command with a kind of task."""
+    from shift3d.cli.jobs import take_job
     from shift3d.sweep.drive import run_sweep
     from shift3d.sweep.folder import default_folder
     from shift3d.sweep.plan_view import plan_summary
 
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])
-    name, overrides, out = split_words(_words_of_folder(arguments.words))
+    job, words = take_job(arguments.words)
+    words = _words_of_folder(words)
+    name, overrides, out = split_words(words)
+    if job:
+        overrides = [*job.overrides(overrides), *overrides]
+    if job and job.address and not (arguments.dry_run or arguments.task):
+        from shift3d.sweep.ray_job import submit_sweep
+
+        target = [word for word in words if word.startswith("out=")]
+        return submit_sweep([name, *overrides, *target], job.address, job.runtime_env)
     plan, config = load_plan(name, overrides, kind)
     folder = out or default_folder(plan)
     print(plan_summary(plan), flush=True)

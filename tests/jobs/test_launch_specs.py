@@ -1,21 +1,130 @@
-"""Launch specs say where a sweep runs and nothing else."""
+"""Launch specs say where a sweep runs and nothing else, in the words of the tool that reads them."""
 
 from __future__ import annotations
 
+import json
+import re
+import shlex
+import string
+import subprocess
 from pathlib import Path
+from typing import Any
 
+import jsonschema
 import pytest
 import yaml
+from jobs.kuberay_schema import RAY_JOB
 
+from shift3d.cli.jobs import JobSpec, job_names, read_job, take_job
+from shift3d.cli.main import main
 from shift3d.config.compose import compose_sweep, validate
+from shift3d.errors import InputError
 
-JOBS = sorted((Path(__file__).resolve().parents[2] / "jobs").glob("*.yaml"))
+JOBS = Path(__file__).resolve().parents[2] / "jobs"
+OWN = ("local", "ray_cluster", "ray_job")
 
 
-@pytest.mark.parametrize("path", JOBS, ids=lambda path: path.stem)
-def test_a_local_spec_holds_runner_settings_that_a_sweep_takes(path: Path) -> None:
-    spec = yaml.safe_load(path.read_text())
-    assert set(spec) == {"kind", "runner"}, "no experiment parameter in a launch spec"
-    composed = compose_sweep("smoke")
-    runner = {**composed.base["runner"], **spec["runner"]}
-    assert validate({**composed.base, "runner": runner}, path.name).runner.kind == spec["runner"]["kind"]
+def test_every_spec_is_looked_at_here() -> None:
+    others = {"autoscaler.yaml", "kuberay.yaml", "slurm.sbatch"}
+    assert {path.name for path in JOBS.iterdir()} == {f"{name}.yaml" for name in OWN} | others
+    assert tuple(job_names()) == OWN
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_spec_of_ours_holds_runner_settings_that_a_sweep_takes(name: str) -> None:
+    job, words = take_job(["smoke", f"job={name}", "mode=shape"])
+    assert job and words == ["smoke", "mode=shape"]
+    composed = compose_sweep("smoke", [*job.overrides(["mode=shape"]), "mode=shape"])
+    plain = compose_sweep("smoke", ["mode=shape"])
+    differs = {key for key in plain.base if composed.base[key] != plain.base[key]}
+    assert differs <= {"runner"}, "no experiment parameter in a launch spec"
+    assert validate(composed.base, name).runner.kind == job.runner["kind"]
+    assert (composed.base["runner"]["address"] == "auto") == (name != "local")
+
+
+def test_what_the_command_says_of_the_runner_wins() -> None:
+    job = read_job("ray_cluster")
+    given = ["runner.address=10.0.0.1:6379", "runner.workers=3"]
+    runner = compose_sweep("smoke", [*job.overrides(given), *given]).base["runner"]
+    assert (runner["address"], runner["workers"]) == ("10.0.0.1:6379", 3)
+    assert compose_sweep("smoke", [*job.overrides(["runner=local"]), "runner=local"]).base["runner"]["kind"] == "local"
+
+
+def test_a_job_that_is_none_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match=r"job=moon cannot be read.*local, ray_cluster, ray_job"):
+        take_job(["job=moon"])
+    with pytest.raises(InputError, match="another tool"):
+        take_job(["job=kuberay"])
+    for text in ("kind: local\n", "[]\n", "kind: local\nrunner: {kind: ray}\nattack: {steps: 1}\n", "kind: [\n", ""):
+        (tmp_path / "job.yaml").write_text(text)
+        with pytest.raises(InputError, match=r"job\.yaml"):
+            read_job(str(tmp_path / "job.yaml"))
+    with pytest.raises(ValueError, match="address belongs to a ray_job"):
+        JobSpec(kind="ray_job", runner={"kind": "ray"})
+    assert main(["sweep", "smoke", "job=ray_job", "out=here"]) == 2
+    assert "Give out=s3://BUCKET/FOLDER" in capsys.readouterr().err
+    assert main(["sweep", "smoke", "job=ray_job", "--dry-run"]) == 0, "a plan needs no cluster"
+
+
+def test_the_autoscalers_file_fits_rays_own_schema() -> None:
+    import ray.autoscaler
+
+    spec = yaml.safe_load((JOBS / "autoscaler.yaml").read_text())
+    schema = json.loads((Path(ray.autoscaler.__file__).parent / "ray-schema.json").read_text())
+    jsonschema.validate(spec, schema)
+    assert spec["head_node_type"] in spec["available_node_types"]
+    starts = " ".join(spec["head_start_ray_commands"] + spec["worker_start_ray_commands"])
+    assert starts.count("RAY_AUTH_MODE=token") == 2 and "--dashboard-host=127.0.0.1" in starts
+    for command in [*spec["setup_commands"], *spec["head_start_ray_commands"], *spec["worker_start_ray_commands"]]:
+        subprocess.run(["bash", "-n", "-c", command], check=True)
+
+
+def kuberay() -> Any:
+    text = string.Template((JOBS / "kuberay.yaml").read_text())
+    return yaml.safe_load(text.substitute(IMAGE="shift3d", SWEEP="default", OUT="s3://b/f", ARGS="runner.workers=64"))
+
+
+def test_kuberays_file_fits_its_published_fields_and_asks_for_a_token() -> None:
+    spec = kuberay()
+    jsonschema.validate(spec, RAY_JOB)
+    cluster = spec["spec"]["rayClusterSpec"]
+    assert cluster["authOptions"] == {"mode": "token"}
+    assert f"ray=={cluster['rayVersion']}\n" in (JOBS.parent / "constraints.txt").read_text()
+    assert cluster["headGroupSpec"]["serviceType"] == "ClusterIP", "nothing of it outside its Kubernetes"
+
+
+@pytest.mark.parametrize("path", [("spec", "entryPoint"), ("spec", "rayClusterSpec", "authOption"), ("spec", "sweep")])
+def test_a_field_that_kuberay_does_not_know_is_found(path: tuple[str, ...]) -> None:
+    spec = kuberay()
+    place = spec
+    for name in path[:-1]:
+        place = place[name]
+    place[path[-1]] = "x"
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(spec, RAY_JOB)
+
+
+def test_slurms_script_parses_and_its_directives_are_slurms() -> None:
+    path = JOBS / "slurm.sbatch"
+    subprocess.run(["bash", "-n", str(path)], check=True)
+    directives = dict(re.fullmatch(r"#SBATCH --([a-z-]+)(?:=(.+))?", line).groups() for line in _directives(path))  # type: ignore[union-attr]
+    known = {"job-name", "nodes", "ntasks-per-node", "exclusive", "mem", "time", "requeue", "output", "cpus-per-task"}
+    assert directives.keys() <= known
+    assert directives["ntasks-per-node"] == "1", "one Ray a node"
+    assert re.fullmatch(r"\d+:\d\d:\d\d", directives["time"])
+
+
+def _directives(path: Path) -> list[str]:
+    lines = path.read_text().splitlines()
+    assert lines[0] == "#!/bin/bash"
+    found = [index for index, line in enumerate(lines) if line.startswith("#SBATCH")]
+    first_command = next(index for index, line in enumerate(lines) if line and not line.startswith("#"))
+    assert found and max(found) < first_command, "Slurm reads no directive after the first command"
+    return [lines[index] for index in found]
+
+
+def test_a_command_on_a_cluster_is_the_same_whoever_made_the_cluster() -> None:
+    (launched,) = re.findall(r"ray exec jobs/autoscaler.yaml '(.*)'", (JOBS / "autoscaler.yaml").read_text())
+    submitted = kuberay()["spec"]["entrypoint"].replace("s3://b/f", "s3://BUCKET/FOLDER")
+    assert sorted(shlex.split(submitted)) == sorted(shlex.split(launched))
+    assert shlex.split(launched)[:4] == ["shift3d", "sweep", "default", "job=ray_cluster"]

@@ -1,0 +1,92 @@
+"""A Ray head on loopback that the tests of launch specs start their sweeps on, and the commands that specs call."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SERVICE = REPOSITORY / "tests" / "service"
+HAS_JOBS_API = find_spec("aiohttp_cors") is not None
+"""Whether ray[default] is installed: Ray's dashboard serves the Jobs API."""
+
+# `ray symmetric-run` ends with `ray stop`, which would end every Ray of this machine: its options and those that it
+# passes on to `ray start` are parsed by Ray's own commands, and the program is run on the head that there is.
+_RAY = """#!{python}
+import os, subprocess, sys
+from ray.scripts.scripts import start
+from ray.scripts.symmetric_run import curate_and_validate_ray_start_args, symmetric_run
+words = sys.argv[2:]
+options, program = words[:words.index("--")], words[words.index("--") + 1:]
+assert sys.argv[1] == "symmetric-run" and program
+assert symmetric_run.make_context("symmetric-run", options).params["address"].startswith("first-node:")
+start.make_context("start", ["--head", *curate_and_validate_ray_start_args(options)])
+own, heads = os.environ["RAY_AUTH_TOKEN"], os.environ["SHIFT3D_TEST_TOKEN"]
+assert len(own) == 64 and own != heads and os.environ["RAY_AUTH_MODE"] == "token"
+sys.exit(subprocess.call(program, env={{**os.environ, "RAY_AUTH_TOKEN": heads}}))
+"""
+_COMMANDS = {
+    "shift3d": f'#!/bin/sh\nexec {sys.executable} {SERVICE / "driver.py"} "$@"\n',
+    "ray": _RAY.format(python=sys.executable),
+    # Every task of a step is the same program: one stands for all.
+    "srun": '#!/bin/sh\nwhile [ "${1#--}" != "$1" ]; do shift; done\nexec "$@"\n',
+    "scontrol": "#!/bin/sh\necho first-node\necho second-node\n",
+}
+
+
+@contextlib.contextmanager
+def ray_head(dashboard_port: int) -> Iterator[dict[str, str]]:
+    """A head with room for eight workers. Yields the environment in which a launch spec's commands find it."""
+    folder = Path(tempfile.mkdtemp(prefix="s3d-"))  # short: Ray puts sockets there
+    for name, text in _COMMANDS.items():
+        (folder / name).write_text(text)
+        (folder / name).chmod(0o755)
+    environment = {
+        **os.environ,
+        "PATH": f"{folder}:{os.environ['PATH']}",
+        "PYTHONPATH": f"{SERVICE}:{REPOSITORY}",
+        "OMP_NUM_THREADS": "1",
+        "SHIFT3D_TEST_TOKEN": os.environ["RAY_AUTH_TOKEN"],
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # 127.0.0.1 stays 127.0.0.1
+    }
+    command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--block", "--port=0", "--num-cpus=8"]
+    command += ["--node-ip-address=127.0.0.1", f"--temp-dir={folder}", "--object-store-memory=100000000"]
+    command += [f"--include-dashboard={'true' if HAS_JOBS_API else 'false'}", "--dashboard-host=127.0.0.1"]
+    log = folder / "start.log"
+    with log.open("w") as file:
+        process = subprocess.Popen(
+            [*command, f"--dashboard-port={dashboard_port}"],
+            env=environment,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    try:
+        yield {**environment, "RAY_ADDRESS": _address(process, log)}
+    finally:
+        process.send_signal(signal.SIGTERM)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=30)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _address(process: subprocess.Popen[bytes], log: Path) -> str:
+    deadline = time.monotonic() + 90
+    while time.monotonic() < deadline:
+        if "Ray runtime started" in log.read_text():
+            return (log.parent / "ray_current_cluster").read_text().strip()
+        assert process.poll() is None, log.read_text()
+        time.sleep(0.1)
+    raise AssertionError(f"the head does not start: {log.read_text()}")

@@ -1,0 +1,86 @@
+"""Launch specs start the same sweep, on a real head: the same bytes come of it as in process."""
+
+from __future__ import annotations
+
+import shlex
+import socket
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from jobs.ray_head import HAS_JOBS_API, ray_head
+from service.drivers import DETERMINISTIC
+
+JOBS = Path(__file__).resolve().parents[2] / "jobs"
+WORDS = ("scenes.count=1", "tracking=none")
+ON_RAY = "runner.workers=1"
+
+
+@pytest.fixture(scope="module")
+def dashboard_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def environment(dashboard_port: int) -> Iterator[dict[str, str]]:
+    with ray_head(dashboard_port) as found:
+        yield found
+
+
+def commands(folder: Path, dashboard_port: int) -> dict[str, str]:
+    """How a small sweep is started in process, on a running cluster, by Slurm and through the Jobs API."""
+    words = f"default {shlex.join(WORDS)}"
+    made = {
+        "here": f"shift3d sweep {words} runner=local out={folder / 'here'}",
+        "cluster": f"shift3d sweep {words} {ON_RAY} job=ray_cluster out={folder / 'cluster'}",
+        "slurm": f"bash {JOBS / 'slurm.sbatch'} {words} {ON_RAY} out={folder / 'slurm'}",
+    }
+    if HAS_JOBS_API:
+        spec = (JOBS / "ray_job.yaml").read_text().replace(":8265\nruntime", f":{dashboard_port}\nruntime")
+        (folder / "job.yaml").write_text(spec)
+        made["job"] = f"shift3d sweep {words} {ON_RAY} job={folder / 'job.yaml'} out={folder / 'job'}"
+    return made
+
+
+def test_every_spec_starts_the_same_sweep(environment: dict[str, str], dashboard_port: int, tmp_path: Path) -> None:
+    slurm = {"SLURM_JOB_NODELIST": "node[1-2]", "SLURM_JOB_NUM_NODES": "2", "SLURM_CPUS_ON_NODE": "2"}
+    # At once: most of its time each of them waits for Ray.
+    running = {
+        name: subprocess.Popen(
+            ["bash", "-c", command],
+            cwd=tmp_path,
+            env=environment | slurm,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        for name, command in commands(tmp_path, dashboard_port).items()
+    }
+    found = {}
+    for name, process in running.items():
+        output, _ = process.communicate(timeout=240)
+        assert process.returncode == 0, f"{name}: {output[-3000:]}"
+        final = tmp_path / name / "final"
+        found[name] = {table: (final / f"{table}.parquet").read_bytes() for table in DETERMINISTIC}
+    assert all(tables == found["here"] for tables in found.values())
+
+
+@pytest.mark.skipif(not HAS_JOBS_API, reason="the Jobs API needs ray[default], which is not installed")
+def test_a_job_hands_the_exit_code_of_its_sweep_on(
+    environment: dict[str, str], dashboard_port: int, tmp_path: Path
+) -> None:
+    spec = (JOBS / "ray_job.yaml").read_text().replace(":8265\nruntime", f":{dashboard_port}\nruntime")
+    (tmp_path / "job.yaml").write_text(spec)
+    command = f"shift3d sweep nothing job={tmp_path / 'job.yaml'} out={tmp_path / 'out'}"
+    done = subprocess.run(
+        ["bash", "-c", command], env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 2 and "nothing" in done.stdout, done
+    other = {**environment, "RAY_AUTH_TOKEN": "0" * 64}
+    refused = subprocess.run(
+        ["bash", "-c", command], env=other, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert refused.returncode == 2 and "the job cannot be submitted" in refused.stderr, refused
