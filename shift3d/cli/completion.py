@@ -21,12 +21,12 @@ def sweep_words(prefix: str, **_: Any) -> list[str]:
 
 
 def overrides(prefix: str) -> list[str]:
-    """Completions of ``group=option``, ``group.setting=`` and ``out=``."""
+    """Completions of ``group=option``, ``group.setting=`` ``out=`` and ``reuse=``."""
     key, equals, _ = prefix.partition("=")
     if equals:
         options = sorted(path.stem for path in (_ROOT / "conf" / key).glob("[!_]*.yaml")) if key.isidentifier() else []
         return [f"{key}={option}" for option in options]
-    return [f"{name}=" for name in ["out", *_settings()] if name.startswith(prefix)]
+    return [f"{name}=" for name in ["out", "reuse", *_settings()] if name.startswith(prefix)]
 
 
 def _settings() -> list[str]:

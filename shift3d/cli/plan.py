@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from shift3d.cli import sweep
 from shift3d.cli.command import Command
 
-__all__ = ["COMMAND"]
+if TYPE_CHECKING:
+    from shift3d.sweep.kind import TaskKind
+
+__all__ = ["COMMAND", "show"]
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.sweep.kind import shift3d_kind
+
+    return show(arguments.words, shift3d_kind())
+
+
+def show(words: list[str], kind: TaskKind) -> int:
+    """Print what a sweep of a kind of task would run."""
     from shift3d.cli.jobs import take_job
     from shift3d.sweep.folder import default_folder
-    from shift3d.sweep.kind import shift3d_kind
     from shift3d.sweep.plan_view import plan_lines, plan_summary
 
-    _, words = take_job(arguments.words)  # where it runs changes nothing of what runs
+    _, words = take_job(words)  # where it runs changes nothing of what runs
+    _, words = sweep.take_folders("reuse", words)
     name, overrides, out = sweep.split_words(words)
-    plan, _ = sweep.load_plan(name, overrides, shift3d_kind())
+    plan, _ = sweep.load_plan(name, overrides, kind)
     for line in plan_lines(plan):
         print(line)
     print(plan_summary(plan))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from shift3d.sweep.kind import TaskKind
     from shift3d.sweep.plan import Plan
 
-__all__ = ["COMMAND", "add_words", "load_plan", "run_with", "split_words"]
+__all__ = ["COMMAND", "add_words", "load_plan", "run_with", "split_words", "take_folders"]
 
 _DESCRIPTION = """\
 Runs sweeps/NAME.yaml (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR.
@@ -41,6 +41,8 @@ examples:
   shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
   shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder
   shift3d sweep default job=ray_cluster out=s3://BUCKET/FOLDER  on a cluster, see jobs/
+  shift3d sweep plan default scenes.count=20     what would run, how long and at what cost; runs nothing
+  shift3d sweep default scenes.count=20 reuse=outputs/default-1a2b3c4d   a grown grid runs what is new in it
   shift3d sweep status outputs/default-1a2b3c4d  how it is going, from any shell or machine
   shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also what it gave up on"""
 
@@ -63,6 +65,13 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         "--retry-quarantined", action="store_true", help="run the tasks again that earlier runs gave up on"
     )
     parser.add_argument(
+        "--reuse",
+        metavar="OUT",
+        action="append",
+        default=[],
+        help="take over what another sweep's folder has done of the same tasks; also reuse=OUT",
+    )
+    parser.add_argument(
         "--task", metavar="ID", help="run this one task here, show its rows or its traceback, write nothing"
     )
 
@@ -81,6 +90,14 @@ def split_words(words: list[str]) -> tuple[str, list[str], Location | None]:
     out = [word.removeprefix("out=") for word in words if word.startswith("out=")]
     rest = [word for word in words if not word.startswith("out=")]
     return name, rest, as_location(out[-1]) if out else None
+
+
+def take_folders(key: str, words: list[str]) -> tuple[list[Location], list[str]]:
+    """The folders that words name as ``key=FOLDER``, and the other words."""
+    from shift3d.store.location import as_location
+
+    found = [as_location(word.removeprefix(f"{key}=")) for word in words if word.startswith(f"{key}=")]
+    return found, [word for word in words if not word.startswith(f"{key}=")]
 
 
 def _words_of_folder(words: list[str]) -> list[str]:
@@ -124,7 +141,12 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
 
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])
-    job, words = take_job(arguments.words)
+    if arguments.words[:1] == ["plan"]:
+        from shift3d.cli import plan as plan_command
+
+        return plan_command.show(arguments.words[1:], kind)
+    others, words = take_folders("reuse", [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)])
+    job, words = take_job(words)
     words = _words_of_folder(words)
     name, overrides, out = split_words(words)
     if job:
@@ -132,7 +154,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     if job and job.address and not (arguments.dry_run or arguments.task):
         from shift3d.sweep.ray_job import submit_sweep
 
-        target = [word for word in words if word.startswith("out=")]
+        target = [word for word in words if word.startswith("out=")] + [f"reuse={other}" for other in others]
         return submit_sweep([name, *overrides, *target], job.address, job.runtime_env)
     plan, config = load_plan(name, overrides, kind)
     folder = out or default_folder(plan)
@@ -146,7 +168,9 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         print(run_single(plan, kind, arguments.task))
         return 0
     print(f"writing to {folder}", flush=True)
-    result = run_sweep(plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined)
+    result = run_sweep(plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined, reuse=others)
+    if result.reused:
+        print(f"{result.reused} of {result.planned} tasks were done in {', '.join(map(str, others))}")
     if result.final is None:
         command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
         left = result.planned - result.done - result.quarantined

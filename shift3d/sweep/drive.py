@@ -25,6 +25,7 @@ from shift3d.sweep.folder import open_folder
 from shift3d.sweep.kind import TaskKind
 from shift3d.sweep.plan import Plan
 from shift3d.sweep.progress import Progress
+from shift3d.sweep.reuse import take_finished
 from shift3d.sweep.runner import Runner, make_runner
 from shift3d.sweep.status import State, Teller
 from shift3d.sweep.worker import BatchOutcome
@@ -39,7 +40,8 @@ Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
 class SweepResult:
     """How a sweep ended.
 
-    final: None where it was interrupted. seconds: of this driver, planning excluded.
+    final: None where it was interrupted. seconds: of this driver, planning excluded. reused: tasks whose results this
+    driver took over from other sweeps.
     """
 
     folder: Location
@@ -48,6 +50,7 @@ class SweepResult:
     quarantined: int
     planned: int
     seconds: float
+    reused: int = 0
 
     @property
     def interrupted(self) -> bool:
@@ -62,11 +65,13 @@ def run_sweep(
     folder: Place,
     finish: Finish = write_final,
     retry_quarantined: bool = False,
+    reuse: Sequence[Place] = (),
 ) -> SweepResult:
     """Run what a plan has left to run, and write ``final/``.
 
     finish: writes the final tables from (folder, plan, log entries) when everything has run. retry_quarantined: tasks
-    that earlier runs gave up on are left to run, too.
+    that earlier runs gave up on are left to run, too. reuse: folders of other sweeps, whose results of the same tasks
+    are taken over first.
 
     The first Ctrl-C (or SIGTERM) lets the tasks in flight finish and commits them, the second one drops them.
 
@@ -79,6 +84,7 @@ def run_sweep(
     folder = as_location(folder)
     open_folder(folder, plan)
     log = CommitLog(folder, plan.spec_hash)
+    reused = sum(take_finished(log, plan, other) for other in reuse)
     given_up = log.quarantined() if retry_quarantined else set()
     left = plan.tasks.without(log.finished() - given_up)
     if len(left):
@@ -94,7 +100,7 @@ def run_sweep(
     complete = len(done) + len(quarantined) == len(plan.tasks)
     final = finish(folder, plan, log.entries) if complete else None
     seconds = time.monotonic() - began
-    return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), seconds)
+    return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), seconds, reused)
 
 
 def _tried(log: CommitLog, plan: Plan, given_up: set[str]) -> dict[int, int]:

@@ -28,7 +28,7 @@ from shift3d.sweep.verified_scores import read_verification, with_verification
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["METHODS", "FinalTables", "segments_in_plan_order", "write_final"]
+__all__ = ["METHODS", "FinalTables", "committed_rows", "segments_in_plan_order", "write_final"]
 
 # A verification lies in a folder of its own.
 _KEPT = tuple(name for name in SEGMENTS if name != "verification")
@@ -98,10 +98,16 @@ def segments_in_plan_order(folder: Place, entries: Sequence[Commit], name: str, 
     Raises:
         InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """
-    return _in_plan_order(name, _segments(as_location(folder) / "data", entries, name), plan)
+    return _in_plan_order(name, committed_rows(folder, entries, name), plan)
 
 
-def _segments(data: Location, entries: Sequence[Commit], name: str) -> pa.Table:
+def committed_rows(folder: Place, entries: Sequence[Commit], name: str) -> pa.Table:
+    """One segment table of everything committed, in the order of the log.
+
+    Raises:
+        InputError: a segment is missing, torn or of another length than was committed.
+    """
+    data = as_location(folder) / "data"
     files = [(dict(entry.segments)[name], dict(entry.rows)[name]) for entry in entries if name in dict(entry.segments)]
     return pa.concat_tables([SCHEMAS[name].empty_table(), *data.each(lambda file: _segment(data, name, *file), files)])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, overload
 
@@ -104,9 +104,9 @@ class Tasks(Sequence[PlannedTask]):
         """The tasks whose id begins with a text."""
         return self.select(np.flatnonzero(pc.starts_with(self.ids, prefix).to_numpy(zero_copy_only=False)))
 
-    def without(self, ids: set[str] | frozenset[str]) -> np.ndarray:
+    def without(self, ids: Collection[str]) -> np.ndarray:
         """Positions of the tasks whose id is not among some, in order."""
-        found = pc.is_in(self.ids, value_set=pa.array(ids, type=pa.string()))
+        found = pc.is_in(self.ids, value_set=pa.array(list(ids), type=pa.string()))
         return np.flatnonzero(~found.to_numpy(zero_copy_only=False))
 
     def groups(self) -> list[TaskGroup]:

@@ -1,0 +1,96 @@
+"""A grown grid takes over what another sweep has finished, runs the rest, and ends with a fresh run's bytes."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from drivers import Drivers
+
+SMALL, GROWN = 60, 90  # 5 vehicles, 4 or 6 scenes, shape under two lambda and pose
+GROW = ("runner=local", "scenes.count=6")
+
+
+@pytest.fixture(scope="module")
+def fresh(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """final/ of the grown grid, run without anything to take over."""
+    drivers = Drivers(tmp_path_factory.mktemp("fresh"))
+    code, _, errors = drivers.run("out", *GROW)
+    assert code == 0, errors
+    return drivers.final("out")
+
+
+def ran(journal: Path) -> list[str]:
+    return journal.read_text().split() if journal.exists() else []
+
+
+def rows_in(folder: Path, table: str) -> int:
+    return sum(pq.read_metadata(path).num_rows for path in (folder / "data").glob(f"*-{table}.parquet"))
+
+
+def once(tasks: Iterable[str]) -> bool:
+    tasks = list(tasks)
+    return len(tasks) == len(set(tasks))
+
+
+def test_only_new_tasks_run(drivers: Drivers, undisturbed_folder: Path, fresh: dict[str, bytes]) -> None:
+    journal = drivers.folder / "journal"
+    source = Path(shutil.copytree(undisturbed_folder, drivers.folder / "small"))
+    before = {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
+    code, output, errors = drivers.run("out", *GROW, f"reuse={source}", SHIFT3D_TEST_JOURNAL=str(journal))
+    assert code == 0, errors
+    assert f"{SMALL} of {GROWN} tasks were done in {source}" in output
+    assert len(ran(journal)) == GROWN - SMALL and not set(ran(journal)) & set(drivers.committed("small"))
+    assert before == {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}, "it was only read"
+    assert len(drivers.committed("out")) == GROWN and once(drivers.committed("out"))
+    # The folder is whole without the other: run again, it makes the same tables from what it holds itself.
+    shutil.rmtree(source)
+    shutil.rmtree(drivers.folder / "out" / "final")
+    assert drivers.run("out", *GROW)[0] == 0
+    assert drivers.final("out") == fresh
+    assert len(ran(journal)) == GROWN - SMALL
+
+
+def test_of_an_unfinished_sweep_what_it_committed_and_nothing_that_failed(
+    drivers: Drivers, fresh: dict[str, bytes]
+) -> None:
+    """The source gave one task up and lost its last commits."""
+    journal = drivers.folder / "journal"
+    small = ("runner=local", "runner.commit_seconds=0", "attack.lambda=1,10")
+    assert drivers.run("small", *small, SHIFT3D_TEST_FAILS="coupe/street_001/pose")[0] == 3
+    log = sorted((drivers.folder / "small" / "_log").glob("[0-9]*.json"))
+    for entry in log[len(log) // 2 :]:
+        entry.unlink()
+    done = drivers.committed("small")
+    assert 0 < len(done) < SMALL - 1
+    code, _, errors = drivers.run(
+        "out", *GROW, "--reuse", str(drivers.folder / "small"), SHIFT3D_TEST_JOURNAL=str(journal)
+    )
+    assert code == 0, errors
+    assert len(ran(journal)) == GROWN - len(done) and not set(ran(journal)) & set(done)
+    assert drivers.final("out") == fresh
+    assert rows_in(drivers.folder / "out", "attempts") == GROWN, "a task that was given up on was taken over"
+
+
+def test_a_driver_that_is_run_again_takes_nothing_twice(
+    drivers: Drivers, undisturbed_folder: Path, fresh: dict[str, bytes]
+) -> None:
+    words = (*GROW, f"reuse={undisturbed_folder}")
+    assert drivers.run("out", *words)[0] == 0
+    rows = rows_in(drivers.folder / "out", "scores")
+    code, output, _ = drivers.run("out", *words)
+    assert code == 0 and "tasks were done in" not in output
+    assert rows_in(drivers.folder / "out", "scores") == rows and once(drivers.committed("out"))
+    assert drivers.final("out") == fresh
+
+
+def test_what_cannot_be_reused_is_one_line_and_runs_nothing(drivers: Drivers, finished: Path) -> None:
+    journal = drivers.folder / "journal"
+    code, _, errors = drivers.run("new", *GROW, f"reuse={drivers.folder / 'none'}", SHIFT3D_TEST_JOURNAL=str(journal))
+    assert code == 2 and "is not the output folder of a sweep" in errors
+    (finished / "_log" / "00000001.json").write_text('{"torn')
+    code, _, errors = drivers.run("new", *GROW, f"reuse={finished}", SHIFT3D_TEST_JOURNAL=str(journal))
+    assert code == 2 and "00000001.json" in errors and not ran(journal)

@@ -1,0 +1,34 @@
+"""Rows that come from another sweep stand under this one's name."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from by_hand import score_row
+
+from shift3d.store.log import CommitLog
+from shift3d.store.tables import table_from_rows
+from shift3d.sweep.final import write_final
+from shift3d.sweep.folder import open_folder
+from shift3d.sweep.plan import Plan
+from shift3d.sweep.reuse import take_finished
+from shift3d.sweep.worker import attempt_row
+
+
+def test_the_other_sweep_may_have_another_name_and_order(tmp_path: Path, suv_plan: Plan) -> None:
+    other = dataclasses.replace(suv_plan, sweep="other", tasks=suv_plan.tasks[::-2])
+    open_folder(tmp_path / "other", other)
+    log = CommitLog(tmp_path / "other", other.spec_hash)
+    for task in other.tasks:
+        attempts = table_from_rows("attempts", [attempt_row(task.spec.task_id, 1, "done", 0.0, 1.0)])
+        scores = table_from_rows("scores", [score_row(task, "other", "baseline", 0.8, 1.0)])
+        log.commit((task.spec.task_id,), (), {"scores": scores, "attempts": attempts})
+    own = CommitLog(tmp_path / "own", suv_plan.spec_hash)
+    assert take_finished(own, suv_plan, tmp_path / "other") == 3
+    assert take_finished(own, suv_plan, tmp_path / "other") == 0
+    assert own.done() == set(other.tasks.ids.to_pylist())
+    final = write_final(tmp_path / "own", suv_plan, own.entries)
+    assert final.frame("scores")["sweep"].tolist() == ["default"] * 3
+    assert final.frame("scores")["task_id"].tolist() == suv_plan.tasks.ids.to_pylist()[1::2]
+    assert final.frame("attempts")["task_id"].tolist() == suv_plan.tasks.ids.to_pylist()[1::2]
