@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from shift3d.errors import InputError
 from shift3d.store import atomic
 
 __all__ = ["LocalLocation", "Location", "Place", "UncertainError", "as_location", "local_copy"]
@@ -184,7 +183,9 @@ def as_location(place: Place) -> Location:
     if isinstance(place, Location):
         return place
     if isinstance(place, str) and "://" in place:
-        raise InputError("is no folder", where=place, remedy="Give a folder")
+        from shift3d.store.object_store import object_location  # late: obstore is not needed for folders
+
+        return object_location(place)
     return LocalLocation(Path(place).expanduser() if isinstance(place, str) else place)
 
 

@@ -7,13 +7,16 @@ import threading
 from pathlib import Path
 
 import pytest
+from bucket_server import new_bucket
 
 from shift3d.store.location import LocalLocation, Location, as_location, local_copy
 
 
-@pytest.fixture
-def place(tmp_path: Path) -> Location:
-    return as_location(tmp_path / "sweep")
+@pytest.fixture(params=["folder", "bucket"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> Location:
+    if request.param == "folder":
+        return as_location(tmp_path / "sweep")
+    return as_location(f"s3://{new_bucket(request.getfixturevalue('endpoint'))}/some/sweep")
 
 
 def test_names_join_and_compare(place: Location) -> None:

@@ -1,0 +1,70 @@
+"""What an object store's refusals mean, and what to do about them."""
+
+from __future__ import annotations
+
+import re
+
+from shift3d.errors import InputError
+
+__all__ = ["explained"]
+
+_CREDENTIALS = {
+    "s3": "Set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or give the machine a role",
+    "gs": "Set GOOGLE_SERVICE_ACCOUNT to a key file, or give the machine a service account",
+}
+_CHECK = {
+    "s3": "Check AWS_ENDPOINT_URL, AWS_REGION and the network, and run the same command again",
+    "gs": "Check the network and GOOGLE_BASE_URL, and run the same command again",
+}
+_ALLOWED = "Check them, and that they may list, read, write and delete there"
+# What the message holds, in order; what that means; what to do, {credentials} and {check} being those of the store.
+_MEANINGS = (
+    ("NoSuchBucket|bucket does not exist", "there is no such bucket", "Create it, or give another one with out="),
+    ("InvalidBucketName", "is not the name of a bucket", "Give another one with out="),
+    (
+        r"169\.254\.|metadata\.google|fd00:ec2|OpenCredentials|[Cc]redential error|service account file",
+        "no credentials that can be used were found",
+        "{credentials}",
+    ),
+    (
+        "InvalidAccessKeyId|SignatureDoesNotMatch|Unauthenticated|InvalidToken|ExpiredToken|401 Unauthorized",
+        "the credentials are refused",
+        "{credentials}",
+    ),
+    ("AccessDenied|PermissionDenied|403 Forbidden|lacked valid", "the credentials may not do this", _ALLOWED),
+    (
+        "conditional put is disabled|501 Not Implemented|NotImplemented",
+        "this store cannot create an object only if it is absent, which the commit log needs",
+        "Use one that honours If-None-Match (AWS S3, Google Cloud Storage, a recent MinIO), or a folder",
+    ),
+    (
+        "builder error",
+        "this endpoint cannot be used",
+        "Give AWS_ENDPOINT_URL as https://HOST, or for http://HOST set AWS_ALLOW_HTTP=true",
+    ),
+    (
+        "error sending request|timed out|operation timed|dns error|Connection",
+        "cannot be reached",
+        "{check}",
+    ),
+    (r"50[0234] |SlowDown|429 ", "the store does not answer now", "{check}"),
+)
+
+
+def explained(error: Exception, url: str) -> InputError:
+    """An InputError that names the URL, what is wrong, and the remedy. error: as obstore raised it."""
+    text = f"{type(error).__name__} {error}"
+    scheme = url.partition("://")[0]
+    for pattern, what, remedy in _MEANINGS:
+        if re.search(pattern, text):
+            # The store's own words where it is the network: they name the host that was asked.
+            said = f" ({_asked(text)})" if remedy == "{check}" else ""
+            return InputError(what + said, url, remedy.format(credentials=_CREDENTIALS[scheme], check=_CHECK[scheme]))
+    first = " ".join(str(error).split("Debug source")[0].split())[:300]
+    return InputError(f"the store refuses ({first})", url, _CHECK[scheme])
+
+
+def _asked(text: str) -> str:
+    host = re.search(r"https?://[^/\s]+", text)
+    tries = re.search(r"after (\d+) retries", text)
+    return (host[0] if host else "no answer") + (f", tried {int(tries[1]) + 1} times" if tries else "")

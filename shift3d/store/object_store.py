@@ -1,0 +1,212 @@
+"""Files of a sweep in a bucket: Amazon S3 and what speaks its protocol, and Google Cloud Storage.
+
+An object is there whole or not at all by nature. Exactly one of several writers creates it by ``If-None-Match`` (S3) or
+``x-goog-if-generation-match`` (Google), which obstore sends and pyarrow's S3 does not. Credentials, region and endpoint
+come from the environment: AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP, or
+GOOGLE_SERVICE_ACCOUNT, and from the machine's role where it has one.
+
+Source: our choice (design section 9).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import secrets
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import obstore
+from obstore.exceptions import AlreadyExistsError, BaseError
+from obstore.store import GCSStore, S3Store
+
+from shift3d.errors import InputError
+from shift3d.store.location import Location, UncertainError
+from shift3d.store.object_errors import explained
+
+if TYPE_CHECKING:
+    from obstore.store import RetryConfig
+
+__all__ = ["SCHEMES", "ObjectLocation", "object_location"]
+
+SCHEMES = ("s3", "gs")
+_THREADS = 16
+_IN_ONE_PIECE = 32 * 2**20
+# A request is tried again for seconds, not minutes: whoever waits should read soon what is wrong. Of 6 tries, the last
+# one is made 6 s after the first.
+_RETRY: RetryConfig = {
+    "max_retries": 5,
+    "retry_timeout": timedelta(seconds=60),
+    "backoff": {"init_backoff": timedelta(milliseconds=200), "max_backoff": timedelta(seconds=4), "base": 2},
+}
+_PATIENCE = {"timeout": "60s", "connect_timeout": "3s"}
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+_ERRORS = (BaseError, OSError, ValueError, RuntimeError)
+
+
+def object_location(url: str) -> ObjectLocation:
+    """``s3://bucket/prefix`` or ``gs://bucket/prefix`` as a location.
+
+    Raises:
+        InputError: another scheme, no bucket, or settings in the environment that cannot be used.
+    """
+    scheme, _, rest = url.partition("://")
+    bucket, _, prefix = rest.partition("/")
+    if scheme not in SCHEMES:
+        raise InputError(
+            f"no files are kept under {scheme}://", where=url, remedy="Give a folder, s3://BUCKET/PREFIX or gs://..."
+        )
+    parts = [part for part in prefix.split("/") if part]
+    if not bucket or {".", ".."} & set(parts) or not url.isprintable():
+        raise InputError("is not the URL of a bucket", where=url, remedy=f"Give {scheme}://BUCKET/PREFIX")
+    _store(scheme, bucket)  # settings that cannot be used are found before anything is planned
+    return ObjectLocation(scheme, bucket, "/".join(parts))
+
+
+def _store(scheme: str, bucket: str) -> Any:
+    """The bucket's client: one a process and set of credentials, since it keeps connections open."""
+    of = ("AWS_",) if scheme == "s3" else ("GOOGLE_",)
+    settings = tuple(sorted((name, value) for name, value in os.environ.items() if name.startswith(of)))
+    return _client(scheme, bucket, os.getpid(), settings)
+
+
+@functools.lru_cache(maxsize=8)
+def _client(scheme: str, bucket: str, process: int, settings: tuple[tuple[str, str], ...]) -> Any:
+    prefix, kind = ("AWS_", S3Store) if scheme == "s3" else ("GOOGLE_", GCSStore)
+    given = {name for name, _ in settings}
+    patience: Any = {name: value for name, value in _PATIENCE.items() if f"{prefix}{name.upper()}" not in given}
+    with _clear_errors(f"{scheme}://{bucket}"):
+        return kind(bucket, config=patience, retry_config=_RETRY)
+
+
+@contextlib.contextmanager
+def _clear_errors(url: str) -> Iterator[None]:
+    """What obstore raises as InputErrors; FileNotFoundError passes where it is the file and not the bucket."""
+    try:
+        yield
+    except AlreadyExistsError:
+        raise
+    except _ERRORS as error:
+        if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in str(error):
+            raise FileNotFoundError(url) from error
+        raise explained(error, url) from error
+
+
+@dataclass(frozen=True)
+class ObjectLocation(Location):
+    """An object, or all objects whose keys begin alike. key: without the bucket, no slash at either end."""
+
+    scheme: str
+    bucket: str
+    key: str
+
+    def __str__(self) -> str:
+        return f"{self.scheme}://{self.bucket}/{self.key}".rstrip("/")
+
+    @property
+    def name(self) -> str:
+        """See `Location`."""
+        return self.key.rpartition("/")[2]
+
+    @property
+    def _client(self) -> Any:
+        return _store(self.scheme, self.bucket)
+
+    def __truediv__(self, part: str) -> ObjectLocation:
+        return ObjectLocation(self.scheme, self.bucket, f"{self.key}/{part}".strip("/"))
+
+    def absolute(self) -> ObjectLocation:
+        """See `Location`."""
+        return self
+
+    def is_file(self) -> bool:
+        """See `Location`.
+
+        Raises:
+            InputError: the store cannot be asked.
+        """
+        try:
+            self.size()
+        except FileNotFoundError:
+            return False
+        return True
+
+    def size(self) -> int:
+        """See `Location`. Raises InputError as well, where the store cannot be asked."""
+        if not self.key:
+            raise FileNotFoundError(str(self))
+        with _clear_errors(str(self)):
+            return int(obstore.head(self._client, self.key)["size"])
+
+    def read_bytes(self) -> bytes:
+        """See `Location`. Raises InputError as well, where the store cannot be asked."""
+        with _clear_errors(str(self)):
+            return bytes(obstore.get(self._client, self.key).bytes())
+
+    def names(self) -> list[str]:
+        """See `Location`. Raises InputError, where the store cannot be asked."""
+        with _clear_errors(str(self)):
+            found = obstore.list_with_delimiter(self._client, self.key or None)
+        paths = [*found["common_prefixes"], *(entry["path"] for entry in found["objects"])]
+        names = {path.rstrip("/").rpartition("/")[2] for path in paths}
+        return sorted(name for name in names if not name.startswith("."))
+
+    def write_atomic(self, content: bytes) -> None:
+        """See `Location`. An upload that is cut off leaves parts that only the bucket's own rules remove."""
+        with _clear_errors(str(self)):
+            obstore.put(self._client, self.key, content, use_multipart=len(content) > _IN_ONE_PIECE)
+
+    def put_if_absent(self, content: bytes) -> bool:
+        """See `Location`."""
+        try:
+            with _clear_errors(str(self)):
+                obstore.put(self._client, self.key, content, mode="create", use_multipart=False)
+        except AlreadyExistsError:
+            # A request that was tried again after its answer got lost finds what it wrote itself.
+            return self.read_bytes() == content
+        except InputError as error:
+            return self._was_created(content, error)
+        return True
+
+    def _was_created(self, content: bytes, error: InputError) -> bool:
+        """Whether this content is there although the store did not say so."""
+        try:
+            return self.read_bytes() == content
+        except (FileNotFoundError, InputError):
+            # Not there yet, or nobody answers: what was sent may still arrive.
+            raise UncertainError(error.what, error.where, error.remedy) from error
+
+    def delete(self) -> None:
+        """See `Location`."""
+        with _clear_errors(str(self)), contextlib.suppress(FileNotFoundError):
+            obstore.delete(self._client, self.key)
+
+    def leftovers(self) -> list[Location]:
+        """See `Location`: none, since nothing is half-written."""
+        return []
+
+    def check_writable(self) -> None:
+        """See `Location`: tried, since some stores ignore the condition and would let two drivers write one entry."""
+        probe = self / f"probe-{secrets.token_hex(8)}"
+        try:
+            if probe.put_if_absent(b"first") and not probe.put_if_absent(b"second"):
+                return
+        finally:
+            with contextlib.suppress(InputError):
+                probe.delete()
+        what = "this store overwrites an object that was to be created only if absent: two drivers would not notice"
+        remedy = "Use one that honours If-None-Match (AWS S3, Google Cloud Storage, a recent MinIO), or a folder"
+        raise InputError(what, where=str(self), remedy=remedy)
+
+    def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+        """See `Location`."""
+        if len(items) < 2:
+            return [function(item) for item in items]
+        with ThreadPoolExecutor(_THREADS) as threads:
+            return list(threads.map(function, items))

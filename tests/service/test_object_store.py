@@ -1,0 +1,125 @@
+"""Sweeps whose output lies in a bucket: killed, resumed, and the same bytes as in a folder."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from bucket_server import ENVIRONMENT, bucket_server, new_bucket
+from drivers import DETERMINISTIC, DRIVER, QUICK, Drivers
+
+from shift3d.store.location import Location, as_location
+from shift3d.store.log import read_log
+
+TASKS = 60
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[str]:
+    with bucket_server() as endpoint:
+        yield endpoint
+
+
+@pytest.fixture
+def out(server: str, monkeypatch: pytest.MonkeyPatch) -> Location:
+    for name, value in {**ENVIRONMENT, "AWS_ENDPOINT_URL": server}.items():
+        monkeypatch.setenv(name, value)
+    return as_location(f"s3://{new_bucket(server)}/runs/sweep")
+
+
+def committed(out: Location) -> list[str]:
+    return [task for entry in read_log(out) for task in entry.done]
+
+
+def final(out: Location) -> dict[str, bytes]:
+    return {name: (out / "final" / f"{name}.parquet").read_bytes() for name in DETERMINISTIC}
+
+
+def start(drivers: Drivers, out: Location, *words: str, **environment: str) -> subprocess.Popen[str]:
+    """A driver; its environment is this process's, with the server's address in it."""
+    return drivers._start([sys.executable, str(DRIVER), "sweep", "default", *QUICK, *words, f"out={out}"], environment)
+
+
+def run(drivers: Drivers, out: Location, *words: str) -> None:
+    _, errors = (driver := start(drivers, out, *words)).communicate(timeout=90)
+    assert driver.returncode == 0, errors
+
+
+def wait_for_commits(out: Location, tasks: int) -> None:
+    deadline = time.monotonic() + 60
+    while len(committed(out)) < tasks:
+        assert time.monotonic() < deadline, "the sweep commits nothing"
+        time.sleep(0.05)
+
+
+def test_killed_drivers_resume_in_the_bucket(drivers: Drivers, undisturbed: dict[str, bytes], out: Location) -> None:
+    driver = start(drivers, out, "runner=local", "runner.commit_seconds=0", SHIFT3D_TEST_SECONDS="0.03")
+    wait_for_commits(out, 10)
+    driver.send_signal(signal.SIGKILL)
+    driver.wait()
+    assert 10 <= len(committed(out)) < TASKS
+    run(drivers, out, "runner=local")
+    assert sorted(committed(out)) == sorted(set(committed(out))) and len(committed(out)) == TASKS
+    assert final(out) == undisturbed
+    assert not list(drivers.folder.iterdir()), "nothing is written beside the bucket"
+
+
+def test_ray_workers_need_no_common_folder(drivers: Drivers, undisturbed: dict[str, bytes], out: Location) -> None:
+    run(drivers, out, "runner.workers=2")
+    assert len(committed(out)) == TASKS and final(out) == undisturbed
+
+
+def test_a_second_driver_stops_the_first_in_the_bucket(
+    drivers: Drivers, undisturbed: dict[str, bytes], out: Location
+) -> None:
+    first = start(drivers, out, "runner=local", "runner.commit_seconds=0", SHIFT3D_TEST_SECONDS="0.1")
+    wait_for_commits(out, 2)
+    run(drivers, out, "runner=local")
+    _, errors = first.communicate(timeout=30)
+    assert first.returncode == 4 and "another driver took this sweep over" in errors
+    assert len(committed(out)) == len(set(committed(out))) == TASKS
+    assert final(out) == undisturbed
+
+
+def test_the_commands_read_the_bucket(
+    drivers: Drivers, out: Location, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from shift3d.cli.main import main
+    from shift3d.sweep.folder import read_plan
+    from shift3d.tracking.mlflow import SweepRecord, mirror
+
+    run(drivers, out, "runner=local")
+    plan = read_plan(out)
+    assert len(plan.tasks) == TASKS
+    assert main(["sweep", "status", str(out)]) == 0
+    assert "60 of 60 tasks done" in capsys.readouterr().out
+    task = plan.tasks[0].spec.task_id
+    assert main(["export", str(out), f"task={task}", "method=wish", f"to={tmp_path}"]) == 2
+    assert "solutions.parquet" in capsys.readouterr().err
+    assert main(["report", f"{out}/nowhere"]) == 2
+    assert "is not the output folder of a sweep" in capsys.readouterr().err
+    import pandas as pd
+
+    frame = pd.DataFrame({name: [] for name in ("selected", "auc", "scores")}).astype({"selected": bool})
+    record = SweepRecord("default", plan.spec_hash, out, {}, frame, {"tasks_done": TASKS})
+    store = tmp_path / "mlflow"
+    store.mkdir()
+    with contextlib.chdir(store):
+        assert mirror(record, f"sqlite:///{store}/mlflow.db", "bucket") is None
+    assert {path.name for path in store.rglob("scores.parquet")} == {"scores.parquet"}
+    assert json.loads(next(store.rglob("env.json")).read_text())["shift3d"]
+
+
+def test_a_missing_bucket_is_one_clear_line(drivers: Drivers, out: Location) -> None:
+    driver = start(drivers, as_location("s3://nobody-made-this/sweep"), "runner=local")
+    _, errors = driver.communicate(timeout=60)
+    assert driver.returncode == 2
+    assert "s3://nobody-made-this/sweep" in errors and "there is no such bucket" in errors
+    assert len(errors.strip().splitlines()) == 1
