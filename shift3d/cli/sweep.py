@@ -146,16 +146,19 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
 
         return plan_command.show(arguments.words[1:], kind)
     others, words = take_folders("reuse", [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)])
-    job, words = take_job(words)
-    words = _words_of_folder(words)
+    job, typed = take_job(words)
+    words = _words_of_folder(typed)
     name, overrides, out = split_words(words)
     if job:
+        # Not the runner that the folder was begun with.
+        overrides = [word for word in overrides if word in typed or not word.startswith("runner")]
         overrides = [*job.overrides(overrides), *overrides]
     if job and job.address and not (arguments.dry_run or arguments.task):
         from shift3d.sweep.ray_job import submit_sweep
 
         target = [word for word in words if word.startswith("out=")] + [f"reuse={other}" for other in others]
-        return submit_sweep([name, *overrides, *target], job.address, job.runtime_env)
+        flags = ["--retry-quarantined"] if arguments.retry_quarantined else []
+        return submit_sweep([name, *overrides, *target, *flags], job.address, job.runtime_env)
     plan, config = load_plan(name, overrides, kind)
     folder = out or default_folder(plan)
     print(plan_summary(plan), flush=True)
@@ -240,7 +243,8 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
         stable = result.final.frame("verification")["stable"]
         counts |= {"solutions_verified": len(stable), "solutions_unstable": int((~stable).sum())}
     settings = {"settings": plan.settings, "axes": plan.axes}
-    record = SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, result.final.frame("auc"), counts)
+    auc, curves = result.final.frame("auc"), result.final.frame("curves")
+    record = SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, auc, curves, counts)
     uri = config.tracking.uri
     if problem := mirror(record, uri, config.tracking.experiment):
         print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
