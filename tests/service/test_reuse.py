@@ -8,7 +8,11 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from cheap_task import KIND
 from drivers import Drivers
+
+from shift3d.cli import plan, sweep
+from shift3d.cli.main import parse
 
 SMALL, GROWN = 60, 90  # 5 vehicles, 4 or 6 scenes, shape under two lambda and pose
 GROW = ("runner=local", "scenes.count=6")
@@ -94,3 +98,17 @@ def test_what_cannot_be_reused_is_one_line_and_runs_nothing(drivers: Drivers, fi
     (finished / "_log" / "00000001.json").write_text('{"torn')
     code, _, errors = drivers.run("new", *GROW, f"reuse={finished}", SHIFT3D_TEST_JOURNAL=str(journal))
     assert code == 2 and "00000001.json" in errors and not ran(journal)
+
+
+@pytest.mark.parametrize("words", [("sweep", "plan"), ("plan",)], ids=" ".join)
+def test_the_plan_is_shown_with_what_is_left_and_nothing_runs(
+    words: tuple[str, ...], undisturbed_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = parse([*words, "default", "scenes.count=6", f"reuse={undisturbed_folder}", f"out={tmp_path / 'out'}"])
+    assert (sweep.run_with(arguments, KIND) if words[0] == "sweep" else plan.show(arguments.words, KIND)) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == GROWN + 6 and lines[GROWN].startswith(f"sweep default: {GROWN} tasks (60 shape, 30 pose)")
+    assert lines[GROWN + 2] == f"{SMALL} of {GROWN} tasks are done already"
+    assert lines[GROWN + 3].startswith(f"expected: {GROWN - SMALL} tasks of ") and "core-hours" in lines[GROWN + 3]
+    assert f"{SMALL} tasks that ran in {undisturbed_folder}" in lines[GROWN + 4]
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,169 @@
+"""What a plan will take, before anything runs: by what an earlier sweep took, else by the figures that ship.
+
+Source: our choice.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute as pc
+
+from shift3d.render.called_for import measured_worth
+from shift3d.report.accuracy_cost import measured_presets
+from shift3d.store.location import Place, as_location
+from shift3d.store.log import read_log
+from shift3d.sweep.final import committed_rows
+from shift3d.sweep.folder import read_plan
+from shift3d.sweep.plan import Plan
+from shift3d.sweep.tasks import Tasks
+from shift3d.task.spec import TaskSpec
+
+__all__ = ["Expected", "expected", "expected_lines", "finished_in"]
+
+SHIPPED = Path(__file__).resolve().parent / "measured" / "task_seconds.json"
+"""What tasks took when this version was made."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Seconds of one worker for all tasks together. source: where they come from. guessed: how many of the tasks have
+    other settings than anything that was measured there."""
+
+    tasks: int
+    seconds: float
+    source: str
+    guessed: int
+
+
+def finished_in(tasks: Tasks, folders: Sequence[Place]) -> np.ndarray:
+    """Of each task whether one of some sweeps' folders has its result.
+
+    Raises:
+        InputError: a log cannot be read.
+    """
+    done = np.zeros(len(tasks), dtype=bool)
+    for folder in folders:
+        here = np.ones(len(tasks), dtype=bool)
+        here[tasks.without({task for entry in read_log(folder) for task in entry.done})] = False
+        done |= here
+    return done
+
+
+def expected(tasks: Tasks, folders: Sequence[Place]) -> Expected:
+    """What tasks will take one worker.
+
+    Args:
+        folders: of sweeps, finished or not; the first one that has run something says how long a task takes.
+
+    Raises:
+        InputError: a folder is no sweep's, or damaged.
+    """
+    model = _Model()
+    for folder in folders:
+        if found := _measured(folder, model):
+            seconds, guessed = 0.0, 0
+            for group in tasks.groups():
+                level, key = next((at, key) for at, key in enumerate(_keys(group.ground)) if key in found)
+                seconds += group.tasks * found[key].seconds * model.seconds(group.ground) / found[key].by_model
+                guessed += group.tasks * (level > 0)
+            return Expected(len(tasks), seconds, f"{found[()].tasks} tasks that ran in {as_location(folder)}", guessed)
+    seconds = sum(group.tasks * model.seconds(group.ground) for group in tasks.groups())
+    return Expected(len(tasks), seconds, model.source, len(tasks))
+
+
+def _keys(spec: TaskSpec) -> list[Hashable]:
+    """What tasks must have in common to take equally long, from all of it to nothing."""
+    same = (spec.mode, spec.detector, spec.accuracy)
+    return [(*same, spec.scored_by, spec.attack, spec.effects), same, (spec.mode,), ()]
+
+
+@dataclass
+class _Spent:
+    """What tasks of one kind took: seconds of all their attempts, and what the figures that ship say of them."""
+
+    tasks: int = 0
+    seconds: float = 0.0
+    by_model: float = 0.0
+
+
+def _measured(folder: Place, model: _Model) -> dict[Hashable, _Spent]:
+    """What each kind of task took in a sweep; nothing where it has finished none."""
+    tasks, attempts = read_plan(folder).tasks, committed_rows(folder, read_log(folder), "attempts")
+    at = pc.index_in(attempts["task_id"], value_set=tasks.ids).fill_null(len(tasks)).to_numpy()
+    spent = np.bincount(at, weights=attempts["seconds"].to_numpy(), minlength=len(tasks) + 1)[: len(tasks)]
+    ran = np.bincount(at[pc.equal(attempts["outcome"], "done").to_numpy()], minlength=len(tasks) + 1)[: len(tasks)] > 0
+    counts = np.bincount(tasks.ground[ran], minlength=len(tasks.grounds))
+    seconds = np.bincount(tasks.ground[ran], weights=spent[ran], minlength=len(tasks.grounds))
+    found: dict[Hashable, _Spent] = {}
+    for number in np.flatnonzero(counts).tolist():
+        for key in _keys(tasks.grounds[number]):
+            kind = found.setdefault(key, _Spent())
+            kind.tasks += int(counts[number])
+            kind.seconds += float(seconds[number])
+            kind.by_model += int(counts[number]) * model.seconds(tasks.grounds[number])
+    return found
+
+
+class _Model:
+    """What a task takes by its number of renderings: each as measured, longer by its effects and accuracy preset."""
+
+    def __init__(self) -> None:
+        self._values = json.loads(SHIPPED.read_text(encoding="utf-8"))
+        presets, whose = measured_presets()
+        self._rendering_ms = presets["ms_median"].to_dict()
+        self._worth = measured_worth()
+        self.source = f"the figures that ship: {self._values['source']}; presets by {whose}"
+
+    def seconds(self, spec: TaskSpec) -> float:
+        """Of one worker with one thread."""
+        attack, figure = spec.attack, self._values[spec.mode]
+        noise = attack.noise_replicates if spec.mode == "shape" else 0
+        renderings = attack.steps + 3 + attack.random_replicates + noise  # the search begins and ends with one more
+        more_ms = sum(max(self._worth[name].milliseconds, 0.0) for name in spec.effects if name in self._worth)
+        if spec.accuracy in self._rendering_ms:
+            more_ms += self._rendering_ms[spec.accuracy] - self._rendering_ms[self._values["accuracy"]]
+        each_ms = 1e3 * float(figure["seconds"]) / float(figure["renderings"]) + more_ms
+        return renderings * max(each_ms, 1.0) / 1e3
+
+
+def expected_lines(plan: Plan, out: Place, others: Sequence[Place], timings: Sequence[Place], workers: int) -> str:
+    """What is left to run of a plan, in words: time with some workers, and core-hours.
+
+    Args:
+        out: the folder that the sweep would write to; others: those whose results it would take over; timings: those
+            that say how long tasks take, asked before these.
+
+    Raises:
+        InputError: a folder of others or timings is no sweep's, or damaged.
+    """
+    own = [out] if (as_location(out) / "spec.yaml").is_file() else []
+    done = finished_in(plan.tasks, [*own, *others])
+    left = plan.tasks.select(np.flatnonzero(~done))
+    said = f"{int(done.sum())} of {len(plan.tasks)} tasks are done already\n" if done.any() else ""
+    if not len(left):
+        return f"{said}nothing is left to run"
+    found = expected(left, [*timings, *own, *others])
+    mean = found.seconds / found.tasks
+    wall = found.seconds / min(workers, found.tasks)
+    text = (
+        f"{said}expected: {found.tasks} tasks of {_duration(mean)}: {_duration(wall)} with {workers} "
+        f"worker{'s' if workers > 1 else ''} (runner.workers=N), {found.seconds / 3600:.3g} core-hours\n"
+        f"  by {found.source}"
+    )
+    if found.guessed and not found.source.startswith("the figures"):
+        text += f"; {found.guessed} of these tasks have other settings: scaled by the figures that ship"
+    return text
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 1.0:
+        return f"{1e3 * seconds:.3g} ms"
+    for name, size in (("s", 1.0), ("min", 60.0), ("h", 3600.0)):
+        if seconds < 120.0 * size and name != "h":
+            return f"{seconds / size:.3g} {name}"
+    return f"{seconds / 3600:.3g} h" if seconds < 48 * 3600 else f"{seconds / 86400:.3g} days"
