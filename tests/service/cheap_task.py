@@ -6,8 +6,11 @@ SHIFT3D_TEST_* variables make it slow, or make a chosen task fail, hang, kill it
 from __future__ import annotations
 
 import os
+import random
+import resource
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from shift3d.config.catalogue import Catalogue, SceneEntry
@@ -63,8 +66,15 @@ def _misbehave(spec: TaskSpec) -> None:
         with Path(journal).open("a") as file:
             file.write(f"{spec.task_id}\n")
     target = f"{spec.vehicle}/{spec.scene}/{spec.mode}"
+    gate = os.environ.get("SHIFT3D_TEST_GATE")
+    if gate and spec.scene == "street_003":
+        Path(f"{gate}.{os.getpid()}").touch()
+        while not Path(gate).exists():
+            time.sleep(0.02)
     if target == os.environ.get("SHIFT3D_TEST_HANGS"):
         time.sleep(3600)
+    if target == os.environ.get("SHIFT3D_TEST_HUNGRY"):
+        _eat()
     if (fails := os.environ.get("SHIFT3D_TEST_FAILS")) and target.startswith(fails):
         raise ArithmeticError(f"no root for {target}")
     if target == os.environ.get("SHIFT3D_TEST_CRASHES"):
@@ -73,6 +83,28 @@ def _misbehave(spec: TaskSpec) -> None:
             if mark is not None:
                 Path(mark).touch()
             os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _eat() -> None:
+    """Ask for more memory than this process may have from now on, as under a limit that a cluster sets."""
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (size + 64 * 2**20, before[1]))
+    try:
+        bytearray(2**31)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def _jumping_clock(seed: int) -> Callable[[], float]:
+    """A wall clock that is set back and forth by up to a day each time it is looked at."""
+    chance, real = random.Random(seed), time.time
+    return lambda: real() + chance.uniform(-86_400, 86_400)
+
+
+# In the driver and in every worker: both import this module.
+if "SHIFT3D_TEST_CLOCK" in os.environ:
+    time.time = _jumping_clock(int(os.environ["SHIFT3D_TEST_CLOCK"]))
 
 
 def catalogue(config: Config) -> Catalogue:

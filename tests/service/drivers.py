@@ -61,6 +61,11 @@ class Drivers:
         entries = sorted((self.folder / out / "_log").glob("[0-9]*.json"))
         return [task for entry in entries for task in json.loads(entry.read_text())["done"]]
 
+    def segments(self, out: str) -> set[str]:
+        """Segment files that the log names."""
+        entries = [json.loads(entry.read_text()) for entry in (self.folder / out / "_log").glob("[0-9]*.json")]
+        return {name for entry in entries for name in entry["segments"].values()}
+
     def wait_for_commits(self, out: str, tasks: int) -> None:
         deadline = time.monotonic() + 60
         while len(self.committed(out)) < tasks:

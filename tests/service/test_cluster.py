@@ -1,0 +1,71 @@
+"""A Ray cluster of several machines that lose and gain one in the middle of a sweep: complete, and the same bytes."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from drivers import Drivers
+from ray.cluster_utils import Cluster
+
+TASKS = 60
+HERE = str(Path(__file__).resolve().parent)
+MEGABYTES = 2**20
+
+
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Cluster]:
+    """Three nodes, each with room for one worker, in processes of their own on this machine."""
+    # Workers have the environment of their node: the task by name, and what it waits for.
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("SHIFT3D_TEST_SECONDS", "0.02")
+    monkeypatch.setenv("SHIFT3D_TEST_GATE", str(tmp_path / "gate"))
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    monkeypatch.setenv("RAY_DISABLE_IMPORT_WARNING", "1")
+    found = Cluster(initialize_head=True, head_node_args=node())
+    try:
+        for _ in range(2):
+            found.add_node(**node())
+        yield found
+    finally:
+        found.shutdown()
+
+
+def node() -> dict[str, object]:
+    return {"num_cpus": 1, "object_store_memory": 80 * MEGABYTES, "include_dashboard": False}
+
+
+def wait_for_workers_at_the_gate(folder: Path, workers: int) -> None:
+    deadline = time.monotonic() + 90
+    while len(list(folder.glob("gate.*"))) < workers:
+        assert time.monotonic() < deadline, f"fewer than {workers} workers have come to a task that waits"
+        time.sleep(0.05)
+
+
+def test_a_node_that_goes_and_one_that_comes_change_nothing(
+    cluster: Cluster, drivers: Drivers, undisturbed: dict[str, bytes], tmp_path: Path
+) -> None:
+    settings = ("runner.commit_seconds=0", "runner.batch_seconds=0.001", f"runner.address={cluster.address}")
+    driver = drivers.start("out", *settings)
+    # Every fourth task waits there: in the hands of each of the three, and then of the one that comes.
+    wait_for_workers_at_the_gate(tmp_path, 3)
+    leaving = sorted(cluster.worker_nodes, key=lambda one: one.unique_id)[0]
+    cluster.remove_node(leaving, allow_graceful=False)
+    cluster.add_node(**node())
+    wait_for_workers_at_the_gate(tmp_path, 4)
+    (tmp_path / "gate").touch()
+    _, errors = driver.communicate(timeout=120)
+    assert driver.returncode == 0, errors
+    committed = drivers.committed("out")
+    assert len(committed) == len(set(committed)) == TASKS
+    assert drivers.final("out") == undisturbed
+    attempts = pd.read_parquet(drivers.folder / "out" / "final" / "attempts.parquet")
+    assert not attempts["quarantined"].any()
+    assert set(attempts["outcome"]) <= {"done", "node_lost", "unreachable"}, "a task was charged for its node's end"
+    workers = attempts.loc[attempts["outcome"] == "done", "worker"]
+    assert workers.nunique() == 4 and set(workers.str.partition(":")[0]) == {socket.gethostname()}
