@@ -14,16 +14,14 @@ import pytest
 
 STARTS = """
 import sys
-from shift3d.config.schema import RayRunnerConfig
+from shift3d.config.compose import compose_sweep, validate
 from shift3d.errors import InputError
 from shift3d.sweep.ray_connection import connect
 
 address = sys.argv[1] if len(sys.argv) > 1 else None
-config = RayRunnerConfig.model_validate({
-    "kind": "ray", "workers": 1, "address": address, "cpus_per_worker": 1, "batch_seconds": 1, "commit_seconds": 1,
-})
+words = ["runner.workers=1", f"runner.address={address or 'null'}"]
 try:
-    ray = connect(config, 1)
+    ray = connect(validate(compose_sweep("smoke", words).base, "test").runner, 1)
 except InputError as error:
     sys.exit(str(error))
 print(ray.get_runtime_context().gcs_address, flush=True)

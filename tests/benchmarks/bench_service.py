@@ -1,0 +1,99 @@
+"""The sweep service: what it adds to a task, beside what a user would run instead, and how it scales."""
+
+from __future__ import annotations
+
+import dataclasses
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benchmarks.results import Results
+from benchmarks.timed_sweep import in_own_process
+
+from shift3d.report.service_cost import Parts, forecast, forecast_lines
+
+GRID = ("vehicle=coupe", "mode=shape", "attack.lambda=1", "effects=none")
+WEIGHTS = Path(__file__).resolve().parents[2] / "shift3d" / "weights"
+
+
+def sweep(kind: str, name: str, workers: int, *overrides: str, folder: Path) -> dict[str, Any]:
+    return in_own_process("benchmarks.timed_sweep", kind, name, str(workers), *overrides, folder=folder)
+
+
+def other(name: str, jobs: int, folder: Path) -> dict[str, Any]:
+    return in_own_process("benchmarks.other_services", name, str(jobs), folder=folder)
+
+
+@pytest.fixture(scope="module")
+def overhead_us(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory) -> float:
+    """What the service takes a no-op task, measured once for all that refer to it."""
+    count = 2_000 if quick else 100_000
+    found = sweep("NOOP", "default", 2, *GRID, f"scenes.count={count}", folder=tmp_path_factory.mktemp("noop"))
+    value = 1e6 * found["seconds"] / found["tasks"]
+    of = "run phase of a sweep of no-op tasks with one score each, two Ray workers, durable commits; a task"
+    note = f"{found['tasks']} tasks in {found['seconds']:.1f} s, {found['commits']} log entries"
+    bench.add("sweep_overhead_us", value, "us", of, note=note)
+    return value
+
+
+def bench_overhead_beside_hydra(bench: Results, overhead_us: float, quick: bool, tmp_path: Path) -> None:
+    basic = other("basic", 12 if quick else 100, tmp_path)
+    bench.add("hydra_basic_job_ms", basic["ms"], "ms", "Hydra's own multirun in process, a no-op job")
+    if find_spec("hydra_plugins.hydra_ray_launcher" if find_spec("hydra_plugins") else "hydra_plugins") is None:
+        why = "hydra-ray-launcher is not installed (pip install --no-deps hydra-ray-launcher)"
+        bench.add(
+            "hydra_basic_ratio", 1e3 * basic["ms"] / overhead_us, "ratio", "hydra_basic_job_ms / overhead", note=why
+        )
+        return
+    launcher = other("ray", 8 if quick else 50, tmp_path)
+    bench.add("hydra_ray_launcher_job_ms", launcher["ms"], "ms", "Hydra's Ray launcher on two CPUs, a no-op job")
+    of = "Hydra's Ray launcher, a no-op job / sweep_overhead_us"
+    note = f"{launcher['ms']:.0f} ms / {overhead_us:.0f} us"
+    bench.add("hydra_ray_launcher_ratio", 1e3 * launcher["ms"] / overhead_us, "ratio", of, note=note)
+
+
+def bench_overhead_beside_ray_tune(bench: Results, overhead_us: float, quick: bool, tmp_path: Path) -> None:
+    pytest.importorskip("ray.tune")
+    tune = other("tune", 20 if quick else 300, tmp_path)
+    of = "Ray Tune with two reused actors, a no-op trial / sweep_overhead_us"
+    note = f"{tune['ms']:.1f} ms / {overhead_us:.0f} us"
+    bench.add("ray_tune_ratio", 1e3 * tune["ms"] / overhead_us, "ratio", of, note=note)
+
+
+@pytest.fixture(scope="module")
+def task_s(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory) -> float:
+    """Seconds of a real task on one worker, and how two workers do beside one."""
+    scenes, turns = (1, 1) if quick else (4, 2)
+    seconds: dict[int, list[float]] = {1: [], 2: []}
+    tasks = 0
+    for turn in range(turns):
+        # In turns: a machine that grows slower while it is measured does so to both alike.
+        for workers in (1, 2) if turn % 2 == 0 else (2, 1):
+            words = (f"scenes.count={scenes}", f"mode={'shape' if quick else 'shape,pose'}", "runner.batch_seconds=0.5")
+            found = sweep("REAL", "smoke", workers, *words, folder=tmp_path_factory.mktemp("real"))
+            seconds[workers].append(found["seconds"])
+            tasks = found["tasks"]
+    one, two = min(seconds[1]), min(seconds[2])
+    of = "tasks a second of two Ray workers / of one, run phase of the smoke sweep on more streets, one thread each"
+    bench.add("scaling_two_workers", one / two, "ratio", of, note=f"{tasks} tasks in {one:.1f} and {two:.1f} s")
+    return one / tasks
+
+
+def bench_cost_model(bench: Results, overhead_us: float, task_s: float, quick: bool, tmp_path: Path) -> None:
+    calls, commits = (200, 5) if quick else (5_000, 50)
+    found = in_own_process("benchmarks.service_parts", str(calls), str(commits), folder=tmp_path)
+    weights_mb = sum((WEIGHTS / f"{name}.safetensors").stat().st_size for name in ("pointpillars", "sdf")) / 1e6
+    parts = Parts(overhead_us=overhead_us, weights_mb=weights_mb, task_s=task_s, **found)
+    bench.add("service_commit_ms", parts.commit_ms, "ms", "a durable commit of 1,000 score rows, local disk")
+    bench.add("service_call_us", parts.call_us, "us", "a call to a Ray actor and its answer, two actors in turns")
+    bench.add("service_transfer_mb_s", parts.transfer_mb_s, "MB/s", "64 MB into the object store and an actor")
+    bench.add("service_task_s", task_s, "s", "a real task of the smoke sweep, one worker")
+    thousand = forecast(parts, workers=1_000, tasks=10**7)
+    of = "extrapolated: the shortest task at which one driver keeps 1,000 workers busy"
+    note = forecast_lines(thousand).replace("\n", "; ")
+    bench.add("service_shortest_task_s_at_1000", thousand.shortest_task_s, "s", of, note=note)
+    longer = forecast(dataclasses.replace(parts, task_s=30.0), workers=1_000, tasks=10**7)
+    busy = 100 * sum(longer.busy.values())
+    of = "extrapolated: share of the driver's time with 1,000 workers on tasks of 30 s (the paper's steps)"
+    bench.add("service_driver_busy_percent", busy, "%", of, note=f"first bottleneck: {longer.bottleneck}")

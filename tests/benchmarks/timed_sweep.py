@@ -1,0 +1,70 @@
+"""A sweep in a process of its own, through Ray with durable commits; prints how long its run phase took as JSON.
+
+The run phase begins when the first worker has what tasks need, and ends when the last result is committed: neither
+planning, nor Ray's start, nor the final tables. In one process each, since a Ray and its settings are a process's own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+__all__ = ["in_own_process", "run_phase"]
+
+
+def run_phase(kind_name: str, sweep: str, workers: int, overrides: Sequence[str]) -> dict[str, Any]:
+    """Run a sweep of ``benchmarks.noop_task``'s kinds: {"seconds", "tasks", "commits"}."""
+    from benchmarks import noop_task
+
+    from shift3d.config.compose import compose_sweep
+    from shift3d.sweep.drive import run_sweep
+    from shift3d.sweep.final import FinalTables
+    from shift3d.sweep.plan import make_plan
+
+    kind = getattr(noop_task, kind_name)
+    words = [*overrides, f"runner.workers={workers}", "tracking=none"]
+    plan, config = make_plan(compose_sweep(sweep, words), kind.catalogue)
+    ended: list[tuple[float, int]] = []
+
+    def finish(_folder: object, _plan: object, entries: Sequence[object]) -> FinalTables:
+        ended.append((time.time(), len(entries)))
+        return FinalTables({})
+
+    with tempfile.TemporaryDirectory(prefix="shift3d-bench-", dir=Path.cwd()) as folder:
+        marks = Path(folder) / "marks"
+        marks.mkdir()
+        os.environ["SHIFT3D_BENCH_MARKS"] = str(marks)
+        result = run_sweep(plan, config.runner, kind, Path(folder) / "out", finish)
+        began = min(float(mark.read_text()) for mark in marks.iterdir())
+    if result.done != result.planned:
+        raise RuntimeError(f"{result.done} of {result.planned} tasks done")
+    return {"seconds": ended[0][0] - began, "tasks": result.done, "commits": ended[0][1]}
+
+
+def in_own_process(module: str, *words: str, folder: Path) -> dict[str, Any]:
+    """Run ``python -m MODULE WORDS`` in a folder and read the JSON of its last line.
+
+    Raises:
+        RuntimeError: it failed; with the end of what it said.
+    """
+    tests = str(Path(__file__).resolve().parents[1])
+    path = os.pathsep.join([tests, str(Path(tests).parent), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-m", module, *words]
+    environment = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}: {done.stderr[-3000:]}")
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+if __name__ == "__main__":
+    kind_, sweep_, workers_, *overrides_ = sys.argv[1:]
+    print(json.dumps(run_phase(kind_, sweep_, int(workers_), overrides_)))
