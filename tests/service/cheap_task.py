@@ -71,18 +71,24 @@ def _misbehave(spec: TaskSpec) -> None:
         Path(f"{gate}.{os.getpid()}").touch()
         while not Path(gate).exists():
             time.sleep(0.02)
-    if target == os.environ.get("SHIFT3D_TEST_HANGS"):
+    if target == os.environ.get("SHIFT3D_TEST_HANGS") and _not_yet("SHIFT3D_TEST_HANG_ONCE"):
         time.sleep(3600)
     if target == os.environ.get("SHIFT3D_TEST_HUNGRY"):
         _eat()
     if (fails := os.environ.get("SHIFT3D_TEST_FAILS")) and target.startswith(fails):
         raise ArithmeticError(f"no root for {target}")
-    if target == os.environ.get("SHIFT3D_TEST_CRASHES"):
-        mark = os.environ.get("SHIFT3D_TEST_CRASH_ONCE")
-        if mark is None or not Path(mark).exists():
-            if mark is not None:
-                Path(mark).touch()
-            os.kill(os.getpid(), signal.SIGKILL)
+    if target == os.environ.get("SHIFT3D_TEST_CRASHES") and _not_yet("SHIFT3D_TEST_CRASH_ONCE"):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _not_yet(variable: str) -> bool:
+    """True the first time only where a variable names a file to remember it by; always where it is not set."""
+    mark = os.environ.get(variable)
+    if mark is None:
+        return True
+    first = not Path(mark).exists()
+    Path(mark).touch()
+    return first
 
 
 def _eat() -> None:

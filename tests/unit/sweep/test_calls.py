@@ -1,0 +1,56 @@
+"""Of two calls with the same tasks the first to end counts, and only what is unusually slow gets a second one."""
+
+from __future__ import annotations
+
+from shift3d.sweep.ray_calls import Call, Calls
+from shift3d.sweep.ray_crew import Member
+
+
+def call(reference: str, positions: list[int], ago_s: float = 0.0, twin: Call | None = None) -> Call:
+    found = Call(reference, Member(None), positions, 1, twin=twin)
+    found.began -= ago_s
+    if twin:
+        twin.twin = found
+    return found
+
+
+def test_the_second_of_two_twins_is_not_wanted() -> None:
+    calls = Calls(least_s=1.0)
+    calls.add(first := call("a", [1]))
+    calls.add(second := call("b", [1], twin=first))
+    assert first.member.running and len(calls) == 2
+    assert calls.pop("b") == (second, True)
+    calls.finished(second, 1, 0.1)
+    assert len(calls) == 0, "nobody waits for the other one"
+    assert calls.references == ["a"]
+    assert calls.pop("a") == (first, False)
+    assert not first.member.running
+
+
+def test_a_twin_that_died_leaves_the_other_one_wanted() -> None:
+    calls = Calls(least_s=1.0)
+    calls.add(first := call("a", [1]))
+    calls.add(second := call("b", [1], twin=first))
+    assert calls.pop("b") == (second, True)
+    assert calls.twin_of(second) is first and calls.twin_of(first) is None
+    assert calls.pop("a") == (first, True)
+
+
+def test_only_what_is_far_beyond_the_usual_straggles() -> None:
+    calls = Calls(least_s=1.0)
+    calls.add(late := call("a", [1, 2], ago_s=50))
+    assert calls.straggler() is None, "nothing has ended: nobody knows what is usual"
+    for _ in range(5):
+        calls.finished(call("x", [0]), tasks=1, seconds=10.0)
+    assert calls.straggler() is None, "two tasks take twenty seconds, three times that is sixty"
+    late.began -= 20
+    assert calls.straggler() is late
+    calls.add(call("b", [1, 2], twin=late))
+    assert calls.straggler() is None, "a second one is enough"
+
+
+def test_of_quick_tasks_none_straggles_at_once() -> None:
+    calls = Calls(least_s=5.0)
+    calls.finished(call("x", [0]), tasks=100, seconds=0.01)
+    calls.add(call("a", [1], ago_s=4))
+    assert calls.straggler() is None
