@@ -32,6 +32,10 @@ GOALS: dict[str, tuple[str, float]] = {
     "hydra_ray_launcher_ratio": (">=", 300.0),
     "ray_tune_ratio": (">=", 50.0),
     "scaling_two_workers": (">=", 1.9),
+    "plan_million_s": ("<=", 10.0),
+    "plan_million_peak_mb": ("<=", 1500.0),
+    "resume_million_s": ("<=", 15.0),
+    "reread_million_s": ("<=", 15.0),
 }
 """What the project claims. A run that misses one says so and does not fail: it measures."""
 

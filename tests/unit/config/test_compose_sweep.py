@@ -26,6 +26,21 @@ SWEEPS = [
     [*ONE, "accuracy.render.step_m=0.05,0.1", "accuracy=draft,paper", "scenes.sensor=hdl64"],
     ["vehicle=glob(c*)", "mode=pose", "attack.lambda=1"],
     [*ONE, "scene='street a','street b'"],
+    # Groups that are axes together with settings of their options, whichever is named first.
+    [*ONE, "attack=short,paper", "attack.alpha=0.01,0.1"],
+    [*ONE, "attack.steps=3,4", "attack=short,paper"],
+    ["vehicle=suv", "mode=pose", "attack.lambda=1", "effects=none,auto", "replicate=range(2)"],
+    # Ranges: a step, none, downwards, of floats; choices named as such, with a name, sorted and shuffled in the file.
+    [*ONE, "seed=range(0,6,3)", "attack.alpha=range(0.1,0.4,0.1)"],
+    [*ONE, "seed=range(start=5,stop=1,step=-2)", "replicate=choice(0,2,1)"],
+    [*ONE, "seed=sort(3,1,2)", "attack.alpha=sort(0.1,0.3,reverse=true)"],
+    # Choices of lists and of mappings, of texts with commas, of null.
+    [*ONE, "detector.scored_by=[pointpillars],[pointpillars,sst],null"],
+    [*ONE, "detector.scored_by=choice([sst],[])", "scene=null,north"],
+    [*ONE, "scene='a,b',\"c d\""],
+    # Globs of options, with some left out.
+    ["vehicle=glob([c*,s*],exclude=[set,sports*])", "mode=pose", "attack.lambda=1,10"],
+    ["vehicle=glob(*,exclude=[deepsdf,set])", "mode=pose", "attack.lambda=1"],
 ]
 
 

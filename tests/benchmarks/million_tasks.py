@@ -1,0 +1,77 @@
+"""A sweep of very many tasks in a process of its own, on one core: planned, nearly done, or resumed.
+
+Usage: python -m benchmarks.million_tasks plan|finish|resume|read FOLDER SCENES. Prints what it found as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import pyarrow as pa
+from benchmarks.worker_memory import peak_mb
+
+from shift3d.config.catalogue import Catalogue, SceneEntry
+from shift3d.config.compose import compose_sweep
+from shift3d.config.schema import Config, StreetConfig
+from shift3d.scenes.facts import SceneFacts
+from shift3d.store.log import CommitLog
+from shift3d.sweep.folder import open_folder, read_plan
+from shift3d.sweep.plan import Plan, make_plan
+
+VEHICLES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
+LAMBDAS = ("0.1", "1", "10", "100")
+COMMIT = 5_000
+_DONE_SHARE = 0.99
+
+
+def catalogue(config: Config) -> Catalogue:
+    """Scenes by name alone: to make a street or to read a frame, and to hash it, takes longer than to plan on it."""
+    assert isinstance(config.scenes, StreetConfig)
+    names = [f"street_{number:06d}" for number in range(config.scenes.count)]
+    return Catalogue(
+        scenes=tuple(SceneEntry(name, "street-hdl64", f"{name:0>32}", SceneFacts(name)) for name in names),
+        frame_of=lambda _: None,  # no effect that asks for it
+        scene_arguments=config.scenes.model_dump(mode="json", exclude={"count"}),
+        sector_rad=(0.0, 3.14),
+        vehicles={name: f"{name:0>32}" for name in VEHICLES},
+        decoder_hash="0" * 32,
+        detectors={config.detector.name: "1" * 32},
+        accuracy={},
+    )
+
+
+def plan_of(scenes: int) -> Plan:
+    """Five vehicles under four lambda in so many scenes."""
+    words = [f"vehicle={','.join(VEHICLES)}", "mode=shape", f"attack.lambda={','.join(LAMBDAS)}"]
+    return make_plan(compose_sweep("default", [*words, f"scenes.count={scenes}"]), catalogue)[0]
+
+
+def finish(folder: Path, plan: Plan) -> None:
+    """Commit most of the tasks, a few thousand at a time, without rows: a log is read, segments are not."""
+    log, ids = CommitLog(folder, plan.spec_hash), plan.tasks.ids.to_pylist()
+    for start in range(0, int(len(ids) * _DONE_SHARE), COMMIT):
+        log.commit(tuple(ids[start : start + COMMIT]), (), {})
+
+
+def main(what: str, path: str, scenes: str) -> None:
+    """Do it, and print the number of tasks, of those that are left, and the peak of this process."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    pa.set_cpu_count(1)
+    folder = Path(path)
+    plan = read_plan(folder) if what == "read" else plan_of(int(scenes))
+    open_folder(folder, plan)
+    if what == "finish":
+        finish(folder, plan)
+    left = len(plan.tasks)
+    if what in ("resume", "read"):
+        log = CommitLog(folder, plan.spec_hash)
+        left = len(plan.tasks.without(log.done() | log.quarantined()))
+    print(json.dumps({"tasks": len(plan.tasks), "left": left, "peak_mb": peak_mb()}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
