@@ -36,14 +36,9 @@ def bench_million_tasks(bench: Results, tmp_path: Path, quick: bool) -> None:
     seconds, planned = run("plan", folder, scenes)
     assert planned["tasks"] == A_SCENE * scenes
     megabytes = (folder / "plan.parquet").stat().st_size / 1e6
+    note = f"{planned['cpu_s']:.1f} s of it computing; plan.parquet has {megabytes:.1f} MB"
     of = f"a plan {setting}: composed, expanded, identified and written"
-    bench.add(
-        "plan_million_s",
-        seconds,
-        "s",
-        of,
-        note=f"{planned['cpu_s']:.1f} s of it computing; plan.parquet has {megabytes:.1f} MB",
-    )
+    bench.add("plan_million_s", seconds, "s", of, note=note)
     bench.add("plan_million_peak_mb", planned["peak_mb"], "MB", f"peak resident memory of planning, {setting}")
     run("finish", folder, scenes)
     for what, name, of in (

@@ -1,0 +1,100 @@
+"""plan.parquet: small, the same bytes for the same tasks, and never another task than was planned."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from by_hand import catalogue
+
+from shift3d.config.catalogue import SceneEntry
+from shift3d.config.compose import compose_sweep
+from shift3d.errors import InputError
+from shift3d.scenes.facts import SceneFacts
+from shift3d.sweep.folder import open_folder, read_plan
+from shift3d.sweep.plan import Plan, make_plan
+from shift3d.sweep.plan_file import plan_bytes, read_tasks
+
+WORDS = ["effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25"]
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    """Effects asked for under several settings, transfers, shape and pose."""
+    return make_plan(compose_sweep("default", [*WORDS, "attack.transfer_scenes=1"]), catalogue)[0]
+
+
+def rewritten(content: bytes, **columns: list[object]) -> bytes:
+    table = pq.read_table(pa.BufferReader(content))
+    for name, values in columns.items():
+        at = table.schema.get_field_index(name)
+        table = table.set_column(at, table.schema.field(name), pa.array(values).cast(table.schema.field(name).type))
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink)
+    return bytes(sink.getvalue().to_pybytes())
+
+
+def test_there_and_back(plan: Plan) -> None:
+    content = plan_bytes(plan.tasks)
+    back = read_tasks(content, "plan.parquet")
+    assert back == plan.tasks and list(back) == list(plan.tasks)
+    assert plan_bytes(back) == content == plan_bytes(plan.tasks)
+    some = plan.tasks[::3]
+    assert list(read_tasks(plan_bytes(some), "plan.parquet")) == list(some)
+
+
+def test_columns_say_what_the_specs_say(plan: Plan, tmp_path: Path) -> None:
+    (tmp_path / "plan.parquet").write_bytes(plan_bytes(plan.tasks))
+    frame = pd.read_parquet(tmp_path / "plan.parquet")
+    assert frame["position"].tolist() == list(range(len(plan.tasks)))
+    for name in ("task_id", "vehicle", "scene", "dataset", "mode", "alpha", "detector", "accuracy"):
+        assert frame[name].tolist() == [getattr(task.spec, name) for task in plan.tasks], name
+    assert [None if pd.isna(value) else value for value in frame["lambda"]] == [t.spec.lambda_ for t in plan.tasks]
+    assert [tuple(value) for value in frame["effects"]] == [task.spec.effects for task in plan.tasks]
+    assert [tuple(value) for value in frame["effects_asked"]] == [task.effects_asked for task in plan.tasks]
+    assert frame["assets"].tolist() == [task.assets for task in plan.tasks]
+    specs = [json.loads(ground) | json.loads(place) for ground, place in zip(frame["ground"], frame["place"])]
+    assert specs == [json.loads(task.spec.canonical_json()) for task in plan.tasks]
+
+
+def test_a_task_takes_little_more_room_than_its_id() -> None:
+    def many(config: object) -> object:
+        scenes = tuple(SceneEntry(f"s{i}", "street-hdl64", f"{i:032x}", SceneFacts(f"s{i}")) for i in range(500))
+        return dataclasses.replace(catalogue(config), scenes=scenes)  # type: ignore[arg-type]
+
+    tasks = make_plan(compose_sweep("default"), many)[0].tasks  # type: ignore[arg-type]
+    assert len(tasks) == 5 * 3 * 500
+    assert len(plan_bytes(tasks)) < 40 * len(tasks)
+
+
+@pytest.mark.parametrize("column", ["ground", "place", "task_id"])
+def test_another_task_under_an_id_is_refused(plan: Plan, column: str) -> None:
+    content = plan_bytes(plan.tasks)
+    values = pq.read_table(pa.BufferReader(content))[column].to_pylist()
+    other = next(value for value in values if value != values[0])
+    with pytest.raises(InputError, match=r"where\.parquet: cannot be read \(an id is not its task's\)"):
+        read_tasks(rewritten(content, **{column: [other, *values[1:]]}), "where.parquet")
+
+
+def test_tasks_that_are_missing_are_noticed(plan: Plan, tmp_path: Path) -> None:
+    open_folder(tmp_path / "out", plan)
+    (tmp_path / "out" / "plan.parquet").write_bytes(plan_bytes(plan.tasks[1:]))
+    with pytest.raises(InputError, match=r"spec\.yaml and plan\.parquet are not of one sweep"):
+        read_plan(tmp_path / "out")
+
+
+def test_the_files_of_earlier_programs_are_read(plan: Plan) -> None:
+    """They hold every task's whole spec."""
+    columns = {
+        "spec": [task.spec.canonical_json() for task in plan.tasks],
+        "assets": pa.array([task.assets for task in plan.tasks], type=pa.int32()),
+        "effects_asked": [list(task.effects_asked) for task in plan.tasks],
+    }
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(columns), sink)
+    assert read_tasks(sink.getvalue().to_pybytes(), "plan.parquet") == plan.tasks
