@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from shift3d.cli import effects, evaluate, export, fit, frontier, plan, report, sweep, train, ui, verify
+from shift3d.cli import compact, effects, evaluate, export, fit, frontier, gc, plan, report, sweep, train, ui, verify
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
 
@@ -22,6 +22,8 @@ COMMANDS: tuple[Command, ...] = (
     report.COMMAND,
     effects.COMMAND,
     export.COMMAND,
+    gc.COMMAND,
+    compact.COMMAND,
     fit.COMMAND,
     train.COMMAND,
     evaluate.COMMAND,

@@ -1,16 +1,20 @@
 """The commit log: numbered JSON files that are the only truth about what is done.
 
 One driver appends. Entry n is created only if absent, so of two drivers one is stopped at its next commit.
-Each driver opens with a session entry, which stops any earlier driver that is still alive.
+Each driver opens with a session entry, which stops any earlier driver that is still alive. A compaction writes an entry
+that stands for all before it; sessions before it are kept, since they are what stops a driver that slept meanwhile.
 
 Source: our choice (design section 9).
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import re
 import secrets
+from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import PurePath
@@ -20,10 +24,16 @@ import pyarrow as pa
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location, Place, UncertainError, as_location
+from shift3d.store.migrations import steps
 from shift3d.store.schemas import SCHEMA_VERSION, SEGMENTS
 from shift3d.store.tables import write_table
 
-__all__ = ["Commit", "CommitLog", "TakenOverError", "read_log"]
+__all__ = ["Commit", "CommitLog", "TakenOverError", "entry_names", "read_entry", "read_log"]
+
+_ENTRY = re.compile(r"\d{8}\.json")
+_TRIES = 5
+_BEGINNINGS = 50
+_RESTORE = "Restore the file from a copy, or remove the output folder and run the sweep again"
 
 
 class TakenOverError(InputError):
@@ -36,11 +46,13 @@ class TakenOverError(InputError):
 class Commit:
     """One entry: the tasks it finished, those it gave up on, and the segment files that hold their rows.
 
+    kind: session (a driver began), commit, or compact, which stands for all entries before it.
+
     segments: table name to file name inside ``data/``. rows: table name to number of rows in that file.
     """
 
     sequence: int
-    kind: str  # session | commit
+    kind: str
     driver: str
     spec_hash: str
     done: tuple[str, ...] = ()
@@ -50,33 +62,66 @@ class Commit:
 
 
 def read_log(folder: Place) -> list[Commit]:
-    """Every entry in order.
+    """The entries that count, in order: all of them, or from the last compaction on, which says what was before it.
 
     Raises:
-        InputError: an entry is missing, torn, or of another schema version.
+        InputError: an entry is missing, torn, or of a schema version that this program cannot read.
     """
     log = as_location(folder) / "_log"
+    for _ in range(_TRIES):
+        with contextlib.suppress(FileNotFoundError):  # a compaction has just removed what it replaced
+            return _read(log, entry_names(log))
+    raise InputError("its entries vanish while they are read", where=str(log), remedy="Run the same command again")
+
+
+def entry_names(log: Location) -> list[str]:
+    """Names of all entries that are there, those that a compaction replaced included, in order. log: the folder _log.
+
+    Raises:
+        InputError: a name that no driver gave.
+    """
     names = [name for name in log.names() if name.endswith(".json") and name[0].isdigit()]
-    return log.each(lambda item: _read_entry(log, *item), list(enumerate(names)))
+    for name in names:
+        if not _ENTRY.fullmatch(name):
+            raise InputError("is no name of a log entry", where=str(log / name), remedy=_RESTORE)
+    return names
 
 
-def _read_entry(log: Location, sequence: int, name: str) -> Commit:
-    remedy = "Restore the file from a copy, or remove the output folder and run the sweep again"
-    path = log / name
-    if name != _entry_name(sequence):
-        raise InputError(f"entry {_entry_name(sequence)} is missing", where=str(log), remedy=remedy)
+def _read(log: Location, names: list[str]) -> list[Commit]:
+    numbers = [_number(name) for name in names]
+    first = len(numbers) - 1
+    while first > 0 and numbers[first - 1] == numbers[first] - 1:
+        first -= 1
+    entries = log.each(lambda name: read_entry(log / name), names[max(first, 0) :])
+    compactions = [index for index, entry in enumerate(entries) if entry.kind == "compact"]
+    if compactions:
+        return entries[compactions[-1] :]
+    # Before the last compaction only sessions are left; without one, every entry counts.
+    if entries and entries[0].sequence != 0:
+        what = f"entry {_entry_name(entries[0].sequence - 1)} is missing"
+        raise InputError(what, where=str(log), remedy=_RESTORE)
+    return entries
+
+
+def read_entry(path: Location) -> Commit:
+    """One entry.
+
+    Raises:
+        FileNotFoundError: it is not there. InputError: it is torn, or of a version that this program cannot read.
+    """
     try:
         values = json.loads(path.read_bytes())
-        version = values["schema_version"]
-        if version == SCHEMA_VERSION:
-            return _commit(values, sequence)
+        for step in steps(values["schema_version"], str(path)):
+            values = step.entry(values)
+        return _commit(values, _number(path.name))
+    except FileNotFoundError:
+        raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError("is not a commit log entry", where=str(path), remedy=remedy) from error
-    raise InputError(
-        f"has schema version {version}, this is version {SCHEMA_VERSION}",
-        where=str(path),
-        remedy="Finish it with the version of shift3d that began it, or choose another folder with out=DIR",
-    )
+        raise InputError("is not a commit log entry", where=str(path), remedy=_RESTORE) from error
+
+
+def _number(name: str) -> int:
+    return int(name.removesuffix(".json"))
 
 
 def _entry_name(sequence: int) -> str:
@@ -86,10 +131,9 @@ def _entry_name(sequence: int) -> str:
 def _commit(values: dict[str, Any], sequence: int) -> Commit:
     """An entry of this version. Raises ValueError where a value cannot be what a driver writes."""
     segments, rows = values["segments"], values["rows"]
-    texts = [values["driver"], values["spec_hash"], *values["done"], *values["quarantined"], *segments.values()]
+    texts = [values["driver"], values["spec_hash"], values["done"], values["quarantined"], *segments.values()]
     wrong = (
-        values["kind"] not in ("session", "commit")
-        or not all(isinstance(value, list) for value in (values["done"], values["quarantined"]))
+        values["kind"] not in ("session", "commit", "compact")
         or not all(isinstance(text, str) for text in texts)
         or not (segments.keys() == rows.keys() <= set(SEGMENTS))
         or not all(type(count) is int and count >= 0 for count in rows.values())
@@ -103,8 +147,8 @@ def _commit(values: dict[str, Any], sequence: int) -> Commit:
         kind=values["kind"],
         driver=values["driver"],
         spec_hash=values["spec_hash"],
-        done=tuple(values["done"]),
-        quarantined=tuple(values["quarantined"]),
+        done=tuple(values["done"].split()),
+        quarantined=tuple(values["quarantined"].split()),
         segments=tuple(segments.items()),
         rows=tuple(rows.items()),
     )
@@ -134,16 +178,29 @@ class CommitLog:
         for part in ("_log", "data", "final"):
             for left in (self.folder / part).leftovers():
                 left.delete()
-        for entry in read_log(self.folder):
-            self._take(entry)
+        self._read_all()
         (self.folder / "_log").check_writable()
-        for entry in self.entries:
-            if entry.spec_hash != spec_hash:
+        self._begin()
+
+    def _read_all(self) -> None:
+        self.entries = []
+        for entry in read_log(self.folder):
+            if entry.spec_hash != self.spec_hash:
                 what = f"entry {entry.sequence:08d}.json is of another sweep ({entry.spec_hash[:40]!r})"
-                raise InputError(
-                    what, where=str(self.folder / "_log"), remedy="Restore it from a copy, or use another folder"
-                )
-        self._append("session", (), (), {})
+                remedy = "Restore it from a copy, or use another folder"
+                raise InputError(what, where=str(self.folder / "_log"), remedy=remedy)
+            self._take(entry)
+
+    def _begin(self) -> None:
+        """The session's entry. A driver that is still alive may commit meanwhile: then the next number is tried."""
+        for _ in range(_BEGINNINGS):
+            try:
+                self._append("session", (), (), {})
+                return
+            except TakenOverError as error:
+                failure = error
+                self._read_all()
+        raise failure
 
     def commit(self, done: tuple[str, ...], quarantined: tuple[str, ...], tables: dict[str, pa.Table]) -> Commit:
         """Write the segments, then the entry that makes them count.
@@ -155,15 +212,34 @@ class CommitLog:
             TakenOverError: another driver wrote this entry; these rows are not part of the sweep.
             InputError: the disk is full; nothing half-written counts.
         """
-        sequence = len(self.entries)
-        segments: dict[str, tuple[str, int]] = {}
-        for name, table in tables.items():
-            if table.num_rows == 0:
-                continue
-            file_name = f"{sequence:08d}-{self.driver}-{name}.parquet"
-            write_table(self.folder / "data" / file_name, table)
-            segments[name] = (file_name, table.num_rows)
-        return self._append("commit", done, quarantined, segments)
+        written = [self._write(name, table) for name, table in tables.items() if table.num_rows]
+        return self._append("commit", done, quarantined, dict(written))
+
+    def compact(self, segment: Callable[[str], pa.Table]) -> Commit:
+        """Write an entry that stands for all that are there, with one segment a table.
+
+        segment: the table of everything that was committed, by its name; asked for one after the other.
+
+        Raises:
+            As `commit`.
+        """
+        names = dict.fromkeys(name for entry in self.entries for name, _ in entry.segments)
+        written = [self._write(name, segment(name)) for name in names]
+        done = dict.fromkeys(task for entry in self.entries for task in entry.done)
+        given_up = dict.fromkeys(task for entry in self.entries for task in entry.quarantined)
+        left = tuple(task for task in given_up if task not in done)
+        entry = self._append("compact", tuple(done), left, dict(written))
+        self.entries = [entry]
+        return entry
+
+    def _write(self, name: str, table: pa.Table) -> tuple[str, tuple[str, int]]:
+        file_name = f"{self._next:08d}-{self.driver}-{name}.parquet"
+        write_table(self.folder / "data" / file_name, table)
+        return name, (file_name, table.num_rows)
+
+    @property
+    def _next(self) -> int:
+        return self.entries[-1].sequence + 1 if self.entries else 0
 
     def _append(
         self,
@@ -172,19 +248,18 @@ class CommitLog:
         quarantined: tuple[str, ...],
         segments: dict[str, tuple[str, int]],
     ) -> Commit:
-        sequence = len(self.entries)
-        name = _entry_name(sequence)
+        sequence = self._next
         values: dict[str, Any] = {
             "schema_version": SCHEMA_VERSION,
             "kind": kind,
             "driver": self.driver,
             "spec_hash": self.spec_hash,
-            "done": list(done),
-            "quarantined": list(quarantined),
+            "done": " ".join(done),
+            "quarantined": " ".join(quarantined),
             "segments": {name: file for name, (file, _) in segments.items()},
             "rows": {name: rows for name, (_, rows) in segments.items()},
         }
-        path = self.folder / "_log" / name
+        path = self.folder / "_log" / _entry_name(sequence)
         try:
             created = path.put_if_absent(json.dumps(values, indent=1).encode() + b"\n")
         except UncertainError:

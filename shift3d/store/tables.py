@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
 from shift3d.store.location import LocalLocation, Location, Place, as_location
+from shift3d.store.migrations import steps
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 
 __all__ = ["check_table", "read_table", "table_bytes", "table_from_rows", "write_table"]
@@ -99,12 +100,12 @@ def read_table(
         ) from error
     metadata = table.schema.metadata or {}
     version = metadata.get(b"shift3d.schema_version", b"none").decode(errors="replace")
-    if metadata.get(b"shift3d.schema", b"").decode(errors="replace") != name or version != str(SCHEMA_VERSION):
-        raise InputError(
-            f"is not a {name} table of schema version {SCHEMA_VERSION} (found version {version})",
-            where=str(path),
-            remedy="Read it with the version of shift3d that wrote it",
-        )
+    if metadata.get(b"shift3d.schema", b"").decode(errors="replace") != name:
+        raise InputError(f"is not a {name} table", where=str(path), remedy=_RESTORE)
+    if version != str(SCHEMA_VERSION):
+        for step in steps(int(version) if version.isdecimal() else version, str(path)):
+            table = step.table(name, table)
+        table = table.replace_schema_metadata(SCHEMAS[name].metadata)
     check_table(table, SCHEMAS[name], path)
     return table
 

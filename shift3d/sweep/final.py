@@ -16,10 +16,11 @@ import pyarrow.compute as pc
 
 from shift3d.errors import InputError
 from shift3d.evaluation.recall_curve import area_under, recall_curve
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Place, as_location
 from shift3d.store.log import Commit
-from shift3d.store.schemas import GROUP_COLUMNS, SCHEMAS, SEGMENTS
-from shift3d.store.tables import read_table, table_from_rows, write_table
+from shift3d.store.schemas import GROUP_COLUMNS, SEGMENTS
+from shift3d.store.segments import committed_rows
+from shift3d.store.tables import table_from_rows, write_table
 from shift3d.sweep.grids import bev_rows, groups, transfer_rows
 from shift3d.sweep.hyperparameters import RULE_KEYS, choice_rows, choose_lambdas
 from shift3d.sweep.plan import Plan
@@ -99,28 +100,6 @@ def segments_in_plan_order(folder: Place, entries: Sequence[Commit], name: str, 
         InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """
     return _in_plan_order(name, committed_rows(folder, entries, name), plan)
-
-
-def committed_rows(folder: Place, entries: Sequence[Commit], name: str) -> pa.Table:
-    """One segment table of everything committed, in the order of the log.
-
-    Raises:
-        InputError: a segment is missing, torn or of another length than was committed.
-    """
-    data = as_location(folder) / "data"
-    files = [(dict(entry.segments)[name], dict(entry.rows)[name]) for entry in entries if name in dict(entry.segments)]
-    return pa.concat_tables([SCHEMAS[name].empty_table(), *data.each(lambda file: _segment(data, name, *file), files)])
-
-
-def _segment(data: Location, name: str, file_name: str, rows: int) -> pa.Table:
-    part = read_table(data / file_name, name)
-    if part.num_rows != rows:
-        raise InputError(
-            f"has {part.num_rows} rows, {rows} were committed",
-            where=str(data / file_name),
-            remedy="Restore it from a copy, or remove the output folder and run the sweep again",
-        )
-    return part
 
 
 def _in_plan_order(name: str, table: pa.Table, plan: Plan) -> pa.Table:

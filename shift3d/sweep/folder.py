@@ -14,6 +14,7 @@ import yaml  # type: ignore[import-untyped]
 import shift3d
 from shift3d.errors import InputError
 from shift3d.store.location import Location, Place, as_location
+from shift3d.store.migrations import steps
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.plan import Plan
 from shift3d.sweep.plan_file import plan_bytes, read_tasks
@@ -135,9 +136,9 @@ def read_spec(folder: Place) -> dict[str, Any]:
     path = as_location(folder) / "spec.yaml"
     try:
         values = yaml.safe_load(path.read_text())
-        if values["schema_version"] == SCHEMA_VERSION:
-            return dict(values)
-        version = values["schema_version"]
+        for step in steps(values["schema_version"], str(path)):
+            values = step.spec(values)
+        return {**values, "schema_version": SCHEMA_VERSION}
     except FileNotFoundError as error:
         raise InputError(
             "is not the output folder of a sweep (it has no spec.yaml)",
@@ -146,11 +147,6 @@ def read_spec(folder: Place) -> dict[str, Any]:
         ) from error
     except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
         raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error
-    raise InputError(
-        f"has schema version {version}, this is version {SCHEMA_VERSION}",
-        where=str(path),
-        remedy="Use the version of shift3d that wrote it",
-    )
 
 
 def read_plan(folder: Place) -> Plan:

@@ -15,7 +15,6 @@ from shift3d.config.compose import Composed
 from shift3d.config.expand import expand
 from shift3d.config.schema import Config
 from shift3d.errors import InputError
-from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.effects import EffectChoices, EffectLine
 from shift3d.sweep.layout import Layouts
 from shift3d.sweep.tasks import PlannedTask, TaskGroup, Tasks
@@ -23,6 +22,10 @@ from shift3d.sweep.tasks_builder import TasksBuilder
 from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
 
 __all__ = ["Plan", "PlannedTask", "TaskGroup", "Tasks", "make_plan"]
+
+# Begins what a sweep's hash is taken of. It was the schema version once, and stays: a folder that an older
+# program began is the same sweep.
+_IDENTITY = 5
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Plan:
     def spec_hash(self) -> str:
         """64-bit BLAKE2b of the sweep's name and its task ids, hex: what makes two output folders the
         same."""
-        state = hashlib.blake2b(json.dumps([SCHEMA_VERSION, self.sweep]).encode()[:-1] + b", [", digest_size=8)
+        state = hashlib.blake2b(json.dumps([_IDENTITY, self.sweep]).encode()[:-1] + b", [", digest_size=8)
         # The JSON of the list of ids, from their column: ids have one length and nothing to be escaped.
         for start in range(0, len(self.tasks), _HASHED):
             ids = '", "'.join(self.tasks.ids[start : start + _HASHED].to_pylist())

@@ -124,7 +124,7 @@ def a_log_entry_that_no_driver_wrote() -> None:
         {"segments": {"scores": 3}, "rows": {"scores": 2}},
         {"segments": {"scores": "a.parquet"}, "rows": {"scores": -2}},
         {"segments": {"secrets": "a.parquet"}, "rows": {"secrets": 2}},
-        {"done": "abc"},
+        {"done": ["abc"]},
         {"kind": "wish"},
     ):
 

@@ -59,7 +59,7 @@ class Drivers:
     def committed(self, out: str) -> list[str]:
         """Task ids in the log, in order, repetitions included."""
         entries = sorted((self.folder / out / "_log").glob("[0-9]*.json"))
-        return [task for entry in entries for task in json.loads(entry.read_text())["done"]]
+        return [task for entry in entries for task in json.loads(entry.read_text())["done"].split()]
 
     def segments(self, out: str) -> set[str]:
         """Segment files that the log names."""

@@ -17,6 +17,7 @@ from drivers import DETERMINISTIC, DRIVER, QUICK, Drivers
 
 from shift3d.store.location import Location, as_location
 from shift3d.store.log import read_log
+from shift3d.store.tables import read_table
 
 TASKS = 60
 
@@ -105,10 +106,8 @@ def test_the_commands_read_the_bucket(
     assert "solutions.parquet" in capsys.readouterr().err
     assert main(["report", f"{out}/nowhere"]) == 2
     assert "is not the output folder of a sweep" in capsys.readouterr().err
-    import pandas as pd
-
-    frame = pd.DataFrame({name: [] for name in ("selected", "auc", "scores")}).astype({"selected": bool})
-    record = SweepRecord("default", plan.spec_hash, out, {}, frame, {"tasks_done": TASKS})
+    auc, curves = (read_table(out / "final" / f"{name}.parquet", name).to_pandas() for name in ("auc", "curves"))
+    record = SweepRecord("default", plan.spec_hash, out, {}, auc, curves, {"tasks_done": TASKS})
     store = tmp_path / "mlflow"
     store.mkdir()
     with contextlib.chdir(store):

@@ -56,3 +56,21 @@ def test_a_hole_in_the_log_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "_log" / "00000000.json").unlink()
     with pytest.raises(InputError, match=r"00000000\.json is missing"):
         CommitLog(tmp_path, "spec")
+
+
+def test_a_driver_takes_over_although_the_other_one_commits_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other one is quicker three times, between this one's reading of the log and its first entry."""
+    old, left, whole = CommitLog(tmp_path, "spec"), ["a", "b", "c"], CommitLog._append
+
+    def slow(self: CommitLog, kind: str, *arguments: object) -> object:
+        if kind == "session" and left:
+            whole(old, "commit", (left.pop(),), (), {})
+        return whole(self, kind, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(CommitLog, "_append", slow)
+    new = CommitLog(tmp_path, "spec")
+    assert new.done() == {"a", "b", "c"} and new.entries == read_log(tmp_path)
+    with pytest.raises(TakenOverError):
+        old.commit(("d",), (), {})

@@ -89,8 +89,8 @@ def test_every_scoring_detectors_weights_change_the_tasks() -> None:
 def test_a_folder_of_an_older_version_is_refused(out: Path, suv_plan: Plan) -> None:
     open_folder(out, suv_plan)
     text = (out / "spec.yaml").read_text()
-    (out / "spec.yaml").write_text(text.replace("schema_version: 5", "schema_version: 2"))
-    with pytest.raises(InputError, match=r"has schema version 2, this is version 5\. Use the version of shift3d"):
+    (out / "spec.yaml").write_text(text.replace("schema_version: 6", "schema_version: 2"))
+    with pytest.raises(InputError, match=r"has schema version 2, this program reads 5 to 6\. Use the version"):
         open_folder(out, suv_plan)
 
 

@@ -1,0 +1,119 @@
+"""What a sweep's folder does not need: removed, and merged. Safe while a driver runs, and at any moment it is killed.
+
+Source: our choice (design section 9).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from dataclasses import dataclass
+
+from shift3d.errors import InputError
+from shift3d.store.location import Location, Place, as_location
+from shift3d.store.log import Commit, CommitLog, entry_names, read_entry, read_log
+from shift3d.store.segments import committed_rows
+
+__all__ = ["Compacted", "Garbage", "collect", "compact", "find_garbage"]
+
+_SEGMENT = re.compile(r"\d{8}-(\d+-[0-9a-f]{8})-\w+\.parquet")
+
+
+@dataclass(frozen=True)
+class Garbage:
+    """Files that no reader looks at and no driver can make count any more.
+
+    segments: of drivers that were stopped before their entry. replaced: log entries that a compaction stands for.
+    temporary: half-written by processes that are gone. unknown: names in data/ that are none of ours; they stay.
+    """
+
+    segments: tuple[Location, ...]
+    replaced: tuple[Location, ...]
+    temporary: tuple[Location, ...]
+    unknown: tuple[str, ...]
+
+    @property
+    def files(self) -> tuple[Location, ...]:
+        """All that may be removed. Entries before segments: none of them is ever without its segments."""
+        return (*self.replaced, *self.segments, *self.temporary)
+
+
+def find_garbage(folder: Place) -> Garbage:
+    """What `collect` removes.
+
+    What lies in data/ is listed before the log is read. So a segment that the log does not name then belongs to a
+    driver whose session is in the log: to the last one, which may be about to commit it and is left alone, or to an
+    earlier one, which never can. No clock is needed.
+
+    Raises:
+        InputError: the log is damaged; nothing is garbage then.
+    """
+    folder = as_location(folder)
+    log, data = folder / "_log", folder / "data"
+    files = data.names()
+    entries = read_log(folder)
+    if not entries:
+        return Garbage((), (), _temporary(folder), tuple(files))
+    before = [name for name in entry_names(log) if name < f"{entries[0].sequence:08d}"]
+    earlier = [(name, entry) for name, entry in zip(before, log.each(lambda n: _entry(log / n), before)) if entry]
+    replaced = [log / name for name, entry in earlier if entry.kind != "session"]
+    named = {file for entry in entries for _, file in entry.segments}
+    stopped = {entry.driver for entry in (*entries, *(entry for _, entry in earlier))} - {entries[-1].driver}
+    orphans, unknown = [], []
+    for name in files:
+        found = _SEGMENT.fullmatch(name)
+        if name in named or (found and found[1] == entries[-1].driver):
+            continue
+        if found and found[1] in stopped:
+            orphans.append(data / name)
+        else:
+            unknown.append(name)
+    return Garbage(tuple(orphans), tuple(replaced), _temporary(folder), tuple(unknown))
+
+
+def _temporary(folder: Location) -> tuple[Location, ...]:
+    parts = (folder, *(folder / name for name in ("_log", "data", "final")))
+    return tuple(file for part in parts for file in part.leftovers())
+
+
+def _entry(path: Location) -> Commit | None:
+    with contextlib.suppress(FileNotFoundError):
+        return read_entry(path)
+    return None
+
+
+def collect(garbage: Garbage) -> None:
+    """Remove it."""
+    for file in garbage.files:
+        file.delete()
+
+
+@dataclass(frozen=True)
+class Compacted:
+    """What a compaction did. entries, segments: how many there were. removed: files, the entries among them."""
+
+    entries: int
+    segments: int
+    entry: Commit
+    removed: int
+
+
+def compact(folder: Place) -> Compacted:
+    """Merge what was committed into one entry and one segment a table. Rows keep their order, so final/ its bytes.
+
+    It opens a session, so a driver that runs is stopped at its next commit. The new entry makes the new segments count
+    and the old ones not, in one step; only then are the old ones removed.
+
+    Raises:
+        InputError: the folder has no log, it is damaged, another driver began meanwhile, or the disk is full.
+    """
+    folder = as_location(folder)
+    entries = read_log(folder)
+    if not entries:
+        raise InputError("has no commit log", where=str(folder), remedy="Give the output folder of a sweep")
+    log = CommitLog(folder, entries[-1].spec_hash)
+    before = list(log.entries)
+    entry = log.compact(lambda name: committed_rows(folder, before, name))
+    garbage = find_garbage(folder)
+    collect(garbage)
+    return Compacted(len(entries), sum(len(e.segments) for e in entries), entry, len(garbage.files))

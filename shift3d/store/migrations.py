@@ -1,0 +1,72 @@
+"""Folders of older programs, read as if this program had written them: a step from each version to the next.
+
+Files are never rewritten: a sweep that an older program began goes on in the same folder, whose files then are of
+several versions. Rows and ids mean the same in all of them, so its name and its results stay.
+
+Source: our choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import pyarrow as pa
+
+from shift3d.errors import InputError
+from shift3d.store.schemas import SCHEMA_VERSION
+
+__all__ = ["STEPS", "Step", "steps"]
+
+Values = dict[str, Any]
+
+
+def _same(values: Values) -> Values:
+    return values
+
+
+def _same_table(name: str, table: pa.Table) -> pa.Table:
+    return table
+
+
+@dataclass(frozen=True)
+class Step:
+    """From one version to the next: each function takes what the older program wrote.
+
+    spec: values of spec.yaml. entry: of a log entry. table: a table by its name; its metadata is seen to elsewhere.
+    They raise ValueError, KeyError or TypeError for what no program wrote.
+    """
+
+    spec: Callable[[Values], Values] = _same
+    entry: Callable[[Values], Values] = _same
+    table: Callable[[str, pa.Table], pa.Table] = _same_table
+
+
+def _ids_as_text(values: Values) -> Values:
+    """Version 6 writes task ids as one text: a log of a million is read in a second."""
+    lists = {name: values[name] for name in ("done", "quarantined")}
+    if not all(isinstance(ids, list) for ids in lists.values()):
+        raise ValueError("ids are no list")
+    return {**values, **{name: " ".join(ids) for name, ids in lists.items()}}
+
+
+STEPS: Mapping[int, Step] = {5: Step(entry=_ids_as_text)}
+"""By the version that a step starts from."""
+
+
+def steps(version: object, where: str) -> list[Step]:
+    """The steps from a version that was found to this one; none for this one.
+
+    Raises:
+        InputError: the version is newer than this program, or older than the oldest that there is a step for.
+    """
+    oldest = min(STEPS)
+    if isinstance(version, int) and oldest <= version <= SCHEMA_VERSION:
+        return [STEPS[number] for number in range(version, SCHEMA_VERSION)]
+    newer = isinstance(version, int) and version > SCHEMA_VERSION
+    raise InputError(
+        f"has schema version {str(version)[:20]}, this program reads {oldest} to {SCHEMA_VERSION}",
+        where=where,
+        remedy="Use a newer shift3d" if newer else "Use the version of shift3d that wrote it",
+    )

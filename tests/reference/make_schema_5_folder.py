@@ -1,0 +1,52 @@
+"""Makes schema_5/: the output folder of a sweep that was stopped after two of its four tasks, by schema version 5.
+
+It was made by the program at commit 8a4453b, the last of that version. To make it again:
+
+    git worktree add /tmp/version-5 8a4453b
+    cp tests/reference/make_schema_5_folder.py /tmp/version-5/tests/reference/
+    cd /tmp/version-5 && PYTHONPATH=. python tests/reference/make_schema_5_folder.py
+
+The task is the cheap one of tests/service, so the folder is small; a program that reads it must come to the same final
+tables as in a folder of its own. A new version gets a script and a folder of its own.
+"""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import socket
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "service"))
+
+
+def main() -> None:
+    from cheap_task import KIND
+
+    from shift3d.config.compose import compose_sweep
+    from shift3d.store.log import CommitLog
+    from shift3d.store.schemas import SCHEMA_VERSION
+    from shift3d.sweep.folder import open_folder
+    from shift3d.sweep.plan import make_plan
+    from shift3d.sweep.worker import Worker
+
+    if SCHEMA_VERSION != 5:
+        raise SystemExit(f"this program writes schema version {SCHEMA_VERSION}")
+    socket.gethostname = lambda: "machine"
+    platform.platform = lambda *_: "Linux"
+    folder = HERE / "schema_5"
+    shutil.rmtree(folder, ignore_errors=True)
+    words = ["vehicle=suv", "scenes.count=2", "attack.lambda=1", "mode=shape,pose"]
+    plan, _ = make_plan(compose_sweep("default", words), KIND.catalogue)
+    open_folder(folder, plan)
+    log = CommitLog(folder, plan.spec_hash)
+    worker = Worker(KIND, plan.sweep, plan.assets)
+    for index in range(2):
+        outcome = worker.run_batch([plan.tasks[index]])
+        log.commit(tuple(outcome.done), (), outcome.tables)
+
+
+if __name__ == "__main__":
+    main()
