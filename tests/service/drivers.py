@@ -47,9 +47,9 @@ class Drivers:
         output, errors = process.communicate(timeout=90)
         return process.returncode, output, errors
 
-    def command(self, *words: str) -> tuple[int, str, str]:
+    def command(self, *words: str, **environment: str) -> tuple[int, str, str]:
         """(exit code, stdout, stderr) of any command."""
-        process = self._start([sys.executable, str(DRIVER), *words], {})
+        process = self._start([sys.executable, str(DRIVER), *words], environment)
         output, errors = process.communicate(timeout=90)
         return process.returncode, output, errors
 

@@ -98,6 +98,16 @@ def worker_killed(here: Round) -> int:
     return 0
 
 
+def worker_stopped(here: Round) -> int:
+    """A worker that is alive and does nothing, not even answer."""
+    driver = here.start("runner.task_timeout_s=1", seconds=0.1)
+    here.some_commits()
+    os.kill(here.random.choice(descendants(driver.pid, "ray::RayWorker")), signal.SIGSTOP)
+    _, errors = driver.communicate(timeout=90)
+    assert driver.returncode == 0, errors
+    return 0
+
+
 def driver_killed(here: Round) -> None:
     """Twice, the second time with whatever it started."""
     for group in (False, True):
@@ -180,4 +190,5 @@ FAULTS: tuple[tuple[Callable[[Round], int | None], str], ...] = (
     (full_disk, "both"),
     (two_drivers, "both"),
     (mlflow_down, "both"),
+    (worker_stopped, "ray"),
 )
