@@ -144,7 +144,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     if arguments.words[:1] == ["plan"]:
         from shift3d.cli import plan as plan_command
 
-        return plan_command.show(arguments.words[1:], kind)
+        return plan_command.show([*arguments.words[1:], *(f"reuse={folder}" for folder in arguments.reuse)], kind)
     others, words = take_folders("reuse", [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)])
     job, typed = take_job(words)
     words = _words_of_folder(typed)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 from collections.abc import Iterator
 
@@ -31,15 +30,18 @@ def expand(composed: Composed) -> Iterator[Config]:
     # Whole groups are put in place before single settings, whichever was named first, as Hydra does.
     order = sorted(range(len(composed.axes)), key=lambda i: not composed.axes[i].is_group)
     for combination in itertools.product(*(range(len(axis.values)) for axis in composed.axes)):
-        values = copy.deepcopy(composed.base)
+        values = dict(composed.base)
         for index in order:
             axis = composed.axes[index]
-            _put(values, axis.key, copy.deepcopy(axis.values[combination[index]]))
+            _put(values, axis.key, axis.values[combination[index]])
         yield validate(values, where)
 
 
 def _put(values: Values, key: str, value: object) -> None:
+    """Set a value, in copies of what holds it: combinations share everything that no axis changes."""
     *parents, leaf = key.split(".")
     for parent in parents:
-        values = values[parent]
+        inner = dict(values[parent])
+        values[parent] = inner
+        values = inner
     values[leaf] = value
