@@ -20,21 +20,32 @@ __all__ = ["in_own_process", "run_phase"]
 
 
 def run_phase(kind_name: str, sweep: str, workers: int, overrides: Sequence[str]) -> dict[str, Any]:
-    """Run a sweep of ``benchmarks.noop_task``'s kinds: {"seconds", "tasks", "commits"}."""
+    """Run a sweep of ``benchmarks.noop_task``'s kinds.
+
+    Returns:
+        {"seconds", "tasks", "commits", "tasks_a_second"}. The last one is the sum over workers of its tasks by the time
+        from the first one's begin to the last one's end: without a sweep's end, when some have nothing left to do.
+    """
     from benchmarks import noop_task
 
     from shift3d.config.compose import compose_sweep
+    from shift3d.store.location import Location
+    from shift3d.store.log import Commit
     from shift3d.sweep.drive import run_sweep
-    from shift3d.sweep.final import FinalTables
-    from shift3d.sweep.plan import make_plan
+    from shift3d.sweep.final import FinalTables, segments_in_plan_order
+    from shift3d.sweep.plan import Plan, make_plan
 
     kind = getattr(noop_task, kind_name)
     words = [*overrides, f"runner.workers={workers}", "tracking=none"]
     plan, config = make_plan(compose_sweep(sweep, words), kind.catalogue)
-    ended: list[tuple[float, int]] = []
+    ended: list[tuple[float, int, float]] = []
 
-    def finish(_folder: object, _plan: object, entries: Sequence[object]) -> FinalTables:
-        ended.append((time.time(), len(entries)))
+    def finish(folder: Location, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
+        now = time.time()
+        tries = segments_in_plan_order(folder, entries, "attempts", plan).to_pandas()
+        tries = tries.assign(end=tries["started_unix_s"] + tries["seconds"]).groupby("worker")
+        busy = tries["end"].max() - tries["started_unix_s"].min()
+        ended.append((now, len(entries), float((tries.size() / busy).sum())))
         return FinalTables({})
 
     with tempfile.TemporaryDirectory(prefix="shift3d-bench-", dir=Path.cwd()) as folder:
@@ -45,7 +56,7 @@ def run_phase(kind_name: str, sweep: str, workers: int, overrides: Sequence[str]
         began = min(float(mark.read_text()) for mark in marks.iterdir())
     if result.done != result.planned:
         raise RuntimeError(f"{result.done} of {result.planned} tasks done")
-    return {"seconds": ended[0][0] - began, "tasks": result.done, "commits": ended[0][1]}
+    return {"seconds": ended[0][0] - began, "tasks": result.done, "commits": ended[0][1], "tasks_a_second": ended[0][2]}
 
 
 def in_own_process(module: str, *words: str, folder: Path) -> dict[str, Any]:
