@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND", "add_words", "load_plan", "run_with", "split_words", "take_folders"]
 
 _DESCRIPTION = """\
-Runs sweeps/NAME.yaml (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR.
+Runs sweeps/NAME.yaml (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
+or gs://BUCKET/PREFIX: workers then need no common folder.
 The same command again resumes: what is done is not run again.
 
 An override changes a setting (conf/ has them all) or picks an option of a group; several values
@@ -39,6 +40,7 @@ examples:
   shift3d sweep default detector=sst             attack SST, and let PointPillars score what it found
   shift3d sweep kitti scenes.root=PATH out=runs/kitti
   shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
+  shift3d sweep default out=s3://bucket/runs/a runner.address=auto
   shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder
   shift3d sweep default job=ray_cluster out=s3://BUCKET/FOLDER  on a cluster, see jobs/
   shift3d sweep plan default scenes.count=20     what would run, how long and at what cost; runs nothing

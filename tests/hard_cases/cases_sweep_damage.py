@@ -140,7 +140,7 @@ def a_log_entry_that_no_driver_wrote() -> None:
     why="a log copied from another sweep's folder says that all is done",
     must="an error that names the entry",
     guard="every entry's spec is compared with the sweep's",
-    edits=Edit(LOG, "if entry.spec_hash != spec_hash:", "if entry.spec_hash is None:"),
+    edits=Edit(LOG, "if entry.spec_hash != self.spec_hash:", "if entry.spec_hash is None:"),
 )
 def a_log_of_another_sweep() -> None:
     with place() as folder:

@@ -1,0 +1,64 @@
+"""``shift3d gc`` and ``shift3d compact``: they say what they do, and a dry run does nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from valid_sweeps import plan, write_sweep
+
+from shift3d.cli.main import main
+from shift3d.store.log import CommitLog, read_log
+from shift3d.sweep.final import write_final
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    out = tmp_path / "out"
+    write_sweep(out)
+    return out
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def final(folder: Path) -> dict[str, bytes]:
+    write_final(folder, plan(), read_log(folder))
+    return files(folder / "final")
+
+
+def test_compact_says_what_it_does_and_final_stays(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = files(folder)
+    assert main(["compact", str(folder), "--dry-run"]) == 0
+    assert "3 log entries and 8 segments would become 1 entry and 4 segments" in capsys.readouterr().out
+    assert files(folder) == before
+    tables = final(folder)
+    assert main(["compact", str(folder)]) == 0
+    assert "became 1 entry and 4 segments; 10 files removed" in capsys.readouterr().out
+    assert final(folder) == tables
+    assert len(list((folder / "data").iterdir())) == 4
+
+
+def test_gc_says_what_it_does(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    killed = CommitLog(folder, plan().spec_hash)
+    orphan = folder / "data" / f"00000004-{killed.driver}-scores.parquet"
+    orphan.write_bytes(b"")
+    (folder / "data" / "notes").write_bytes(b"")
+    CommitLog(folder, plan().spec_hash)
+    before = files(folder)
+    assert main(["gc", str(folder), "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    assert "1 segments that no log entry names" in said and "would be removed" in said and str(orphan) in said
+    assert "left alone, not written by shift3d" in said and files(folder) == before
+    assert main(["gc", str(folder)]) == 0
+    assert before.keys() - files(folder).keys() == {str(orphan)}
+
+
+def test_both_refuse_what_is_no_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("gc", "compact"):
+        assert main([command, str(tmp_path)]) == 2
+        assert "is not the output folder of a sweep" in capsys.readouterr().err
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        assert "--dry-run" in capsys.readouterr().out
