@@ -69,7 +69,8 @@ def torn_segment(here: Round) -> None:
     driver.wait()
     segment = sorted((here.out / "data").glob("*-scores.parquet"))[-1]
     half = segment.read_bytes()[: segment.stat().st_size // 2]
-    segment.with_name(f"00000999-{driver.pid}-deadbeef-scores.parquet").write_bytes(half)
+    sequence, _, rest = segment.name.partition("-")
+    segment.with_name(f"{int(sequence) + 1:08d}-{rest}").write_bytes(half)
     segment.with_name(f".tmp-{driver.pid}-00001000-scores.parquet").write_bytes(half)
 
 
@@ -161,8 +162,8 @@ def full_disk(here: Round) -> None:
 
 def two_drivers(here: Round) -> int:
     """The second one stops the first."""
-    first = here.start(seconds=0.2)
-    here.some_commits()
+    first = here.start(seconds=1.0)  # long enough to be still at it when the second one comes
+    here.drivers.wait_for_commits("out", here.random.randint(1, 5))
     code = here.succeeds()
     _, errors = first.communicate(timeout=60)
     assert first.returncode == 4, errors

@@ -14,6 +14,8 @@ import pytest
 from drivers import Drivers
 from faults import FAULTS, TASKS, Round
 
+from shift3d.cli.main import main
+
 ROUNDS = int(os.environ.get("SHIFT3D_FAULT_ROUNDS", "4"))
 
 
@@ -56,5 +58,7 @@ def _what_was_given_up_on_is_one_task_and_says_why(here: Round) -> None:
 
 
 def _no_orphan(here: Round) -> None:
-    """data/ holds what the log names."""
-    assert {path.name for path in (here.out / "data").iterdir()} >= here.drivers.segments("out")
+    """After gc, data/ holds what the log names and nothing else, and the sweep is as complete as before."""
+    assert main(["gc", str(here.out)]) == 0
+    assert {path.name for path in (here.out / "data").iterdir()} == here.drivers.segments("out")
+    assert not list((here.out / "_log").glob(".tmp-*"))
