@@ -41,8 +41,8 @@ report: .venv/.runtime  ## write a sweep's page, report.html: OUT=outputs/NAME-H
 	@test -n "$(OUT)" || { echo 'which sweep? make report OUT=outputs/NAME-HASH'; exit 2; }
 	$(BIN)/shift3d report $(OUT) $(ARGS)
 
-test: .venv/.dev  ## every test
-	$(BIN)/python -m pytest $(ARGS)
+test: .venv/.dev  ## every test, on two cores; ARGS="-n 0 -k WORD"
+	$(BIN)/python -m pytest -n 2 $(ARGS)
 
 check: .venv/.dev  ## lint, format, types, layers
 	$(BIN)/ruff check .
