@@ -1,9 +1,13 @@
-"""Which tasks wait, which wait to be run alone, and how often each was tried: by position in the plan."""
+"""Which tasks wait, which wait to be run alone, and how often each was tried: by position in the plan.
+
+Neighbours in a plan share a vehicle, and what a worker prepares for that vehicle takes about as long as a task. So each
+worker has a stretch of the plan to itself, and takes half of the longest one that is left when it has ended its own.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 
@@ -24,7 +28,8 @@ class Backlog:
 
     def __init__(self, positions: Sequence[int] | np.ndarray, tried: dict[int, int] | None = None) -> None:
         self._positions = np.asarray(positions, dtype=np.int64)
-        self._next = 0
+        # By worker: from and up to which of the positions its stretch goes. At first it is all nobody's.
+        self._stretches: dict[Hashable, tuple[int, int]] = {None: (0, len(self._positions))}
         self._again: deque[int] = deque()
         self._alone: deque[int] = deque()
         self._tries = dict(tried or {})
@@ -32,17 +37,31 @@ class Backlog:
         self._losses: dict[int, int] = {}
 
     def __len__(self) -> int:
-        return len(self._positions) - self._next + len(self._again) + len(self._alone)
+        waiting = sum(end - start for start, end in self._stretches.values())
+        return waiting + len(self._again) + len(self._alone)
 
-    def take(self, size: int) -> list[int]:
-        """The next tasks, at most ``size``: one where it is to be alone. Those that come back go first."""
+    def take(self, size: int, worker: Hashable = None) -> list[int]:
+        """The next tasks for a worker, at most ``size``: one where it is to be alone. Those that come back go first."""
         if self._alone:
             return [self._alone.popleft()]
         taken = [self._again.popleft() for _ in range(min(size, len(self._again)))]
-        upto = min(self._next + size - len(taken), len(self._positions))
-        taken += self._positions[self._next : upto].tolist()
-        self._next = upto
+        if len(taken) < size:
+            start, end = self._stretch_of(worker)
+            upto = min(start + size - len(taken), end)
+            taken += self._positions[start:upto].tolist()
+            self._stretches[worker] = (upto, end)
         return taken
+
+    def _stretch_of(self, worker: Hashable) -> tuple[int, int]:
+        """A worker's own stretch; where that has ended the later half of the longest there is, nobody's as a whole."""
+        start, end = self._stretches.get(worker, (0, 0))
+        if start < end:
+            return start, end
+        owner = max(self._stretches, key=lambda of: self._stretches[of][1] - self._stretches[of][0])
+        start, end = self._stretches[owner]
+        middle = start if owner is None else (start + end) // 2
+        self._stretches[owner] = (start, middle)
+        return middle, end
 
     def first_attempt(self, positions: Sequence[int]) -> int:
         """The number of the next try of tasks that are tried together: above that of every earlier one."""

@@ -108,7 +108,8 @@ class RayRunner:
     def _give_out(self, stop: threading.Event) -> None:
         while not stop.is_set() and (member := self._crew.idle()):
             if len(self._backlog):
-                positions, twin = self._backlog.take(self._sizer.size(len(self._backlog), self._crew.wanted)), None
+                size = self._sizer.size(len(self._backlog), self._crew.wanted)
+                positions, twin = self._backlog.take(size, member.process), None
                 attempt = self._backlog.first_attempt(positions)
             elif twin := self._calls.straggler():
                 positions, attempt = twin.positions, twin.attempt + 1

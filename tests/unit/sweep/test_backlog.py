@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from hypothesis import given
+from hypothesis import strategies as st
+
 from shift3d.sweep.backlog import Backlog
 
 
@@ -38,3 +41,26 @@ def test_attempts_are_numbered_on() -> None:
     backlog.tried([0, 1], 3)
     assert backlog.first_attempt([0]) == backlog.first_attempt([1]) == 4
     assert backlog.first_attempt([2]) == 1
+
+
+def test_each_worker_has_a_stretch_of_the_plan_to_itself_and_helps_where_most_is_left() -> None:
+    backlog = Backlog(range(16))
+    assert backlog.take(2, "a") == [0, 1]
+    assert backlog.take(2, "b") == [9, 10]  # the later half of what "a" has left
+    assert backlog.take(2, "a") == [2, 3]
+    assert backlog.take(8, "b") == [11, 12, 13, 14, 15]
+    assert backlog.take(8, "b") == [6, 7, 8]
+    assert [backlog.take(8, worker) for worker in ("a", "b", "c")] == [[4, 5], [], []]
+
+
+@given(st.lists(st.tuples(st.sampled_from("abcd"), st.integers(1, 9)), max_size=60), st.integers(0, 50))
+def test_whoever_takes_how_many_every_task_is_handed_out_once(turns: list[tuple[str, int]], count: int) -> None:
+    backlog = Backlog(range(count))
+    taken: list[int] = []
+    for worker, size in turns:
+        found = backlog.take(size, worker)
+        assert found or not len(backlog)
+        taken += found
+    while len(backlog):
+        taken += backlog.take(1, "e")
+    assert sorted(taken) == list(range(count))
