@@ -11,7 +11,7 @@ export HYDRA_FULL_ERROR := 1
 .PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress ui train pictures clean
 
 help:  ## what there is to run
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-18s %s\n", $$1, $$2}'
 	@echo '  make sweep SWEEP=kitti ARGS="scenes.root=PATH"   any sweep of sweeps/, any override'
 
 # Two stamps, so that a sweep does not wait for the tools that only developers need.
@@ -63,7 +63,7 @@ stress: .venv/.dev  ## 10,000 random extreme poses and codes, every unresolved b
 ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 	$(BIN)/shift3d ui $(ARGS)
 
-train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars or sst; shift3d train --help says what else
+train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, sst_small or sst; shift3d train --help says what else
 	$(BIN)/shift3d train $(ARGS)
 
 pictures: .venv/.runtime  ## draw the README's pictures again

@@ -254,18 +254,19 @@ _AUC = _schema(
     nullable={*_NULLABLE, "auc", "mean_adversarial_loss", "mean_latent_distance"},
 )
 
+_CELL_FIELDS = [
+    ("cell_x_m", pa.float64()),  # lower corner of the cell, scene frame
+    ("cell_y_m", pa.float64()),
+    ("cell_size_m", pa.float64()),
+    ("scores", pa.int64()),
+    ("mean_score_baseline", pa.float64()),
+    ("mean_score", pa.float64()),
+    ("mean_reduction", pa.float64()),
+]
+
 _BEV = _schema(
     "bev",
-    [
-        *GROUP_FIELDS,
-        ("cell_x_m", pa.float64()),  # lower corner of the cell, scene frame
-        ("cell_y_m", pa.float64()),
-        ("cell_size_m", pa.float64()),
-        ("scores", pa.int64()),
-        ("mean_score_baseline", pa.float64()),
-        ("mean_score", pa.float64()),
-        ("mean_reduction", pa.float64()),
-    ],
+    [*GROUP_FIELDS, *_CELL_FIELDS],
     nullable=_NULLABLE,
 )
 
@@ -273,16 +274,7 @@ _BEV = _schema(
 # scores; cells are those of the square that the tasks' largest range needs.
 _BEV_TRANSFER = _schema(
     "bev_transfer",
-    [
-        *GROUP_FIELDS,
-        ("cell_x_m", pa.float64()),  # lower corner of the cell, scene frame
-        ("cell_y_m", pa.float64()),
-        ("cell_size_m", pa.float64()),
-        ("scores", pa.int64()),
-        ("mean_score_baseline", pa.float64()),
-        ("mean_score", pa.float64()),
-        ("mean_reduction", pa.float64()),
-    ],
+    [*GROUP_FIELDS, *_CELL_FIELDS],
     nullable={*_NULLABLE, "mean_score_baseline", "mean_score", "mean_reduction"},
 )
 
