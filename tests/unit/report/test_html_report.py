@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
-import shutil
-import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -21,13 +19,12 @@ from shift3d.errors import InputError
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.report.html.areas import areas, in_short
 from shift3d.report.html.bev import bev, pooled_cells
-from shift3d.report.html.case_figures import turnable
 from shift3d.report.html.coverage import coverage_section
 from shift3d.report.html.curves import curves, thresholds
 from shift3d.report.html.differences import differences
 from shift3d.report.html.document import Markup, Section, document, table
-from shift3d.report.html.figure import COLOURS, figure_html, plotly_library
-from shift3d.report.html.hardest import Case, Seen, hardest, simplified
+from shift3d.report.html.figure import COLOURS, figure_html
+from shift3d.report.html.hardest import hardest, simplified
 from shift3d.report.html.measures import change_lines, in_words, measure_mesh
 from shift3d.report.html.paper import paper_table
 from shift3d.report.html.stability import stability
@@ -38,7 +35,6 @@ from shift3d.store.log import read_log
 from shift3d.sweep.final import write_final
 from shift3d.sweep.folder import read_plan
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
 
@@ -389,49 +385,3 @@ def test_failures_are_counted_and_named(finished: Path) -> None:
     shown = "\n".join(coverage_section(found).body)
     assert '<th scope="row">quarantined</th><td>1</td>' in shown and '<th scope="row">scored</th><td>1</td>' in shown
     assert f"Quarantined: {lost}: ValueError: &lt;no&gt;" in shown and "Nothing failed" not in shown
-
-
-def opened(path: Path, page: str, script: str) -> tuple[str, str]:
-    """A page as headless Chromium leaves it, with a script at its end; and what it said meanwhile."""
-    path.write_text(page.replace("</body>", f"<script>{script}</script></body>"))
-    flags = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    flags += ["--window-size=1280,8000", "--virtual-time-budget=20000", "--enable-logging=stderr", "--dump-dom"]
-    profile = f"--user-data-dir={path.parent / 'profile'}"
-    command = [str(CHROMIUM), *flags, profile, path.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    return done.stdout, "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-def test_a_browser_draws_every_figure_without_a_word(text: str, tmp_path: Path) -> None:
-    found, said = opened(tmp_path / "page.html", text, "")
-    drawn = re.findall(r'id="plot-[^"]*" role="img"[^>]*data-drawn="(\w+)"', found)
-    assert len(drawn) == text.count('class="plot"') and set(drawn) == {"yes"}
-    assert "Uncaught" not in said and "Refused" not in said and "WARN" not in said, said
-
-
-TURN = """
-const views = ["plot-a", "plot-b"].map(id => document.getElementById(id));
-const eyes = () => views.map(view => JSON.stringify(view._fullLayout.scene._scene.getCamera().eye));
-const timer = setInterval(() => {
-  if (views.some(view => view.dataset.drawn !== "yes")) return;
-  clearInterval(timer);
-  const before = eyes();
-  document.querySelector("button[data-turn]").click();
-  setTimeout(() => {
-    const after = eyes();
-    document.title = `turned ${after[0] !== before[0]}, together ${after[0] === after[1]}`;
-  }, 2000);
-}, 200);
-"""
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-def test_a_button_turns_both_vehicles(tmp_path: Path) -> None:
-    mesh = trimesh.creation.box((4.0, 2.0, 1.5))
-    box = Seen(mesh, np.zeros(6), np.zeros((0, 2)), np.zeros((0, 2)), 0, np.array([0, 0, 0, 4, 2, 1.5, 0]), None, 0.0)
-    views = turnable("x", Case("id", "suv", "north", "shape", 0.9, 0.1), box, box)
-    views = views.replace("plot-x-baseline", "plot-a").replace("plot-x-adversarial", "plot-b")
-    page = document("t", "l", [Section("k", "s", [views])], plotly_library())
-    found, said = opened(tmp_path / "page.html", page, TURN)
-    assert "<title>turned true, together true</title>" in found, said
