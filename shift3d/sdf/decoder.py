@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrizations
 
 from shift3d.errors import InputError
+from shift3d.sdf.affine import affine
 from shift3d.sdf.pieces import Piece, linear_piece
 from shift3d.sdf.tangent import Tangent, tangent
 from shift3d.sdf.tensors import check_magnitude, checked_tensors, without_subnormals
@@ -94,7 +95,7 @@ class Field:
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if layer == self.skip_layer:
                 hidden = torch.cat([hidden, x], dim=1)
-            hidden = torch.addmm(bias, hidden, weight.T)
+            hidden = affine(hidden, weight, bias)
             if layer < last:
                 hidden = torch.relu(hidden)
         return torch.tanh(hidden[:, 0])

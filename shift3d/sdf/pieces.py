@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from shift3d.sdf.affine import affine
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -48,7 +50,7 @@ def linear_piece(
     for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         if layer == skip_layer:
             hidden = torch.cat((hidden, entry), dim=1)
-        hidden = hidden @ weight.T
+        hidden = affine(hidden, weight, None)
         value, slope = hidden[:count].add_(bias), hidden[count:]
         if layer == last:
             return Piece(value[:, 0], slope[:, 0], length)

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from shift3d.sdf.affine import affine
+
 
 @dataclass(frozen=True)
 class Tangent:
@@ -43,7 +45,7 @@ def tangent(
     for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         if layer == skip_layer:
             hidden = torch.cat((hidden, x), dim=1)
-        hidden = torch.addmm(bias, hidden, weight.T)
+        hidden = affine(hidden, weight, bias)
         if layer < last:
             hidden = hidden.relu_()
             units.append(hidden)
@@ -54,7 +56,7 @@ def tangent(
         if layer < last:
             at_output = torch.ops.aten.threshold_backward(at_output, units[layer], 0.0)  # 0 where the unit is off
         at_bias[layer] = at_output
-        at_input = at_output @ weights[layer]
+        at_input = affine(at_output, weights[layer].T, None)
         if layer == skip_layer:
             at_input, at_point = at_input[:, :-3], at_point + at_input[:, -3:]
         at_output = at_input

@@ -108,10 +108,10 @@ def _true_residual(field: ObjectField, near_surface: Tensor) -> Tensor:
 
 
 def test_the_decoders_own_sums_add_no_more_than_the_statement_gives_them(near_surface: Tensor) -> None:
-    """Half of the statement is for them: u in sdf units. Measured, at places that float32 holds exactly."""
+    """Two thirds of the statement are for them: 2 u in sdf units. Measured, at places that float32 holds exactly."""
     held = (near_surface @ (F64.sdf_R_object.T / SUV.scale_m) + F64.sdf_t_object).float()
     change = (SINGLE(held).double() - DOUBLE(held.double())).abs()
-    assert EMPTY * U32 < float(change.max()) < U32
+    assert EMPTY * U32 < float(change.max()) < 2 * U32
     assert bool((change <= decoder_rounding(DOUBLE, held.double(), CODE)).all())
 
 

@@ -1,0 +1,30 @@
+"""The products that a decoder is made of, where no gradient is wanted: x W^T + b by the library that is fast here."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from shift3d.processor import has_wide_float32
+
+
+def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+    """Rows x (N, in) times weight (out, in) transposed, plus bias (out,): (N, out).
+
+    float32 on CPU goes to oneDNN where that is the faster (`processor`), anything else, and whatever gradients are
+    asked of, to torch. The two differ by roundings; either gives a row the same value whatever rows stand beside it,
+    but for MKL with less than a handful of them. Differentiable.
+    """
+    if _plain(x) and has_wide_float32() and not _is_differentiated(x, weight, bias):
+        # Its own ReLU would turn NaN into 0: activations are left to torch.
+        result: Tensor = torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
+        return result
+    return x @ weight.T if bias is None else torch.addmm(bias, x, weight.T)
+
+
+def _plain(x: Tensor) -> bool:
+    return x.dtype == torch.float32 and x.device.type == "cpu" and type(x) is Tensor
+
+
+def _is_differentiated(*parts: Tensor | None) -> bool:
+    return torch.is_grad_enabled() and any(part is not None and part.requires_grad for part in parts)

@@ -1,0 +1,63 @@
+"""A decoder's products: what either library gives is x W^T + b, with NaN and gradients where they belong."""
+
+import pytest
+import torch
+
+from shift3d.processor import has_wide_float32
+from shift3d.sdf import affine as module
+from shift3d.sdf.affine import affine
+
+
+@pytest.fixture(params=[False, True], ids=["torch", "onednn"])
+def wide(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each library in turn; oneDNN multiplies on any processor, whether it is the faster there or not."""
+    if request.param and not torch.backends.mkldnn.is_available():
+        pytest.skip("torch was built without oneDNN")
+    monkeypatch.setattr(module, "has_wide_float32", lambda: request.param)
+
+
+def parts(rows: int, inputs: int, outputs: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    draw = torch.Generator().manual_seed(rows)
+    shapes = (rows, inputs), (outputs, inputs), (outputs,)
+    return tuple(torch.randn(shape, generator=draw) for shape in shapes)  # type: ignore[return-value]
+
+
+@pytest.mark.usefixtures("wide")
+@pytest.mark.parametrize("rows", [0, 1, 7, 64, 600])
+@pytest.mark.parametrize(("inputs", "outputs"), [(3, 512), (512, 512), (512, 1)])
+def test_float32_is_float64_to_rounding(rows: int, inputs: int, outputs: int) -> None:
+    x, weight, bias = parts(rows, inputs, outputs)
+    # A sum of n products in any order is off by at most n u times the sum of their sizes (Higham 2002, 3.1).
+    bound = (inputs + 1) * 2.0**-24 * (x.abs().double() @ weight.abs().double().T + bias.abs().double())
+    for offset in (bias, None):
+        exact = x.double() @ weight.double().T + (0.0 if offset is None else offset.double())
+        assert ((affine(x, weight, offset).double() - exact).abs() <= bound).all()
+    back = affine(torch.ones(rows, outputs), weight.T, None)  # what a way back through the layer asks for
+    assert torch.allclose(back, torch.ones(rows, outputs) @ weight, atol=1e-3)
+
+
+@pytest.mark.usefixtures("wide")
+def test_what_is_not_finite_stays_so() -> None:
+    x, weight, bias = parts(70, 512, 512)
+    x[3, 4], x[5, 6] = torch.nan, torch.inf
+    found = affine(x, weight, bias)
+    assert torch.isnan(found[3]).all() and torch.isinf(found[5]).all()
+    kept = torch.arange(70) % 2 == 0
+    assert torch.isfinite(found[kept]).all()
+
+
+@pytest.mark.usefixtures("wide")
+def test_gradients_are_torchs_own() -> None:
+    x, weight, bias = parts(20, 30, 40)
+    leaves = [part.requires_grad_() for part in (x, weight, bias)]
+    found = torch.autograd.grad(affine(*leaves).square().sum(), leaves)
+    wanted = torch.autograd.grad(torch.addmm(bias, x, weight.T).square().sum(), leaves)
+    assert all(torch.equal(a, b) for a, b in zip(found, wanted, strict=True))
+
+
+@pytest.mark.skipif(not has_wide_float32(), reason="this processor leaves float32 to torch's default")
+def test_a_row_is_the_same_whatever_stands_beside_it() -> None:
+    x, weight, bias = parts(600, 512, 512)
+    whole = affine(x, weight, bias)
+    for rows in (7, 64, 599):
+        assert torch.equal(affine(x[:rows].contiguous(), weight, bias), whole[:rows])
