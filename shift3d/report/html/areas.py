@@ -92,7 +92,8 @@ def _table(variant: Variant) -> list[str]:
         kinds.append("")
     named = [vehicle.replace("_", " ") for vehicle in vehicles]
     beside = f"; paper: {paper.name}, {variant.detector}, 500 scenes a vehicle" if paper else ""
-    caption = f"AUC, {variant.label}, scored by {variant.scored_by}{beside}"
+    said = "" if "scored by" in variant.label else f", scored by {variant.scored_by}"
+    caption = f"AUC, {variant.label}{said}{beside}"
     parts = [table(caption, ["method", *named, "mean", "of baseline"], lines, kinds), *_still_cars(variant)]
     if paper is None:
         parts.append(paragraph(f"The paper has no table of these vehicles for {variant.label}.", "missing"))

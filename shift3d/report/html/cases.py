@@ -30,7 +30,10 @@ _HEADER = ["measure", "baseline", "adversarial", "change"]
 
 def hard_cases(sweep: Sweep, count: int = 4) -> Section:
     """The section: the most harmful solutions rendered again. What cannot be loaded is said, not raised."""
-    chosen = hardest(sweep.scores, count)
+    scored = sweep.scored
+    # Not `~`: what was not looked at is None.
+    broken = set(scored.loc[(scored["mode"] == "shape") & (scored["still_a_car"] == False), "task_id"])  # noqa: E712
+    chosen = hardest(sweep.scores, count, broken)
     if not chosen:
         nothing = "No score fell below its baseline's: there is no hard case to show."
         return Section("cases", _TITLE, [paragraph(nothing, "missing")])
@@ -43,9 +46,20 @@ def hard_cases(sweep: Sweep, count: int = 4) -> Section:
             parts.append(paragraph(f"Case {number}, task {case.task_id}, cannot be drawn: {error.what}", "missing"))
     lead = (
         f"The {len(chosen)} solutions whose score fell furthest below the baseline's of the same task, other vehicles "
-        "and scenes first. Each is rendered again here as the sweep rendered it. Drag a vehicle to turn both."
+        f"and scenes first.{_about(broken, chosen)} Each is rendered again here as the sweep rendered it. Drag a "
+        "vehicle to turn both."
     )
     return Section("cases", _TITLE, [paragraph(lead), *parts, _definitions()])
+
+
+def _about(broken: set[str], chosen: list[Case]) -> str:
+    """What became of the shapes that are no cars any more."""
+    shown = sum(case.task_id in broken for case in chosen)
+    if not broken:
+        return ""
+    if not shown:
+        return f" Shapes that are no longer cars ({len(broken)} tasks) are left out: they are easy to miss."
+    return f" The last {shown} are no longer cars: there were not enough others."
 
 
 def _definitions() -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -44,10 +44,11 @@ class Case:
         return self.before - self.after
 
 
-def hardest(scores: pd.DataFrame, count: int = 4) -> list[Case]:
+def hardest(scores: pd.DataFrame, count: int = 4, broken: Collection[str] = ()) -> list[Case]:
     """The tasks whose score fell furthest before the attacked detector, other vehicles and scenes first.
 
-    scores: of ``final/``. Of equal falls the first in the plan's order.
+    scores: of ``final/``. Of equal falls the first in the plan's order. broken: tasks whose shape is no car any more;
+    they are chosen only where there are not `count` others, and stand last.
     """
     rows = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
     first = rows.drop_duplicates("task_id")
@@ -63,11 +64,11 @@ def hardest(scores: pd.DataFrame, count: int = 4) -> list[Case]:
     left = sorted((case for case in cases if case.fall > 0), key=lambda case: -case.fall)
     chosen: list[Case] = []
     while left and len(chosen) < count:
-        # Sorting is stable: of those that repeat least, the one that fell furthest.
-        best = min(left, key=lambda case: _repeats(case, chosen))
+        # Of those that repeat least, the first is the one that fell furthest.
+        best = min(left, key=lambda case: (case.task_id in broken, _repeats(case, chosen)))
         chosen.append(best)
         left.remove(best)
-    return sorted(chosen, key=lambda case: -case.fall)
+    return sorted(chosen, key=lambda case: (case.task_id in broken, -case.fall))
 
 
 _TWO = ["baseline", "adversarial"]

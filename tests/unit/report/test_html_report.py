@@ -285,6 +285,9 @@ def test_the_hardest_are_of_other_vehicles_and_scenes_first() -> None:
     assert [case.task_id for case in hardest(frame, 2)] == ["a", "d"]
     assert [case.task_id for case in hardest(frame, 9)] == ["a", "b", "c", "d"]
     assert hardest(frame[frame["method"] == "baseline"]) == []
+    # What is no car any more comes last, and only where there are not enough others.
+    assert [case.task_id for case in hardest(frame, 2, {"a", "d"})] == ["b", "c"]
+    assert [case.task_id for case in hardest(frame, 3, {"a", "d"})] == ["b", "c", "a"]
 
 
 def test_a_box_is_measured_in_centimetres() -> None:
