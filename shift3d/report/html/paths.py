@@ -14,7 +14,7 @@ from shift3d.report.html.sweep import Sweep, Variant
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["case_path", "mean_path", "paths"]
+__all__ = ["case_path", "mean_path", "paths", "searched"]
 
 _TITLE = "The score along the steps"
 _OPEN = 2  # variants in sight; the others fold
@@ -24,7 +24,7 @@ _DASHES = ("dot", "dash", "dashdot", "longdash", "longdashdot")
 def paths(sweep: Sweep, found: list[Variant]) -> Section:
     """The section: the mean path of each search, with a band. Searches are those of the attacked detector."""
     own = [variant for variant in found if variant.detector == variant.scored_by]
-    drawn = [(variant, rows) for variant in own if len(rows := _rows(sweep, variant))]
+    drawn = [(variant, rows) for variant in own if len(rows := searched(sweep, variant))]
     if not drawn:
         return Section("paths", _TITLE, [paragraph("This sweep kept no scores along the steps.", "missing")])
     body = [
@@ -41,7 +41,8 @@ def paths(sweep: Sweep, found: list[Variant]) -> Section:
     return Section("paths", _TITLE, body)
 
 
-def _rows(sweep: Sweep, variant: Variant) -> pd.DataFrame:
+def searched(sweep: Sweep, variant: Variant) -> pd.DataFrame:
+    """Rows of ``trajectories.parquet`` of a variant's tasks, with `place`: their scene."""
     rows = sweep.trajectories[sweep.trajectories["task_id"].isin(set(variant.rows["task_id"]))]
     return rows.assign(place=rows["dataset"] + "/" + rows["scene"])
 
