@@ -126,7 +126,11 @@ class _GatherRows(torch.autograd.Function):
 
 def _take(rows: Tensor, index: Tensor) -> Tensor:
     """Rows (N, C) by index (M,) in 0..N, where N stands for a row of zeros."""
-    return torch.cat((rows, rows.new_zeros(1, rows.shape[1]))).index_select(0, index)
+    if not len(rows):
+        return rows.new_zeros(len(index), rows.shape[1])
+    taken = rows.index_select(0, index.clamp_max(len(rows) - 1))
+    filled: Tensor = taken.index_fill_(0, torch.nonzero(index == len(rows)).squeeze(1), 0.0)
+    return filled
 
 
 def gather_rows(rows: Tensor, index: Tensor, inverse: Tensor) -> Tensor:
