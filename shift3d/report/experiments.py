@@ -56,8 +56,8 @@ def _run(sweep: Sweep) -> str:
     scored = sweep.scored["task_id"].nunique()
     given = ", ".join(f"`{word}`" for word in sweep.plan.overrides if not word.startswith("out="))
     return (
-        f"{tasks} tasks ({scored} scored), {sweep.scored['place'].nunique()} scenes, {attempts['worker'].nunique()} "
-        f"workers, {minutes:.0f} minutes. Given: {given or 'nothing'}."
+        f"{tasks} tasks ({scored} scored), {sweep.scored['place'].nunique()} scenes, {minutes:.0f} minutes. "
+        f"Given: {given or 'nothing'}."
     )
 
 

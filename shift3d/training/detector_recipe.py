@@ -58,7 +58,7 @@ RECIPES: dict[str, Recipe] = {
     # Attention costs by the token and the dense layers by the cell, so that small crops around vehicles teach
     # most for the time; weight decay is the published one, the peak rate fits batches of two (our choice: at
     # 6e-4 the box loss stood still for 1000 steps, at 2e-4 it fell). Never run to its end: 2750 steps on a
-    # processor without bfloat16, 1.2 s each, were far from enough (README).
+    # processor without bfloat16, 1.2 s each, were far from enough (README). With bfloat16 a step takes half a second.
     "sst": Recipe(
         network=SST_SPEC,
         steps=20_000,
