@@ -18,6 +18,7 @@ from torch import Tensor
 from shift3d.render.culling import Rays
 from shift3d.render.empty_space import Leaps
 from shift3d.render.object_field import ObjectField
+from shift3d.render.seen import Seen
 from shift3d.render.settings import RenderSettings
 from shift3d.render.shallow import look_into_shallow
 
@@ -28,6 +29,7 @@ _STEEPEST = 10.0
 _FEW = 32
 _AHEAD = 64
 _AHEAD_SHARE = 0.7
+_SHELF_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Brackets:
         outer, inner: (M,) float64 ranges with g >= 0 and g < 0 (meaningless where not found).
         g_outer, g_inner: (M,) values there, metres.
         undecided: (M,) bool, the sensor itself is inside the object, or the field was not finite on the way.
-        clearance: (M,) smallest g in a dip before the crossing, or on the whole stretch where there is
+        clearance: (M,) smallest g in a dip or on a shelf before the crossing, or on the whole stretch where there is
             none; infinite where g only falls towards the crossing. Metres.
         closest: (M,) range of that smallest g.
     """
@@ -67,6 +69,7 @@ def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings, lea
             march.step()
         else:
             march.steps_ahead()
+    march.note_shelves()
     brackets = Brackets(
         march.found & ~march.undecided,
         march.outer,
@@ -99,11 +102,13 @@ class _March:
         # What a step of several showed of the field's steepness before it was taken back.
         self.steepest = torch.ones(count, dtype=torch.float64)
         self.rows = torch.arange(count)
+        self.seen = Seen()
 
     def _g(self, k: Tensor, rows: Tensor) -> Tensor:
         g = self.field.estimate(self.rays.at(k, rows)).double()
         lost = ~torch.isfinite(g)
         self.undecided[rows[lost]] = True
+        self.seen.add(rows, k, g)
         return torch.where(lost, torch.inf, g)
 
     def start(self) -> None:
@@ -176,6 +181,7 @@ class _March:
         places = torch.minimum(k[:, None] + length[:, None] * torch.arange(ahead + 1), far[:, None])
         x = self.rays.at(places[:, 1:].reshape(-1), rows.repeat_interleave(ahead))
         values = torch.cat((g[:, None], self.field.estimate(x).double().reshape(len(rows), ahead)), dim=1)
+        self.seen.add(rows.repeat_interleave(ahead), places[:, 1:].reshape(-1), values[:, 1:].reshape(-1))
         lost = ~torch.isfinite(values)
         values = values.masked_fill(lost, torch.inf)
         gap, steepness = self._gaps(rows, places, values, leaping)
@@ -243,6 +249,11 @@ class _March:
             k_new[again] = k_sure[again]
             g_new[again] = self._g(k_sure[again], rows[again])
         return k_new, g_new
+
+    def note_shelves(self) -> None:
+        """On the way to a crossing a shelf counts as a dip."""
+        g, k = self.seen.shelves(self.outer, self.found, _SHELF_STEPS * self.settings.step_m)
+        self._note(torch.arange(len(g)), g, k)
 
     def _leave(self, rows: Tensor, g: Tensor, k: Tensor) -> None:
         """Rays with nothing but empty space ahead."""

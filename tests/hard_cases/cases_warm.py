@@ -122,6 +122,31 @@ def a_beam_that_enters_the_box() -> None:
 
 @hard_case(
     area="renderer",
+    why="a bump rises from a shelf that a beam skims on its way down to its hit: the field falls all the way, no dip",
+    must="the bump is hit, in the very step",
+    guard="a shelf in front of a hit is looked at again as a dip is",
+    edits=Edit("shift3d.render.bracket", "self._note(torch.arange(len(g)), g, k)", "pass"),
+)
+def a_bump_that_rises_from_a_shelf() -> None:
+    def wall_behind_a_shelf(bump_top_m: float) -> Field:
+        block, bump = box((0.3, 0.5, 0.25), (0.1, 0.0, -0.25)), box((0.045, 0.5, 0.1), (0.315, 0.0, bump_top_m - 0.1))
+        both = union(SLAB, bump)
+
+        def field(x: Tensor) -> Tensor:
+            # The shelf rises towards the wall: the beam, at height 0, is 8 cm above its start and 2 cm above its end.
+            below_top = (x[:, 2] + 0.02 - 0.1 * (x[:, 0] - 0.4)) / math.hypot(1.0, 0.1)
+            return torch.minimum(torch.maximum(below_top, block(x)), both(x))
+
+        return field
+
+    beams = beams_along_x()
+    first = draw(beams, wall_behind_a_shelf(-0.05), frame=PLAIN)
+    hit_at(first, 10.4)
+    hit_at(again(beams, wall_behind_a_shelf(0.01), first), 10.27)
+
+
+@hard_case(
+    area="renderer",
     why="a plate appears out of nothing in front of a hit that can be followed: nobody looks there",
     must="it is found after `warm_refresh` renderings at the latest",
     guard="after so many warm renderings everything is searched",
