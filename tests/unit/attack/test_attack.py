@@ -87,7 +87,8 @@ def test_a_step_of_length_zero_changes_nothing(problem: AttackProblem) -> None:
     result = attack_shape(problem, 1.0, alpha=0.0, steps=2)
     assert torch.equal(result.latent_code, CODE)
     losses = [record.loss for record in result.trace]
-    assert losses[0] == pytest.approx(losses[2], rel=1e-6)
+    # A hit that is followed is told to 3 micrometres, as one that is searched is: not the same to the last digit.
+    assert losses[0] == pytest.approx(losses[2], rel=1e-5)
 
 
 def test_the_shape_attack_lowers_the_loss(problem: AttackProblem) -> None:

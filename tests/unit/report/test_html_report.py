@@ -287,7 +287,7 @@ def test_the_hardest_are_of_other_vehicles_and_scenes_first() -> None:
     assert hardest(frame[frame["method"] == "baseline"]) == []
     # What is no car any more comes last, and only where there are not enough others.
     assert [case.task_id for case in hardest(frame, 2, {"a", "d"})] == ["b", "c"]
-    assert [case.task_id for case in hardest(frame, 3, {"a", "d"})] == ["b", "c", "a"]
+    assert [case.task_id for case in hardest(frame, 3, {"a", "d"})] == ["b", "c", "d"]
 
 
 def test_a_box_is_measured_in_centimetres() -> None:
