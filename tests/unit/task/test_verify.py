@@ -99,8 +99,8 @@ def test_a_real_solution_is_scored_again(finished: tuple[TaskSpec, VerifyAssets]
     assert [found["method"] for found in result.verification] == ["baseline", "adversarial"]
     for found in result.verification:
         assert found["score_again"] == found["score"]  # bit for bit
-        # One beam of this object crosses it for 12 mm, 0.13 mm deep, and chords below 2 cm may be lost: where it is, the
-        # detector's score moves by 0.005.
+        # One beam of this object crosses it for 12 mm, 0.13 mm deep, and chords below 2 cm may be lost: where it is,
+        # the detector's score moves by 0.005.
         lost = found["missed_hits"] + found["wrong_surface"]
         assert found["false_hits"] == 0 and lost <= 1
         assert abs(found["score_reference"] - found["score"]) < (1e-2 if lost else 1e-3) and found["stable"]
