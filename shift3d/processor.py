@@ -24,7 +24,7 @@ def has_wide_float32() -> bool:
     """Whether oneDNN is to be asked for float32 products of matrices, in place of torch's default.
 
     torch leaves them to MKL, which uses half the width of AVX-512 on processors that are not Intel's: 90 against 200
-    GFLOP/s on one core (AMD, 600 rows by 512 x 512). Elsewhere the two are alike.
+    GFLOP/s on one core (AMD, 600 rows by 512 x 512). Not measured on Intel's, where MKL uses the whole width as well.
     """
     import torch
 

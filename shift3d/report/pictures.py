@@ -141,12 +141,16 @@ def _from_above(points: NDArray[np.float64], theta: NDArray[np.float64]) -> tupl
 
 
 def draw_curves(scores: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
-    """Threshold-recall curves of every vehicle over all its scenes, shape above pose, at the lambda that was chosen."""
+    """Threshold-recall curves of every vehicle over all its scenes, shape above pose, at the lambda that was chosen.
+
+    Scores are those of the attacked detector: another one's opinion is no point of the same curve.
+    """
     from shift3d.evaluation.recall_curve import recall_curve
 
     vehicles = list(dict.fromkeys(scores["vehicle"]))
     chosen = auc[auc["selected"]][["vehicle", "mode", "lambda", "method"]].drop_duplicates()
-    kept = scores[scores["score"].notna()].merge(chosen, on=["vehicle", "mode", "lambda", "method"])
+    own = scores["scored_by"] == scores["detector"]
+    kept = scores[scores["score"].notna() & own].merge(chosen, on=["vehicle", "mode", "lambda", "method"])
     figure = _figure(11, 4.2)
     axes = figure.subplots(2, len(vehicles), sharex=True, sharey=True, squeeze=False)
     for (mode, vehicle, method), group in kept.groupby(["mode", "vehicle", "method"], sort=False):
