@@ -16,6 +16,7 @@ from shift3d.report.html.paper import paper_table
 from shift3d.report.html.paths import mean_path, searched
 from shift3d.report.html.statistics import area, mean_area, ratio_interval
 from shift3d.report.html.sweep import METHODS, Sweep, Variant, read_sweep, variants
+from shift3d.vehicles.outline import CAR_RULE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -106,7 +107,7 @@ def _cars(variant: Variant) -> list[str]:
     before, after = (f"{part.interval.mean:.3f}" for part in parts if part)
     return [
         "",
-        f"Still a car (one piece, sides 0.75 to 1.35 of the baseline's): {cars} of {tasks}; {before} → {after}.",
+        f"Still a car ({CAR_RULE}): {cars} of {tasks}; {before} → {after}.",
     ]
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from shift3d.report.accuracy_cost import accuracy_cost, measured_presets
 from shift3d.report.choices import candidate_tables, reasons
 from shift3d.report.numerics import diagnostics
+from shift3d.vehicles.outline import CAR_RULE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -79,6 +80,7 @@ def still_cars(scores: pd.DataFrame, shapes: pd.DataFrame) -> list[str]:
 
     shapes: the table of ``final/``. Scores are those of the attacked detector; means over tasks.
     """
+    shapes = shapes[shapes["still_a_car"].notna()]
     rows = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
     table = rows.pivot_table(index="task_id", columns="method", values="score")
     if shapes.empty or not {"baseline", "adversarial"} <= set(table.columns):
@@ -86,7 +88,7 @@ def still_cars(scores: pd.DataFrame, shapes: pd.DataFrame) -> list[str]:
     whole = shapes.merge(table[["baseline", "adversarial"]], on="task_id", how="inner")
     lines = []
     for (detector, alpha, weight), group in whole.groupby(["detector", "alpha", "lambda"], sort=False, dropna=False):
-        cars = group[group["still_a_car"]]
+        cars = group[group["still_a_car"].eq(True)]
         line = [f"{detector}, alpha {alpha:g}, lambda {weight:g}", f"{len(cars)} of {len(group)}"]
         for part in (group, cars):
             means = part[["baseline", "adversarial"]].mean()
@@ -95,11 +97,7 @@ def still_cars(scores: pd.DataFrame, shapes: pd.DataFrame) -> list[str]:
             line.append(f"{means['adversarial'] / means['baseline']:.2f}" if known else "-")
         lines.append(line)
     header = ["", "still a car", "baseline", "adversarial", "ratio", "cars: baseline", "adversarial", "ratio"]
-    return [
-        aligned(
-            "Adversarial shapes that are still cars (one piece, sides 0.75 to 1.35 of the baseline's)", header, lines
-        )
-    ]
+    return [aligned(f"Adversarial shapes that are still cars ({CAR_RULE})", header, lines)]
 
 
 def choice_tables(choices: pd.DataFrame) -> list[str]:

@@ -75,14 +75,22 @@ def extract_mesh(field: PointField, resolution: int = 128, largest_only: bool = 
     Differentiable w.r.t.: nothing.
     Source: our choice: the paper is silent; DeepSDF extracts with marching cubes too.
     """
-    values, step = field_on_grid(field, resolution)
+    mesh = zero_surface(*field_on_grid(field, resolution))
+    if largest_only and mesh.body_count > 1:
+        mesh = max(mesh.split(only_watertight=False), key=lambda part: len(part.faces))
+    return mesh
+
+
+def zero_surface(values: Array, step: float) -> trimesh.Trimesh:
+    """The zero surface of values on a grid over [-1, 1]^3, as `field_on_grid` gives them: closed, outward normals.
+
+    Raises: InputError when there is none.
+    """
     if not (values.min() < 0.0 < values.max()):
         raise InputError("the field has no surface", where="extract_mesh", remedy="a latent code nearer to the prior")
     padded = np.pad(values, 1, constant_values=float(np.abs(values).max()))
     vertices, triangles, _, _ = marching_cubes(padded, 1.3e-6, spacing=(step,) * 3)
     mesh = trimesh.Trimesh(vertices - HALF_EXTENT - step, triangles[:, ::-1], process=True)
-    if largest_only and mesh.body_count > 1:
-        mesh = max(mesh.split(only_watertight=False), key=lambda part: len(part.faces))
     if mesh.volume < 0:
         mesh.invert()
     return mesh

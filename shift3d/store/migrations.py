@@ -51,7 +51,19 @@ def _ids_as_text(values: Values) -> Values:
     return {**values, **{name: " ".join(ids) for name, ids in lists.items()}}
 
 
-STEPS: Mapping[int, Step] = {5: Step(entry=_ids_as_text)}
+def _looked_at_by_sides_alone(name: str, table: pa.Table) -> pa.Table:
+    """Version 7 asks for volume and symmetry before it calls a shape a car: what was called one without is unknown."""
+    if name != "shapes":
+        return table
+    place = table.schema.get_field_index("still_a_car")
+    unknown = {"volume_share": pa.float64(), "mirrored": pa.float64(), "still_a_car": pa.bool_()}
+    table = table.drop_columns(["still_a_car"])
+    for offset, (column, kind) in enumerate(unknown.items()):
+        table = table.add_column(place + offset, column, pa.nulls(len(table), kind))
+    return table
+
+
+STEPS: Mapping[int, Step] = {5: Step(entry=_ids_as_text), 6: Step(table=_looked_at_by_sides_alone)}
 """By the version that a step starts from."""
 
 

@@ -7,7 +7,7 @@ import pyarrow as pa
 __all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
 # A new one needs a step in store/migrations.py and a folder of the former one in tests/reference.
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
 _SPEC_FIELDS = [
@@ -196,9 +196,12 @@ _SHAPES = _schema(
         ("width_m", pa.float64()),
         ("height_m", pa.float64()),
         ("largest_piece", pa.float64()),  # share of the surface
+        ("volume_share", pa.float64()),  # of the baseline's
+        ("mirrored", pa.float64()),  # share of the volume whose mirror image is inside too
         ("still_a_car", pa.bool_()),
     ],
-    nullable={*_NULLABLE, "length_m", "width_m", "height_m"},  # null for a code without a surface
+    # The sizes are null for a code without a surface, the rest for what a program before version 7 looked at.
+    nullable={*_NULLABLE, "length_m", "width_m", "height_m", "volume_share", "mirrored", "still_a_car"},
 )
 
 _ATTEMPTS = _schema(

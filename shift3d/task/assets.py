@@ -22,6 +22,7 @@ from shift3d.scenes.sets import SceneSet
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.task.spec import AssetsSpec, TaskSpec
+from shift3d.vehicles.outline import volume_m3
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle
 
@@ -49,6 +50,7 @@ class Assets:
     _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)
     _vehicle_hashes: dict[str, str] = field(default_factory=dict)
+    _volumes: dict[str, float] = field(default_factory=dict)
     _spaces: OrderedDict[tuple[str, RenderSettings], EmptySpace] = field(default_factory=OrderedDict)
 
     def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
@@ -93,6 +95,12 @@ class Assets:
             self._vehicle_hashes[name] = vehicle_hash(vehicle)
         _require(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
         return vehicle
+
+    def volume_of(self, spec: TaskSpec) -> float:
+        """Cubic metres of the task's unchanged vehicle, measured on first use."""
+        if spec.vehicle not in self._volumes:
+            self._volumes[spec.vehicle] = volume_m3(self.vehicle(spec), self.decoder)
+        return self._volumes[spec.vehicle]
 
     def space_of(self, spec: TaskSpec, settings: RenderSettings) -> EmptySpace | None:
         """A map of the task's vehicle at these settings, None where they use none.

@@ -98,7 +98,8 @@ class Rows:
         """What the mesh of a shape looks like."""
         sizes = found.size_m or (None, None, None)
         row: Row = dict(zip(("length_m", "width_m", "height_m"), sizes))
-        row |= {"largest_piece": found.largest_piece, "still_a_car": found.still_a_car}
+        row |= {"largest_piece": found.largest_piece, "volume_share": found.volume, "mirrored": found.mirrored}
+        row["still_a_car"] = found.still_a_car
         self._shapes.append({"method": candidate.method, "replicate": candidate.replicate, **row})
 
     def time(self, method: str, stage: str, milliseconds: float, calls: int = 1) -> None:

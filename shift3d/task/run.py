@@ -68,7 +68,8 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
 def _look_at(spec: TaskSpec, assets: Assets, found: Candidate, rows: Rows) -> None:
     """Whether the shape that was found is still a car, and what it does in other scenes."""
     start = time.perf_counter()
-    rows.shape(found, outline(assets.vehicle(spec), assets.decoder, found.code.float()))
+    code = found.code.detach().float().numpy()
+    rows.shape(found, outline(assets.vehicle(spec), assets.decoder, code, assets.volume_of(spec)))
     rows.time(found.method, "mesh", 1e3 * (time.perf_counter() - start))
     if spec.transfer_scenes:
         start = time.perf_counter()

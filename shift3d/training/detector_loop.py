@@ -102,7 +102,7 @@ def train_on_scenes(
     data: str = SHIPPED_DATA,
     start: Mapping[str, Any] | None = None,
 ) -> AnchorNet:
-    """Train, or go on from out_dir's checkpoint, to recipe.steps (or stop_after, to be resumed).
+    """Train, or go on from out_dir's checkpoint, to recipe.all_steps (or stop_after, to be resumed).
 
     A resumed training gives the weights of an uninterrupted one: the crops of a step depend on the seed and
     the step alone. Every `checkpoint_every` steps a checkpoint replaces the last one; so it does when SIGINT or
@@ -123,10 +123,10 @@ def train_on_scenes(
     out_dir.mkdir(parents=True, exist_ok=True)
     run = _Run(out_dir / CHECKPOINT, recipe, compute, data, start)
     run.net.train()
-    end = recipe.steps if stop_after is None else min(recipe.steps, stop_after)
+    end = recipe.all_steps if stop_after is None else min(recipe.all_steps, stop_after)
     recent: list[dict[str, float]] = []
     batches = _batches(run.net, recipe, range(run.done, end), mesh_scenes, inserted_scenes, compute.crops_ahead)
-    bar = tqdm(initial=run.done, total=recipe.steps, desc=recipe.detector, mininterval=5.0)
+    bar = tqdm(initial=run.done, total=recipe.all_steps, desc=recipe.detector, mininterval=5.0)
     with stop_on_signal() as stop, bar:
         for step, crops, targets in batches:
             recent.append(_train_step(run, step, crops, targets))
@@ -140,11 +140,10 @@ def train_on_scenes(
                 shown = "  ".join(
                     f"{name} {value:.3g}" for name, value in (run.curve[-1][1] if run.curve else {}).items()
                 )
-                tqdm.write(f"step {run.done} of {recipe.steps}  {shown}  ({CHECKPOINT} written)")
-            if stop.asked and run.done < recipe.steps:
+                tqdm.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
+            if stop.asked and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
-    run.net.eval()
-    return run.net
+    return run.net.eval().requires_grad_(True)
 
 
 def _mean(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -152,9 +151,18 @@ def _mean(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: sum(part[name] for part in parts) / len(parts) for name in parts[-1]}
 
 
+def _settle(net: AnchorNet) -> None:
+    """From here on the network is as at inference but for the heads that draw boxes."""
+    net.eval().requires_grad_(False)
+    for head in (net.heads.boxes, net.heads.directions):
+        head.requires_grad_(True)
+
+
 def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Targets]) -> dict[str, float]:
     """One optimiser step; returns the parts of the loss and the learning rate."""
     recipe, device = run.recipe, run.compute.device
+    if step >= recipe.steps:
+        _settle(run.net)
     rate, momentum = one_cycle(step, recipe)
     for group in run.optimiser.param_groups:
         group["lr"], group["betas"] = rate, (momentum, 0.99)

@@ -9,6 +9,7 @@ from shift3d.report.html.document import OPEN, Markup, Section, aside, escape, p
 from shift3d.report.html.paper import PaperTable, paper_table
 from shift3d.report.html.statistics import Area, area, mean_area, ratio_interval
 from shift3d.report.html.sweep import METHODS, Variant
+from shift3d.vehicles.outline import CAR_RULE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,8 +22,8 @@ _MEANINGS = {
     "interval": "95 %, BCa bootstrap, whole scenes redrawn; with fewer than about 20 scenes it is too narrow",
     "mean": "mean of the vehicles' AUCs; for the paper's rows it is computed here, over the vehicles shown",
     "of baseline": "mean over the baseline's mean; interval: 95 %, scenes redrawn with both of them",
-    "still a car": "only tasks whose adversarial shape is one piece but for 3 % of its surface, with sides 0.75 to "
-    "1.35 of the baseline's, and the baseline of the same tasks: a coarse look, which some broken shapes pass",
+    "still a car": f"only tasks whose adversarial shape is {CAR_RULE}, and the baseline of the same tasks: a coarse "
+    "look, which some broken shapes pass",
     "lambda": "shape results are those of the weight that the paper's rule chose for each vehicle",
 }
 

@@ -298,6 +298,7 @@ def test_a_shape_is_looked_at_and_a_pose_is_not(shape: TaskResult, pose: TaskRes
     (row,) = shape.shapes
     assert (row["method"], row["replicate"]) == ("adversarial", 0) and pose.shapes == []
     # Three steps away from the baseline it still is one.
-    assert row["still_a_car"] and row["largest_piece"] > 0.97
+    assert row["still_a_car"] and row["largest_piece"] > 0.97 and row["mirrored"] > 0.95
+    assert row["volume_share"] == pytest.approx(1.0, abs=0.2)
     sizes = [row[name] for name in ("length_m", "width_m", "height_m")]
     assert sizes == pytest.approx(assets.vehicle(make_spec()).size_m, rel=0.1)

@@ -14,7 +14,7 @@ from shift3d.detectors.box_coding import decode_boxes
 from shift3d.detectors.grid import WAYMO_GRID
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.training.detector import Recipe, one_cycle, train_on_scenes
+from shift3d.training.detector import Recipe, one_cycle, scaled_to_steps, train_on_scenes
 from shift3d.training.detector_augmentation import random_crop
 from shift3d.training.detector_losses import detection_loss, focal_loss, sine_code_difference
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
@@ -25,6 +25,7 @@ ANCHORS = anchor_boxes(WAYMO_ANCHORS, WAYMO_GRID, WINDOW)
 EVERYWHERE = torch.ones(len(ANCHORS), dtype=torch.bool)
 TINY = Recipe(
     steps=6,
+    settle_steps=3,
     mesh_only_steps=3,
     crop_cells=32,
     batch=2,
@@ -148,6 +149,8 @@ def test_one_cycle_rises_and_falls() -> None:
     rates = [one_cycle(step, recipe)[0] for step in range(100)]
     assert rates[0] == pytest.approx(1e-4) and max(rates) == pytest.approx(1e-3) and rates[-1] < 1e-5
     assert int(np.argmax(rates)) == 30
+    settling = [one_cycle(step, recipe)[0] for step in range(100, recipe.all_steps)]
+    assert settling[0] == recipe.settle_rate and settling == sorted(settling, reverse=True) and settling[-1] < 1e-7
 
 
 def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
@@ -155,6 +158,7 @@ def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
     inserted = cache_scenes(tmp_path / "inserted", ["2"], _scene)
     straight = train_on_scenes(tmp_path / "a", TINY, mesh, inserted)
     train_on_scenes(tmp_path / "b", TINY, mesh, inserted, checkpoint_every=2, stop_after=4)
+    train_on_scenes(tmp_path / "b", TINY, mesh, inserted, stop_after=TINY.steps + 1)
     resumed = train_on_scenes(tmp_path / "b", TINY, mesh, inserted)
     start = train_on_scenes(tmp_path / "c", TINY, mesh, inserted, stop_after=0)
     for name, tensor in straight.state_dict().items():
@@ -162,6 +166,21 @@ def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
     assert any(not torch.equal(a, b) for a, b in zip(straight.parameters(), start.parameters(), strict=True))
     with pytest.raises(InputError, match="another recipe"):
         train_on_scenes(tmp_path / "b", Recipe(steps=7, network=TINY.network), mesh, inserted)
+
+
+def test_the_last_steps_settle_the_boxes_and_leave_scores_alone(tmp_path: Path) -> None:
+    """On batch norms' own statistics: a mean that crops of two do not have is learned from nothing else."""
+    mesh = cache_scenes(tmp_path / "mesh", ["0", "1"], _scene)
+    start = train_on_scenes(tmp_path / "a", TINY, mesh, stop_after=TINY.steps).state_dict()
+    settled = train_on_scenes(tmp_path / "a", TINY, mesh)
+    assert all(part.requires_grad for part in settled.parameters())
+    changed = {name for name, tensor in settled.state_dict().items() if not torch.equal(tensor, start[name])}
+    assert changed == {f"heads.{head}.{part}" for head in ("boxes", "directions") for part in ("weight", "bias")}
+    alone = scaled_to_steps(TINY, 0)
+    again = train_on_scenes(tmp_path / "b", alone, mesh, start=start)
+    assert alone.all_steps == TINY.settle_steps
+    assert torch.equal(again.heads.classes.weight, start["heads.classes.weight"])
+    assert not torch.equal(again.heads.boxes.bias, start["heads.boxes.bias"])
 
 
 def test_the_cache_is_written_once_and_read_back(tmp_path: Path) -> None:

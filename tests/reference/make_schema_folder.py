@@ -1,13 +1,14 @@
-"""Makes schema_5/: the output folder of a sweep that was stopped after two of its four tasks, by schema version 5.
+"""Makes schema_N/: the output folder of a sweep that was stopped after two of its four tasks, by schema version N.
 
-It was made by the program at commit 8a4453b, the last of that version. To make it again:
+Each was made by the last program of its version, at the commit in COMMITS. To make it again, or that of a version that
+has just become an older one:
 
-    git worktree add /tmp/version-5 8a4453b
-    cp tests/reference/make_schema_5_folder.py /tmp/version-5/tests/reference/
-    cd /tmp/version-5 && PYTHONPATH=. python tests/reference/make_schema_5_folder.py
+    git worktree add /tmp/older COMMIT
+    cp tests/reference/make_schema_folder.py /tmp/older/tests/reference/
+    cd /tmp/older && PYTHONPATH=. python tests/reference/make_schema_folder.py
 
 The task is the cheap one of tests/service, so the folder is small; a program that reads it must come to the same final
-tables as in a folder of its own. A new version gets a script and a folder of its own.
+tables as in a folder of its own.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import socket
 import sys
 from pathlib import Path
 
+COMMITS = {5: "8a4453b", 6: "8effd78"}
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "service"))
 
@@ -32,11 +34,11 @@ def main() -> None:
     from shift3d.sweep.plan import make_plan
     from shift3d.sweep.worker import Worker
 
-    if SCHEMA_VERSION != 5:
-        raise SystemExit(f"this program writes schema version {SCHEMA_VERSION}")
+    if SCHEMA_VERSION not in COMMITS:
+        raise SystemExit(f"this program writes schema version {SCHEMA_VERSION}, which is no older one")
     socket.gethostname = lambda: "machine"
     platform.platform = lambda *_: "Linux"
-    folder = HERE / "schema_5"
+    folder = HERE / f"schema_{SCHEMA_VERSION}"
     shutil.rmtree(folder, ignore_errors=True)
     words = ["vehicle=suv", "scenes.count=2", "attack.lambda=1", "mode=shape,pose"]
     plan, _ = make_plan(compose_sweep("default", words), KIND.catalogue)
