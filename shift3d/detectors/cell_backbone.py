@@ -7,6 +7,7 @@ operations saved are time saved, whatever shape the chosen cells have. Activatio
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,7 @@ from shift3d.detectors.cell_sets import (
     sources,
     whole_set,
 )
+from shift3d.processor import round_batch
 
 __all__ = ["CellBackbone", "CellCache", "CellTape"]
 
@@ -160,8 +162,7 @@ class CellCache:
 
     def _convolve(self, index: int, cells: CellNumbers) -> None:
         layer, source, target = self.net.chain[index], self._activations[index], self._activations[index + 1]
-        for start in range(0, len(cells), ROWS_AT_ONCE):
-            part = cells[start : start + ROWS_AT_ONCE]
+        for part in _batches(cells, layer.weight.dtype):
             neighbours = torch.from_numpy(self.shapes[index].neighbours(part, layer.stride).reshape(-1))
             gathered = source.index_select(0, neighbours).view(len(part), -1)
             target.index_copy_(0, torch.from_numpy(part), linear(gathered, layer.weight, layer.bias).relu_())
@@ -169,8 +170,8 @@ class CellCache:
     def _upsample(self, number: int, cells: CellNumbers) -> None:
         branch = self.net.branches[number]
         channels = branch.heads.shape[0]
-        for start in range(0, len(cells), ROWS_AT_ONCE):
-            rows = torch.from_numpy(cells[start : start + ROWS_AT_ONCE])
+        for part in _batches(cells, branch.up_weight.dtype):
+            rows = torch.from_numpy(part)
             source = self._activations[branch.last_layer + 1].index_select(0, rows)
             features = linear(source, branch.up_weight, branch.up_bias).relu_()
             parts = features.view(-1, channels).to(branch.heads.dtype) @ branch.heads
@@ -206,6 +207,22 @@ class CellCache:
             up_cells.append(cells[branch.last_layer + 1][wanted[cells[branch.last_layer + 1]]])
             up_active.append(self._up_active[number].index_select(0, torch.from_numpy(up_cells[-1])))
         return CellTape(self.net, self.shapes, cells, activations, up_cells, up_active)
+
+
+def _batches(cells: CellNumbers, dtype: torch.dtype) -> Iterator[CellNumbers]:
+    """Cells a batch at a time. In bfloat16 the last one stands in a batch as often as makes it a round one: it is
+    computed again to the same values."""
+    for start in range(0, len(cells), ROWS_AT_ONCE):
+        part = cells[start : start + ROWS_AT_ONCE]
+        yield np.pad(part, (0, round_batch(len(part)) - len(part)), mode="edge") if dtype == torch.bfloat16 else part
+
+
+def _product(rows: Tensor, weight: Tensor) -> Tensor:
+    """rows (N, in) @ weight (in, out), in bfloat16 as part of a round batch."""
+    if weight.dtype != torch.bfloat16:
+        return rows @ weight
+    more = round_batch(len(rows)) - len(rows)
+    return (torch.nn.functional.pad(rows, (0, 0, 0, more)) @ weight)[: len(rows)]
 
 
 def _split(cells: CellSet, wanted: CellSet) -> tuple[CellSet, CellSet]:
@@ -262,7 +279,7 @@ class CellTape:
         for start in range(0, len(outputs), ROWS_AT_ONCE):
             stop = start + ROWS_AT_ONCE
             target = torch.from_numpy(place[shape.neighbours(outputs[start:stop], layer.stride)].reshape(-1))
-            shares = (gradient[start:stop] @ layer.weight).view(-1, channels)
+            shares = _product(gradient[start:stop], layer.weight).view(-1, channels)
             result.index_add_(0, target, shares.to(self.net.exact))
         return result[:-1].to(gradient.dtype)
 
@@ -276,4 +293,4 @@ class CellTape:
         active = self.up_active[number].index_select(0, torch.from_numpy(kept))
         features = features.view(active.shape).to(total.dtype) * active
         rows = torch.from_numpy(np.searchsorted(cells, all_cells[kept]))
-        total.index_add_(0, rows, features @ branch.up_weight)
+        total.index_add_(0, rows, _product(features, branch.up_weight))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from shift3d.processor import has_wide_float32
+from shift3d.processor import has_fast_bfloat16, has_wide_float32, round_batch
 
 
 def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
@@ -20,6 +20,17 @@ def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
         result: Tensor = torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
         return result
     return x @ weight.T if bias is None else torch.addmm(bias, x, weight.T)
+
+
+def in_round_batches(x: Tensor, *parts: Tensor) -> Tensor:
+    """Points x (N, 3) with rows of zeros behind them, up to a number that comes round again: see `round_batch`.
+
+    The same tensor where oneDNN is not asked, or a gradient of the point or the parts is wanted.
+    """
+    asked = (x.dtype == torch.bfloat16 and has_fast_bfloat16()) or (x.dtype == torch.float32 and has_wide_float32())
+    if not asked or x.device.type != "cpu" or type(x) is not Tensor or _is_differentiated(x, *parts):
+        return x
+    return torch.nn.functional.pad(x, (0, 0, 0, round_batch(len(x)) - len(x)))
 
 
 def _plain(x: Tensor) -> bool:

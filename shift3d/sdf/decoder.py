@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrizations
 
 from shift3d.errors import InputError
-from shift3d.sdf.affine import affine
+from shift3d.sdf.affine import affine, in_round_batches
 from shift3d.sdf.pieces import Piece, linear_piece
 from shift3d.sdf.tangent import Tangent, tangent
 from shift3d.sdf.tensors import check_magnitude, checked_tensors, without_subnormals
@@ -89,8 +89,7 @@ class Field:
             x_sdf: points (N, 3), sdf frame, unit-sphere units; cast to the field's dtype.
         Returns: (N,), in (-1, 1) because of the tanh.
         """
-        x = x_sdf.to(self.dtype)
-        hidden = x
+        hidden = x = in_round_batches(x_sdf.to(self.dtype), *self.weights, *self.biases)
         last = len(self.weights) - 1
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if layer == self.skip_layer:
@@ -98,7 +97,7 @@ class Field:
             hidden = affine(hidden, weight, bias)
             if layer < last:
                 hidden = torch.relu(hidden)
-        return torch.tanh(hidden[:, 0])
+        return torch.tanh(hidden[: len(x_sdf), 0])
 
     def piece(self, x_sdf: Tensor, direction: Tensor) -> Piece:
         """The linear pieces on which lines (N, 3) + k (N, 3) start, sdf frame; see `pieces`. Not differentiable."""

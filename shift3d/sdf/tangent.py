@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from shift3d.sdf.affine import affine
+from shift3d.sdf.affine import affine, in_round_batches
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ def tangent(
     A unit exactly at its switch counts as off, as in autograd. Costs two evaluations.
     Source: our choice: the paper says what is needed, not how it is had.
     """
+    count, x = len(x), in_round_batches(x)
     last, hidden, units = len(weights) - 1, x, []
     for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         if layer == skip_layer:
@@ -60,4 +61,5 @@ def tangent(
         if layer == skip_layer:
             at_input, at_point = at_input[:, :-3], at_point + at_input[:, -3:]
         at_output = at_input
-    return Tangent(value, at_point + at_output, tuple(at_bias[layer] for layer in layers))
+    by_bias = tuple(at_bias[layer][:count] for layer in layers)
+    return Tangent(value[:count], (at_point + at_output)[:count], by_bias)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import socket
@@ -30,6 +31,8 @@ __all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows", "one_threa
 _DETERMINISTIC_TRIES = 2
 _IO_TRIES = 4
 _IO_PAUSE_S = (0.5, 2.0, 8.0)
+_GIVES_BACK_S = 1.0
+"""After a batch this long memory is given back, which takes some hundredths of a second."""
 
 
 @dataclass
@@ -130,6 +133,8 @@ class Worker:
                 outcome.errors.append(rows.attempts[-1]["error"])
         outcome.seconds = time.perf_counter() - began
         outcome.peak_mb = _peak_mb()
+        if outcome.seconds > _GIVES_BACK_S:
+            _give_memory_back()
         return outcome
 
     def _tables_of(self, results: list[_Rows]) -> dict[str, pa.Table]:
@@ -173,6 +178,18 @@ class Worker:
             rows.result = result
             rows.attempts.append(attempt_row(spec.task_id, attempt, "done", started, time.perf_counter() - began))
             return rows
+
+
+def _give_memory_back() -> None:
+    """Return to the system what the allocator keeps of tensors that are gone, where it is glibc's.
+
+    A task's tensors are of many sizes, and its heap is soon full of holes: half a gigabyte after each task of a shape
+    attack, 3 GB in all after a dozen, of which 1.2 are in use.
+    """
+    import ctypes
+
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # another library, or none that can be asked
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _peak_mb() -> float:

@@ -32,7 +32,7 @@ class Recipe:
     network: BackboneSpec | SstSpec = WAYMO_BACKBONE
     steps: int = 7000
     settle_steps: int = 500
-    settle_rate: float = 1e-4
+    settle_rate: float = 5e-4
     mesh_only_steps: int = 2700
     inserted_share: float = 0.5
     mesh_scenes: int = 400
@@ -81,6 +81,7 @@ RECIPES: dict[str, Recipe] = {
         weight_decay=0.05,
         warm_up_share=0.05,
         direction_weight=1.0,
+        settle_rate=1e-4,
     ),
     "sst_small": Recipe(
         network=SST_SMALL_SPEC,
@@ -92,6 +93,7 @@ RECIPES: dict[str, Recipe] = {
         weight_decay=0.05,
         warm_up_share=0.05,
         direction_weight=1.0,
+        settle_rate=1e-4,
     ),
 }
 

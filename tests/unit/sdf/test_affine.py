@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from shift3d.processor import has_wide_float32
+from shift3d.processor import has_fast_bfloat16, has_wide_float32, round_batch
 from shift3d.sdf import affine as module
-from shift3d.sdf.affine import affine
+from shift3d.sdf.affine import affine, in_round_batches
 
 
 @pytest.fixture(params=[False, True], ids=["torch", "onednn"])
@@ -61,3 +61,28 @@ def test_a_row_is_the_same_whatever_stands_beside_it() -> None:
     whole = affine(x, weight, bias)
     for rows in (7, 64, 599):
         assert torch.equal(affine(x[:rows].contiguous(), weight, bias), whole[:rows])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
+def test_a_round_batch_changes_no_value_and_holds_no_gradient_back(
+    dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not has_wide_float32():
+        monkeypatch.setattr(module, "has_wide_float32", lambda: True)
+    x, weight, bias = (part.to(dtype) for part in parts(37, 3, 40))
+    filled = in_round_batches(x, weight, bias)
+    assert torch.equal(filled[:37], x) and not filled[37:].any()
+    assert len(filled) == (
+        37 if dtype == torch.float64 or (dtype == torch.bfloat16 and not has_fast_bfloat16()) else 48
+    )
+    assert in_round_batches(x, weight, bias.requires_grad_()) is x
+    with torch.no_grad():
+        assert len(in_round_batches(x, weight, bias)) == len(filled)
+    assert len(in_round_batches(x[:0], weight)) == 0
+
+
+def test_round_batches_are_few_and_near() -> None:
+    sizes = [round_batch(rows) for rows in range(1, 1025)]
+    assert all(0 <= size - rows < max(16, rows / 7.9) for rows, size in enumerate(sizes, start=1))
+    assert len(set(sizes)) == 32 and sizes == sorted(sizes)
+    assert [round_batch(rows) for rows in (0, 4097, 100_000)] == [0, 4224, 100_096]
