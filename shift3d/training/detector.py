@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from safetensors.torch import save_file
+from torch import Tensor
 from tqdm import tqdm
 
 from shift3d.detectors.network import AnchorNet
-from shift3d.detectors.weights import load_network
+from shift3d.detectors.sst import SstNet, SstSpec
+from shift3d.detectors.weights import WEIGHTS_FOLDER, load_network
 from shift3d.errors import InputError
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.sdf.decoder import load_decoder
@@ -22,6 +24,7 @@ from shift3d.training.compute import Compute, choose_compute
 from shift3d.training.detector_loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
 from shift3d.training.detector_recipe import RECIPES, Recipe, one_cycle, scaled_to_steps
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
+from shift3d.training.growing import grown
 from shift3d.training.inserted_vehicles import insertable_vehicles, with_inserted_vehicles
 from shift3d.training.progress import Report
 from shift3d.training.provenance import write_provenance
@@ -63,15 +66,15 @@ def train_detector(
         vehicles_file, decoder_file: of the vehicles to insert, default the shipped ones.
         scenes: labelled scenes to train on, default the shipped recipe's procedural streets. Of each only the
             labelled sector is used, see :func:`~shift3d.training.detector_scenes.from_scene`.
-        start_from: weights to start from instead of random ones.
+        start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
         compute: default the CPU with `threads` threads. report: see :func:`train_on_scenes`.
     Returns: the trained network on the CPU, in evaluation mode.
     Raises: InputError when the shape decoder's weights are missing, the scenes hold no vehicle, or the checkpoint is
         of another recipe, other scenes or another start; KeyboardInterrupt when asked to stop.
     """
     compute = compute or choose_compute("cpu", threads)
-    data = _identity(scenes, start_from)
-    start = None if start_from is None else load_network(start_from, recipe.detector).state_dict()
+    data = _identity(scenes, start_from or _seedling(recipe))
+    start = _start(recipe, start_from)
     compute.prepare()
     base = mesh_scene_files(out_dir, recipe.mesh_scenes) if scenes is None else scene_files(out_dir, scenes)
     shared: dict[str, Any] = {"compute": compute, "report": report, "data": data, "start": start}
@@ -86,6 +89,23 @@ def train_detector(
     assert state is not None
     write_provenance(weights_file, _facts(recipe, scenes, start_from, compute, state))
     return net
+
+
+def _seedling(recipe: Recipe) -> Path | None:
+    """The weights that a network is grown from, None where it begins with random ones."""
+    return WEIGHTS_FOLDER / f"{recipe.grown_from}.safetensors" if recipe.grown_from else None
+
+
+def _start(recipe: Recipe, start_from: Path | None) -> Mapping[str, Tensor] | None:
+    """The state dict that training starts from, None for random weights."""
+    if start_from is not None:
+        return load_network(start_from, recipe.detector).state_dict()
+    seedling = _seedling(recipe)
+    if seedling is None:
+        return None
+    small = load_network(seedling, recipe.grown_from)
+    assert isinstance(small, SstNet) and isinstance(recipe.network, SstSpec)
+    return grown(small.state_dict(), small.spec, recipe.network, recipe.seed)
 
 
 def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
@@ -105,6 +125,7 @@ def _facts(
     recipe: Recipe, scenes: SceneSet | None, start_from: Path | None, compute: Compute, state: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The provenance of finished weights."""
+    start_from = start_from or _seedling(recipe)
     names = [] if scenes is None else scenes.names()
     curve = list(state.get("curve", []))[::-1]
     curve = curve[:: max(1, len(curve) // CURVE_POINTS)][::-1]  # the last one is among them
