@@ -123,7 +123,8 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     """Detectors that score every solution, name to weights (None: those that ship), the attacked one first.
 
     Those that ``scored_by`` names; where it is null, those whose weights ship or are given, so that a detector
-    without weights stops nobody who did not ask for it.
+    without weights stops nobody who did not ask for it. The small SST stands in for the published one then: where both
+    are there, it scores only what it is asked to.
 
     Raises:
         InputError: weights of a detector that was asked for are missing.
@@ -133,6 +134,7 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     if config.scored_by is None:
         known: tuple[str, ...] = typing.get_args(DetectorName)
         others = [name for name in known if weights.get(name) or _weights_path(name, None).is_file()]
+        others = [name for name in others if not (name == "sst_small" and "sst" in others)]
     names = list(dict.fromkeys([config.name, *others]))
     for name in names:
         weights_file(name, weights.get(name))
