@@ -120,7 +120,8 @@ class DetectorConfig(_Record):
     """The detector under attack, and those that score what was found.
 
     weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
-    scored_by: names; None: PointPillars and SST, as published where their weights are there. The attacked one scores always, and first.
+    scored_by: names; None: PointPillars and SST, as published where their weights are there. The attacked one scores
+    always, and first.
     """
 
     name: DetectorName

@@ -19,11 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from shift3d.sdf.decoder import Decoder
-    from shift3d.sdf.deepsdf_network import DeepSdfNetwork
     from shift3d.task.assets import Assets
 
-__all__ = ["draw_case", "draw_curves", "draw_family", "draw_vehicles"]
+__all__ = ["draw_case", "draw_curves", "draw_family", "draw_training", "draw_vehicles"]
 
 _POSE = ["x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad"]
 _COLOURS = {"baseline": "#4878a8", "random": "#7f7f7f", "adversarial_noise": "#e0a030", "adversarial": "#c03030"}
@@ -166,31 +164,35 @@ def draw_curves(scores: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
     figure.savefig(path)
 
 
-def _hardest_car(scores: pd.DataFrame, solutions: pd.DataFrame, decoder: Decoder | DeepSdfNetwork) -> str:
-    """Id of the shape task whose score fell furthest, of those whose shape still is a car.
+def draw_training(path: Path) -> None:
+    """The losses of each detector whose training is on record beside its weights, over its steps."""
+    import json
 
-    A car: in one piece, neither a side nor the volume more than a quarter off the baseline's, and a code at most
-    twice as long as the longest of the family. With a small lambda the search also finds wrecks.
-    """
-    from shift3d.vehicles.vehicle import Vehicle, baseline_vehicles, family_vehicles, vehicle_mesh
+    from shift3d.detectors.weights import DETECTOR_NAMES, WEIGHTS_FOLDER
 
-    def volume_of(vehicle: Vehicle) -> float:
-        return float(vehicle_mesh(vehicle, decoder, resolution=64).volume)
+    figure = _figure(11, 2.8)
+    panels = dict(zip(("class", "box", "direction"), figure.subplots(1, 3)))
+    for name in DETECTOR_NAMES:
+        facts = json.loads((WEIGHTS_FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+        for loss, panel in panels.items():
+            if "curve" in facts:
+                steps = [point["step"] for point in facts["curve"]]
+                panel.plot(steps, [point[loss] for point in facts["curve"]], lw=1.2, label=name.replace("_", ", "))
+            panel.set_title(f"{loss} loss, training crops", fontsize=9)
+            panel.set_ylim(bottom=0)
+    panels["class"].legend(fontsize=8, frameon=False)
+    figure.supxlabel("steps of two crops", fontsize=9)
+    figure.savefig(path)
 
-    longest = max(float(np.linalg.norm(vehicle.latent_code)) for vehicle in family_vehicles())
+
+def _hardest_car(scores: pd.DataFrame, shapes: pd.DataFrame) -> str:
+    """Id of the shape task whose score fell furthest, of those whose shape still is a car (`vehicles.outline`)."""
     first = scores[(scores["replicate"] == 0) & (scores["mode"] == "shape")]
     table = first.pivot(index="task_id", columns="method", values="score").dropna()
-    vehicles = first.drop_duplicates("task_id").set_index("task_id")["vehicle"]
-    codes = solutions[solutions["method"] == "adversarial"].set_index("task_id")["latent_code"]
-    for task_id in (table["adversarial"] - table["baseline"]).sort_values().index:
-        vehicle, code = baseline_vehicles()[vehicles[task_id]], np.asarray(codes[task_id], np.float32)
-        if np.linalg.norm(code) > 2.0 * longest:
-            continue
-        mesh = vehicle_mesh(vehicle, decoder, code, resolution=64)
-        size = np.append(mesh.extents / np.asarray(vehicle.size_m), mesh.volume / volume_of(vehicle))
-        if mesh.body_count == 1 and np.abs(size - 1.0).max() < 0.25:
-            return str(task_id)
-    raise InputError("no adversarial shape is a car", "final/solutions.parquet", "Give the sweep a larger lambda")
+    cars = table[table.index.isin(shapes.loc[shapes["still_a_car"].eq(True), "task_id"])]
+    if cars.empty:
+        raise InputError("no adversarial shape is a car", "final/shapes.parquet", "Give the sweep a larger lambda")
+    return str((cars["adversarial"] - cars["baseline"]).idxmin())
 
 
 def main(arguments: list[str]) -> None:
@@ -208,16 +210,16 @@ def main(arguments: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     draw_vehicles(folder / "vehicles.png")
     draw_family(folder / "family.png")
-    tables = {
-        name: pd.read_parquet(out / "final" / f"{name}.parquet") for name in ("scores", "solutions", "curves", "auc")
-    }
+    draw_training(folder / "training.png")
+    names = ("scores", "solutions", "shapes", "auc")
+    tables = {name: pd.read_parquet(out / "final" / f"{name}.parquet") for name in names}
     # What the attacked detector says; others may have scored the same objects.
     for name in ("scores", "auc"):
         tables[name] = tables[name][tables[name]["scored_by"] == tables[name]["detector"]]
     draw_curves(tables["scores"], tables["auc"], folder / "curves.png")
     plan = read_plan(out)
     assets = load_assets(plan.assets[0])
-    task_id = _hardest_car(tables["scores"], tables["solutions"], assets.decoder)
+    task_id = _hardest_car(tables["scores"], tables["shapes"])
     (task,) = plan.tasks.starting_with(task_id)
     own = {name: tables[name][tables[name]["task_id"] == task_id] for name in ("solutions", "scores")}
     draw_case(assets, task.spec, own["solutions"], own["scores"], folder / "case.png")

@@ -26,7 +26,7 @@ from shift3d.training.detector_recipe import RECIPES, Recipe, one_cycle, scaled_
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
 from shift3d.training.growing import grown
 from shift3d.training.inserted_vehicles import insertable_vehicles, with_inserted_vehicles
-from shift3d.training.progress import Report
+from shift3d.training.progress import Report, averaged
 from shift3d.training.provenance import write_provenance
 
 __all__ = [
@@ -127,8 +127,7 @@ def _facts(
     """The provenance of finished weights."""
     start_from = start_from or _seedling(recipe)
     names = [] if scenes is None else scenes.names()
-    curve = list(state.get("curve", []))[::-1]
-    curve = curve[:: max(1, len(curve) // CURVE_POINTS)][::-1]  # the last one is among them
+    curve = averaged(state.get("curve", []), CURVE_POINTS)
     street = {"dataset": "street-mixed", "split": "train", "count": recipe.mesh_scenes}
     return {
         "model": recipe.detector,

@@ -9,12 +9,23 @@ from types import FrameType
 
 from shift3d.signals import stop_signals
 
-__all__ = ["CurvePoint", "Report", "StopRequest", "Stopwatch", "stop_on_signal"]
+__all__ = ["CurvePoint", "Report", "StopRequest", "Stopwatch", "averaged", "stop_on_signal"]
 
 CurvePoint = tuple[int, Mapping[str, float]]
 """A step (1 for the first), and values by name: parts of the loss, the learning rate."""
 Report = Callable[[Sequence[CurvePoint]], None]
 """Called after every checkpoint with the points since the one before: what is reported never has to be taken back."""
+
+
+def averaged(curve: Sequence[CurvePoint], points: int) -> list[CurvePoint]:
+    """The curve by at most about so many points: means of stretches, each at its last step. A single point is noise."""
+    length = max(1, -(-len(curve) // max(1, points)))
+    found: list[CurvePoint] = []
+    for start in range(0, len(curve), length):
+        stretch = curve[start : start + length]
+        values = {name: sum(value[name] for _, value in stretch) / len(stretch) for name in stretch[-1][1]}
+        found.append((stretch[-1][0], values))
+    return found
 
 
 class StopRequest:

@@ -19,6 +19,7 @@ from shift3d.training.detector_augmentation import random_crop
 from shift3d.training.detector_losses import detection_loss, focal_loss, sine_code_difference
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
 from shift3d.training.detector_targets import IGNORED, NEGATIVE, POSITIVE, assign_targets, nearest_bev_iou
+from shift3d.training.progress import averaged
 
 WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
 ANCHORS = anchor_boxes(WAYMO_ANCHORS, WAYMO_GRID, WINDOW)
@@ -151,6 +152,14 @@ def test_one_cycle_rises_and_falls() -> None:
     assert int(np.argmax(rates)) == 30
     settling = [one_cycle(step, recipe)[0] for step in range(100, recipe.all_steps)]
     assert settling[0] == recipe.settle_rate and settling == sorted(settling, reverse=True) and settling[-1] < 1e-7
+
+
+def test_a_curve_is_told_by_the_means_of_its_stretches() -> None:
+    curve = [(25 * index, {"box": float(index % 2)}) for index in range(1, 9)]
+    assert averaged(curve, 4) == [(50, {"box": 0.5}), (100, {"box": 0.5}), (150, {"box": 0.5}), (200, {"box": 0.5})]
+    assert (
+        averaged(curve, 3)[-1] == (200, {"box": 0.5}) and averaged(curve[:2], 30) == curve[:2] and averaged([], 3) == []
+    )
 
 
 def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
