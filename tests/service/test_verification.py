@@ -7,8 +7,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from bucket_server import ENVIRONMENT, bucket_server, new_bucket
 
 from shift3d.cli.main import main
+from shift3d.store.location import as_location
 from shift3d.store.log import read_log
 from shift3d.store.tables import read_table
 
@@ -52,6 +54,20 @@ def test_a_verification_that_was_lost_in_part_resumes(out: Path, tmp_path: Path)
     shutil.rmtree(copy / "verification" / "final")
     assert main(["verify", str(copy), "runner=local"]) == 0
     assert digests(copy / "final") == digests(out / "final")
+
+
+def test_in_a_bucket_it_comes_to_the_same_bytes(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same sweep, its log and tables in the bucket, whence a Ray worker reads the solutions."""
+    with bucket_server() as endpoint:
+        for name, value in {**ENVIRONMENT, "AWS_ENDPOINT_URL": endpoint}.items():
+            monkeypatch.setenv(name, value)
+        bucket = as_location(f"s3://{new_bucket(endpoint)}/runs/sweep")
+        assert main([*SWEEP, *SETTINGS, f"out={bucket}"]) == 0
+        assert main(["verify", str(bucket), "runner.workers=1"]) == 0
+        for name in ("scores", "solutions", "verification"):
+            found = (bucket / "final" / f"{name}.parquet").read_bytes()
+            assert found == (out / "final" / f"{name}.parquet").read_bytes(), name
+        assert "Stability of default" in (bucket / "final" / "stability.html").read_bytes().decode()
 
 
 def test_what_cannot_be_verified_is_said(out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
