@@ -24,11 +24,12 @@ ONE_PIECE = 0.97
 """Share of the surface that belongs to the largest piece of one that counts as a single piece."""
 SIDES = (0.75, 1.35)
 """How short and how long each side may be, of the baseline's."""
-VOLUMES = (0.7, 1.5)
+VOLUMES = (0.8, 1.35)
 """How small and how large the volume may be, of the baseline's. Sides alone let a car pass that has lost half of it."""
-MIRRORED = 0.9
-"""Share of the volume with its mirror image inside as well. The shipped vehicles have 0.99; a car that has lost a
-flank, 0.7."""
+MIRRORED = 0.95
+"""Share of the volume with its mirror image inside as well. The shipped vehicles have 0.99. Of a hundred shapes found by
+attacks the eight hardest of those that passed were looked at: with 0.7 and 0.9 in place of these two numbers two of
+them were wrecks, with these none."""
 CAR_RULE = (
     f"one piece, sides {SIDES[0]:g} to {SIDES[1]:g} and volume {VOLUMES[0]:g} to {VOLUMES[1]:g} of the baseline's, "
     f"{100 * MIRRORED:g} % of it mirrored on the other side"
