@@ -27,9 +27,9 @@ SIDES = (0.75, 1.35)
 VOLUMES = (0.8, 1.35)
 """How small and how large the volume may be, of the baseline's. Sides alone let a car pass that has lost half of it."""
 MIRRORED = 0.95
-"""Share of the volume with its mirror image inside as well. The shipped vehicles have 0.99. Of a hundred shapes found by
-attacks the eight hardest of those that passed were looked at: with 0.7 and 0.9 in place of these two numbers two of
-them were wrecks, with these none."""
+"""Share of the volume with its mirror image inside as well. The shipped vehicles have 0.99. Of a hundred shapes that
+attacks found the eight hardest of those that passed were looked at: with 0.7 and 0.9 in place of these two numbers two
+of them were wrecks, with these none."""
 CAR_RULE = (
     f"one piece, sides {SIDES[0]:g} to {SIDES[1]:g} and volume {VOLUMES[0]:g} to {VOLUMES[1]:g} of the baseline's, "
     f"{100 * MIRRORED:g} % of it mirrored on the other side"

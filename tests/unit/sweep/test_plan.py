@@ -10,6 +10,7 @@ from by_hand import VEHICLES, catalogue
 
 from shift3d.config.compose import compose_sweep
 from shift3d.errors import InputError
+from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.folder import open_folder, read_plan, read_spec
 from shift3d.sweep.plan import Plan, make_plan
 from shift3d.sweep.plan_view import plan_lines, plan_summary
@@ -89,8 +90,10 @@ def test_every_scoring_detectors_weights_change_the_tasks() -> None:
 def test_a_folder_of_an_older_version_is_refused(out: Path, suv_plan: Plan) -> None:
     open_folder(out, suv_plan)
     text = (out / "spec.yaml").read_text()
-    (out / "spec.yaml").write_text(text.replace("schema_version: 6", "schema_version: 2"))
-    with pytest.raises(InputError, match=r"has schema version 2, this program reads 5 to 6\. Use the version"):
+    (out / "spec.yaml").write_text(text.replace(f"schema_version: {SCHEMA_VERSION}", "schema_version: 2"))
+    with pytest.raises(
+        InputError, match=rf"schema version 2, this program reads 5 to {SCHEMA_VERSION}\. Use the version"
+    ):
         open_folder(out, suv_plan)
 
 

@@ -34,7 +34,9 @@ from shift3d.training.progress import CurvePoint
 
 PILLARS = BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4)
 TOKENS = SstSpec(TransformerSpec(width=8, heads=2, feed_forward=8, blocks=1), encoder_hidden=4, out_channels=8)
-TINY = Recipe(network=PILLARS, steps=6, mesh_only_steps=6, inserted_scenes=0, crop_cells=32, rim_cells=2)
+TINY = Recipe(
+    network=PILLARS, steps=6, settle_steps=3, mesh_only_steps=6, inserted_scenes=0, crop_cells=32, rim_cells=2
+)
 RECIPE = {"pointpillars": TINY, "sst": dataclasses.replace(TINY, network=TOKENS, bfloat16=False)}
 both = pytest.mark.parametrize("recipe", RECIPE.values(), ids=RECIPE.keys())
 
@@ -95,7 +97,7 @@ def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_tra
     resumed = train_on_scenes(tmp_path / "cut", recipe, files, report=told.extend)
     for name, tensor in straight.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
-    assert [step for step, _ in told] == [1, 2, 3, 4, 5, 6]
+    assert [step for step, _ in told] == list(range(1, recipe.all_steps + 1))
     assert {"class", "box", "direction", "learning_rate"} <= told[-1][1].keys()
 
 
@@ -120,8 +122,9 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
     assert not (tmp_path / "shipped").exists()
     facts = json.loads(weights.with_suffix(".json").read_text())
     assert facts["scenes"] == {"dataset": "kitti", "count": 2, "names": ["000003", "000008"]}
-    assert facts["steps"] == facts["recipe"]["steps"] == 2 and facts["recipe"]["seed"] == 0
-    assert [point["step"] for point in facts["curve"]] == [2] and facts["curve"][0]["class"] > 0
+    assert (facts["recipe"]["steps"], facts["recipe"]["settle_steps"], facts["steps"]) == (2, 1, 3)
+    assert facts["recipe"]["seed"] == 0
+    assert [point["step"] for point in facts["curve"]] == [2, 3] and facts["curve"][0]["class"] > 0
     assert facts["compute"]["device"] == "cpu" and facts["training_seconds"] >= 0
     assert facts["versions"]["torch"] == torch.__version__
 
@@ -167,8 +170,8 @@ def test_only_the_labelled_sector_is_trained_on() -> None:
 
 def test_fewer_steps_keep_the_share_without_insertions() -> None:
     short = scaled_to_steps(RECIPES["pointpillars"], 700)
-    assert (short.steps, short.mesh_only_steps) == (700, 270)
-    assert short == dataclasses.replace(RECIPES["pointpillars"], steps=700, mesh_only_steps=270)
+    assert (short.steps, short.mesh_only_steps, short.settle_steps) == (700, 270, 50)
+    assert short == dataclasses.replace(RECIPES["pointpillars"], steps=700, mesh_only_steps=270, settle_steps=50)
 
 
 def test_a_device_that_is_not_there_is_refused() -> None:
