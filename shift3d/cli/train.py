@@ -33,7 +33,8 @@ _EPILOG = f"""\
 examples:
   shift3d train model=sdf                          9,000 steps, 40 minutes on two quiet cores with bfloat16
   shift3d train model=pointpillars                 7,000 steps, an hour on two quiet cores with bfloat16
-  shift3d train model=sst                          14,000 steps, 2 hours on one core with bfloat16, 5 without
+  shift3d train model=sst                          8,000 steps from the small one, 75 minutes on one core with bfloat16
+  shift3d train model=sst_small                    14,000 steps, 3 hours on one core with bfloat16
   shift3d train model=sst device=cuda              the same on a GPU (not run there yet)
   shift3d train model=pointpillars scenes=street count=20 inserted=0 steps=300 out=DIR    a quick try
   shift3d train model=pointpillars scenes=kitti root=PATH start_from=shipped steps=500 out=DIR

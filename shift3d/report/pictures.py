@@ -178,8 +178,9 @@ def draw_training(path: Path) -> None:
             if "curve" in facts:
                 steps = [point["step"] for point in facts["curve"]]
                 panel.plot(steps, [point[loss] for point in facts["curve"]], lw=1.2, label=name.replace("_", ", "))
-            panel.set_title(f"{loss} loss, training crops", fontsize=9)
-            panel.set_ylim(bottom=0)
+    for loss, panel in panels.items():
+        panel.set_title(f"{loss} loss, training crops", fontsize=9)
+        panel.set_ylim(bottom=0)
     panels["class"].legend(fontsize=8, frameon=False)
     figure.supxlabel("steps of two crops", fontsize=9)
     figure.savefig(path)

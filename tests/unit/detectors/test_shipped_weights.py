@@ -9,8 +9,7 @@ import torch
 
 from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.sst import SstNet
-from shift3d.detectors.weights import load_detector
+from shift3d.detectors.weights import DETECTOR_NAMES, load_detector
 from shift3d.geometry.iou import iou_bev
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.scene import Scene
@@ -42,9 +41,9 @@ def _found(detector: AnchorDetector, scene: Scene, iou_threshold: float) -> np.n
 
 
 @pytest.mark.parametrize("sensor", ["hdl64", "waymo_top"])
-@pytest.mark.parametrize(("name", "overlap"), [("pointpillars", 0.7), ("sst_small", 0.5)])
+@pytest.mark.parametrize(("name", "overlap"), [("pointpillars", 0.7), ("sst", 0.5), ("sst_small", 0.5)])
 def test_finds_vehicles_of_held_out_streets(name: str, overlap: float, sensor: str) -> None:
-    """SST at half its size places boxes less well: at IoU 0.5."""
+    """SST places boxes less well: at IoU 0.5."""
     detector, scenes = load_detector(name), StreetScenes(sensor, count=2, split="test")
     scores = np.concatenate([_found(detector, scenes.load(scene), overlap) for scene in scenes.names()])
     assert len(scores) >= 6
@@ -70,23 +69,10 @@ def _scores(detector: AnchorDetector, points: torch.Tensor, window: BevWindow) -
         return torch.sigmoid(detector.proposals(points, window).logits)
 
 
-def _untrained_sst() -> AnchorDetector:
-    """SST at its published size, scores spread over [0, 1]: its weights do not ship yet."""
-    torch.manual_seed(0)
-    net = SstNet()
-    torch.nn.init.normal_(net.heads.classes.weight, std=3.0)
-    torch.nn.init.zeros_(net.heads.classes.bias)  # type: ignore[arg-type]
-    return AnchorDetector(net)
-
-
-def _small_sst() -> AnchorDetector:
-    return load_detector("sst_small")
-
-
-@pytest.mark.parametrize("make", [load_detector, _small_sst, _untrained_sst])
-def test_scores_are_the_same_to_the_bit(make: Callable[[], AnchorDetector], street: Scene) -> None:
+@pytest.mark.parametrize("name", DETECTOR_NAMES)
+def test_scores_are_the_same_to_the_bit(name: str, street: Scene) -> None:
     """Ten runs, each with the points in another order, on one thread; and to rounding on two."""
-    detector = make()
+    detector = load_detector(name)
     points = torch.from_numpy(street.points[street.has_beam]) - torch.tensor([0.0, 0.0, street.ground_z_m])
     vehicle = street.labels.boxes[street.labels.mask("vehicle")][0]
     window = detector.window_for((float(vehicle[0]), float(vehicle[1])), 5.0)
