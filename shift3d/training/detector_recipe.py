@@ -73,7 +73,7 @@ RECIPES: dict[str, Recipe] = {
     # Attention costs by the token and the dense layers by the cell, so that small crops around vehicles teach
     # most for the time; weight decay is the published one, the peak rates fit batches of two (our choice). From random
     # weights the published size learns too slowly for two cores: after 4,750 steps at 3e-4 its loss was class 0.53, box
-    # 0.45, at 2e-4, 5e-4 and with smaller first weights no better; the small one's was 0.33, 0.37 then.
+    # 0.45; the small one's was 0.33, 0.37 then.
     "sst": Recipe(
         network=SST_SPEC,
         grown_from="sst_small",
