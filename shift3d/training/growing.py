@@ -52,7 +52,7 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
         torch.manual_seed(seed)
         state = SstNet(to).state_dict()
     draw = torch.Generator().manual_seed(seed)
-    width, plain = spec.transformer.width, _twins
+    width = spec.transformer.width
     token, heads = _token_twins(width), _head_twins(width, spec.transformer.heads)
     by_code = torch.arange(2 * width) % 4 < 2  # of a channel's twins, the one at the small network's position code
 
@@ -61,12 +61,12 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
         tensor = tensor if rows is None else tensor[rows]
         return tensor if columns is None else _shared(tensor, columns, draw, first_only)
 
-    hidden = plain(spec.encoder_hidden)
+    hidden = _twins(spec.encoder_hidden)
     state |= {"encoder.first.weight": wide("encoder.first.weight", hidden)}
     both = torch.cat((hidden, hidden + spec.encoder_hidden))  # each point, and its pillar's maximum
     state |= {"encoder.second.weight": wide("encoder.second.weight", token, both)}
     state |= _norm(small, "encoder.first_norm", hidden) | _norm(small, "encoder.second_norm", token)
-    forward = plain(spec.transformer.feed_forward)
+    forward = _twins(spec.transformer.feed_forward)
     query_key = torch.cat((heads, heads + width))
     for layer in range(2 * spec.transformer.blocks):
         ours, theirs = f"transformer.layers.{layer}.", f"transformer.layers.{layer // 2 * 4 + layer % 2}."
@@ -90,7 +90,7 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
             )
     columns = token
     for index in range(len(spec.dilations) + 1):
-        rows = plain(width if index < len(spec.dilations) else spec.out_channels)
+        rows = _twins(width if index < len(spec.dilations) else spec.out_channels)
         name = f"dense.{3 * index}.weight"
         state |= {name: wide(name, rows, columns)} | _norm(small, f"dense.{3 * index + 1}", rows)
         columns = rows
@@ -124,14 +124,10 @@ def _head_twins(width: int, heads: int) -> Tensor:
 def _shared(weight: Tensor, source: Tensor, draw: torch.Generator, first_only: Tensor | None) -> Tensor:
     """Weights (out, in, ...) by the twins of their inputs, shared between the two so that the sum is the same.
 
-    first_only: (2 in,) bool, the twins that get all of it.
+    first_only: (2 in,) bool, the twins that get all of it, for weights (out, in).
     """
     if first_only is not None:
-        share = (
-            first_only.to(weight.dtype)
-            .view(1, -1, *[1] * (weight.dim() - 2))
-            .expand(len(weight), -1, *weight.shape[2:])
-        )
+        share = first_only.to(weight.dtype).expand(len(weight), -1)
     else:
         pairs = torch.argsort(source, stable=True).view(-1, 2)
         drawn = _LEAST_SHARE + (1.0 - 2.0 * _LEAST_SHARE) * torch.rand(weight.shape, generator=draw)

@@ -14,6 +14,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from shift3d.cli.train import _options
 from shift3d.detectors.backbone import BackboneSpec
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.pointpillars import PointPillarsNet
@@ -205,3 +206,14 @@ def test_training_on_cuda_follows_the_cpu(recipe: Recipe, tmp_path: Path) -> Non
         compute = Compute(torch.device(device))
         train_on_scenes(tmp_path / device, exact, files, compute=compute, report=told.extend)
     assert curves["cuda"][-1][1] == pytest.approx(curves["cpu"][-1][1], rel=1e-3)
+
+
+def test_steps_0_settles_weights_that_are_there_and_nothing_else(tmp_path: Path) -> None:
+    """Without a start there would be nothing to settle: random weights, and heads on top of them."""
+    words = {"model": "pointpillars", "out": str(tmp_path), "steps": "0"}
+    options = _options({**words, "start_from": "shipped"})
+    recipe = command.detector_recipe("pointpillars", options)
+    assert (recipe.steps, recipe.mesh_only_steps, recipe.all_steps) == (0, 0, RECIPES["pointpillars"].settle_steps)
+    assert not options.shipped, "what ships is not written over"
+    with pytest.raises(InputError, match="steps='0' is not a number of steps"):
+        _options(words)
