@@ -12,10 +12,13 @@ from shift3d.detectors.base import BevWindow, Detections, Proposals
 from shift3d.detectors.box_coding import decode_boxes
 from shift3d.detectors.cell_backbone import CellBackbone
 from shift3d.detectors.grid import full_window
-from shift3d.detectors.incremental import Follower, PillarFollower, WindowFollower
+from shift3d.detectors.incremental import Follower, WindowFollower
 from shift3d.detectors.network import AnchorNet, Precision, arithmetic
 from shift3d.detectors.nms import suppress
+from shift3d.detectors.pillar_follower import PillarFollower
 from shift3d.detectors.pointpillars import PointPillarsNet
+from shift3d.detectors.sst import SstNet
+from shift3d.detectors.token_follower import TokenFollower
 from shift3d.errors import InputError
 
 __all__ = ["AnchorDetector"]
@@ -81,7 +84,10 @@ class AnchorDetector:
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"points have shape {tuple(points.shape)}, not (N, 3)", where="detector input")
         window = window or full_window(self.grid)
-        features = self._net.features([points.to(self._dtype)], [window])
+        return self._answer(self._net.features([points.to(self._dtype)], [window]), window)
+
+    def _answer(self, features: Tensor, window: BevWindow) -> Proposals:
+        """Proposals from the features (1, C, h, w) of a window's core."""
         logits = self._net.heads.logits(features)[0].to(self._dtype)
         with torch.no_grad():
             codes, directions = self._net.heads.codes_and_directions(features.detach())
@@ -96,8 +102,10 @@ class AnchorDetector:
     def following(self, window: BevWindow) -> Follower:
         """Proposals inside a window for many editions of one scene, at the cost of what differs between them."""
         net = self._net
+        if isinstance(net, SstNet):
+            return TokenFollower(net, window, self._dtype, self.proposals, self._answer)
         if not (isinstance(net, PointPillarsNet) and PillarFollower.can_follow(net, window)):
-            return WindowFollower(self, window)  # SST: attention over the tokens of a window has no such locality
+            return WindowFollower(self, window)
         if self._cells is None:
             self._cells = CellBackbone(net.backbone, net.heads, self._dtype)
         return PillarFollower(net, self._cells, window, self.proposals, self._proposals)

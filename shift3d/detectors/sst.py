@@ -99,10 +99,16 @@ class SstNet(AnchorNet):
         Differentiable w.r.t. points and weights.
         """
         encoded, tokens = self._encoded(clouds, windows)
-        spans = [self._core_spans(window) for window in windows]
         # Tokens are let go by place on the grid, which differs within a batch: only a single scene is cut.
-        span_x, span_y = spans[0] if len(spans) == 1 else ((0, self.grid.num_x), (0, self.grid.num_y))
+        span_x, span_y = (
+            self.core_spans(windows[0]) if len(windows) == 1 else ((0, self.grid.num_x), (0, self.grid.num_y))
+        )
         attended, tokens = self.transformer(encoded, tokens, span_x, span_y)
+        return self.core_features(attended, tokens, windows)
+
+    def core_features(self, attended: Tensor, tokens: Tokens, windows: Sequence[BevWindow]) -> Tensor:
+        """`features` from what the transformer made of the tokens in the windows' `core_spans`, (P, width)."""
+        spans = [self.core_spans(window) for window in windows]
         canvas = self._canvas(attended, tokens, spans)
         dense = self.dense(canvas.to(self._dense_dtype()))
         window, ((x0, _), (y0, _)) = windows[0], spans[0]
@@ -111,7 +117,7 @@ class SstNet(AnchorNet):
         result: Tensor = dense[:, :, rows, columns]
         return result
 
-    def _core_spans(self, window: BevWindow) -> tuple[tuple[int, int], tuple[int, int]]:
+    def core_spans(self, window: BevWindow) -> tuple[tuple[int, int], tuple[int, int]]:
         """Cells (x, y) of the dense map: the core and what the convolutions read around it, in the window."""
         x_low, x_high = self._dense_span(window.core_x0, window.core_x0 + window.core_num_x, self.grid.num_x)
         y_low, y_high = self._dense_span(window.core_y0, window.core_y0 + window.core_num_y, self.grid.num_y)
@@ -119,6 +125,16 @@ class SstNet(AnchorNet):
             (max(window.x0, x_low), min(window.x0 + window.num_x, x_high)),
             (max(window.y0, y_low), min(window.y0 + window.num_y, y_high)),
         )
+
+    def pillar_features(self, points: Tensor, window: BevWindow) -> tuple[Pillars, Tensor]:
+        """The window's pillars that hold a point, and their features (P, width). Differentiable w.r.t. the points.
+
+        points: (N, 3), network frame, metres.
+        """
+        pillars = assign_pillars(points, self.grid, window)
+        if not pillars.counts.numel():
+            return pillars, points.new_zeros(0, self.spec.transformer.width)
+        return pillars, self.encoder(decorate_with_height(points, pillars, self.grid), pillars)
 
     def _encoded(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> tuple[Tensor, Tokens]:
         """Features (P, width) of every pillar of the batch, and where they lie."""

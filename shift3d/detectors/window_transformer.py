@@ -14,6 +14,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from shift3d.detectors.token_windows import Tokens, WindowGroups, aligned_span, gather_rows, group_by_window
+from shift3d.processor import round_batch
 
 __all__ = ["SST_TRANSFORMER", "EncoderLayer", "TransformerSpec", "WindowTransformer", "position_codes"]
 
@@ -55,9 +56,13 @@ def position_codes(window: int, width: int) -> Tensor:
 
 
 def _product(layer: nn.Linear, rows: Tensor) -> Tensor:
-    """The layer in its own precision, the result in that of the rows."""
-    result: Tensor = layer(rows.to(layer.weight.dtype)).to(rows.dtype)
-    return result
+    """The layer in its own precision, the result in that of the rows; in bfloat16 as part of a round batch."""
+    if layer.weight.dtype != torch.bfloat16 or rows.dtype == torch.bfloat16:
+        result: Tensor = layer(rows.to(layer.weight.dtype)).to(rows.dtype)
+        return result
+    more = round_batch(len(rows)) - len(rows)
+    product: Tensor = layer(functional.pad(rows, (0, 0, 0, more)).bfloat16())
+    return product[: len(rows)].to(rows.dtype)
 
 
 class EncoderLayer(nn.Module):
@@ -87,9 +92,8 @@ class EncoderLayer(nn.Module):
 
     def _attention(self, tokens: Tensor, positions: Tensor, groups: WindowGroups) -> Tensor:
         width = tokens.shape[1]
-        dtype = self.value.weight.dtype
-        projected = torch.cat((self.query_key((tokens + positions).to(dtype)), self.value(tokens.to(dtype))), dim=1)
-        slots = gather_rows(projected.to(tokens.dtype), groups.slot_token, groups.token_slot)
+        projected = torch.cat((_product(self.query_key, tokens + positions), _product(self.value, tokens)), dim=1)
+        slots = gather_rows(projected, groups.slot_token, groups.token_slot)
         outputs = []
         # split and unbind: the way back through a slice is a tensor of zeros as large as the whole, for each of them.
         parts = slots.split([bucket.windows * bucket.length for bucket in groups.buckets])
@@ -125,6 +129,19 @@ class WindowTransformer(nn.Module):
             spans.append((low, high))
         return spans[::-1]
 
+    def layer(self, index: int, features: Tensor, tokens: Tokens, groups: WindowGroups | None = None) -> Tensor:
+        """One layer on the features (P, width) of whole windows' tokens; groups: of these tokens, if at hand.
+
+        Differentiable w.r.t. features.
+        """
+        spec = self.spec
+        if groups is None:
+            groups = group_by_window(tokens, spec.window, spec.shifts[index], spec.lengths).to(features.device)
+        codes: Tensor = self.codes  # type: ignore[assignment]
+        positions = codes.to(features.dtype).index_select(0, groups.place)
+        result: Tensor = self.layers[index](features, positions, groups)
+        return result
+
     def forward(
         self, features: Tensor, tokens: Tokens, span_x: tuple[int, int], span_y: tuple[int, int]
     ) -> tuple[Tensor, Tokens]:
@@ -135,18 +152,16 @@ class WindowTransformer(nn.Module):
         Differentiable w.r.t. features.
         """
         spec = self.spec
-        codes: Tensor = self.codes  # type: ignore[assignment]
         needed = zip(self.needed_spans(*span_x), self.needed_spans(*span_y), strict=True)
         groups: dict[int, WindowGroups] = {}
-        for layer, shift, (cells_x, cells_y) in zip(self.layers, spec.shifts, needed, strict=True):
+        for index, (shift, (cells_x, cells_y)) in enumerate(zip(spec.shifts, needed, strict=True)):
             features, tokens, dropped = _within(features, tokens, cells_x, cells_y)
             if dropped:
                 groups = {}
             if shift not in groups:
                 groups[shift] = group_by_window(tokens, spec.window, shift, spec.lengths).to(features.device)
             if len(tokens.batch):
-                positions = codes.to(features.dtype).index_select(0, groups[shift].place)
-                features = layer(features, positions, groups[shift])
+                features = self.layer(index, features, tokens, groups[shift])
         features, tokens, _ = _within(features, tokens, span_x, span_y)
         return features, tokens
 

@@ -13,20 +13,24 @@ from shift3d.detectors.grid import WAYMO_GRID
 from shift3d.detectors.incremental import Follower
 
 AREA = "detector"
-INCREMENTAL = "shift3d.detectors.incremental"
+POINTS = "shift3d.detectors.followed_points"
+PILLARS = "shift3d.detectors.pillar_follower"
+TOKENS = "shift3d.detectors.token_follower"
 
 
-def followed(*clouds: Tensor) -> None:
+def followed(*clouds: Tensor, name: str = "pointpillars", live: Tensor | None = None) -> None:
     """Whoever follows the scene through these editions sees what a fresh look at the last one shows."""
-    follower = detector().following(window())
+    follower = detector(name=name).following(window(name))
     for cloud in clouds[:-1]:
         follower.proposals(cloud)
     leaf = clouds[-1].clone().requires_grad_()
-    found = follower.proposals(leaf)
-    logits, gradient = seen(clouds[-1])
+    found = follower.proposals(leaf, live=live)
+    logits, gradient = seen(clouds[-1], name)
     assert torch.allclose(found.logits, logits, rtol=0, atol=1e-12)
     if found.logits.requires_grad:
-        assert torch.allclose(torch.autograd.grad(found.logits.sum(), leaf)[0], gradient, rtol=0, atol=1e-12)
+        asked = slice(None) if live is None else live
+        answer = torch.autograd.grad(found.logits.sum(), leaf)[0]
+        assert torch.allclose(answer[asked], gradient[asked], rtol=0, atol=1e-12)
     else:
         assert not gradient.any()
 
@@ -43,9 +47,9 @@ def shifted(points: Tensor, rows: slice, *offset: float) -> Tensor:
     must="what a fresh look at the scene gives",
     guard="the cells that held a moved point are computed again, as well as those that hold it",
     edits=Edit(
-        INCREMENTAL,
-        "flat[self._cell_of_point[rows]] = True\n            self._cell_of_point[rows] = ",
-        "self._cell_of_point[rows] = ",
+        POINTS,
+        "flat[self.cell_of_point[rows]] = True\n            self.cell_of_point[rows] = ",
+        "self.cell_of_point[rows] = ",
     ),
 )
 def a_followed_point_crosses_into_the_next_cell() -> None:
@@ -58,7 +62,7 @@ def a_followed_point_crosses_into_the_next_cell() -> None:
     why="an object that moves on leaves cells without a point, and there is nothing to write into them",
     must="what a fresh look at the scene gives: an empty pillar is 0",
     guard="cells that are due are emptied before they are filled",
-    edits=Edit(INCREMENTAL, "self._cache.canvas[torch.from_numpy(np.flatnonzero(to_write))] = 0.0", "pass"),
+    edits=Edit(PILLARS, "self._cache.canvas[torch.from_numpy(np.flatnonzero(to_write))] = 0.0", "pass"),
 )
 def a_followed_object_leaves_its_cells_empty() -> None:
     points = cluster(200, size_m=1.0)
@@ -71,7 +75,7 @@ def a_followed_object_leaves_its_cells_empty() -> None:
     why="the cell of a point without a number is none, and as an integer an arbitrary one",
     must="what a fresh look gives, while such points come and go",
     guard="points without a cell get a number that stands for none",
-    edits=Edit(INCREMENTAL, "np.where(inside, numbers, 0.0).astype(np.int64)", "numbers.astype(np.int64)"),
+    edits=Edit(POINTS, "np.where(inside, numbers, 0.0).astype(np.int64)", "numbers.astype(np.int64)"),
 )
 def a_followed_point_is_no_number_for_a_while() -> None:
     points = cluster()
@@ -91,9 +95,9 @@ def a_followed_point_is_no_number_for_a_while() -> None:
     must="what a fresh look gives, from many points to none and back",
     guard="a cloud of another length is taken for new as a whole",
     edits=Edit(
-        INCREMENTAL,
-        "flat[self._cell_of_point] = True\n            self._cell_of_point = ",
-        "self._cell_of_point = ",
+        POINTS,
+        "flat[self.cell_of_point] = True\n            self.cell_of_point = ",
+        "self.cell_of_point = ",
     ),
 )
 def a_followed_cloud_changes_its_length() -> None:
@@ -125,4 +129,61 @@ def a_followed_point_moves_where_nobody_looks() -> None:
     follower.proposals(moved, here)
     found, fresh = follower.proposals(moved, there), detector().proposals(moved, there)
     assert float((fresh.logits - detector().proposals(points, there).logits).abs().max()) > 1e-3
+    assert torch.allclose(found.logits, fresh.logits, rtol=0, atol=1e-12)
+
+
+@hard_case(
+    area=AREA,
+    why="what an object uncovers becomes a token among those that stay, and what it hides is none any more",
+    must="what a fresh look at the scene gives, from SST too: windows attend the tokens that are there",
+    guard="of the cells of a window, those that hold a point are its tokens",
+    edits=Edit(TOKENS, "held = self._points.cells()", "held = self._row_of_cell.reshape(changed.shape) >= 0"),
+)
+def a_followed_token_comes_and_goes() -> None:
+    points = cluster(300, size_m=9.0)
+    for offset in (1.7, 60.0):
+        moved = shifted(points, slice(0, 100), offset, -0.9, 0.0)
+        followed(points, moved, name="sst")
+        followed(moved, points, moved, points, name="sst")
+
+
+@hard_case(
+    area=AREA,
+    why="the gradient goes through every token of a window, of which a few alone hang on the points that are moved",
+    must="at the points that are asked for, the gradient of a fresh look, through every layer",
+    guard="tokens that carry a gradient enter a layer as they are, not as they were kept",
+    edits=Edit(
+        TOKENS,
+        "return features.index_copy(0, places, flow.features[torch.from_numpy(among)])",
+        "return features",
+    ),
+)
+def a_followed_token_is_live_among_others() -> None:
+    points = cluster(600, size_m=12.0)
+    live = torch.arange(len(points)) < 40
+    followed(points, shifted(points, slice(0, 40), 0.2, 0.1, 0.0), name="sst", live=live)
+
+
+@hard_case(
+    area=AREA,
+    why="a token that changed where nobody looked reaches other windows, layer by layer, once somebody does",
+    must="what a fresh look at the scene gives, from SST too, once the window moves there",
+    guard="in every layer, windows that changed and are not needed stay due",
+    edits=Edit(
+        TOKENS,
+        "self._stale[level] = changed & ~(due_windows | live_windows)",
+        "self._stale[level] &= ~(due_windows | live_windows)",
+    ),
+)
+def a_followed_token_changes_where_nobody_looks() -> None:
+    sst = detector(name="sst")
+    here, there = (sst.window_for((CENTRE[0] + d, CENTRE[1]), 2.0) for d in (-7.0, 7.0))
+    follower: Follower = sst.following(sst.window_for(CENTRE, 12.0))
+    points = torch.cat((cluster(600, size_m=1.0) + torch.tensor([1.0, 0.0, 0.0]), cluster(900, size_m=24.0)))
+    moved = shifted(points, slice(0, 600), 0.3, 0.4, 0.1)
+    follower.proposals(points, there)
+    for _ in range(2):  # the second look here finds nothing new, and must forget nothing either
+        follower.proposals(moved, here)
+    found, fresh = follower.proposals(moved, there), sst.proposals(moved, there)
+    assert float((fresh.logits - sst.proposals(points, there).logits).abs().max()) > 1e-4
     assert torch.allclose(found.logits, fresh.logits, rtol=0, atol=1e-12)

@@ -12,7 +12,9 @@ from shift3d.attack.problem import AttackProblem, measure
 from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import attack_shape
 from shift3d.detectors.anchor_detector import AnchorDetector
-from shift3d.detectors.incremental import PillarFollower, WindowFollower
+from shift3d.detectors.incremental import WindowFollower
+from shift3d.detectors.pillar_follower import PillarFollower
+from shift3d.detectors.token_follower import TokenFollower
 from shift3d.render import Beams, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
@@ -24,10 +26,10 @@ def field_of(code: Tensor) -> Field:
     return in_frame(soft_car(code), FRAME)
 
 
-@pytest.fixture(scope="module")
-def problem() -> AttackProblem:
+@pytest.fixture(scope="module", params=["pointpillars", "sst"])
+def problem(request: pytest.FixtureRequest) -> AttackProblem:
     beams = Beams.from_arrays(*ground_scan(rings=48, columns=720))
-    detector = AnchorDetector(random_net("pointpillars"), "float64")
+    detector = AnchorDetector(random_net(request.param), "float64")
     settings = preset("standard").with_(dtype=torch.float64)
     return AttackProblem(beams, -1.73, field_of, FRAME, detector, THETA, CODE, settings=settings)
 
@@ -42,7 +44,7 @@ def _attack(problem: AttackProblem, mode: str, alpha: float) -> AttackResult:
 def test_following_changes_no_trajectory(
     problem: AttackProblem, mode: str, alpha: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert isinstance(problem.follower(), PillarFollower)
+    assert isinstance(problem.follower(), PillarFollower | TokenFollower)
     followed, again = _attack(problem, mode, alpha), _attack(problem, mode, alpha)
     monkeypatch.setattr(problem_module, "follow", WindowFollower)
     plain = _attack(problem, mode, alpha)
