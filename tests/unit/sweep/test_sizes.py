@@ -81,10 +81,12 @@ def test_what_is_given_comes_after_what_small_stands_for() -> None:
         assert {config.attack.noise_replicates for config in configs} == {2}
 
 
-def test_the_small_size_may_name_another_option_of_a_group() -> None:
-    sst = next(expand(compose_sweep("table_shape_sst", ["size=small"])))
-    assert (sst.detector.name, sst.detector.scored_by) == ("sst_small", ["pointpillars"])
-    assert next(expand(compose_sweep("table_shape_sst"))).detector.name == "sst"
+def test_the_small_size_attacks_the_detector_as_published() -> None:
+    for name in ("table_shape_sst", "table_pose_sst"):
+        sst = next(expand(compose_sweep(name, ["size=small"])))
+        assert (sst.detector.name, sst.detector.scored_by) == ("sst", ["pointpillars"])
+    reduced = next(expand(compose_sweep("table_pose_sst", ["size=small", "detector=sst_small"])))
+    assert reduced.detector.name == "sst_small"
 
 
 def test_wrong_sizes_are_refused_in_one_line() -> None:
