@@ -15,6 +15,7 @@ _FACE_SPACING_M = 0.2
 _BALL_SPACING_M = 0.45
 _ROUNDS = 6
 _LOOK_AGAIN_M = 0.005
+_LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -72,38 +73,44 @@ def guarded_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Guard:
         g = field.estimate(check).double()
         inside = check[~(g > 0)]
         if len(inside) == 0:
-            return Guard(box, check, g, torch.zeros_like(g))
+            return Guard(box, check, g, torch.zeros_like(g), torch.ones_like(g))
         reach = _FACE_SPACING_M + margin_m
         box = Box(
             torch.maximum(torch.minimum(box.lower, inside.amin(0) - reach), ball.lower),
             torch.minimum(torch.maximum(box.upper, inside.amax(0) + reach), ball.upper),
         )
     nothing = torch.empty(0, dtype=torch.float64)
-    return Guard(ball, nothing.reshape(0, 3), nothing, nothing)
+    return Guard(ball, nothing.reshape(0, 3), nothing, nothing, nothing)
 
 
 @dataclass(frozen=True)
 class Guard:
     """A checked box and the places (P, 3) where it was checked.
 
-    g: (P,) distances found there. drift_m: (P,) how far the surface may have moved since each was looked at.
+    g: (P,) distances found there. moved_m: (P,) how far the surface may have moved since each was looked at. share:
+    (P,) of that, what counts here: twice what it was at the last look, all of it before there was one.
     """
 
     box: Box
     points: Tensor
     g: Tensor
-    drift_m: Tensor
+    moved_m: Tensor
+    share: Tensor
 
     def after(self, field: ObjectField, moved_m: float) -> Guard | None:
         """The guard after the surface moved by up to `moved_m`: None where something may have left the box.
 
         Only places that the surface can have come near are looked at again. A NaN counts as having left.
         """
-        drift = self.drift_m + moved_m
-        near = torch.nonzero(~(self.g > drift + _LOOK_AGAIN_M)).squeeze(1)
-        g = self.g.clone()
-        g[near], drift[near] = field.estimate(self.points[near]).double(), 0.0
-        return Guard(self.box, self.points, g, drift) if bool((g > 0).all()) else None
+        moved = self.moved_m + moved_m
+        near = torch.nonzero(~(self.g > self.share * moved + _LOOK_AGAIN_M)).squeeze(1)
+        g, share = self.g.clone(), self.share.clone()
+        g[near] = field.estimate(self.points[near]).double()
+        # One direction is followed for many steps: what moved little here goes on to move little. At least half of
+        # what moves fastest is assumed all the same, for what sets off late.
+        seen = 2.0 * (g[near] - self.g[near]).abs() / moved[near].clamp_min(1e-12)
+        share[near], moved[near] = seen.clamp(_LEAST_SHARE, 1.0), 0.0
+        return Guard(self.box, self.points, g, moved, share) if bool((g > 0).all()) else None
 
 
 def _ball_lattice(ball: Box) -> Tensor:

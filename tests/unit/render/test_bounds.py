@@ -4,7 +4,7 @@ import pytest
 import torch
 from analytic_fields import SHAPENET_FRAME, Frame, box, car, in_frame, rounded, sphere, union
 
-from shift3d.render.bounds import Box, checked_box, sdf_ball_box
+from shift3d.render.bounds import Box, checked_box, guarded_box, sdf_ball_box
 from shift3d.render.object_field import ObjectField
 
 # The decoder's ball has radius 1.05 units: with 2.5 m a unit a car fits.
@@ -56,3 +56,42 @@ def test_nothing_anywhere_keeps_the_baseline_box() -> None:
 def test_radius_reaches_the_farthest_corner() -> None:
     assert Box(torch.tensor([-1.0, -2.0, 0.0]), torch.tensor([0.5, 1.0, 2.0])).radius_m == 3.0
     assert Frame().scale_m == 1.0
+
+
+def _roof(height_m: float) -> ObjectField:
+    """Everything below a plane this much above the baseline's roof, but 30 cm above its ground."""
+    top = float(SIZE[2]) / 2 + height_m
+    lowest = -float(SIZE[2]) / 2 + 0.3
+
+    def metric(x: torch.Tensor) -> torch.Tensor:
+        inside = torch.stack([x[:, 2] - top, lowest - x[:, 2], x[:, 0].abs() - 1.0, x[:, 1].abs() - 0.5])
+        return inside.amax(0)
+
+    return ObjectField.of(in_frame(metric, SHAPENET_FRAME), SHAPENET_FRAME, torch.float64, 4096)
+
+
+def test_a_roof_that_rests_and_then_rises_is_noticed_before_it_is_two_centimetres_out() -> None:
+    """Other parts move by a centimetre a step all the time; a bound is half as much again."""
+    height = -0.05
+    guard = guarded_box(_roof(height), SIZE, 0.05)
+    looks = []
+    for step in range(40):
+        height += 0.01 if step >= 12 else 0.0
+        field = _roof(height)
+        after = guard.after(field, 0.015)
+        looks.append(field.count.evaluations)
+        if after is None:
+            break
+        guard = after
+    assert 0.05 < height < 0.07
+    assert sum(looks[:12]) < 6 * max(looks), "a roof that rests is not looked at every time"
+
+
+def test_what_was_seen_to_move_fully_is_looked_at_as_if_it_did() -> None:
+    guard = guarded_box(_roof(-0.05), SIZE, 0.05)
+    for step in range(1, 20):
+        after = guard.after(_roof(-0.05 + 0.01 * step), 0.01)
+        if after is None:
+            break
+        guard = after
+    assert -0.05 + 0.01 * step == pytest.approx(0.05, abs=0.0101), "at the very step that takes it through the face"
