@@ -66,6 +66,12 @@ def guarded_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Guard:
     ball = sdf_ball_box(field)
     half = torch.as_tensor(size_m, dtype=torch.float64) / 2
     box = Box(torch.maximum(-half - margin_m, ball.lower), torch.minimum(half + margin_m, ball.upper))
+    return _guarded(field, box, margin_m)
+
+
+def _guarded(field: ObjectField, box: Box, margin_m: float) -> Guard:
+    """The box, grown until the field is outside at every check point."""
+    ball = sdf_ball_box(field)
     outside = _ball_lattice(ball)
     for _ in range(_ROUNDS):
         beyond = outside[((outside < box.lower) | (outside > box.upper)).any(-1)]
@@ -74,13 +80,18 @@ def guarded_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Guard:
         inside = check[~(g > 0)]
         if len(inside) == 0:
             return Guard(box, check, g, torch.zeros_like(g), torch.ones_like(g))
-        reach = _FACE_SPACING_M + margin_m
-        box = Box(
-            torch.maximum(torch.minimum(box.lower, inside.amin(0) - reach), ball.lower),
-            torch.minimum(torch.maximum(box.upper, inside.amax(0) + reach), ball.upper),
-        )
+        box = _around(box, inside, ball, margin_m)
     nothing = torch.empty(0, dtype=torch.float64)
     return Guard(ball, nothing.reshape(0, 3), nothing, nothing, nothing)
+
+
+def _around(box: Box, inside: Tensor, ball: Box, margin_m: float) -> Box:
+    """The box grown to hold check points (n, 3) that lie inside the object, and what may lie around them."""
+    reach = _FACE_SPACING_M + margin_m
+    return Box(
+        torch.maximum(torch.minimum(box.lower, inside.amin(0) - reach), ball.lower),
+        torch.minimum(torch.maximum(box.upper, inside.amax(0) + reach), ball.upper),
+    )
 
 
 @dataclass(frozen=True)
@@ -97,10 +108,15 @@ class Guard:
     moved_m: Tensor
     share: Tensor
 
-    def after(self, field: ObjectField, moved_m: float) -> Guard | None:
-        """The guard after the surface moved by up to `moved_m`: None where something may have left the box.
+    @property
+    def holds(self) -> bool:
+        """Whether nothing was found to have left the box. A NaN counts as having left."""
+        return bool((self.g > 0).all())
 
-        Only places that the surface can have come near are looked at again. A NaN counts as having left.
+    def after(self, field: ObjectField, moved_m: float) -> Guard:
+        """The guard after the surface moved by up to `moved_m`.
+
+        Only places that the surface can have come near are looked at again.
         """
         moved = self.moved_m + moved_m
         near = torch.nonzero(~(self.g > self.share * moved + _LOOK_AGAIN_M)).squeeze(1)
@@ -110,7 +126,12 @@ class Guard:
         # what moves fastest is assumed all the same, for what sets off late.
         seen = 2.0 * (g[near] - self.g[near]).abs() / moved[near].clamp_min(1e-12)
         share[near], moved[near] = seen.clamp(_LEAST_SHARE, 1.0), 0.0
-        return Guard(self.box, self.points, g, moved, share) if bool((g > 0).all()) else None
+        return Guard(self.box, self.points, g, moved, share)
+
+    def grown(self, field: ObjectField, margin_m: float) -> Guard:
+        """A guard of a box that holds what has left this one."""
+        inside = self.points[~(self.g > 0)]
+        return _guarded(field, _around(self.box, inside, sdf_ball_box(field), margin_m), margin_m)
 
 
 def _ball_lattice(ball: Box) -> Tensor:

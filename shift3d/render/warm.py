@@ -142,26 +142,50 @@ def warm_start(
     then = state.range_m[rows], state.slope[rows]
     found, tangents = find_near(state.rays.select(rows), *then, warm.tangents, field, settings, _MOTION_REACH_M)
     moved_m = _SAFETY * float(torch.nan_to_num(found.g_start, nan=torch.inf).abs().max())
-    after = guard.after(field, moved_m)
-    if after is None:
-        return cold_start(beams, field, theta, size_m, settings)
     ranges, residual, slope = state.range_m.clone(), state.residual_m.clone(), state.slope.clone()
     ranges[rows], residual[rows], slope[rows] = found.range_m, found.residual_m, found.slope
-    clearance, drift, doubt = _looked_at_again(state, field)
-    doubt[rows] |= torch.isnan(found.range_m)
     state = replace(
         state,
         theta=theta.detach().clone(),
-        guard=after,
         range_m=ranges,
         residual_m=residual,
         slope=slope,
-        clearance_m=clearance,
-        drift_m=drift,
         age=warm.age + 1,
         tangents=tangents,
     )
+    clearance, drift, doubt = _looked_at_again(state, field)
+    doubt[rows] |= torch.isnan(found.range_m)
+    guard = guard.after(field, moved_m)
+    state = replace(state, clearance_m=clearance, drift_m=drift, guard=guard)
+    if not guard.holds:
+        guard = guard.grown(field, settings.box_margin_m)
+        rays = rays_in_box(beams, theta, guard.box)
+        state, doubt = _in_grown_box(state, doubt, guard, rays, field, settings)
     return _search(state, torch.nonzero(doubt).squeeze(1), field, settings)
+
+
+def _in_grown_box(
+    state: WarmStart, doubt: Tensor, guard: Guard, rays: Rays, field: ObjectField, settings: RenderSettings
+) -> tuple[WarmStart, Tensor]:
+    """The state on the rays of a box that has grown, and which of them are in doubt.
+
+    In doubt is also what is new; what had no hit and is longer now; and what meets something on the stretch that the
+    box has added in front. What comes near something there remembers it.
+    """
+    source = _rows_before(state.rays, rays)
+    known, at = source >= 0, source.clamp_min(0)
+    hit, entry = known & torch.isfinite(state.range_m[at]), state.rays.near_m[at]
+    longer = (rays.near_m < entry) | (rays.far_m > state.rays.far_m[at])
+    doubt = ~known | doubt[at] | (longer & ~hit)
+    rows = torch.nonzero((rays.near_m < entry) & ~doubt).squeeze(1)
+    added = first_brackets(replace(rays.select(rows), far_m=entry[rows]), field, settings)
+    doubt[rows] = added.found | added.undecided
+    state = _carried_over(state, rays)
+    clearance, closest, drift = state.clearance_m.clone(), state.closest_m.clone(), state.drift_m.clone()
+    nearer = (added.clearance < clearance[rows]) & (added.closest < entry[rows])
+    rows = rows[nearer]
+    clearance[rows], closest[rows], drift[rows] = added.clearance[nearer], added.closest[nearer], 0.0
+    return replace(state, guard=guard, clearance_m=clearance, closest_m=closest, drift_m=drift), doubt
 
 
 def _looked_at_again(state: WarmStart, field: ObjectField) -> tuple[Tensor, Tensor, Tensor]:
@@ -221,15 +245,20 @@ def _pose_motion(before: Tensor, after: Tensor, box: Box) -> float:
     return float((there - here).norm(dim=-1).max())
 
 
+def _rows_before(before: Rays, rays: Rays) -> Tensor:
+    """(M,) which of the rays before each ray is, -1 where it is none of them."""
+    if len(before) == 0 or len(rays) == 0:
+        return torch.full((len(rays),), -1, dtype=torch.long)
+    row_of = torch.full((int(max(before.index.max(), rays.index.max())) + 1,), -1, dtype=torch.long)
+    row_of[before.index] = torch.arange(len(before))
+    return row_of[rays.index]
+
+
 def _carried_over(warm: WarmStart, rays: Rays) -> WarmStart:
     """The state on another set of rays: beams that are new have no clearance and will be searched."""
     if torch.equal(warm.rays.index, rays.index):
         return replace(warm, rays=rays)
-    count = int(max(warm.rays.index.max(), rays.index.max())) + 1 if len(rays) and len(warm.rays) else 0
-    row_of = torch.full((count,), -1, dtype=torch.long)
-    if count:
-        row_of[warm.rays.index] = torch.arange(len(warm.rays))
-    source = row_of[rays.index] if count else torch.full((len(rays),), -1, dtype=torch.long)
+    source = _rows_before(warm.rays, rays)
     known = source >= 0
 
     def carry(values: Tensor, new: float) -> Tensor:
