@@ -3,9 +3,8 @@
 Plain sphere tracing crawls along grazing beams, plain marching wastes evaluations in free space. Here a step
 is a share of the field's own distance, never below `step_m` and never above `max_step_m`, so that free space
 costs little, a surface is crossed rather than crept up to, and every beam ends after at most
-(stretch / step_m) steps; along a panel it is twice as long, where both its ends cover it. Where three samples dip
-towards the surface without a change of sign, the bottom of their parabola is tried once: that finds most chords
-that are shorter than a step.
+(stretch / step_m) steps; along a panel it is twice as long, where both its ends cover it. Where samples dip towards
+the surface without a change of sign, `look_into_dips` follows them to the bottom when the march has ended.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import torch
 from torch import Tensor
 
 from shift3d.render.culling import Rays
+from shift3d.render.dips import look_into_dips
 from shift3d.render.empty_space import Leaps
 from shift3d.render.object_field import ObjectField
 from shift3d.render.seen import Seen
@@ -80,7 +80,7 @@ def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings, lea
         march.clearance,
         march.closest,
     )
-    return look_into_shallow(brackets, rays, field)
+    return look_into_shallow(look_into_dips(brackets, march.seen, rays, field), rays, field)
 
 
 class _March:
@@ -96,7 +96,7 @@ class _March:
         self.undecided = torch.zeros(count, dtype=torch.bool)
         self.clearance = torch.full((count,), torch.inf, dtype=torch.float64)
         self.closest = rays.near_m.clone()
-        # One sample further back than `outer`, for the dip test.
+        # One sample further back than `outer`, for slopes and dips.
         self.before = self.outer.clone()
         self.g_before = self.g_outer.clone()
         # What a step of several showed of the field's steepness before it was taken back.
@@ -147,20 +147,18 @@ class _March:
         k_new, g_new = self._back_to_sure(rows, k_new, g_new, k_sure)
         inside = g_new < 0
         self._enter(rows[inside], k_new[inside], g_new[inside])
-        self._dips(rows[~inside], k_new[~inside], g_new[~inside])
+        self._note_dips(rows[~inside], g_new[~inside])
         ended = (k_new >= far) & ~inside
         self._note(rows[ended], g_new[ended], k_new[ended])
         self.before[rows], self.g_before[rows] = k, g
-        # A ray that was found to dip into the surface keeps the bracket that the dip gave it.
-        going = ~inside & ~ended & ~self.found[rows]
+        going = ~inside & ~ended
         self.outer[rows[going]], self.g_outer[rows[going]] = k_new[going], g_new[going]
         self.rows = rows[going]
 
     def steps_ahead(self) -> None:
         """Several steps of the few rays that are left, evaluated at once as if g stayed what it is.
 
-        They count as far as the spheres around them cover the beam. They are shorter than single steps, and the bottom
-        of a dip is not tried.
+        They count as far as the spheres around them cover the beam, and are shorter than single steps.
         """
         rows, k, g = self.rows, self.outer[self.rows], self.g_outer[self.rows]
         far = self.rays.far_m[rows]
@@ -274,31 +272,8 @@ class _March:
     def _enter(self, rows: Tensor, k: Tensor, g: Tensor) -> None:
         self.found[rows], self.inner[rows], self.g_inner[rows] = True, k, g
 
-    def _dips(self, rows: Tensor, k2: Tensor, g2: Tensor) -> None:
-        """Where the middle of three samples is the lowest: note it, and try the parabola's bottom if negative."""
-        k0, g0, k1, g1 = self.before[rows], self.g_before[rows], self.outer[rows], self.g_outer[rows]
-        dip = torch.isfinite(g0) & (g1 <= g0) & (g1 <= g2) & (k1 > k0) & (k2 > k1)
-        start = ~torch.isfinite(g0) & (g1 <= g2)
-        low = dip | start
-        self._note(rows[low], g1[low], k1[low])
-        rows, k0, g0, k1, g1, k2, g2 = (x[dip] for x in (rows, k0, g0, k1, g1, k2, g2))
-        if len(rows) == 0:
-            return
-        left, right = (g1 - g0) / (k1 - k0), (g2 - g1) / (k2 - k1)
-        curvature = (right - left) / (k2 - k0)
-        slope = left + curvature * (k1 - k0)
-        bottom = k1 - slope / (2.0 * curvature).clamp_min(1e-12)
-        # A V of slope 1 on both sides reaches deeper than the parabola: try every dip that could.
-        deepest = torch.minimum(g1 - slope**2 / (4.0 * curvature).clamp_min(1e-12), 0.5 * (g0 + g2 - (k2 - k0)))
-        try_it = (deepest < 0) & (g1 > 0)
-        rows, bottom = rows[try_it], torch.minimum(torch.maximum(bottom, k0), k2)[try_it]
-        g_bottom = self._g(bottom, rows)
-        inside = g_bottom < 0
-        self._enter_dip(rows[inside], bottom[inside], g_bottom[inside], k0[try_it][inside], g0[try_it][inside])
-
-    def _enter_dip(self, rows: Tensor, k: Tensor, g: Tensor, k0: Tensor, g0: Tensor) -> None:
-        """A crossing between two samples of a dip: the outer end is the last sample before the bottom."""
-        back = self.outer[rows] > k
-        self.outer[rows] = torch.where(back, k0, self.outer[rows])
-        self.g_outer[rows] = torch.where(back, g0, self.g_outer[rows])
-        self._enter(rows, k, g)
+    def _note_dips(self, rows: Tensor, g_new: Tensor) -> None:
+        """Where the sample before the new ones (n,) is the lowest of three, or the first and lower: note it."""
+        g_before, g = self.g_before[rows], self.g_outer[rows]
+        low = (~torch.isfinite(g_before) | (g <= g_before)) & (g <= g_new)
+        self._note(rows[low], g[low], self.outer[rows][low])

@@ -22,6 +22,25 @@ class Seen:
         """Samples (n,): of which ray, at which range, and the field there."""
         self._parts.append((rows, k, g))
 
+    def in_order(self, before: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """The finite samples up to a range of each ray, by ray and range.
+
+        Args:
+            before: (M,) range.
+        Returns: (S,) rows, k, g, and which of these samples are the neighbours before and after each on its ray, the
+            sample itself where it has none.
+        """
+        rows, k, g = (torch.cat(parts) for parts in zip(*self._parts, strict=True))
+        usable = torch.isfinite(g) & (k <= before[rows])
+        rows, k, g = rows[usable], k[usable], g[usable]
+        order = torch.argsort(k, stable=True)
+        order = order[torch.argsort(rows[order], stable=True)]
+        rows, k, g = rows[order], k[order], g[order]
+        same = torch.zeros(len(rows) + 1, dtype=torch.bool)
+        same[1:-1] = rows[1:] == rows[:-1]
+        at = torch.arange(len(rows))
+        return rows, k, g, at - same[:-1].long(), at + same[1:].long()
+
     def shelves(self, crossing: Tensor, found: Tensor, apart_m: float) -> tuple[Tensor, Tensor]:
         """The lowest sample on a shelf of each of M rays, at least `apart_m` before its crossing: g and range.
 

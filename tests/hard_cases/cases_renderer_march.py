@@ -13,7 +13,7 @@ from torch import Tensor
 
 from shift3d.render import Beams
 
-MARCH = "shift3d.render.bracket"
+MARCH, DIPS = "shift3d.render.bracket", "shift3d.render.dips"
 PLACES = np.linspace(-0.5, 0.5, 9).tolist()
 
 
@@ -37,12 +37,15 @@ def a_beam_that_touches_the_surface() -> None:
 @hard_case(
     area="renderer",
     why="along a panel g stays what it is: three samples lie on a line, their parabola has no bottom",
-    must="a miss that is resolved, for a field positive everywhere too",
-    guard="a curvature of zero is not divided by",
-    edits=Edit(MARCH, "(2.0 * curvature).clamp_min(1e-12)", "(2.0 * curvature)"),
+    must="a miss that is resolved, for a field positive everywhere too, and none of its places is no number",
+    guard="where a parabola has no bottom between the samples the middle of the longer side is looked at",
+    edits=Edit(DIPS, "torch.where(new & ((bottom - self.k).abs() > 0.02 * width), bottom, middle)", "bottom"),
 )
 def a_beam_that_keeps_its_distance_from_a_panel() -> None:
-    positive = lambda x: torch.full_like(x[:, 0], 0.001)  # noqa: E731
+    def positive(x: Tensor) -> Tensor:
+        assert torch.isfinite(x).all()
+        return torch.full_like(x[:, 0], 0.001)
+
     for name, settings in PRESETS.items():
         beams = beams_along_x(0.751, count=MANY if name == "standard" else FEW)
         unmoved(draw(beams, box((0.5, 0.75, 0.7)), settings=settings, frame=PLAIN), beams)
@@ -51,10 +54,26 @@ def a_beam_that_keeps_its_distance_from_a_panel() -> None:
 
 @hard_case(
     area="renderer",
+    why="a decoder is made of pieces: a dip of a millimetre has a kink at its bottom, which no parabola points to",
+    must="a chord of a millimetre is hit where the beam goes in",
+    guard="a dip is followed as long as the surface may lie between its samples",
+    edits=Edit(DIPS, "for _ in range(_ROUNDS):", "for _ in range(1):"),
+)
+def a_chord_of_a_millimetre_between_kinks() -> None:
+    hits = 0
+    for at in np.linspace(-0.2, 0.2, 25, endpoint=False).tolist():
+        metric = lambda x, at=at: 0.3 * (x[:, 0] - at).abs() - 1.5e-4  # noqa: E731
+        found = draw(beams_along_x(count=MANY), metric, frame=PLAIN)
+        hits += bool(found.hit_mask[0]) and abs(float(found.range_m[0]) - (10.0 + at - 5e-4)) < 1e-4
+    assert hits >= 24, hits
+
+
+@hard_case(
+    area="renderer",
     why="a chord at the limb of a sphere is shorter than the steps of a march, down to half a millimetre",
     must="it is hit, where the beam goes in",
-    guard="the bottom of a dip between three samples is tried",
-    edits=Edit(MARCH, "try_it = (deepest < 0) & (g1 > 0)", "try_it = (deepest < -1) & (g1 > 0)"),
+    guard="dips are followed to their bottom",
+    edits=Edit(MARCH, "look_into_dips(brackets, march.seen, rays, field)", "brackets"),
 )
 def chords_shorter_than_a_step() -> None:
     beams, entry = _limb()
@@ -67,8 +86,8 @@ def chords_shorter_than_a_step() -> None:
     area="renderer",
     why="a march that found a short chord in a dip has already stepped past it, towards the wall behind",
     must="the chord is the first hit, not the wall",
-    guard="a ray that was found to dip into the surface keeps the bracket of the dip",
-    edits=Edit(MARCH, "~inside & ~ended & ~self.found[rows]", "~inside & ~ended"),
+    guard="dips are looked into on rays with a crossing too",
+    edits=Edit(DIPS, "low = decided & ", "low = decided & ~brackets.found[rows] & "),
 )
 def a_short_chord_in_front_of_a_wall() -> None:
     beams, entry = _limb()
@@ -82,7 +101,7 @@ def a_short_chord_in_front_of_a_wall() -> None:
     why="the bottom of a dip can lie before its middle sample, which then is already behind a post",
     must="a post that is hit is hit where the beam goes in, never where it comes out",
     guard="the outer end of the bracket is the last sample before the bottom",
-    edits=Edit(MARCH, "back = self.outer[rows] > k", "back = self.outer[rows] > k + 1.0"),
+    edits=Edit(DIPS, "behind = k > self.k[rows]", "behind = k > self.k[rows] - 1.0"),
 )
 def the_way_into_a_thin_post() -> None:
     hits = 0

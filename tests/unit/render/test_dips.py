@@ -1,0 +1,74 @@
+"""What lies between the samples of a march is found where it dips to the surface, and taken for what it is."""
+
+from dataclasses import replace
+
+import torch
+from analytic_fields import Field, Frame
+from torch import Tensor
+
+from shift3d.render.bracket import Brackets
+from shift3d.render.culling import Rays
+from shift3d.render.dips import look_into_dips
+from shift3d.render.object_field import ObjectField
+from shift3d.render.seen import Seen
+
+END = 10.0
+
+
+def look(metric: Field, samples: list[float], crossing: tuple[float, float] | None = None) -> Brackets:
+    """What comes of one ray along x that was sampled at these places; crossing: the bracket that it has already."""
+    one, zero = torch.ones(1, dtype=torch.float64), torch.zeros(1, 3, dtype=torch.float64)
+    rays = Rays(torch.zeros(1, dtype=torch.long), zero, zero + torch.eye(3).double()[0], 0 * one, END * one)
+    field = ObjectField.of(metric, Frame(), torch.float64, 4096)
+    k = torch.tensor(samples, dtype=torch.float64)
+    g = field(rays.at(k, torch.zeros(len(k), dtype=torch.long))).double()
+    seen = Seen()
+    seen.add(torch.zeros(len(k), dtype=torch.long), k, g)
+    none = torch.zeros(1, dtype=torch.bool)
+    before = Brackets(none, one, one, one, one, none, torch.full_like(one, torch.inf), one)
+    if crossing is not None:
+        outer, inner = (torch.tensor([x], dtype=torch.float64) for x in crossing)
+        g_outer, g_inner = (field(rays.at(x)).double() for x in (outer, inner))
+        before = replace(before, found=~none, outer=outer, inner=inner, g_outer=g_outer, g_inner=g_inner)
+    return look_into_dips(before, seen, rays, field)
+
+
+def valley(at: float, depth: float, slope: float = 0.3) -> Field:
+    """|x - at| slope - depth: below zero on a chord of 2 depth / slope."""
+    return lambda x: slope * (x[:, 0] - at).abs() - depth
+
+
+def lowest_of(*fields: Field) -> Field:
+    def g(x: Tensor) -> Tensor:
+        return torch.stack([field(x) for field in fields]).amin(0)
+
+    return g
+
+
+def test_the_first_of_several_dips_that_cross_is_the_crossing() -> None:
+    metric = lowest_of(valley(2.013, -1e-4), valley(4.007, 2e-4), valley(6.0051, 3e-4))
+    found = look(metric, [x / 50 for x in range(0, 400)])
+    assert found.found.all() and not found.undecided.any()
+    assert 3.99 < float(found.outer) < 4.007 - 2e-4 / 0.3 < float(found.inner) < 4.007 + 2e-4 / 0.3
+    assert float(found.g_outer) > 0 > float(found.g_inner)
+    assert abs(float(found.closest) - 2.013) < 1e-3, "the dip in front of it is remembered"
+    assert 1e-4 <= float(found.clearance) < 2e-4
+
+
+def test_a_dip_in_front_of_a_crossing_comes_first_and_one_behind_it_is_nothing() -> None:
+    wall = valley(7.0, 0.3)
+    in_front = look(lowest_of(valley(3.007, 2e-4), wall), [x / 50 for x in range(0, 310)], (5.98, 6.01))
+    assert abs(float(in_front.inner) - 3.007) < 1e-3
+    behind = look(lowest_of(valley(9.007, 2e-4), wall), [x / 50 for x in range(0, 460)], (5.98, 6.01))
+    assert (float(behind.outer), float(behind.inner)) == (5.98, 6.01) and torch.isinf(behind.clearance).all()
+
+
+def test_a_sample_inside_that_a_march_passed_over_is_a_crossing() -> None:
+    found = look(valley(5.0, 0.05), [1.0, 3.0, 4.5, 5.05, 6.0])
+    assert found.found.all() and (float(found.outer), float(found.inner)) == (4.5, 5.05)
+
+
+def test_dips_that_do_not_reach_the_surface_tell_how_near_they_come() -> None:
+    found = look(lowest_of(valley(2.013, -3e-3), valley(4.007, -1e-3)), [x / 50 for x in range(0, 400)])
+    assert not found.found.any()
+    assert 1e-3 <= float(found.clearance) < 2e-3 and abs(float(found.closest) - 4.007) < 0.01
