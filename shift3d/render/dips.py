@@ -40,10 +40,17 @@ def look_into_dips(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectFiel
     decided = ~brackets.undecided[rows]
     low = decided & (g > 0) & (g <= g[left]) & (g <= g[right]) & (right > left)
     passed = decided & (g < 0) & (g[left] >= 0) & (k < end[rows])
-    if not bool((low | passed).any()):
+    # A shallow way down may touch the surface between two samples before it goes in.
+    width = k - k[left]
+    shelf = (
+        decided & (g > 0) & (g <= g[left]) & (g[left] - g < _FLATTEST * width) & (g < 0.5 * _FLATTEST * width) & ~low
+    )
+    if not bool((low | shelf | passed).any()):
         return brackets
     crossings = [_Crossings(rows[passed], k[left][passed], g[left][passed], k[passed], g[passed])]
-    dips = _Dips(rows[low], *(part[at][low] for at in (left, slice(None), right) for part in (k, g)))
+    right = torch.where(shelf, torch.arange(len(rows)), right)
+    looked = low | shelf
+    dips = _Dips(rows[looked], *(part[at][looked] for at in (left, slice(None), right) for part in (k, g)))
     for _ in range(_ROUNDS):
         on = torch.nonzero(dips.may_cross()).squeeze(1)
         if len(on) == 0:
@@ -53,11 +60,11 @@ def look_into_dips(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectFiel
         inside = value < 0
         crossings.append(_Crossings(dips.rows[on], *dips.before(on, there), there, value).select(inside))
         dips.add(on, there, value)
-    return _with(brackets, _Crossings.of(crossings), dips)
+    return _with(brackets, _Crossings.of(crossings), dips, low[looked])
 
 
-def _with(brackets: Brackets, crossings: _Crossings, dips: _Dips) -> Brackets:
-    """The brackets with each ray's first crossing and lowest dip in front of it."""
+def _with(brackets: Brackets, crossings: _Crossings, dips: _Dips, counts: Tensor) -> Brackets:
+    """The brackets with each ray's first crossing, and the lowest dip, of those that count, in front of it."""
     nowhere = torch.full_like(brackets.inner, torch.inf)
     first = nowhere.scatter_reduce(0, crossings.rows, crossings.inner, "amin")
     found = crossings.select(crossings.inner == first[crossings.rows])
@@ -67,7 +74,7 @@ def _with(brackets: Brackets, crossings: _Crossings, dips: _Dips) -> Brackets:
         parts[name][found.rows] = getattr(found, name)
     clearance, closest = brackets.clearance.clone(), brackets.closest.clone()
     clearance[found.rows] = torch.inf  # what was the lowest on the way to another crossing may lie behind this one
-    in_front = (dips.g > 0) & (dips.k < first[dips.rows])
+    in_front = counts & (dips.g > 0) & (dips.k < first[dips.rows])
     rows, g, k = dips.rows[in_front], dips.g[in_front], dips.k[in_front]
     lowest = clearance.scatter_reduce(0, rows, g, "amin")
     lower = (g == lowest[rows]) & (g < clearance[rows])

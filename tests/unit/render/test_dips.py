@@ -72,3 +72,10 @@ def test_dips_that_do_not_reach_the_surface_tell_how_near_they_come() -> None:
     found = look(lowest_of(valley(2.013, -3e-3), valley(4.007, -1e-3)), [x / 50 for x in range(0, 400)])
     assert not found.found.any()
     assert 1e-3 <= float(found.clearance) < 2e-3 and abs(float(found.closest) - 4.007) < 0.01
+
+
+def test_a_shallow_way_down_that_touches_the_surface_before_it_goes_in() -> None:
+    metric = lowest_of(lambda x: 0.02 * (5.003 - x[:, 0]), valley(4.9905, 1e-4, 0.1))
+    found = look(metric, [x / 50 for x in range(0, 251)] + [5.01], (5.0, 5.01))
+    assert abs(float(found.inner) - 4.9905) < 1e-3
+    assert torch.isinf(found.clearance).all(), "and is no dip to remember"

@@ -26,9 +26,9 @@ def test_the_same_again_costs_less_than_a_third() -> None:
     warm = render(beams, field, THETA, SHAPENET_FRAME, STANDARD, cold.warm)
     same(warm, cold)
     # A hit is evaluated once, and once more where a dip or a shelf lies in front of it; 26 beams skim the surface by
-    # less than 3 mm on their way and are always marched.
+    # less than 3 mm on their way and are always marched, and their dips looked into.
     assert warm.evaluations * 3 < cold.evaluations
-    assert warm.evaluations <= cold.object_points * 4
+    assert warm.evaluations <= cold.object_points * 4.5
 
 
 def test_a_shape_that_changes_step_by_step() -> None:
