@@ -129,8 +129,11 @@ def a_plate_across_a_beam_along_a_panel() -> None:
     area="renderer",
     why="the last rays of a march are sampled ahead as if g stayed what it is, and a plate lies between two samples",
     must="few rays hit what many hit",
-    guard="samples ahead count as far as the spheres around them cover the beam",
-    edits=Edit(MARCH, "(values[:, 1:] < 0) | (gap > slack)", "(values[:, 1:] < 0) | (gap > 9.0)"),
+    guard="samples ahead count as far as the spheres around them cover the beam, and dips between them are followed",
+    edits=(
+        Edit(MARCH, "(values[:, 1:] < 0) | (gap > slack)", "(values[:, 1:] < 0) | (gap > 9.0)"),
+        Edit(MARCH, "look_into_dips(brackets, march.seen, rays, field)", "brackets"),
+    ),
 )
 def a_plate_before_the_last_few_beams() -> None:
     for at in PLACES:
