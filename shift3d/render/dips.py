@@ -30,7 +30,7 @@ def look_into_dips(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectFiel
 
     Every dip is minimised by parabolas, as long as what lies between its samples could reach the surface. A sample
     inside that a march of several steps made and passed over, because what led there was not covered, is a crossing
-    too. The clearance of a ray becomes that of its lowest bottom.
+    too. The clearance of a ray becomes that of its lowest bottom. A ray whose field is not finite there is undecided.
 
     Args:
         seen: the samples of the march that the brackets come from.
@@ -51,16 +51,19 @@ def look_into_dips(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectFiel
     right = torch.where(shelf, torch.arange(len(rows)), right)
     looked = low | shelf
     dips = _Dips(rows[looked], *(part[at][looked] for at in (left, slice(None), right) for part in (k, g)))
+    undecided = brackets.undecided.clone()
     for _ in range(_ROUNDS):
         on = torch.nonzero(dips.may_cross()).squeeze(1)
         if len(on) == 0:
             break
         there = dips.guess()[on]
         value = field.estimate(rays.at(there, dips.rows[on])).double()
+        undecided[dips.rows[on[~torch.isfinite(value)]]] = True
         inside = value < 0
         crossings.append(_Crossings(dips.rows[on], *dips.before(on, there), there, value).select(inside))
         dips.add(on, there, value)
-    return _with(brackets, _Crossings.of(crossings), dips, low[looked])
+    brackets = _with(brackets, _Crossings.of(crossings), dips, low[looked])
+    return replace(brackets, found=brackets.found & ~undecided, undecided=undecided)
 
 
 def _with(brackets: Brackets, crossings: _Crossings, dips: _Dips, counts: Tensor) -> Brackets:

@@ -79,3 +79,12 @@ def test_a_shallow_way_down_that_touches_the_surface_before_it_goes_in() -> None
     found = look(metric, [x / 50 for x in range(0, 251)] + [5.01], (5.0, 5.01))
     assert abs(float(found.inner) - 4.9905) < 1e-3
     assert torch.isinf(found.clearance).all(), "and is no dip to remember"
+
+
+def test_a_bottom_that_is_no_number_leaves_its_ray_undecided() -> None:
+    def metric(x: Tensor) -> Tensor:
+        g = valley(2.013, 1e-3)(x)
+        return torch.where((x[:, 0] - 2.013).abs() < 5e-3, torch.nan, g)
+
+    found = look(metric, [x / 50 for x in range(0, 400)])
+    assert found.undecided.all() and not found.found.any()
