@@ -41,10 +41,8 @@ def look_into_dips(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectFiel
     low = decided & (g > 0) & (g <= g[left]) & (g <= g[right]) & (right > left)
     passed = decided & (g < 0) & (g[left] >= 0) & (k < end[rows])
     # A shallow way down may touch the surface between two samples before it goes in.
-    width = k - k[left]
-    shelf = (
-        decided & (g > 0) & (g <= g[left]) & (g[left] - g < _FLATTEST * width) & (g < 0.5 * _FLATTEST * width) & ~low
-    )
+    fall = _FLATTEST * (k - k[left])
+    shelf = decided & (g > 0) & (g <= g[left]) & (g[left] - g < fall) & (2.0 * g < fall) & ~low
     if not bool((low | shelf | passed).any()):
         return brackets
     crossings = [_Crossings(rows[passed], k[left][passed], g[left][passed], k[passed], g[passed])]
