@@ -9,7 +9,7 @@ the surface without a change of sign, `look_into_dips` follows them to the botto
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -71,7 +71,7 @@ def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings, lea
             march.steps_ahead()
     march.note_shelves()
     brackets = Brackets(
-        march.found & ~march.undecided,
+        march.found,
         march.outer,
         march.inner,
         march.g_outer,
@@ -80,7 +80,9 @@ def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings, lea
         march.clearance,
         march.closest,
     )
-    return look_into_shallow(look_into_dips(brackets, march.seen, rays, field), rays, field)
+    brackets = look_into_shallow(look_into_dips(brackets, march.seen, rays, field), rays, field)
+    # Here alone, for all that looked: an undecided ray is no hit, whatever it met.
+    return replace(brackets, found=brackets.found & ~brackets.undecided)
 
 
 class _March:

@@ -60,8 +60,7 @@ def look_into_dips(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectFiel
         inside = value < 0
         crossings.append(_Crossings(dips.rows[on], *dips.before(on, there), there, value).select(inside))
         dips.add(on, there, value)
-    brackets = _with(brackets, _Crossings.of(crossings), dips, low[looked])
-    return replace(brackets, found=brackets.found & ~undecided, undecided=undecided)
+    return replace(_with(brackets, _Crossings.of(crossings), dips, low[looked]), undecided=undecided)
 
 
 def _with(brackets: Brackets, crossings: _Crossings, dips: _Dips, counts: Tensor) -> Brackets:

@@ -27,7 +27,7 @@ def look_into_shallow(brackets: Brackets, rays: Rays, field: ObjectField) -> Bra
     """
     width = brackets.inner - brackets.outer
     fall = (brackets.g_outer - brackets.g_inner) / width.clamp_min(1e-12)
-    rows = torch.nonzero(brackets.found & (fall < _SHALLOW) & (width > _LOOK_EVERY_M)).squeeze(1)
+    rows = torch.nonzero(brackets.found & ~brackets.undecided & (fall < _SHALLOW) & (width > _LOOK_EVERY_M)).squeeze(1)
     if len(rows) == 0:
         return brackets
     count = int((width[rows].max() / _LOOK_EVERY_M).ceil().clamp(max=_MOST_LOOKS))
@@ -43,6 +43,6 @@ def look_into_shallow(brackets: Brackets, rays: Rays, field: ObjectField) -> Bra
         cut[name] = getattr(brackets, name).clone()
         cut[name][rows] = values.gather(1, at)[:, 0]
     lost = (~torch.isfinite(g) & (torch.arange(count + 1) <= first)).any(1)
-    cut["undecided"], cut["found"] = brackets.undecided.clone(), brackets.found.clone()
-    cut["undecided"][rows[lost]], cut["found"][rows[lost]] = True, False
+    cut["undecided"] = brackets.undecided.clone()
+    cut["undecided"][rows[lost]] = True
     return replace(brackets, **cut)

@@ -189,7 +189,7 @@ def a_shape_that_outgrew_its_box() -> None:
     why="some beams hit, some pass, some start inside and some meet a NaN in front of the surface, all in one scene",
     must="each is a hit, a miss or unresolved, as geometry has it, and the three add up to all beams",
     guard="a ray that is undecided is not found, whatever it met afterwards",
-    edits=Edit("shift3d.render.bracket", "march.found & ~march.undecided", "march.found"),
+    edits=Edit("shift3d.render.bracket", "brackets.found & ~brackets.undecided", "brackets.found"),
 )
 def every_beam_is_a_hit_a_miss_or_unresolved() -> None:
     def metric(x: Tensor) -> Tensor:
