@@ -12,6 +12,7 @@ import gc
 import importlib
 import inspect
 import signal
+import sys
 import types
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -94,6 +95,9 @@ def without(edits: tuple[Edit, ...]) -> Iterator[None]:
     """
     swapped: list[tuple[FunctionType, CodeType]] = []
     try:
+        # Effects are imported when a scene calls for them: what is not there yet has no functions to change.
+        for edit in edits:
+            importlib.import_module(edit.module)
         functions = [thing for thing in gc.get_objects() if isinstance(thing, FunctionType)]
         for module in dict.fromkeys(edit.module for edit in edits):
             for function, code in _changed(module, [edit for edit in edits if edit.module == module], functions):
@@ -106,7 +110,7 @@ def without(edits: tuple[Edit, ...]) -> Iterator[None]:
 
 
 def _changed(name: str, edits: list[Edit], functions: list[FunctionType]) -> list[tuple[FunctionType, CodeType]]:
-    module = importlib.import_module(name)
+    module = sys.modules[name]
     source, path = inspect.getsource(module), inspect.getsourcefile(module)
     edited = source
     for edit in edits:
