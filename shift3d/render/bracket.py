@@ -29,7 +29,6 @@ _STEEPEST = 10.0
 _FEW = 32
 _AHEAD = 64
 _AHEAD_SHARE = 0.7
-_SHELF_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -41,9 +40,6 @@ class Brackets:
         outer, inner: (M,) float64 ranges with g >= 0 and g < 0 (meaningless where not found).
         g_outer, g_inner: (M,) values there, metres.
         undecided: (M,) bool, the sensor itself is inside the object, or the field was not finite on the way.
-        clearance: (M,) smallest g in a dip or on a shelf before the crossing, or on the whole stretch where there is
-            none; infinite where g only falls towards the crossing. Metres.
-        closest: (M,) range of that smallest g.
     """
 
     found: Tensor
@@ -52,35 +48,36 @@ class Brackets:
     g_outer: Tensor
     g_inner: Tensor
     undecided: Tensor
-    clearance: Tensor
-    closest: Tensor
+
+    def select(self, rows: Tensor) -> Brackets:
+        """Those of some rays."""
+        return Brackets(*(part[rows] for part in vars(self).values()))
 
 
-def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings, leaps: Leaps | None = None) -> Brackets:
+def first_brackets(
+    rays: Rays, field: ObjectField, settings: RenderSettings, leaps: Leaps | None = None, seen: Seen | None = None
+) -> Brackets:
     """March every ray from near_m to far_m until g < 0; where `leaps` is given, over empty cells in one go.
+
+    seen: takes down all samples, by row of the rays.
 
     Source: our choice: the paper samples every 0.1 m. The test g < 0, and the sample at the return itself,
     are the paper's; g exactly 0 counts as outside.
     """
-    march = _March(rays, field, settings, leaps)
+    march = _March(rays, field, settings, leaps, Seen() if seen is None else seen)
     march.start()
     while len(march.rows):
         if len(march.rows) > _FEW:
             march.step()
         else:
             march.steps_ahead()
-    march.note_shelves()
-    brackets = Brackets(
-        march.found,
-        march.outer,
-        march.inner,
-        march.g_outer,
-        march.g_inner,
-        march.undecided,
-        march.clearance,
-        march.closest,
-    )
-    brackets = look_into_shallow(look_into_dips(brackets, march.seen, rays, field), rays, field)
+    brackets = Brackets(march.found, march.outer, march.inner, march.g_outer, march.g_inner, march.undecided)
+    return looked_into(brackets, march.seen, rays, field)
+
+
+def looked_into(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectField) -> Brackets:
+    """The brackets with what lies between the samples that they come from."""
+    brackets = look_into_shallow(look_into_dips(brackets, seen, rays, field), rays, field)
     # Here alone, for all that looked: an undecided ray is no hit, whatever it met.
     return replace(brackets, found=brackets.found & ~brackets.undecided)
 
@@ -88,7 +85,9 @@ def first_brackets(rays: Rays, field: ObjectField, settings: RenderSettings, lea
 class _March:
     """The state of a march; `rows` are the rays still under way, the other arrays belong to all rays."""
 
-    def __init__(self, rays: Rays, field: ObjectField, settings: RenderSettings, leaps: Leaps | None = None) -> None:
+    def __init__(
+        self, rays: Rays, field: ObjectField, settings: RenderSettings, leaps: Leaps | None, seen: Seen
+    ) -> None:
         count = len(rays)
         self.rays, self.field, self.settings, self.leaps = rays, field, settings, leaps
         self.outer, self.inner = rays.near_m.clone(), rays.near_m.clone()
@@ -96,15 +95,13 @@ class _March:
         self.g_inner = torch.full((count,), torch.nan, dtype=torch.float64)
         self.found = torch.zeros(count, dtype=torch.bool)
         self.undecided = torch.zeros(count, dtype=torch.bool)
-        self.clearance = torch.full((count,), torch.inf, dtype=torch.float64)
-        self.closest = rays.near_m.clone()
         # One sample further back than `outer`, for slopes and dips.
         self.before = self.outer.clone()
         self.g_before = self.g_outer.clone()
         # What a step of several showed of the field's steepness before it was taken back.
         self.steepest = torch.ones(count, dtype=torch.float64)
         self.rows = torch.arange(count)
-        self.seen = Seen()
+        self.seen = seen
 
     def _g(self, k: Tensor, rows: Tensor) -> Tensor:
         g = self.field.estimate(self.rays.at(k, rows)).double()
@@ -141,7 +138,6 @@ class _March:
         if self.leaps is not None:
             leapt = self.leaps.leap(k_sure, rows)
             clear = leapt > far
-            self._leave(rows[clear], g[clear], k[clear])
             rows, k, g, far, k_sure, k_new, leapt = (x[~clear] for x in (rows, k, g, far, k_sure, k_new, leapt))
             empty_ahead = leapt > k_sure
             k_sure, k_new = (torch.where(empty_ahead, leapt, x) for x in (k_sure, k_new))
@@ -149,9 +145,7 @@ class _March:
         k_new, g_new = self._back_to_sure(rows, k_new, g_new, k_sure)
         inside = g_new < 0
         self._enter(rows[inside], k_new[inside], g_new[inside])
-        self._note_dips(rows[~inside], g_new[~inside])
         ended = (k_new >= far) & ~inside
-        self._note(rows[ended], g_new[ended], k_new[ended])
         self.before[rows], self.g_before[rows] = k, g
         going = ~inside & ~ended
         self.outer[rows[going]], self.g_outer[rows[going]] = k_new[going], g_new[going]
@@ -167,7 +161,6 @@ class _March:
         if self.leaps is not None:
             leapt = self.leaps.leap(k, rows)
             clear = leapt > far
-            self._leave(rows[clear], g[clear], k[clear])
             rows, k, g, far, leapt = (x[~clear] for x in (rows, k, g, far, leapt))
             leaping = leapt > k
             k = torch.where(leaping, leapt - self.settings.step_m, k)
@@ -195,14 +188,12 @@ class _March:
         # So that it ends: where the first one is not, the next is as much shorter as the field is steeper there.
         self.steepest[rows] = torch.where(uncovered & (stop == 0), steepness[:, 0], 1.0)
         inside = stops.any(1) & (values.gather(1, after)[:, 0] < 0) & ~uncovered
-        self._note_lowest(rows, places, values, last)
         self.before[rows], self.g_before[rows] = k, g
         k_last, g_last = places.gather(1, last)[:, 0], values.gather(1, last)[:, 0]
         self.outer[rows], self.g_outer[rows] = k_last, g_last
         k_after, g_after = places.gather(1, after)[:, 0], values.gather(1, after)[:, 0]
         self._enter(rows[inside], k_after[inside], g_after[inside])
         ended = ~inside & (k_last >= far)
-        self._note(rows[ended], g_last[ended], k_last[ended])
         self.rows = rows[~inside & ~ended]
 
     def _gaps(self, rows: Tensor, places: Tensor, values: Tensor, leaping: Tensor) -> tuple[Tensor, Tensor]:
@@ -214,14 +205,6 @@ class _March:
         fall = (-values.diff(dim=1).nan_to_num() / width.clamp_min(1e-12)).cummax(dim=1).values
         steepness = torch.maximum(fall, self._steepness(rows)[:, None]).clamp_max(_STEEPEST)
         return width - (covered[:, 1:] + covered[:, :-1]) / steepness, steepness
-
-    def _note_lowest(self, rows: Tensor, places: Tensor, values: Tensor, last: Tensor) -> None:
-        """Keep the lowest dip among several steps: what is no higher than the sample before it and the one after."""
-        before = torch.cat((self.g_before[rows][:, None], values[:, :-1]), dim=1)
-        after = torch.cat((values[:, 1:], torch.full_like(values[:, :1], -torch.inf)), dim=1)
-        dip = (values <= before) & (values <= after) & (torch.arange(values.shape[1]) <= last)
-        lowest, where = values.masked_fill(~dip, torch.inf).min(1)
-        self._note(rows, lowest, places.gather(1, where[:, None])[:, 0])
 
     def _lengths(self, rows: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
         """Two lengths of the next step: one that g alone makes safe, and one to try.
@@ -250,20 +233,6 @@ class _March:
             g_new[again] = self._g(k_sure[again], rows[again])
         return k_new, g_new
 
-    def note_shelves(self) -> None:
-        """On the way to a crossing a shelf counts as a dip."""
-        g, k = self.seen.shelves(self.outer, self.found, _SHELF_STEPS * self.settings.step_m)
-        self._note(torch.arange(len(g)), g, k)
-
-    def _leave(self, rows: Tensor, g: Tensor, k: Tensor) -> None:
-        """Rays with nothing but empty space ahead."""
-        self._note(rows, g, k)
-
-    def _note(self, rows: Tensor, g: Tensor, k: Tensor) -> None:
-        """Keep the lowest distance and its range."""
-        lower = g < self.clearance[rows]
-        self.clearance[rows[lower]], self.closest[rows[lower]] = g[lower], k[lower]
-
     def _steepness(self, rows: Tensor) -> Tensor:
         """How much faster than a distance g fell over the last step (1 where it did not)."""
         fell = self.g_before[rows] - self.g_outer[rows]
@@ -273,9 +242,3 @@ class _March:
 
     def _enter(self, rows: Tensor, k: Tensor, g: Tensor) -> None:
         self.found[rows], self.inner[rows], self.g_inner[rows] = True, k, g
-
-    def _note_dips(self, rows: Tensor, g_new: Tensor) -> None:
-        """Where the sample before the new ones (n,) is the lowest of three, or the first and lower: note it."""
-        g_before, g = self.g_before[rows], self.g_outer[rows]
-        low = (~torch.isfinite(g_before) | (g <= g_before)) & (g <= g_new)
-        self._note(rows[low], g[low], self.outer[rows][low])

@@ -30,10 +30,10 @@ def look_into_dips(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectFiel
 
     Every dip is minimised by parabolas, as long as what lies between its samples could reach the surface. A sample
     inside that a march of several steps made and passed over, because what led there was not covered, is a crossing
-    too. The clearance of a ray becomes that of its lowest bottom. A ray whose field is not finite there is undecided.
+    too. A ray whose field is not finite there is undecided.
 
     Args:
-        seen: the samples of the march that the brackets come from.
+        seen: the samples of the march that the brackets come from; what is sampled here is added.
     """
     end = torch.where(brackets.found, brackets.inner, torch.inf)
     rows, k, g, left, right = seen.in_order(end)
@@ -56,15 +56,16 @@ def look_into_dips(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectFiel
             break
         there = dips.guess()[on]
         value = field.estimate(rays.at(there, dips.rows[on])).double()
+        seen.add(dips.rows[on], there, value)
         undecided[dips.rows[on[~torch.isfinite(value)]]] = True
         inside = value < 0
         crossings.append(_Crossings(dips.rows[on], *dips.before(on, there), there, value).select(inside))
         dips.add(on, there, value)
-    return replace(_with(brackets, _Crossings.of(crossings), dips, low[looked]), undecided=undecided)
+    return replace(_with(brackets, _Crossings.of(crossings)), undecided=undecided)
 
 
-def _with(brackets: Brackets, crossings: _Crossings, dips: _Dips, counts: Tensor) -> Brackets:
-    """The brackets with each ray's first crossing, and the lowest dip, of those that count, in front of it."""
+def _with(brackets: Brackets, crossings: _Crossings) -> Brackets:
+    """The brackets with each ray's first crossing."""
     nowhere = torch.full_like(brackets.inner, torch.inf)
     first = nowhere.scatter_reduce(0, crossings.rows, crossings.inner, "amin")
     found = crossings.select(crossings.inner == first[crossings.rows])
@@ -72,14 +73,7 @@ def _with(brackets: Brackets, crossings: _Crossings, dips: _Dips, counts: Tensor
     parts["found"][found.rows] = True
     for name in ("outer", "g_outer", "inner", "g_inner"):
         parts[name][found.rows] = getattr(found, name)
-    clearance, closest = brackets.clearance.clone(), brackets.closest.clone()
-    clearance[found.rows] = torch.inf  # what was the lowest on the way to another crossing may lie behind this one
-    in_front = counts & (dips.g > 0) & (dips.k < first[dips.rows])
-    rows, g, k = dips.rows[in_front], dips.g[in_front], dips.k[in_front]
-    lowest = clearance.scatter_reduce(0, rows, g, "amin")
-    lower = (g == lowest[rows]) & (g < clearance[rows])
-    clearance[rows[lower]], closest[rows[lower]] = g[lower], k[lower]
-    return replace(brackets, clearance=clearance, closest=closest, **parts)
+    return replace(brackets, **parts)
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ class RenderSettings:
     box_margin_m: float = 0.05
     sphere_chord_only: bool = False
     warm_start: bool = True
-    warm_refresh: int = 20
+    warm_refresh: int = 40
     empty_space: bool = True
     coarse_band_m: float = 0.02
     grazing_floor: float = 0.2

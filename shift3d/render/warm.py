@@ -2,9 +2,10 @@
 
 Between two steps of an attack a surface moves by millimetres or centimetres. A beam that hit is looked at where the
 derivatives of the last step say that it will hit now (see `approach`), and followed by secant steps where that is not
-near. A beam that came near the surface without meeting it, or before it met it, is looked at where it came nearest: it
-is left alone while what is left there is more than what the field has lost there since the last march, half as much
-again. Only the others are marched, and every `warm_refresh` renderings all are.
+near. In front of its hit, and along a beam that met nothing, the samples of the last search go on to vouch for free
+space: a coarse lattice says what has become of them (see `profile`), and where they no longer cover the beam it is
+sampled again (see `cover`). Only beams of which nothing is known are marched, and every `warm_refresh` renderings all
+are.
 
 Source: our choice: the paper renders every step afresh. What this misses is measured against that.
 """
@@ -20,20 +21,23 @@ from shift3d.geometry.se3 import scene_from_object
 from shift3d.render.approach import find_near
 from shift3d.render.beams import Beams
 from shift3d.render.bounds import Box, Guard, guarded_box
-from shift3d.render.bracket import Brackets, first_brackets
+from shift3d.render.bracket import Brackets, first_brackets, looked_into
+from shift3d.render.cover import cover
 from shift3d.render.culling import Rays
 from shift3d.render.empty_space import EmptySpace, Leaps
 from shift3d.render.fast import rays_in_box, solve
 from shift3d.render.follow import follow
+from shift3d.render.lattice import FieldLattice
 from shift3d.render.object_field import ObjectField
+from shift3d.render.profile import Profile
 from shift3d.render.rendering import FirstHits
+from shift3d.render.seen import Seen
 from shift3d.render.settings import RenderSettings
 from shift3d.render.tangents import Tangents
 
 _SAFETY = 1.5
-_FLOOR_M = 0.003
 _STILL_M = 0.05
-_MOTION_REACH_M = 0.05
+_MOTION_REACH_M = 0.3
 _MAP_REACH_M = 0.15
 
 
@@ -49,10 +53,8 @@ class WarmStart:
         range_m: (M,) float64 distance of the hit, NaN where none.
         residual_m: (M,) |metric g| there.
         slope: (M,) dg/dk at the hit.
-        clearance_m: (M,) lowest g away from the hit when it was last looked at; infinite where g only falls towards
-            the hit, 0 where nothing is known.
-        closest_m: (M,) range of that place.
-        drift_m: (M,) how much g has changed there since the last march.
+        profile: samples in front of the hits, and all along the beams that met nothing.
+        lattice: of the field.
         age: warm renderings since everything was searched.
         tangents: the field about the hits, to first order; while a rendering is being made, about those of its hits
             for which the search has made them. None where no gradient was asked for.
@@ -65,19 +67,16 @@ class WarmStart:
     range_m: Tensor
     residual_m: Tensor
     slope: Tensor
-    clearance_m: Tensor
-    closest_m: Tensor
-    drift_m: Tensor
+    profile: Profile
+    lattice: FieldLattice
     age: int
     tangents: Tangents | None = None
 
 
-def _blank(beams: Beams, theta: Tensor, guard: Guard | None, rays: Rays) -> WarmStart:
+def _blank(beams: Beams, theta: Tensor, guard: Guard | None, rays: Rays, lattice: FieldLattice) -> WarmStart:
     nan = torch.full((len(rays),), torch.nan, dtype=torch.float64)
-    zero = torch.zeros_like(nan)
-    return WarmStart(
-        beams, theta.detach().clone(), guard, rays, nan, nan.clone(), nan.clone(), zero, rays.near_m, zero, 0
-    )
+    theta = theta.detach().clone()
+    return WarmStart(beams, theta, guard, rays, nan, nan.clone(), nan.clone(), Profile.none(), lattice, 0)
 
 
 def cold_start(
@@ -93,7 +92,8 @@ def cold_start(
         return _with_map(beams, field, theta, settings, space)
     guard = guarded_box(field, size_m, settings.box_margin_m)
     rays = rays_in_box(beams, theta, guard.box)
-    return _search(_blank(beams, theta, guard, rays), torch.arange(len(rays)), field, settings)
+    state = _blank(beams, theta, guard, rays, FieldLattice.of(field.estimate, guard.box))
+    return _settled(state, [_marched(state.rays, torch.arange(len(rays)), field, settings)], field, settings)
 
 
 def _with_map(
@@ -101,17 +101,15 @@ def _with_map(
 ) -> tuple[FirstHits, WarmStart]:
     """Take the crossings that the map shows plainly, march where it is in doubt, leave the rest alone."""
     rays = rays_in_box(beams, theta, space.box)
-    state, sight = _blank(beams, theta, None, rays), space.sight(rays)
+    state, sight = _blank(beams, theta, None, rays, FieldLattice.of(space.at, space.box)), space.sight(rays)
     rows, guess, slope = sight.crossings()
     found = follow(rays.select(rows), guess, slope, field, settings, _MAP_REACH_M)
     state.range_m[rows], state.residual_m[rows], state.slope[rows] = found.range_m, found.residual_m, found.slope
-    plain = torch.isfinite(state.range_m)
-    clearance, closest = sight.closest()
-    clearance = torch.where(plain, torch.inf, clearance)
     leaps = sight.leaps()
-    doubtful = torch.nonzero(~plain & torch.isfinite(leaps.first())).squeeze(1)
-    state = replace(state, clearance_m=clearance, closest_m=closest)
-    return _search(state, doubtful, field, settings, leaps)
+    doubtful = torch.nonzero(torch.isnan(state.range_m) & torch.isfinite(leaps.first())).squeeze(1)
+    rows, k, g = sight.samples()
+    state = replace(state, profile=Profile(rows, k, g, torch.full_like(g, sight.doubt_m)))
+    return _settled(state, [_marched(rays, doubtful, field, settings, leaps.select(doubtful))], field, settings)
 
 
 def warm_start(
@@ -134,102 +132,101 @@ def warm_start(
     if _pose_motion(warm.theta, theta, guard.box) > _STILL_M:
         return cold_start(beams, field, theta, size_m, settings)
     # A shape that keeps standing on the ground changes its height a little.
-    state = _carried_over(warm, rays_in_box(beams, theta, guard.box))
-    rows = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
-    if len(rows) == 0:
+    rays = rays_in_box(beams, theta, guard.box)
+    row_of = _rows_of(warm.rays, rays)
+    old = torch.nonzero(torch.isfinite(warm.range_m) & (row_of >= 0)).squeeze(1)
+    if len(old) == 0:
         # Nothing was hit, so nothing can tell how far the surface has moved.
         return cold_start(beams, field, theta, size_m, settings)
-    then = state.range_m[rows], state.slope[rows]
-    found, tangents = find_near(state.rays.select(rows), *then, warm.tangents, field, settings, _MOTION_REACH_M)
-    moved_m = _SAFETY * float(torch.nan_to_num(found.g_start, nan=torch.inf).abs().max())
-    ranges, residual, slope = state.range_m.clone(), state.residual_m.clone(), state.slope.clone()
-    ranges[rows], residual[rows], slope[rows] = found.range_m, found.residual_m, found.slope
-    state = replace(
-        state,
-        theta=theta.detach().clone(),
-        range_m=ranges,
-        residual_m=residual,
-        slope=slope,
-        age=warm.age + 1,
-        tangents=tangents,
-    )
-    clearance, drift, doubt = _looked_at_again(state, field)
-    doubt[rows] |= torch.isnan(found.range_m)
-    guard = guard.after(field, moved_m)
-    state = replace(state, clearance_m=clearance, drift_m=drift, guard=guard)
+    then = rays.select(row_of[old]), warm.range_m[old], warm.slope[old]
+    found, tangents = find_near(*then, warm.tangents, field, settings, _MOTION_REACH_M)
+    guard = guard.after(field, _SAFETY * float(torch.nan_to_num(found.g_start, nan=torch.inf).abs().max()))
     if not guard.holds:
         guard = guard.grown(field, settings.box_margin_m)
         rays = rays_in_box(beams, theta, guard.box)
-        state, doubt = _in_grown_box(state, doubt, guard, rays, field, settings)
-    return _search(state, torch.nonzero(doubt).squeeze(1), field, settings)
+        row_of = _rows_of(warm.rays, rays)
+    state, rows = _blank(beams, theta, guard, rays, FieldLattice.of(field.estimate, guard.box)), row_of[old]
+    state.range_m[rows], state.residual_m[rows], state.slope[rows] = found.range_m, found.residual_m, found.slope
+    profile = warm.profile.carried(warm.rays, rays, row_of, warm.lattice, state.lattice)
+    lost = torch.zeros(len(rays), dtype=torch.bool)
+    lost[rows[torch.isnan(found.range_m)]] = True
+    state = replace(state, profile=profile, age=warm.age + 1, tangents=tangents)
+    state, searches = _searched(state, lost, field, settings)
+    return _settled(state, searches, field, settings)
 
 
-def _in_grown_box(
-    state: WarmStart, doubt: Tensor, guard: Guard, rays: Rays, field: ObjectField, settings: RenderSettings
-) -> tuple[WarmStart, Tensor]:
-    """The state on the rays of a box that has grown, and which of them are in doubt.
+@dataclass(frozen=True)
+class _Search:
+    """What a search found on some rays: rows (m,), which they are; their brackets; and what it saw of them."""
 
-    In doubt is also what is new; what had no hit and is longer now; and what meets something on the stretch that the
-    box has added in front. What comes near something there remembers it.
+    rows: Tensor
+    brackets: Brackets
+    seen: Profile
+
+
+def _marched(
+    rays: Rays, rows: Tensor, field: ObjectField, settings: RenderSettings, leaps: Leaps | None = None
+) -> _Search:
+    """March some rays."""
+    seen = Seen()
+    brackets = first_brackets(rays.select(rows), field, settings, leaps, seen)
+    return _Search(rows, brackets, Profile.of(seen, rows))
+
+
+def _searched(
+    state: WarmStart, lost: Tensor, field: ObjectField, settings: RenderSettings
+) -> tuple[WarmStart, list[_Search]]:
+    """Look where a state no longer vouches for what is in front of its hits and along its misses.
+
+    lost: (M,) bool, rays whose hit could not be followed.
     """
-    source = _rows_before(state.rays, rays)
-    known, at = source >= 0, source.clamp_min(0)
-    hit, entry = known & torch.isfinite(state.range_m[at]), state.rays.near_m[at]
-    longer = (rays.near_m < entry) | (rays.far_m > state.rays.far_m[at])
-    doubt = ~known | doubt[at] | (longer & ~hit)
-    rows = torch.nonzero((rays.near_m < entry) & ~doubt).squeeze(1)
-    added = first_brackets(replace(rays.select(rows), far_m=entry[rows]), field, settings)
-    doubt[rows] = added.found | added.undecided
-    state = _carried_over(state, rays)
-    clearance, closest, drift = state.clearance_m.clone(), state.closest_m.clone(), state.drift_m.clone()
-    nearer = (added.clearance < clearance[rows]) & (added.closest < entry[rows])
-    rows = rows[nearer]
-    clearance[rows], closest[rows], drift[rows] = added.clearance[nearer], added.closest[nearer], 0.0
-    return replace(state, guard=guard, clearance_m=clearance, closest_m=closest, drift_m=drift), doubt
+    rays = state.rays
+    known = torch.isfinite(state.range_m)
+    known[state.profile.rows] = True
+    covered = cover(state.profile, rays, state.range_m, lost | ~known, field, settings)
+    profile = covered.profile.of_rays(~covered.given_up)
+    rows = torch.nonzero(covered.looked & ~covered.given_up).squeeze(1)
+    looked = _between(rays, rows, covered.brackets.select(rows), profile, field)
+    unsure = lost.clone()
+    unsure[rows[looked.brackets.found | looked.brackets.undecided]] = False
+    # What is covered in front of a hit that was lost need not be marched again.
+    last = rays.near_m.scatter_reduce(0, profile.rows, profile.k, "amax")
+    afresh = torch.nonzero(unsure | ~known | covered.given_up).squeeze(1)
+    marched = _marched(replace(rays, near_m=last), afresh, field, settings)
+    return replace(state, profile=profile), [looked, marched]
 
 
-def _looked_at_again(state: WarmStart, field: ObjectField) -> tuple[Tensor, Tensor, Tensor]:
-    """(M,) clearance and drift as they are now, and which rays may meet a surface that was not there before."""
-    clearance, drift = state.clearance_m.clone(), state.drift_m.clone()
-    near = torch.nonzero(torch.isfinite(clearance) & (clearance > 0)).squeeze(1)
-    k = torch.minimum(torch.maximum(state.closest_m[near], state.rays.near_m[near]), state.rays.far_m[near])
-    g = field.estimate(state.rays.at(k, near)).double()
-    drift[near] += (g - clearance[near]).abs()
-    clearance[near] = g
-    return clearance, drift, ~(clearance > _SAFETY * drift + _FLOOR_M)
+def _between(rays: Rays, rows: Tensor, brackets: Brackets, profile: Profile, field: ObjectField) -> _Search:
+    """What lies between the samples of some rays."""
+    local = torch.full((len(rays),), -1, dtype=torch.long)
+    local[rows] = torch.arange(len(rows))
+    samples = profile.select(local[profile.rows] >= 0)
+    seen = Seen()
+    seen.add(local[samples.rows], samples.k, samples.g)
+    brackets = looked_into(brackets, seen, rays.select(rows), field)
+    return _Search(rows, brackets, Profile.of(seen, rows, len(samples)))
 
 
-def _search(
-    state: WarmStart, rows: Tensor, field: ObjectField, settings: RenderSettings, leaps: Leaps | None = None
+def _settled(
+    state: WarmStart, searches: list[_Search], field: ObjectField, settings: RenderSettings
 ) -> tuple[FirstHits, WarmStart]:
-    """March some rows, find their roots, and put them together with the ranges already known."""
-    rays = state.rays.select(rows)
-    brackets = first_brackets(rays, field, settings, None if leaps is None else leaps.select(rows))
-    found = torch.nonzero(brackets.found).squeeze(1)
-    roots = solve(rays, found, brackets, field, settings)
-    settled = roots.settled
+    """Find the roots in what searches found, and put them together with the hits already known."""
     ranges, residual, slope = state.range_m.clone(), state.residual_m.clone(), state.slope.clone()
-    clearance, closest, drift = state.clearance_m.clone(), state.closest_m.clone(), state.drift_m.clone()
-    ranges[rows] = torch.nan
-    ranges[rows[found[settled]]] = roots.k[settled]
-    residual[rows[found]], slope[rows[found]] = roots.residual, _bracket_slope(brackets, found)
-    # A miss that leapt over all it could have met was never near enough to know by how much.
-    unknown = ~brackets.found & torch.isinf(brackets.clearance)
-    clearance[rows], drift[rows] = torch.where(unknown, 0.0, brackets.clearance), 0.0
-    closest[rows] = brackets.closest
-    undecided = brackets.undecided.clone()
-    undecided[found[~settled]] = True
-    state = replace(
-        state,
-        range_m=ranges,
-        residual_m=residual,
-        slope=slope,
-        clearance_m=clearance,
-        closest_m=closest,
-        drift_m=drift,
-    )
+    profile, unresolved = state.profile, torch.zeros(len(ranges), dtype=torch.bool)
+    for search in searches:
+        rows, brackets = search.rows, search.brackets
+        found = torch.nonzero(brackets.found).squeeze(1)
+        roots = solve(state.rays.select(rows), found, brackets, field, settings)
+        undecided = brackets.undecided.clone()
+        undecided[found[~roots.settled]] = True
+        ranges[rows[found]] = roots.k
+        residual[rows[found]], slope[rows[found]] = roots.residual, _bracket_slope(brackets, found)
+        ranges[rows[undecided]], unresolved[rows[undecided]] = torch.nan, True
+        profile = profile.with_more(search.seen)
+    profile = profile.before(torch.where(torch.isnan(ranges), torch.inf, ranges))
+    state = replace(state, range_m=ranges, residual_m=residual, slope=slope, profile=profile)
     hit = torch.nonzero(torch.isfinite(ranges)).squeeze(1)
-    hits = FirstHits(state.rays.index[hit], ranges[hit], residual[hit], rays.index[undecided])
+    hits = FirstHits(state.rays.index[hit], ranges[hit], residual[hit], state.rays.index[unresolved])
     return hits, state
 
 
@@ -245,34 +242,10 @@ def _pose_motion(before: Tensor, after: Tensor, box: Box) -> float:
     return float((there - here).norm(dim=-1).max())
 
 
-def _rows_before(before: Rays, rays: Rays) -> Tensor:
-    """(M,) which of the rays before each ray is, -1 where it is none of them."""
-    if len(before) == 0 or len(rays) == 0:
+def _rows_of(rays: Rays, others: Rays) -> Tensor:
+    """(M,) which of some other rays each ray is, -1 where it is none of them."""
+    if len(rays) == 0 or len(others) == 0:
         return torch.full((len(rays),), -1, dtype=torch.long)
-    row_of = torch.full((int(max(before.index.max(), rays.index.max())) + 1,), -1, dtype=torch.long)
-    row_of[before.index] = torch.arange(len(before))
+    row_of = torch.full((int(max(rays.index.max(), others.index.max())) + 1,), -1, dtype=torch.long)
+    row_of[others.index] = torch.arange(len(others))
     return row_of[rays.index]
-
-
-def _carried_over(warm: WarmStart, rays: Rays) -> WarmStart:
-    """The state on another set of rays: beams that are new have no clearance and will be searched."""
-    if torch.equal(warm.rays.index, rays.index):
-        return replace(warm, rays=rays)
-    source = _rows_before(warm.rays, rays)
-    known = source >= 0
-
-    def carry(values: Tensor, new: float) -> Tensor:
-        carried = torch.full((len(rays),), new, dtype=torch.float64)
-        carried[known] = values[source[known]]
-        return carried
-
-    return replace(
-        warm,
-        rays=rays,
-        range_m=carry(warm.range_m, torch.nan),
-        residual_m=carry(warm.residual_m, torch.nan),
-        slope=carry(warm.slope, torch.nan),
-        clearance_m=carry(warm.clearance_m, 0.0),
-        closest_m=torch.where(known, carry(warm.closest_m, 0.0), rays.near_m),
-        drift_m=carry(warm.drift_m, 0.0),
-    )

@@ -230,7 +230,7 @@ def a_field_that_jumps() -> None:
     why="a root can take more evaluations than are allowed",
     must="the beam is counted as unresolved: hits and unresolved beams are those that hit with patience",
     guard="a bracket whose root was not reached is undecided",
-    edits=Edit("shift3d.render.warm", "undecided[found[~settled]] = True", "pass"),
+    edits=Edit("shift3d.render.warm", "undecided[found[~roots.settled]] = True", "pass"),
 )
 def a_root_that_is_not_reached_in_time() -> None:
     theta = pose(12.0, 3.0, -1.0, 0.4)

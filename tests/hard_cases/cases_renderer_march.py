@@ -73,7 +73,7 @@ def a_chord_of_a_millimetre_between_kinks() -> None:
     why="a chord at the limb of a sphere is shorter than the steps of a march, down to half a millimetre",
     must="it is hit, where the beam goes in",
     guard="dips are followed to their bottom",
-    edits=Edit(MARCH, "look_into_dips(brackets, march.seen, rays, field)", "brackets"),
+    edits=Edit(MARCH, "look_into_dips(brackets, seen, rays, field)", "brackets"),
 )
 def chords_shorter_than_a_step() -> None:
     beams, entry = _limb()
@@ -132,7 +132,7 @@ def a_plate_across_a_beam_along_a_panel() -> None:
     guard="samples ahead count as far as the spheres around them cover the beam, and dips between them are followed",
     edits=(
         Edit(MARCH, "(values[:, 1:] < 0) | (gap > slack)", "(values[:, 1:] < 0) | (gap > 9.0)"),
-        Edit(MARCH, "look_into_dips(brackets, march.seen, rays, field)", "brackets"),
+        Edit(MARCH, "look_into_dips(brackets, seen, rays, field)", "brackets"),
     ),
 )
 def a_plate_before_the_last_few_beams() -> None:

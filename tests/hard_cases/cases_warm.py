@@ -15,6 +15,7 @@ from shift3d.render import Beams, Rendering
 from shift3d.render.warm import WarmStart
 
 WARM, FOLLOW, APPROACH = "shift3d.render.warm", "shift3d.render.follow", "shift3d.render.approach"
+COVER, PROFILE = "shift3d.render.cover", "shift3d.render.profile"
 SPHERE, SLAB = sphere(1.0), box((0.2, 1.0, 0.5), (0.6, 0.0, 0.0))
 
 
@@ -54,8 +55,8 @@ def a_followed_surface_that_moves_behind_the_return() -> None:
     area="renderer",
     why="a post slides out of a beam's way between two steps: the hit vanishes, the wall behind takes over",
     must="the wall is hit, in the very step",
-    guard="a hit that cannot be followed is searched afresh",
-    edits=Edit(WARM, "doubt[rows] |= torch.isnan(found.range_m)", "pass"),
+    guard="behind what is covered in front of a hit that cannot be followed its ray is marched",
+    edits=Edit(WARM, "unsure | ~known | covered.given_up", "~known | covered.given_up"),
 )
 def a_followed_hit_that_vanishes() -> None:
     beams, before = beams_at(0.0, -0.9), None
@@ -69,12 +70,12 @@ def a_followed_hit_that_vanishes() -> None:
     area="renderer",
     why="the slope of the last rendering leads a followed beam through a thin plate into the wall behind",
     must="the plate is hit",
-    guard="a root farther than 5 cm from where the hit was is searched afresh",
+    guard="a root farther than 30 cm from where the hit was does not count, and the way to a nearer one is covered",
     edits=(
         Edit(FOLLOW, "(k_new - start[active]).abs() >= reach_m", "(k_new - start[active]).abs() >= 99.0"),
         Edit(FOLLOW, "(k - start).abs() < reach_m", "(k - start).abs() < 99.0"),
-        # So shallow a field is a shelf from afar, which would be looked at again as well.
-        Edit("shift3d.render.bracket", "self._note(torch.arange(len(g)), g, k)", "pass"),
+        Edit(COVER, "wide = (", "wide = torch.zeros_like(entry) & ("),
+        Edit(COVER, "measured = unsure & ~(self.g - self.slack > _LOW_M)", "measured = unsure & False"),
     ),
 )
 def a_followed_hit_that_overshoots() -> None:
@@ -92,8 +93,12 @@ def a_followed_hit_that_overshoots() -> None:
     area="renderer",
     why="a limb creeps towards a beam that passes it, and moves along the beam meanwhile",
     must="the beam hits in the step in which a fresh search says so",
-    guard="a passing beam is searched once what is left is less than half as much again as it has lost",
-    edits=Edit(WARM, "~(clearance > _SAFETY * drift + _FLOOR_M)", "~(clearance > 0.0)"),
+    guard="a passing beam is looked at where it came nearest, and wherever what is expected no longer covers it",
+    edits=(
+        Edit(COVER, "watched = low & ", "watched = low & False & "),
+        Edit(COVER, "wide = (", "wide = torch.zeros_like(entry) & ("),
+        Edit(COVER, "measured = unsure & ~(self.g - self.slack > _LOW_M)", "measured = unsure & False"),
+    ),
 )
 def a_beam_that_starts_to_hit() -> None:
     beams, before = beams_at(1.04, 0.0), None
@@ -108,8 +113,8 @@ def a_beam_that_starts_to_hit() -> None:
     area="renderer",
     why="as the pose moves, the box takes in beams of which the last rendering knew nothing",
     must="they are searched, and hit once the object stands in their way",
-    guard="a beam that is new has no clearance",
-    edits=Edit(WARM, "carry(warm.clearance_m, 0.0)", "carry(warm.clearance_m, torch.inf)"),
+    guard="a beam of which nothing is known is marched",
+    edits=Edit(WARM, "unsure | ~known | covered.given_up", "unsure | covered.given_up"),
 )
 def a_beam_that_enters_the_box() -> None:
     metric, beams = box((2.0, 0.9, 0.7)), beams_at(0.98, 0.0)
@@ -126,8 +131,8 @@ def a_beam_that_enters_the_box() -> None:
     area="renderer",
     why="a bump rises from a shelf that a beam skims on its way down to its hit: the field falls all the way, no dip",
     must="the bump is hit, in the very step",
-    guard="a shelf in front of a hit is looked at again as a dip is",
-    edits=Edit("shift3d.render.bracket", "self._note(torch.arange(len(g)), g, k)", "pass"),
+    guard="the lowest place in front of a hit is looked at, whatever is expected there",
+    edits=Edit(COVER, "watched = low & ", "watched = low & False & "),
 )
 def a_bump_that_rises_from_a_shelf() -> None:
     def wall_behind_a_shelf(bump_top_m: float) -> Field:
@@ -149,28 +154,32 @@ def a_bump_that_rises_from_a_shelf() -> None:
 
 @hard_case(
     area="renderer",
-    why="a plate appears out of nothing in front of a hit that can be followed: nobody looks there",
+    why="a pea appears out of nothing in front of a hit that can be followed, amid the points of the coarse lattice",
     must="it is found after `warm_refresh` renderings at the latest",
     guard="after so many warm renderings everything is searched",
     edits=Edit(WARM, "warm.age >= settings.warm_refresh", "warm.age < 0"),
 )
 def a_surface_that_appears_in_front_of_a_followed_hit() -> None:
-    beams = beams_at(0.0, 0.5)
+    ends, starts = np.array([[30.0, 0.225, 0.225]]), np.array([[0.0, 0.225, 0.225]])
+    beams = Beams.from_arrays(ends, starts)
     before = draw(beams, SLAB, frame=PLAIN)
     hit_at(before, 10.4)
-    metric = union(SLAB, box((0.02, 0.2, 0.3), (-1.0, 0.0, 0.0)))
+    metric = union(SLAB, sphere(0.02, (0.25, 0.225, 0.225)))
     for _ in range(FAST.warm_refresh + 1):
         before = again(beams, metric, before)
     as_cold(before, beams, metric)
-    assert abs(float(before.range_m.detach()[0]) - 8.98) < 1e-4
+    hit_at(before, 10.23)
 
 
 @hard_case(
     area="renderer",
     why="a pose that jumps puts other parts of the object before every beam",
     must="what a fresh search finds",
-    guard="a pose that moved by more than 5 cm is searched afresh",
-    edits=Edit(WARM, "theta, guard.box) > _STILL_M", "theta, guard.box) < 0"),
+    guard="a pose that moved by more than 5 cm is searched afresh, and samples are expected elsewhere",
+    edits=(
+        Edit(WARM, "theta, guard.box) > _STILL_M", "theta, guard.box) < 0"),
+        Edit(PROFILE, "old.g + now.at(here) - lattice.at(then), slack)", "old.g, slack * 0.0)"),
+    ),
 )
 def a_pose_that_jumps() -> None:
     here, there = pose(10.0, 0.0, 0.0, 0.2), pose(9.6, 0.5, 0.1, 1.4)
@@ -184,7 +193,7 @@ def a_pose_that_jumps() -> None:
     why="after a rendering without a hit nothing tells how far the surface has moved",
     must="a shape that comes back is hit at once",
     guard="without a hit to follow everything is searched",
-    edits=Edit(WARM, "    if len(rows) == 0:\n", "    if len(rows) < 0:\n"),
+    edits=Edit(WARM, "    if len(old) == 0:\n", "    if len(old) < 0:\n"),
 )
 def a_shape_that_comes_back() -> None:
     beams = beams_at(0.0, 0.5)
@@ -215,8 +224,11 @@ def a_shape_that_outgrows_its_box_step_by_step() -> None:
     area="renderer",
     why="a field that turns NaN beside a beam that passes the object says nothing about its clearance",
     must="the beam is looked at, and counted as unresolved",
-    guard="a clearance that is not surely enough is in doubt",
-    edits=Edit(WARM, "~(clearance > _SAFETY * drift + _FLOOR_M)", "clearance <= _SAFETY * drift + _FLOOR_M"),
+    guard="what is not surely covered is looked at",
+    edits=(
+        Edit(COVER, "unsure & ~(self.g - self.slack > _LOW_M)", "unsure & (self.g - self.slack <= _LOW_M)"),
+        Edit(COVER, "~(gap <= allowed)", "(gap > allowed)"),
+    ),
 )
 def a_field_that_turns_nan() -> None:
     beams = beams_at(0.0, 1.3)
@@ -231,7 +243,10 @@ def a_field_that_turns_nan() -> None:
     why="a rendering of another scene knows other beams under the same numbers",
     must="what a fresh search finds",
     guard="a warm start is used for the very beams that it is of",
-    edits=Edit(WARM, " or not beams.same_as(warm.beams)", ""),
+    edits=(
+        Edit(WARM, " or not beams.same_as(warm.beams)", ""),
+        Edit(PROFILE, "old.g + now.at(here) - lattice.at(then), slack)", "old.g, slack * 0.0)"),
+    ),
 )
 def a_warm_start_from_another_scene() -> None:
     ends = np.array([[30.0, 1.5, 0.0], [30.0, 0.0, 0.0]])
@@ -291,8 +306,8 @@ def fins(*steps: tuple[float, float]) -> None:
     area="renderer",
     why="a fin grows through the side of the box, in front of what a beam hits that comes in through that side",
     must="the beam hits the fin at once",
-    guard="what a grown box adds to a beam in front is marched",
-    edits=Edit(WARM, "doubt[rows] = added.found | added.undecided", "doubt[rows] = added.undecided"),
+    guard="what a grown box adds to a beam in front is covered too",
+    edits=Edit(COVER, "wide = (", "wide = (left != _NEAR) & ("),
 )
 def a_fin_shoots_out_of_the_box_in_front_of_a_hit() -> None:
     fins((0.17, 0.92), (0.25, 1.05))
@@ -302,8 +317,11 @@ def a_fin_shoots_out_of_the_box_in_front_of_a_hit() -> None:
     area="renderer",
     why="a fin grows out of the box slowly: when the box was grown for it, it did not yet reach the beam that it hides",
     must="the beam hits the fin in the very step that takes it there",
-    guard="a beam remembers how near it came to the surface on what was added to it",
-    edits=Edit(WARM, "nearer = (added.clearance < clearance[rows])", "nearer = (added.clearance < 0)"),
+    guard="what was seen on the stretch that was added is carried along",
+    edits=(
+        Edit(COVER, "wide = (", "wide = (left != _NEAR) & ("),
+        Edit(COVER, "watched = low & ", "watched = low & False & "),
+    ),
 )
 def a_fin_that_grows_out_of_the_box_in_front_of_a_hit() -> None:
     fins(*((0.15 + 0.02 * step, 0.9 + 0.02 * step) for step in range(1, 9)))
@@ -314,7 +332,7 @@ def a_fin_that_grows_out_of_the_box_in_front_of_a_hit() -> None:
     why="the pose moves away from the last beam that passed through the box",
     must="an empty rendering, none unresolved",
     guard="beams that are carried over may be none",
-    edits=Edit(WARM, "if len(before) == 0 or len(rays) == 0:", "if len(before) < 0:"),
+    edits=Edit(WARM, "if len(rays) == 0 or len(others) == 0:", "if len(rays) < 0:"),
 )
 def the_last_beam_leaves_the_box() -> None:
     beams, metric = beams_at(0.94), box((2.0, 0.9, 0.7))

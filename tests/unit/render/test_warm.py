@@ -5,6 +5,8 @@ from analytic_fields import SHAPENET_FRAME, box, car, ground_scan, in_frame, rou
 
 from shift3d.render import Beams, EmptySpace, Rendering, preset, render
 from shift3d.render.fast import rays_in_box
+from shift3d.sdf.decoder import load_decoder
+from shift3d.vehicles.vehicle import baseline_vehicles
 
 STANDARD = preset("standard").with_(dtype=torch.float64)
 THETA = torch.tensor([9.0, 3.0, -0.98, 0.5, 0.0, 0.0], dtype=torch.float64)
@@ -128,3 +130,35 @@ def test_the_map_measures_its_own_error() -> None:
     # Linear interpolation over h = 0.05 of a curvature 1 / 0.8: at most 3 h^2 / 8 times it, 1.2 mm; the floor is 5 mm.
     assert smooth.error_m == 0.005
     assert smooth.error_m < creased.error_m < 0.05
+
+
+def test_a_part_that_comes_up_where_no_beam_came_nearest() -> None:
+    """One ball keeps each beam's lowest place while another grows into it elsewhere, 6 cm a step."""
+    beams, warm, theta = scan(), None, torch.tensor([9.0, 0.0, -0.98, 1.57, 0.0, 0.0], dtype=torch.float64)
+    for step in range(9):
+        shape = in_frame(
+            union(sphere(0.6, (1.2, 0.0, 0.0)), sphere(0.1 + 0.06 * step, (-1.2, 0.3, 0.2))), SHAPENET_FRAME
+        )
+        warm = render(beams, shape, theta, SHAPENET_FRAME, STANDARD, warm).warm
+        followed, cold = (render(beams, shape, theta, SHAPENET_FRAME, STANDARD, start) for start in (warm, None))
+        same(followed, cold)
+
+
+def test_vehicles_that_change_by_centimetres_a_step_are_seen_as_a_fresh_search_sees_them() -> None:
+    """The shipped decoder along a straight way through its codes, gradients wanted: 10 steps, 3 to 20 cm each."""
+    decoder, vehicles, scale = load_decoder(), baseline_vehicles(), 0.1
+    start, end = (torch.from_numpy(vehicles[name].latent_code) for name in ("coupe", "suv"))
+    vehicle, settings, beams = vehicles["coupe"], preset("standard"), scan()
+    warm, hits, lost = None, 0, 0
+    for step in range(11):
+        code = (start + scale * step * (end - start)).requires_grad_()
+        followed = render(beams, decoder.field(code), THETA, vehicle, settings, warm)
+        with torch.no_grad():
+            cold = render(beams, decoder.field(code), THETA, vehicle, settings)
+        off = (followed.range_m.detach() - cold.range_m).abs() > 0.005
+        lost += int((cold.hit_mask & (~followed.hit_mask | off)).sum())
+        hits += cold.object_points
+        warm = followed.warm
+        assert followed.unresolved_beams == cold.unresolved_beams == 0
+    assert warm is not None and warm.age == 10
+    assert hits > 5000 and lost <= 0.0005 * hits
