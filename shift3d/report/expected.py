@@ -5,16 +5,15 @@ Source: our choice.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pyarrow.compute as pc
 
 from shift3d.render.called_for import measured_worth
 from shift3d.report.accuracy_cost import measured_presets
+from shift3d.report.task_parts import searched, shipped_parts
 from shift3d.store.location import Place, as_location
 from shift3d.store.log import read_log
 from shift3d.sweep.final import committed_rows
@@ -24,9 +23,6 @@ from shift3d.sweep.tasks import Tasks
 from shift3d.task.spec import TaskSpec
 
 __all__ = ["Expected", "expected", "expected_lines", "finished_in"]
-
-SHIPPED = Path(__file__).resolve().parent / "measured" / "task_seconds.json"
-"""What tasks took when this version was made."""
 
 
 @dataclass(frozen=True)
@@ -110,25 +106,22 @@ def _measured(folder: Place, model: _Model) -> dict[Hashable, _Spent]:
 
 
 class _Model:
-    """What a task takes by its number of renderings: each as measured, longer by its effects and accuracy preset."""
+    """What a task takes by its parts, each as measured; longer by its effects and its accuracy preset."""
 
     def __init__(self) -> None:
-        self._values = json.loads(SHIPPED.read_text(encoding="utf-8"))
+        self._parts = shipped_parts()
         presets, whose = measured_presets()
         self._rendering_ms = presets["ms_median"].to_dict()
         self._worth = measured_worth()
-        self.source = f"the figures that ship: {self._values['source']}; presets by {whose}"
+        self.source = f"the figures that ship: {self._parts.source}; presets by {whose}"
 
     def seconds(self, spec: TaskSpec) -> float:
         """Of one worker with one thread."""
-        attack, figure = spec.attack, self._values[spec.mode]
-        noise = attack.noise_replicates if spec.mode == "shape" else 0
-        renderings = attack.steps + 3 + attack.random_replicates + noise  # the search begins and ends with one more
         more_ms = sum(max(self._worth[name].milliseconds, 0.0) for name in spec.effects if name in self._worth)
         if spec.accuracy in self._rendering_ms:
-            more_ms += self._rendering_ms[spec.accuracy] - self._rendering_ms[self._values["accuracy"]]
-        each_ms = 1e3 * float(figure["seconds"]) / float(figure["renderings"]) + more_ms
-        return renderings * max(each_ms, 1.0) / 1e3
+            more_ms += self._rendering_ms[spec.accuracy] - self._rendering_ms[self._parts.accuracy]
+        renderings = sum(searched(spec))
+        return max(self._parts.of(spec) + renderings * more_ms, renderings) / 1e3
 
 
 def expected_lines(plan: Plan, out: Place, others: Sequence[Place], timings: Sequence[Place], workers: int) -> str:

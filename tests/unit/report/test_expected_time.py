@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from valid_sweeps import _catalogue, plan, write_sweep
 
 from shift3d.config.compose import compose_sweep
 from shift3d.errors import InputError
 from shift3d.render.called_for import measured_worth
-from shift3d.report.expected import SHIPPED, expected, expected_lines
+from shift3d.report.expected import expected, expected_lines
+from shift3d.report.task_parts import TaskParts, measured_parts, shipped_parts
 from shift3d.store.log import CommitLog
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.folder import open_folder
 from shift3d.sweep.plan import Plan, make_plan
 from shift3d.sweep.worker import attempt_row
+from shift3d.task.spec import AttackSpec, TransferScene
 
 
 def plan_of(*words: str) -> Plan:
@@ -53,16 +56,67 @@ def test_other_settings_are_scaled_by_the_figures_that_ship(tmp_path: Path) -> N
 
 
 def test_the_figures_that_ship() -> None:
-    values = json.loads(SHIPPED.read_text())
-    pose = plan_of("mode=pose", "accuracy=standard", "attack=paper")
-    found = expected(pose.tasks, [])
-    assert found.seconds == pytest.approx(2 * values["pose"]["seconds"], rel=0.05) and found.guessed == 2
-    foggy = expected(
-        plan_of("mode=pose", "accuracy=standard", "attack=paper", "effects=fog", "effects.visibility_m=30").tasks, []
+    parts = shipped_parts()
+    pose = ("mode=pose", "accuracy=standard", "attack=paper")
+    found = expected(plan_of(*pose).tasks, [])
+    step = parts.step_ms["pose"] + parts.descent_ms["pointpillars"]
+    scored = parts.scored_ms["pose"] + parts.score_ms["pointpillars"]
+    assert found.seconds == pytest.approx(2 * (parts.once_ms["pose"] + 41 * step + 3 * scored) / 1e3)
+    assert found.guessed == 2 and parts.source in found.source
+    foggy = expected(plan_of(*pose, "effects=fog", "effects.visibility_m=30").tasks, [])
+    more = 2 * (41 + 3) * measured_worth()["fog"].milliseconds / 1e3
+    assert foggy.seconds - found.seconds == pytest.approx(more)
+
+
+def test_a_task_by_its_parts() -> None:
+    """10 steps and the start, two random shapes, three with noise: 11 steps and 7 objects."""
+    parts = TaskParts(
+        "by hand", "standard", {"shape": 1e6, "pose": 0.0}, {"shape": 1e4}, {"shape": 1e3},
+        {"pointpillars": 100.0, "sst": 200.0}, {"pointpillars": 1.0, "sst": 2.0}, 0.5,
+    )  # fmt: skip
+    attack = AttackSpec(steps=10, random_replicates=2, noise_replicates=3)
+    spec = replace(plan_of("mode=shape").tasks[0].spec, attack=attack)
+    assert parts.of(spec) == 1e6 + 11 * 10_100 + 7 * 1001
+    assert parts.of(replace(spec, scored_by=("sst",))) == 1e6 + 11 * 10_100 + 7 * 1003
+    assert parts.of(replace(spec, detector="sst", scored_by=("pointpillars",))) == 1e6 + 11 * 10_200 + 7 * 1003
+    assert parts.of(replace(spec, detector="ours", scored_by=())) == 1e6 + 11 * 10_200 + 7 * 1002
+    other = TransferScene("north", "hash")
+    assert parts.of(replace(spec, transfer_scenes=(other, other))) == 1e6 + 11 * 10_100 + 7 * 1001 + 2 * (
+        0.5 + 2 * 1001
     )
-    more = 2 * values["pose"]["renderings"] * measured_worth()["fog"].milliseconds / 1e3
-    assert foggy.seconds - found.seconds == pytest.approx(more, rel=0.05)
-    assert values["source"] in found.source
+
+
+def test_parts_of_tasks_from_their_timings() -> None:
+    """Two shape tasks before one detector, scored by another too, and a pose task: by hand."""
+    tasks = [("a", "shape"), ("b", "shape"), ("c", "pose")]
+    scores = pd.DataFrame([(task, mode, "one", "standard") for task, mode in tasks for _ in range(3)])
+    scores.columns = ["task_id", "mode", "detector", "accuracy"]
+    timings = []
+    for task, mode in tasks:
+        slower = 2.0 if task == "b" else 1.0
+        for stage, milliseconds in (("render", 60.0), ("constraints", 3.0), ("detector", 30.0), ("backward", 12.0)):
+            timings.append((task, "adversarial", stage, slower * milliseconds, 6))
+        for method in ("baseline", "random"):
+            timings.append((task, method, "render", 7.0, 1))
+            timings.append((task, method, "constraints", 1.0, 1))
+            timings.append((task, method, "detector", 20.0, 1))
+            timings.append((task, method, "scored_by_two", 50.0, 1))
+        timings.append((task, "baseline", "placement", 100.0, 1))
+        timings.append((task, "adversarial", "total", 1e6, 1))
+        if mode == "shape":
+            timings += [(task, "adversarial", "mesh", 40.0, 1), (task, "adversarial", "transfers", 90.0, 3)]
+    columns = ["task_id", "method", "stage", "milliseconds", "calls"]
+    parts = measured_parts(scores, pd.DataFrame(timings, columns=columns), "three tasks")
+    assert parts.once_ms == {"shape": 140.0, "pose": 100.0}
+    assert parts.step_ms == {"shape": 15.8, "pose": 10.5}  # of (60 + 3) / 6, twice that in one of two tasks
+    assert parts.descent_ms == {"one": 9.3}  # of (30 + 12) / 6 in two tasks, twice that in one
+    assert parts.scored_ms == {"shape": 8.0, "pose": 8.0}
+    assert parts.score_ms == {"one": 20.0, "two": 50.0}
+    assert (parts.placement_ms, parts.accuracy, parts.source) == (100.0, "standard", "three tasks")
+    with pytest.raises(InputError, match="of the accuracies draft, standard"):
+        measured_parts(
+            scores.assign(accuracy=["draft"] * 3 + ["standard"] * 6), pd.DataFrame(timings, columns=columns), ""
+        )
 
 
 def test_what_is_done_is_not_counted(tmp_path: Path) -> None:
