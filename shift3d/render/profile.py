@@ -21,7 +21,7 @@ from shift3d.render.seen import Seen
 _END_MOVES_M = 0.05
 _LEAST_M = 1e-6
 # What is expected may be off by such shares of what the change differs by within a cell, and of a sample's own way.
-# Measured on attacks of the shipped decoder: with half as much a rendering loses ten times the beams.
+# Measured on attacks of the shipped decoder: with half as much for the first, five times the beams are lost.
 _UNEVEN = 0.3
 _MOVED = 0.5
 

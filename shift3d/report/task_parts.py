@@ -81,6 +81,8 @@ def measured_parts(scores: pd.DataFrame, timings: pd.DataFrame, source: str) -> 
     Raises:
         InputError: they are of several accuracy presets.
     """
+    import pandas as pd
+
     whose = scores.drop_duplicates("task_id")[["task_id", "mode", "detector", "accuracy"]]
     rows = timings.merge(whose, on="task_id")
     accuracies = sorted(whose["accuracy"].unique())
@@ -91,8 +93,6 @@ def measured_parts(scores: pd.DataFrame, timings: pd.DataFrame, source: str) -> 
     others = rest["stage"].str.startswith(_SCORED_BY)
     once = rest[~others & ~rest["stage"].isin(["total", "transfers", "effects_once"])]
     by_others = rest[others].assign(detector=rest[others]["stage"].str.removeprefix(_SCORED_BY))
-    import pandas as pd
-
     scored = pd.concat([objects[objects["stage"] == "detector"], by_others]).assign(stage="detector")
     return TaskParts(
         source=source,
