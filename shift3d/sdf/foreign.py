@@ -46,24 +46,25 @@ def load_foreign_decoder(folder: Path | str, checkpoint: str = "latest") -> tupl
     return experiment.decoder, experiment.codes
 
 
+def experiment_file_names(checkpoint: str = "latest") -> tuple[str, str, str]:
+    """Of specs.json, the network's weights and the codes, below an experiment's folder."""
+    return "specs.json", f"ModelParameters/{checkpoint}.pth", f"LatentCodes/{checkpoint}.pth"
+
+
 def experiment_files(folder: Path | str, checkpoint: str = "latest") -> tuple[Path, Path, Path]:
     """specs.json, the network's weights and the codes of a checkpoint ("latest", or an epoch: "2000").
 
     Raises: InputError naming the file that is missing, and the checkpoints that there are.
     """
-    folder = Path(folder)
-    specs = folder / "specs.json"
+    specs, weights, codes = (Path(folder) / name for name in experiment_file_names(checkpoint))
     if not specs.is_file():
         raise InputError("no such file", where=str(specs), remedy=_LAYOUT)
-    files = []
-    for part in ("ModelParameters", "LatentCodes"):
-        path = folder / part / f"{checkpoint}.pth"
+    for path in (weights, codes):
         if not path.is_file():
-            there = sorted(found.stem for found in (folder / part).glob("*.pth"))
+            there = sorted(found.stem for found in path.parent.glob("*.pth"))
             remedy = f"Checkpoints there: {', '.join(there)}" if there else _LAYOUT
             raise InputError("no such file", where=str(path), remedy=remedy)
-        files.append(path)
-    return specs, files[0], files[1]
+    return specs, weights, codes
 
 
 def load_experiment(folder: Path | str, checkpoint: str = "latest") -> Experiment:

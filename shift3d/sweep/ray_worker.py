@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import socket
 import sys
@@ -11,6 +12,7 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from shift3d.sweep.freight import Freight, unloaded
 from shift3d.sweep.kind import TaskKind
 from shift3d.sweep.tasks import PlannedTask
 from shift3d.sweep.worker import BatchOutcome, Worker
@@ -40,12 +42,24 @@ class Whereabouts:
 
 
 class RayWorker:
-    """Arguments as of `Worker`; tasks: of the whole plan, from Ray's object store, where a machine has them once."""
+    """Arguments as of `Worker`; tasks: of the whole plan; freight: files that this machine may not have.
+
+    Tasks, assets and freight come from Ray's object store, where a machine has them once.
+    """
 
     def __init__(
-        self, kind: TaskKind, sweep: str, assets: Sequence[AssetsSpec], tasks: Sequence[PlannedTask], command: str
+        self,
+        kind: TaskKind,
+        sweep: str,
+        assets: Sequence[AssetsSpec],
+        tasks: Sequence[PlannedTask],
+        command: str,
+        freight: Freight,
     ) -> None:
         self._tasks = tasks
+        # With the first task, whose outcome can say in one line why nothing could be loaded.
+        load = kind.load
+        kind = dataclasses.replace(kind, load=lambda spec: load(unloaded(spec, freight)))
         self._worker = Worker(kind, sweep, assets, command)
         self._thread: int | None = None
 

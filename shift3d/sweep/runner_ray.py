@@ -22,6 +22,7 @@ from shift3d.errors import InputError
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.backlog import Backlog
 from shift3d.sweep.batches import BatchSizer
+from shift3d.sweep.freight import loaded
 from shift3d.sweep.kind import TaskKind
 from shift3d.sweep.plan import Plan
 from shift3d.sweep.ray_calls import Call, Calls
@@ -45,7 +46,7 @@ class RayRunner:
     tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
 
     Raises:
-        InputError: the cluster cannot be reached, or has no room for a worker.
+        InputError: the cluster cannot be reached, or has no room for a worker; a file that travels cannot be read.
     """
 
     def __init__(
@@ -73,8 +74,10 @@ class RayRunner:
             options["memory"] = int(config.worker_memory_mb * 2**20)
         # A thread of its own answers what the worker is at while a task runs.
         actor = self._ray.remote(concurrency_groups={BESIDE: 1}, **options)(RayWorker)
+        # A private Ray's workers are on this machine, and read what lies here.
+        freight = self._ray.put(loaded(self._plan.assets) if config.address else {})
         tasks, assets = self._ray.put(self._plan.tasks), self._ray.put(self._plan.assets)
-        return lambda: actor.remote(kind, self._plan.sweep, assets, tasks, self._command)
+        return lambda: actor.remote(kind, self._plan.sweep, assets, tasks, self._command, freight)
 
     @property
     def workers(self) -> int:

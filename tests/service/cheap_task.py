@@ -24,6 +24,9 @@ POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
 def load(spec: AssetsSpec) -> dict[str, float]:
+    """What scales the scores, from the decoder's file where the settings name a folder of vehicles."""
+    if folder := spec.vehicles["folder"]:
+        return {"weight": float((Path(folder) / "sdf.safetensors").read_text())}
     return {"weight": 0.5}
 
 

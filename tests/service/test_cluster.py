@@ -25,6 +25,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Cluster
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")]))
     monkeypatch.setenv("SHIFT3D_TEST_SECONDS", "0.02")
     monkeypatch.setenv("SHIFT3D_TEST_GATE", str(tmp_path / "gate"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     monkeypatch.setenv("RAY_DISABLE_IMPORT_WARNING", "1")
     found = Cluster(initialize_head=True, head_node_args=node())
@@ -71,3 +72,21 @@ def test_a_node_that_goes_and_one_that_comes_change_nothing(
     assert set(attempts["outcome"]) <= {"done", "node_lost", "unreachable"}, "a task was charged for its node's end"
     (came,) = there - before
     assert f"{socket.gethostname()}:{came}" in set(attempts.loc[attempts["outcome"] == "done", "worker"])
+
+
+def test_files_that_only_the_driver_has_travel_to_the_workers(
+    cluster: Cluster, drivers: Drivers, tmp_path: Path
+) -> None:
+    """The folder is named from where the driver stands; the workers stand elsewhere."""
+    (tmp_path / "gate").touch()
+    mine = drivers.folder / "mine"
+    mine.mkdir()
+    (mine / "vehicles.safetensors").write_text("not read by this kind of task")
+    (mine / "sdf.safetensors").write_text("0.25")
+    assert not Path("mine").exists(), "the nodes were started here, and would find it"
+    for out, runner in (("here", "runner=local"), ("there", f"runner.address={cluster.address}")):
+        code, _, errors = drivers.run(out, "vehicle.folder=mine", runner)
+        assert code == 0, errors
+    assert drivers.final("there") == drivers.final("here")
+    (kept,) = (tmp_path / "home" / ".shift3d" / "files").glob("*/sdf.safetensors")
+    assert kept.read_text() == "0.25", "three workers, one copy"
