@@ -63,19 +63,26 @@ def expected(tasks: Tasks, folders: Sequence[Place]) -> Expected:
     for folder in folders:
         if found := _measured(folder, model):
             seconds, guessed = 0.0, 0
-            for group in tasks.groups():
-                level, key = next((at, key) for at, key in enumerate(_keys(group.ground)) if key in found)
-                seconds += group.tasks * found[key].seconds * model.seconds(group.ground) / found[key].by_model
-                guessed += group.tasks * (level > 0)
+            for spec, count in _kinds(tasks):
+                level, key = next((at, key) for at, key in enumerate(_keys(spec)) if key in found)
+                seconds += count * found[key].seconds * model.seconds(spec) / found[key].by_model
+                guessed += count * (level > 0)
             return Expected(len(tasks), seconds, f"{found[()].tasks} tasks that ran in {as_location(folder)}", guessed)
-    seconds = sum(group.tasks * model.seconds(group.ground) for group in tasks.groups())
+    seconds = sum(count * model.seconds(spec) for spec, count in _kinds(tasks))
     return Expected(len(tasks), seconds, model.source, len(tasks))
+
+
+def _kinds(tasks: Tasks) -> list[tuple[TaskSpec, int]]:
+    """One task of each kind, and how many there are."""
+    first, kind = tasks.kinds()
+    counts = np.bincount(kind, minlength=len(first))
+    return [(tasks[at].spec, count) for at, count in zip(first.tolist(), counts.tolist(), strict=True)]
 
 
 def _keys(spec: TaskSpec) -> list[Hashable]:
     """What tasks must have in common to take equally long, from all of it to nothing."""
     same = (spec.mode, spec.detector, spec.accuracy)
-    return [(*same, spec.scored_by, spec.attack, spec.effects), same, (spec.mode,), ()]
+    return [(*same, spec.scored_by, spec.attack, len(spec.transfer_scenes), spec.effects), same, (spec.mode,), ()]
 
 
 @dataclass
@@ -93,15 +100,17 @@ def _measured(folder: Place, model: _Model) -> dict[Hashable, _Spent]:
     at = pc.index_in(attempts["task_id"], value_set=tasks.ids).fill_null(len(tasks)).to_numpy()
     spent = np.bincount(at, weights=attempts["seconds"].to_numpy(), minlength=len(tasks) + 1)[: len(tasks)]
     ran = np.bincount(at[pc.equal(attempts["outcome"], "done").to_numpy()], minlength=len(tasks) + 1)[: len(tasks)] > 0
-    counts = np.bincount(tasks.ground[ran], minlength=len(tasks.grounds))
-    seconds = np.bincount(tasks.ground[ran], weights=spent[ran], minlength=len(tasks.grounds))
+    first, kind = tasks.kinds()
+    counts = np.bincount(kind[ran], minlength=len(first))
+    seconds = np.bincount(kind[ran], weights=spent[ran], minlength=len(first))
     found: dict[Hashable, _Spent] = {}
     for number in np.flatnonzero(counts).tolist():
-        for key in _keys(tasks.grounds[number]):
-            kind = found.setdefault(key, _Spent())
-            kind.tasks += int(counts[number])
-            kind.seconds += float(seconds[number])
-            kind.by_model += int(counts[number]) * model.seconds(tasks.grounds[number])
+        spec = tasks[int(first[number])].spec
+        for key in _keys(spec):
+            one = found.setdefault(key, _Spent())
+            one.tasks += int(counts[number])
+            one.seconds += float(seconds[number])
+            one.by_model += int(counts[number]) * model.seconds(spec)
     return found
 
 

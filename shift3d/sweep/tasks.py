@@ -119,6 +119,21 @@ class Tasks(Sequence[PlannedTask]):
             found.append(TaskGroup(self.grounds[ground], self.asked_values[asked], int(counts[index])))
         return found
 
+    def kinds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Tasks that differ in which scenes they are in alone, not in how many their shape is put into.
+
+        Returns: the position of each kind's first task, ascending, and of each task its kind.
+        """
+        others = self._others[self.place]
+        key = self.ground.astype(np.int64) * (int(others.max(initial=0)) + 1) + others
+        _, first, kind = np.unique(key, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        return first[order], np.argsort(order)[kind]
+
+    @functools.cached_property
+    def _others(self) -> np.ndarray:
+        return np.array([len(read_place(text)[2]) for text in self.places.to_pylist()], dtype=np.int64)
+
     def scenes(self) -> list[tuple[str, str]]:
         """The scenes that tasks are in, (data set, name), in the order of their first task."""
         names = list(dict.fromkeys(ground.dataset for ground in self.grounds))

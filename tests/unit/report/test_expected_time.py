@@ -86,6 +86,24 @@ def test_a_task_by_its_parts() -> None:
     )
 
 
+def test_scenes_that_a_shape_is_put_into_count() -> None:
+    """The smoke sweep's set has two streets: none or the other one, and one of each in a sweep over both."""
+    one, both = plan_of("mode=shape", "attack.transfer_scenes=1"), plan_of("mode=shape", "attack.transfer_scenes=0,1")
+    none, parts = expected(plan_of("mode=shape").tasks, []).seconds, shipped_parts()
+    each = parts.scored_ms["shape"] + parts.score_ms["pointpillars"]
+    more = 2 * (parts.placement_ms + 2 * each) / 1e3
+    assert expected(one.tasks, []).seconds == pytest.approx(none + more)
+    assert expected(both.tasks, []).seconds == pytest.approx(2 * none + more)
+
+
+def test_earlier_tasks_with_fewer_transfers_are_scaled(tmp_path: Path) -> None:
+    folder = ran(tmp_path / "earlier", plan_of("mode=shape"), 6.0)
+    one = plan_of("mode=shape", "attack.transfer_scenes=1")
+    found = expected(one.tasks, [folder])
+    none = expected(plan_of("mode=shape").tasks, []).seconds
+    assert found.guessed == 2 and found.seconds == pytest.approx(12.0 * expected(one.tasks, []).seconds / none)
+
+
 def test_parts_of_tasks_from_their_timings() -> None:
     """Two shape tasks before one detector, scored by another too, and a pose task: by hand."""
     tasks = [("a", "shape"), ("b", "shape"), ("c", "pose")]
