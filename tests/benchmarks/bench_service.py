@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,13 @@ WEIGHTS = Path(__file__).resolve().parents[2] / "shift3d" / "weights"
 
 def sweep(kind: str, name: str, workers: int, *overrides: str, folder: Path) -> dict[str, Any]:
     return in_own_process("benchmarks.timed_sweep", kind, name, str(workers), *overrides, folder=folder)
+
+
+def bare(processes: int, *overrides: str, folder: Path) -> float:
+    """Real tasks a second of processes side by side that know nothing of each other, each with all the tasks."""
+    with ThreadPoolExecutor(processes) as pool:
+        found = list(pool.map(lambda _: sweep("REAL", "smoke", 0, *overrides, folder=folder), range(processes)))
+    return float(sum(one["tasks_a_second"] for one in found))
 
 
 def other(name: str, jobs: int, folder: Path) -> dict[str, Any]:
@@ -65,19 +73,25 @@ def bench_overhead_beside_ray_tune(bench: Results, overhead_us: float, quick: bo
 def task_s(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory) -> float:
     """Seconds of a real task on one worker, and how two workers do beside one."""
     scenes, turns = (1, 1) if quick else (4, 2)
+    words = (f"scenes.count={scenes}", f"mode={'shape' if quick else 'shape,pose'}")
     rates: dict[int, list[float]] = {1: [], 2: []}
+    alone: dict[int, list[float]] = {1: [], 2: []}
     tasks = 0
     for turn in range(turns):
-        # In turns: a machine that grows slower while it is measured does so to both alike.
+        # In turns: a machine that grows slower while it is measured does so to all alike.
         for workers in (1, 2) if turn % 2 == 0 else (2, 1):
-            words = (f"scenes.count={scenes}", f"mode={'shape' if quick else 'shape,pose'}", "runner.batch_seconds=0.5")
-            found = sweep("REAL", "smoke", workers, *words, folder=tmp_path_factory.mktemp("real"))
+            ray_words = (*words, "runner.batch_seconds=0.5")
+            found = sweep("REAL", "smoke", workers, *ray_words, folder=tmp_path_factory.mktemp("real"))
             rates[workers].append(found["tasks_a_second"])
             tasks = found["tasks"]
+            alone[workers].append(bare(workers, *words, folder=tmp_path_factory.mktemp("bare")))
     one, two = max(rates[1]), max(rates[2])
     of = "tasks a second of two Ray workers while both work / of one; the smoke sweep on more streets, one thread each"
     note = f"{two:.3g} / {one:.3g} a second, {tasks} tasks, best of {turns} turns"
     bench.add("scaling_two_workers", two / one, "ratio", of, note=note)
+    of = "the same tasks in two processes without Ray, each on its own / in one: what this machine's cores allow"
+    note = f"{max(alone[2]):.3g} / {max(alone[1]):.3g} a second, best of {turns} turns"
+    bench.add("scaling_two_processes", max(alone[2]) / max(alone[1]), "ratio", of, note=note)
     return 1 / one
 
 

@@ -1,4 +1,4 @@
-"""A sweep in a process of its own, through Ray with durable commits; prints how long its run phase took as JSON.
+"""A sweep in a process of its own, with durable commits; prints how long its run phase took as JSON.
 
 The run phase begins when the first worker has what tasks need, and ends when the last result is committed: neither
 planning, nor Ray's start, nor the final tables. In one process each, since a Ray and its settings are a process's own.
@@ -20,7 +20,7 @@ __all__ = ["in_own_process", "run_phase"]
 
 
 def run_phase(kind_name: str, sweep: str, workers: int, overrides: Sequence[str]) -> dict[str, Any]:
-    """Run a sweep of ``benchmarks.noop_task``'s kinds.
+    """Run a sweep of ``benchmarks.noop_task``'s kinds. workers: Ray's; 0: in this process, without Ray.
 
     Returns:
         {"seconds", "tasks", "commits", "tasks_a_second"}. The last one is the sum over workers of its tasks by the time
@@ -36,7 +36,8 @@ def run_phase(kind_name: str, sweep: str, workers: int, overrides: Sequence[str]
     from shift3d.sweep.plan import Plan, make_plan
 
     kind = getattr(noop_task, kind_name)
-    words = [*overrides, f"runner.workers={workers}", "tracking=none"]
+    runner = [f"runner.workers={workers}"] if workers else ["runner=local"]
+    words = [*overrides, *runner, "tracking=none"]
     plan, config = make_plan(compose_sweep(sweep, words), kind.catalogue)
     ended: list[tuple[float, int, float]] = []
 
