@@ -44,8 +44,11 @@ def attack_pose(
     steps: int = 40,
     limits: PoseLimits = PAPER_LIMITS,
     on_step: Callable[[StepRecord], None] | None = None,
+    steady_steps: int = 0,
 ) -> AttackResult:
     """min_theta L_adv(theta) over B(theta0) at a fixed shape. The ground-truth box moves along.
+
+    steady_steps: which step is kept, see `shift3d.attack.loop.kept_step`.
 
     Source: SHIFT3D eq. loss_theta and Algorithm 1.
     """
@@ -58,7 +61,7 @@ def attack_pose(
         penalty=lambda theta: theta.new_zeros(()),
         project=lambda theta: settled(project(theta, problem.theta0, limits), problem, metric, limits),
     )
-    return descend(problem, search, steps, alpha, on_step)
+    return descend(problem, search, steps, alpha, on_step, steady_steps)
 
 
 def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:

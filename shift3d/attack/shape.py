@@ -23,6 +23,7 @@ def attack_shape(
     steps: int = 40,
     settle_m: float = SETTLE_M,
     on_step: Callable[[StepRecord], None] | None = None,
+    steady_steps: int = 0,
 ) -> AttackResult:
     """min_z L_adv(z) + lambda ||z - z0||^2 at a fixed pose.
 
@@ -34,6 +35,7 @@ def attack_shape(
         settle_m: how far the object's height may follow its shape so that it keeps standing on the ground; 0
             leaves the pose alone.
         on_step: called with every record as it is made.
+        steady_steps: which step is kept, see `shift3d.attack.loop.kept_step`.
 
     Source: SHIFT3D eq. loss_z and Algorithm 1. The height is our choice: a wheel base that rises by 2 cm would
     leave the object hanging in the air and end the search; a real vehicle of that shape stands lower.
@@ -46,7 +48,7 @@ def attack_shape(
         penalty=lambda code: lambda_ * latent_penalty(code, problem.code0) if lambda_ else code.new_zeros(()),
         project=_free,
     )
-    return descend(problem, search, steps, alpha, on_step)
+    return descend(problem, search, steps, alpha, on_step, steady_steps)
 
 
 def standing(code: Tensor, problem: AttackProblem, settle_m: float) -> Tensor:

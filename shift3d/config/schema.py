@@ -152,11 +152,16 @@ class PlacementConfig(_Record):
 
 
 class AttackConfig(_Record):
-    """The search and its comparisons. transfer_scenes: into how many other scenes each shape that is found is put."""
+    """The search and its comparisons.
+
+    steady_steps: steps before and after that count when one is kept. transfer_scenes: into how many other scenes each
+    shape that is found is put.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
 
     steps: Number
+    steady_steps: Number = 0
     alpha: Positive
     lambda_: Annotated[float, Field(alias="lambda", ge=0, le=_LARGEST, allow_inf_nan=False)]
     random_replicates: Number

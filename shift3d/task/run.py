@@ -112,10 +112,11 @@ def _candidates(spec: TaskSpec, problem: AttackProblem, searched: Detector, rows
 
 
 def _attack(spec: TaskSpec, problem: AttackProblem) -> AttackResult:
+    steps, steady_steps = spec.attack.steps, spec.attack.steady_steps
     if spec.mode == "shape":
         assert spec.lambda_ is not None
-        return attack_shape(problem, spec.lambda_, spec.alpha, spec.attack.steps)
-    return attack_pose(problem, spec.alpha, spec.attack.steps, _pose_limits(spec))
+        return attack_shape(problem, spec.lambda_, spec.alpha, steps, steady_steps=steady_steps)
+    return attack_pose(problem, spec.alpha, steps, _pose_limits(spec), steady_steps=steady_steps)
 
 
 def _pose_limits(spec: TaskSpec) -> PoseLimits:

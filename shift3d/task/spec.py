@@ -52,6 +52,7 @@ class PlacementSpec:
 class AttackSpec:
     """The search for a hard shape or pose, and the comparisons beside it.
 
+    steady_steps: steps before and after that count when one is kept, see `shift3d.attack.loop.kept_step`.
     noise_sigma: standard deviation of the codes of ``adversarial_noise``. max_shift_m: largest |Δxy| of a
     pose, metres. max_tilt_rad: largest |pitch| and |roll|. sphere_m: radius outside which beams are left
     alone. detection_radius_m: how near the vehicle's centre the centre of a box that detects it must lie.
@@ -60,6 +61,7 @@ class AttackSpec:
     """
 
     steps: int = 40
+    steady_steps: int = 0
     random_replicates: int = 1
     noise_replicates: int = 10
     noise_sigma: float = 0.01
@@ -130,6 +132,8 @@ class TaskSpec:
         values["effect_settings"] = dict(self.effect_settings)
         values["scene_arguments"] = dict(self.scene_arguments)
         values["attack"] = dict(vars(self.attack))
+        if not self.attack.steady_steps:  # as before there was one: tasks without it keep their ids
+            del values["attack"]["steady_steps"]
         values["placement"] = dict(vars(self.placement))
         values["transfer_scenes"] = [{**vars(other), "effects": list(other.effects)} for other in self.transfer_scenes]
         if not self.transfer_scenes:  # as before there were any: tasks without them keep their ids

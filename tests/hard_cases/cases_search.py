@@ -106,7 +106,7 @@ class ForgetfulDetector(WaveDetector):
     why="a NaN is not above the lowest loss so far, which is infinite before the first valid step",
     must="a step without a loss is never the best one",
     guard="a step is kept where its loss is lower, which a NaN is not",
-    edits=Edit(LOOP, "record.loss < best_loss", "not record.loss >= best_loss"),
+    edits=Edit(LOOP, "loss < lowest", "not loss >= lowest"),
 )
 def a_loss_that_is_no_number() -> None:
     for steps in (1, 3):

@@ -44,6 +44,13 @@ def test_every_field_changes_the_id() -> None:
     assert len(ids | {SPEC.task_id}) == len(CHANGES) + 1
 
 
+@pytest.mark.parametrize("field", dataclasses.fields(AttackSpec), ids=lambda field: field.name)
+def test_every_part_of_the_search_changes_the_id_and_comes_back(field: dataclasses.Field[Any]) -> None:
+    changed = dataclasses.replace(SPEC, attack=dataclasses.replace(SPEC.attack, **{field.name: field.default + 1}))
+    assert changed.task_id != SPEC.task_id
+    assert TaskSpec.from_dict(json.loads(changed.canonical_json())) == changed
+
+
 def test_the_id_is_pinned() -> None:
     """A change of this value makes every finished sweep unresumable: raise SPEC_VERSION with it."""
     assert SPEC.task_id == "4f6eb5e5afbfcbd8148662356e27442d"
