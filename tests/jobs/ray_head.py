@@ -11,13 +11,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SERVICE = REPOSITORY / "tests" / "service"
-HAS_JOBS_API = find_spec("aiohttp_cors") is not None
-"""Whether ray[default] is installed: Ray's dashboard serves the Jobs API."""
 
 # `ray symmetric-run` ends with `ray stop`, which would end every Ray of this machine: its options and those that it
 # passes on to `ray start` are parsed by Ray's own commands, and the program is run on the head that there is.
@@ -61,7 +58,7 @@ def ray_head(dashboard_port: int) -> Iterator[dict[str, str]]:
     }
     command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--block", "--port=0", "--num-cpus=8"]
     command += ["--node-ip-address=127.0.0.1", f"--temp-dir={folder}", "--object-store-memory=100000000"]
-    command += [f"--include-dashboard={'true' if HAS_JOBS_API else 'false'}", "--dashboard-host=127.0.0.1"]
+    command += ["--include-dashboard=true", "--dashboard-host=127.0.0.1"]  # it serves the Jobs API
     log = folder / "start.log"
     with log.open("w") as file:
         process = subprocess.Popen(

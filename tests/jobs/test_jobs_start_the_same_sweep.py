@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from jobs.ray_head import HAS_JOBS_API, ray_head
+from jobs.ray_head import ray_head
 from service.drivers import DETERMINISTIC
 
 JOBS = Path(__file__).resolve().parents[2] / "jobs"
@@ -33,16 +33,14 @@ def environment(dashboard_port: int) -> Iterator[dict[str, str]]:
 def commands(folder: Path, dashboard_port: int) -> dict[str, str]:
     """How a small sweep is started in process, on a running cluster, by Slurm and through the Jobs API."""
     words = f"default {shlex.join(WORDS)}"
-    made = {
+    spec = (JOBS / "ray_job.yaml").read_text().replace(":8265\nruntime", f":{dashboard_port}\nruntime")
+    (folder / "job.yaml").write_text(spec)
+    return {
         "here": f"shift3d sweep {words} runner=local out={folder / 'here'}",
         "cluster": f"shift3d sweep {words} {ON_RAY} job=ray_cluster out={folder / 'cluster'}",
         "slurm": f"bash {JOBS / 'slurm.sbatch'} {words} {ON_RAY} out={folder / 'slurm'}",
+        "job": f"shift3d sweep {words} {ON_RAY} job={folder / 'job.yaml'} out={folder / 'job'}",
     }
-    if HAS_JOBS_API:
-        spec = (JOBS / "ray_job.yaml").read_text().replace(":8265\nruntime", f":{dashboard_port}\nruntime")
-        (folder / "job.yaml").write_text(spec)
-        made["job"] = f"shift3d sweep {words} {ON_RAY} job={folder / 'job.yaml'} out={folder / 'job'}"
-    return made
 
 
 def test_every_spec_starts_the_same_sweep(environment: dict[str, str], dashboard_port: int, tmp_path: Path) -> None:
@@ -68,7 +66,6 @@ def test_every_spec_starts_the_same_sweep(environment: dict[str, str], dashboard
     assert all(tables == found["here"] for tables in found.values())
 
 
-@pytest.mark.skipif(not HAS_JOBS_API, reason="the Jobs API needs ray[default], which is not installed")
 def test_a_job_hands_the_exit_code_of_its_sweep_on(
     environment: dict[str, str], dashboard_port: int, tmp_path: Path
 ) -> None:
