@@ -36,7 +36,8 @@ _COMMANDS = {
     "ray": _RAY.format(python=sys.executable),
     # Every task of a step is the same program: one stands for all.
     "srun": '#!/bin/sh\nwhile [ "${1#--}" != "$1" ]; do shift; done\nexec "$@"\n',
-    "scontrol": "#!/bin/sh\necho first-node\necho second-node\n",
+    # More than a pipe holds, so that a reader that leaves early is noticed every time.
+    "scontrol": "#!/bin/sh\necho first-node\nseq -f node-%g 20000\n",
 }
 
 
