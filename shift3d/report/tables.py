@@ -78,7 +78,8 @@ def _auc_table(title: str, auc: pd.DataFrame) -> str:
 def still_cars(scores: pd.DataFrame, shapes: pd.DataFrame) -> list[str]:
     """How many adversarial shapes are still cars by a coarse look, and what the AUC is over these alone.
 
-    shapes: the table of ``final/``. Scores are those of the attacked detector; means over tasks.
+    shapes: the table of ``final/``. Scores are those of the attacked detector; means of the vehicles' means, as an AUC
+    over several vehicles is everywhere.
     """
     shapes = shapes[shapes["still_a_car"].notna()]
     rows = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
@@ -91,7 +92,7 @@ def still_cars(scores: pd.DataFrame, shapes: pd.DataFrame) -> list[str]:
         cars = group[group["still_a_car"].eq(True)]
         line = [f"{detector}, alpha {alpha:g}, lambda {weight:g}", f"{len(cars)} of {len(group)}"]
         for part in (group, cars):
-            means = part[["baseline", "adversarial"]].mean()
+            means = part.groupby("vehicle")[["baseline", "adversarial"]].mean().mean()
             known = len(part) and means["baseline"] > 0
             line += [f"{value:.3f}" for value in means] if len(part) else ["-", "-"]
             line.append(f"{means['adversarial'] / means['baseline']:.2f}" if known else "-")

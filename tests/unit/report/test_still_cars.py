@@ -76,6 +76,17 @@ def test_printed_still_cars() -> None:
     assert none.splitlines()[-1].split()[-3:] == ["-", "-", "-"]
 
 
+def test_printed_means_are_those_of_the_vehicles_as_on_the_page() -> None:
+    """A suv that falls from 0.8 to 0.6 twice, and a coupe once from 0.4 to 0.1."""
+    shapes, scores = shapes_and_scores()
+    shapes["still_a_car"] = [True, True, True, False]
+    coupe = scores["task_id"].eq("t2")
+    scores.loc[coupe, "score"] = np.where(scores.loc[coupe, "method"] == "baseline", 0.4, 0.1)
+    shapes.loc[shapes["task_id"] == "t2", "vehicle"] = scores.loc[coupe, "vehicle"] = "coupe"
+    line = still_cars(scores, shapes)[0].splitlines()[-1]
+    assert line.split()[-3:] == ["0.600", "0.350", "0.58"]
+
+
 def test_the_page_has_auc_over_still_cars_beside_that_over_all() -> None:
     shapes, scores = shapes_and_scores()
     cars = dict(zip(shapes["task_id"], shapes["still_a_car"]))
