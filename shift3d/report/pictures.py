@@ -1,6 +1,8 @@
-"""The README's pictures, drawn from the shipped weights and a finished sweep.
+"""The README's pictures, drawn from the shipped weights and finished sweeps.
 
-``python -m shift3d.report.pictures OUT [FOLDER]``: OUT is a sweep's folder, FOLDER (docs/pictures) gets the PNGs.
+``python -m shift3d.report.pictures OUT ... [task=ID] [folder=FOLDER]``: OUTs are folders of sweeps before one detector,
+one of shapes and one of poses say; ID (the hardest that is still a car by the rule) is the task that is shown; FOLDER
+(docs/pictures) gets the PNGs.
 """
 
 from __future__ import annotations
@@ -197,33 +199,39 @@ def _hardest_car(scores: pd.DataFrame, shapes: pd.DataFrame) -> str:
 
 
 def main(arguments: list[str]) -> None:
-    """Draw every picture from the sweep in ``arguments[0]``."""
+    """Draw every picture from the sweeps in ``arguments``."""
     import pandas as pd
 
     from shift3d.sweep.folder import read_plan
     from shift3d.task.assets import load_assets
 
-    if not arguments:
-        raise SystemExit("usage: python -m shift3d.report.pictures OUT [FOLDER]")
-    out, folder = Path(arguments[0]), Path(arguments[1] if len(arguments) > 1 else "docs/pictures")
-    if not (out / "final" / "scores.parquet").is_file():
-        raise InputError("no finished sweep", str(out), "Run make sweep first")
+    given = dict(word.split("=", 1) for word in arguments if word.startswith(("task=", "folder=")))
+    outs = [Path(word) for word in arguments if not word.startswith(("task=", "folder="))]
+    if not outs:
+        raise SystemExit("usage: python -m shift3d.report.pictures OUT ... [task=ID] [folder=FOLDER]")
+    folder = Path(given.get("folder", "docs/pictures"))
+    for out in outs:
+        if not (out / "final" / "scores.parquet").is_file():
+            raise InputError("no finished sweep", str(out), "Run make sweep first")
     folder.mkdir(parents=True, exist_ok=True)
     draw_vehicles(folder / "vehicles.png")
     draw_family(folder / "family.png")
     draw_training(folder / "training.png")
-    names = ("scores", "solutions", "shapes", "auc")
-    tables = {name: pd.read_parquet(out / "final" / f"{name}.parquet") for name in names}
+    tables = {
+        name: pd.concat([pd.read_parquet(out / "final" / f"{name}.parquet") for out in outs], ignore_index=True)
+        for name in ("scores", "solutions", "shapes", "auc")
+    }
     # What the attacked detector says; others may have scored the same objects.
     for name in ("scores", "auc"):
         tables[name] = tables[name][tables[name]["scored_by"] == tables[name]["detector"]]
     draw_curves(tables["scores"], tables["auc"], folder / "curves.png")
-    plan = read_plan(out)
-    assets = load_assets(plan.assets[0])
-    task_id = _hardest_car(tables["scores"], tables["shapes"])
-    (task,) = plan.tasks.starting_with(task_id)
-    own = {name: tables[name][tables[name]["task_id"] == task_id] for name in ("solutions", "scores")}
-    draw_case(assets, task.spec, own["solutions"], own["scores"], folder / "case.png")
+    shown = given.get("task") or _hardest_car(tables["scores"], tables["shapes"])
+    found = [(plan, task) for plan in map(read_plan, outs) for task in plan.tasks.starting_with(shown)]
+    if len(found) != 1:
+        raise InputError(f"{len(found)} tasks have an id that begins with {shown}", "task=", "Give one of final/scores")
+    plan, task = found[0]
+    own = {name: tables[name][tables[name]["task_id"] == task.spec.task_id] for name in ("solutions", "scores")}
+    draw_case(load_assets(plan.assets[task.assets]), task.spec, own["solutions"], own["scores"], folder / "case.png")
 
 
 if __name__ == "__main__":
