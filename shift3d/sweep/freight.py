@@ -72,7 +72,13 @@ def _written(contents: Mapping[str, NDArray[np.uint8]]) -> Path:
     for name, content in contents.items():
         digest.update(f"{name}\0{len(content)}\0".encode())
         digest.update(content.data)
-    folder = Path.home() / ".shift3d" / "files" / digest.hexdigest()
+    store = Path.home() / ".shift3d" / "files"
+    try:
+        store.mkdir(mode=0o700, parents=True, exist_ok=True)  # what travels may be nobody else's business
+    except OSError as error:
+        remedy = "Give the workers a home that they can write to"
+        raise InputError(f"cannot be made ({error.strerror})", where=str(store), remedy=remedy) from error
+    folder = store / digest.hexdigest()
     for name, content in contents.items():
         if not _holds(folder / name, content):
             write_atomic(folder / name, content.tofile)

@@ -65,6 +65,16 @@ def test_what_is_not_here_is_loaded_from_the_freight(mine: Path, tmp_path: Path)
     found = load_assets(unloaded(assets, freight))
     assert "suv" in found.vehicles.names()
     assert copies(tmp_path) == ["sdf.safetensors", "sst_small.safetensors", "vehicles.safetensors"]
+    assert (tmp_path / "home" / ".shift3d" / "files").stat().st_mode & 0o077 == 0, "its owner's alone"
+
+
+def test_a_home_that_cannot_be_written_to_is_named(mine: Path, tmp_path: Path) -> None:
+    assets = own(mine)
+    freight = loaded([assets])
+    shutil.rmtree(mine)
+    (tmp_path / "home").write_text("a file, no folder")
+    with pytest.raises(InputError, match="home that they can write to"):
+        unloaded(assets, freight)
 
 
 def test_another_file_of_that_name_is_not_taken_for_it(mine: Path) -> None:
