@@ -6,8 +6,10 @@ from pathlib import Path
 
 import matplotlib as mpl
 import pandas as pd
+import pytest
 
-from shift3d.report.pictures import draw_curves
+from shift3d.errors import InputError
+from shift3d.report.pictures import draw_curves, main
 
 
 def test_curves_are_of_the_attacked_detector_alone(tmp_path: Path) -> None:
@@ -20,3 +22,11 @@ def test_curves_are_of_the_attacked_detector_alone(tmp_path: Path) -> None:
         draw_curves(scores, auc, tmp_path / "curves.svg")
     drawn = (tmp_path / "curves.svg").read_text()
     assert "baseline 0.80" in drawn and "baseline 0.50" not in drawn
+
+
+def test_a_folder_that_is_no_sweep_is_named_and_nothing_is_drawn(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="usage"):
+        main([f"folder={tmp_path / 'pictures'}"])
+    with pytest.raises(InputError, match="elsewhere"):
+        main([str(tmp_path / "elsewhere"), f"folder={tmp_path / 'pictures'}"])
+    assert not (tmp_path / "pictures").exists()
