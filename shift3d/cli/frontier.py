@@ -62,9 +62,9 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.sweep.worker import one_thread
+    from shift3d.processor import settle_numerics
 
-    one_thread()
+    settle_numerics()
     import torch
 
     torch.set_num_threads(1)

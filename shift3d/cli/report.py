@@ -34,10 +34,10 @@ def _count(text: str) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.processor import settle_numerics
     from shift3d.report.html.write import write_report
-    from shift3d.sweep.worker import one_thread
 
-    one_thread()  # the same page on any machine
+    settle_numerics()  # the same page on any machine
     path = write_report(arguments.out, arguments.cases)
     print(f"{path} written, {path.size() / 1e6:.1f} MB")
     return 0

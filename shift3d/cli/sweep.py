@@ -127,10 +127,10 @@ def load_plan(name: str, overrides: list[str], kind: TaskKind) -> tuple[Plan, Co
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.processor import settle_numerics
     from shift3d.sweep.kind import shift3d_kind
-    from shift3d.sweep.worker import one_thread
 
-    one_thread()
+    settle_numerics()
     return run_with(arguments, shift3d_kind())
 
 

@@ -23,9 +23,6 @@ from shift3d.render.settings import RenderSettings
 _ROUNDS = 24
 _STEEPEST = 10.0
 _LOW_M = 0.003
-# Expected samples may leave this much more open than measured ones. Measured on attacks of the shipped decoder: with 0
-# a third of the lost beams are left, for 18 % more evaluations.
-_LOOSE_M = 0.1
 # A hit that is approached at such a slope for so long is not looked at in between, as with a map.
 _PLAIN_SLOPE = 0.3
 _PLAIN_M = 0.2
@@ -167,7 +164,7 @@ class _Nodes:
         steep = torch.where((left == _SAMPLE) & (right != _FAR), fall, 1.0).clamp(1.0, _STEEPEST)
         before, after = (settings.step_safety * covers[side] / steep for side in (slice(-1), slice(1, None)))
         gap = width - before - after
-        allowed = torch.where(unsure[:-1] | unsure[1:], settings.step_m + _LOOSE_M, settings.step_m)
+        allowed = torch.where(unsure[:-1] | unsure[1:], settings.step_m + settings.warm_gap_m, settings.step_m)
         # The return itself is a sample, as the paper has it.
         allowed[right == _FAR] = 0.0
         plain = (right == _HIT) & (width <= _PLAIN_M) & (covers[:-1] >= _PLAIN_SLOPE * width)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from shift3d.errors import InputError
+from shift3d.processor import settle_numerics
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.kind import TaskKind
 from shift3d.sweep.plan import Plan
-from shift3d.sweep.worker import completed_rows, one_thread
+from shift3d.sweep.worker import completed_rows
 
 __all__ = ["run_single"]
 
@@ -26,7 +27,7 @@ def run_single(plan: Plan, kind: TaskKind, task_id: str) -> str:
         )
     planned = plan.assets[found[0].assets]
     assets = kind.load(planned)
-    one_thread(planned.threads)
+    settle_numerics(planned.threads)
     rows = completed_rows(found[0].spec, plan.sweep, kind.run(found[0].spec, assets))
     parts = []
     for name in ("scores", "timings"):

@@ -17,6 +17,7 @@ from typing import Any
 import pyarrow as pa
 
 from shift3d.errors import InputError
+from shift3d.processor import settle_numerics
 from shift3d.store.schemas import SEGMENTS, SPEC_COLUMNS
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.kind import TaskKind
@@ -24,7 +25,7 @@ from shift3d.sweep.reproduce import with_command
 from shift3d.sweep.tasks import PlannedTask
 from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
 
-__all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows", "one_thread"]
+__all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows"]
 
 # How often a task is tried, and the pause before each new try of I/O. A deterministic failure is tried
 # twice in case it was not deterministic after all; what the file system or the network did may pass.
@@ -51,14 +52,6 @@ class BatchOutcome:
     fatal: InputError | None = None
     seconds: float = 0.0
     peak_mb: float = 0.0
-
-
-def one_thread(threads: int = 1) -> None:
-    """Fix the number of threads of this process's numerics: the order of sums, so the bytes, depend on it."""
-    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[name] = str(threads)
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(threads)
 
 
 def attempt_row(task_id: str, attempt: int, outcome: str, started_unix_s: float, seconds: float) -> Row:
@@ -148,9 +141,9 @@ class Worker:
     def _load(self, index: int) -> Any:
         if index not in self._assets:
             threads = self._assets_specs[index].threads
-            one_thread(threads)
+            settle_numerics(threads)
             self._assets[index] = self._kind.load(self._assets_specs[index])
-            one_thread(threads)  # again: loading may have imported torch
+            settle_numerics(threads)  # again: loading may have imported torch
         return self._assets[index]
 
     def _run_task(self, spec: TaskSpec, assets: Any, attempt: int) -> _Rows:

@@ -1,4 +1,4 @@
-"""A worker in a process of its own: runs one short task on the scene of a file and prints its peak memory as JSON."""
+"""A worker in a process of its own: runs tasks on the scene of a file and prints its peak memory as JSON."""
 
 from __future__ import annotations
 
@@ -44,8 +44,9 @@ def read_scene(path: Path) -> Scene:
     return Scene("from-file", "street-mixed", points, origins, ground_z_m, labels)
 
 
-def main(path: str, steps: str) -> None:
-    """Run the task. Raises RuntimeError when it gives no score: its memory would mean nothing."""
+def main(path: str, steps: str, tasks: str) -> None:
+    """Run so many tasks, each at a place of its own. Raises RuntimeError where one gives no score: its memory would
+    mean nothing."""
     import dataclasses
 
     scene = read_scene(Path(path))
@@ -63,11 +64,15 @@ def main(path: str, steps: str) -> None:
 
     attack = dataclasses.replace(SHORT, steps=int(steps))
     spec = make_spec(name, attack=attack, placement=PlacementSpec())
+    specs = [dataclasses.replace(spec, replicate=number) for number in range(int(tasks))]
     worker = Worker(TaskKind(run_task, load, nothing), "bench", [AssetsSpec(scenes={})])  # type: ignore[arg-type]
-    outcome = worker.run_batch([PlannedTask(spec, 0)])
-    scored = outcome.tables["scores"].column("score").drop_null() if outcome.done else ()
-    if not len(scored):
-        raise RuntimeError(f"no score: {[table.to_pylist() for table in outcome.tables.values()]}")
+    scored = []
+    for one in specs:
+        outcome = worker.run_batch([PlannedTask(one, 0)])
+        scores = outcome.tables["scores"].column("score").drop_null() if outcome.done else ()
+        if not len(scores):
+            raise RuntimeError(f"no score: {[table.to_pylist() for table in outcome.tables.values()]}")
+        scored += scores.to_pylist()
     found = {"peak_mb": peak_mb(), "loaded_mb": loaded[0], "points": len(scene.points), "scores": len(scored)}
     print(json.dumps(found))
 

@@ -17,7 +17,7 @@ from shift3d.render.lattice import FieldLattice
 from shift3d.render.object_field import ObjectField
 from shift3d.render.profile import Profile
 from shift3d.render.seen import Seen
-from shift3d.render.settings import STANDARD
+from shift3d.render.settings import STANDARD, RenderSettings
 
 FLOAT64 = STANDARD.with_(dtype=torch.float64)
 BOX = Box(torch.tensor([-3.0, -2.0, -2.0], dtype=torch.float64), torch.tensor([3.0, 2.0, 2.0], dtype=torch.float64))
@@ -42,14 +42,21 @@ def marched(rays: Rays, metric: Field) -> Profile:
     return Profile.of(seen, torch.arange(len(rays))).before(torch.where(brackets.found, brackets.inner, torch.inf))
 
 
-def covered(rays: Rays, before: Field, after: Field, hit_m: float = math.nan, open_end: bool = False) -> Covered:
+def covered(
+    rays: Rays,
+    before: Field,
+    after: Field,
+    hit_m: float = math.nan,
+    open_end: bool = False,
+    settings: RenderSettings = FLOAT64,
+) -> Covered:
     """Cover rays in a field, from what was seen of another; the evaluations that it took stand in `spent`."""
     lattices = [FieldLattice.of(metric, BOX) for metric in (before, after)]
     every = torch.arange(len(rays))
     profile = Profile.none().with_more(marched(rays, before)).carried(rays, rays, every, *lattices)
     field = field_of(after)
     found = cover(
-        profile, rays, torch.full_like(rays.far_m, hit_m), torch.full_like(every, open_end).bool(), field, FLOAT64
+        profile, rays, torch.full_like(rays.far_m, hit_m), torch.full_like(every, open_end).bool(), field, settings
     )
     spent.append(field.count.evaluations)
     return found
@@ -104,6 +111,22 @@ def test_a_shape_that_grows_over_rays_that_passed_it(radius: float) -> None:
     fresh = field_of(sphere(radius))
     first_brackets(rays, fresh, FLOAT64)
     assert spent[-1] < fresh.count.evaluations
+
+
+@pytest.mark.parametrize("radius", [1.02, 1.12])
+def test_between_spheres_no_more_is_left_open_than_is_allowed(radius: float) -> None:
+    evaluations = []
+    for gap_m in (0.0, 0.05, 0.5):
+        allowed = FLOAT64.with_(warm_gap_m=gap_m)
+        found = covered(along_x(*PASSING), sphere(1.0), sphere(radius), settings=allowed)
+        left = found.profile
+        covers = FLOAT64.step_safety * (left.g - left.slack).clamp_min(0.0)
+        same = left.rows[1:] == left.rows[:-1]
+        gap = (left.k[1:] - left.k[:-1] - covers[1:] - covers[:-1])[same]
+        assert same.any() and float(gap.max()) <= FLOAT64.step_m + gap_m + 1e-9
+        assert torch.equal(found.brackets.found, torch.tensor(PASSING) < radius)
+        evaluations.append(spent[-1])
+    assert evaluations[0] >= evaluations[1] >= evaluations[2] and evaluations[0] > evaluations[2]
 
 
 def test_a_part_that_comes_up_far_from_where_the_ray_came_nearest() -> None:

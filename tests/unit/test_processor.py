@@ -1,0 +1,64 @@
+"""What a process computes with: its threads, and how much of the code that oneDNN makes it keeps."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from shift3d.processor import has_wide_float32
+
+# Grows by what 700 products of different sizes leave behind, settled before or not, torch imported before or not.
+PRODUCTS = """
+import ctypes, json, os, sys
+early, settled = sys.argv[1] == "early", sys.argv[2] == "settled"
+if early:
+    import torch
+if settled:
+    from shift3d.processor import settle_numerics
+    settle_numerics(1)
+import torch
+from shift3d.sdf.affine import affine
+
+def resident_mb():
+    ctypes.CDLL(None).malloc_trim(0)  # as a worker does
+    return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+weight = torch.ones(256, 256)
+with torch.no_grad():
+    affine(torch.ones(1, 256), weight, None)
+    before = resident_mb()
+    for rows in range(2, 702):
+        affine(torch.ones(rows, 256), weight, None)
+print(json.dumps({"grown_mb": resident_mb() - before, "threads": torch.get_num_threads()}))
+"""
+
+
+pytestmark = [
+    pytest.mark.skipif(not has_wide_float32(), reason="float32 products are not oneDNN's on this processor"),
+    pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another allocator than glibc's"),
+]
+
+
+def products(*how: str, **environment: str) -> dict[str, float]:
+    unset = {name: value for name, value in os.environ.items() if "CACHE_CAPACITY" not in name}
+    command = [sys.executable, "-c", PRODUCTS, *how]
+    done = subprocess.run(command, env=unset | environment, capture_output=True, text=True, check=True)
+    found: dict[str, float] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.parametrize("torch_imported", ["early", "late"])
+def test_code_that_is_made_does_not_pile_up(torch_imported: str) -> None:
+    without, settled = products(torch_imported, "as it is"), products(torch_imported, "settled")
+    assert settled["grown_mb"] < 0.5 * without["grown_mb"], (settled, without)
+    assert settled["threads"] == 1
+
+
+def test_what_the_environment_says_is_left_as_it_is() -> None:
+    said = {"ONEDNN_PRIMITIVE_CACHE_CAPACITY": "1024", "LRU_CACHE_CAPACITY": "1024"}
+    assert products("late", "settled", **said)["grown_mb"] > 0.8 * products("late", "as it is")["grown_mb"]
