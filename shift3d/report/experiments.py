@@ -36,13 +36,23 @@ _STEPS = (0, 1, 2, 5, 10, 20, 40)
 
 
 def experiments(sweeps: Sequence[Sweep]) -> str:
-    """The page. Sweeps in the order given; each a section with a table for each detector that scores."""
-    return "\n".join([_LEAD, *("\n".join(_section(sweep)) for sweep in sweeps)])
+    """The page. Sweeps in the order given; each a section with a table for each detector that scores.
+
+    One that was run before with other settings of the attack has these in its heading.
+    """
+    sections, before = [], set()
+    for sweep in sweeps:
+        name = sweep.plan.sweep
+        attack = [word for word in sweep.plan.overrides if word.startswith("attack.") and "replicates" not in word]
+        told_by = attack if name in before else []
+        sections.append("\n".join(_section(sweep, ", ".join(f"`{word}`" for word in (name, *told_by)))))
+        before.add(name)
+    return "\n".join([_LEAD, *sections])
 
 
-def _section(sweep: Sweep) -> list[str]:
+def _section(sweep: Sweep, heading: str) -> list[str]:
     found = variants(sweep)
-    lines = [f"## `{sweep.plan.sweep}`", "", _run(sweep)]
+    lines = [f"## {heading}", "", _run(sweep)]
     for variant in found:
         lines += ["", f"**{variant.label[0].upper()}{variant.label[1:]}**", "", *_table(variant), *_cars(variant)]
         lines += [*_cells(sweep, variant), *_path(sweep, variant)]

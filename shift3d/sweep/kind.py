@@ -26,7 +26,7 @@ class TaskKind:
     load: Callable[[AssetsSpec], Any]
     catalogue: Callable[[Config], Catalogue]
     single: bool = True
-    memory_mb: float = 1200.0
+    memory_mb: float = 1400.0
 
 
 def shift3d_kind() -> TaskKind:

@@ -49,6 +49,14 @@ def test_a_section_says_what_was_run_and_sweeps_keep_their_order(sweep: Sweep) -
     assert Path.home().as_posix() not in page
 
 
+def test_an_attack_run_again_with_other_settings_has_them_in_its_heading(sweep: Sweep) -> None:
+    given = ("size=small", "attack.steady_steps=1", "attack.noise_replicates=2", "out=elsewhere")
+    again = dataclasses.replace(sweep, plan=dataclasses.replace(sweep.plan, overrides=given))
+    headings = [line for line in experiments([sweep, again]).splitlines() if line.startswith("## ")]
+    assert headings == [f"## `{sweep.plan.sweep}`", f"## `{sweep.plan.sweep}`, `attack.steady_steps=1`"]
+    assert experiments([again]).count("## ") == 1 and "steady" not in experiments([again]).split("Given")[0]
+
+
 def test_other_places_are_counted_by_their_cells(sweep: Sweep) -> None:
     keys = ["sweep", "dataset", "vehicle", "mode", "lambda", "alpha", "detector", "accuracy", "effects", "scored_by"]
     own = sweep.auc[(sweep.auc["method"] == "adversarial") & sweep.auc["selected"]].iloc[:1][[*keys, "method"]]
