@@ -46,21 +46,18 @@ class Covered:
     given_up: Tensor
 
 
-def cover(
-    profile: Profile, rays: Rays, hit_m: Tensor, open_end: Tensor, field: ObjectField, settings: RenderSettings
-) -> Covered:
+def cover(profile: Profile, rays: Rays, hit_m: Tensor, field: ObjectField, settings: RenderSettings) -> Covered:
     """Sample rays until spheres cover them up to their hit, or up to their end.
 
     Args:
-        profile: what is expected along the rays.
-        hit_m: (M,) range of a hit that is known, NaN where none is. open_end: (M,) bool, rays without a hit that need
-            not be covered behind their last sample.
+        profile: what is expected along the rays, of some of them nothing.
+        hit_m: (M,) range of a hit that is known, NaN where none is.
 
     Not differentiable.
     """
     end_m = torch.where(torch.isnan(hit_m), torch.inf, hit_m)
-    profile = _watched(profile.before(end_m), end_m - _WATCHED_STEPS * settings.step_m)
-    nodes, done = _Nodes.of(profile, rays, hit_m, open_end), []
+    profile = _watched(_plain(profile.before(end_m), end_m), end_m - _WATCHED_STEPS * settings.step_m)
+    nodes, done = _Nodes.of(profile, rays, hit_m), []
     looked, undecided, given_up = (torch.zeros(len(rays), dtype=torch.bool) for _ in range(3))
     for _ in range(_ROUNDS):
         measured, places = nodes.wanted(len(rays), settings)
@@ -85,6 +82,14 @@ def cover(
     samples = nodes.select(nodes.kind == _SAMPLE)
     left = Profile.none().with_more(Profile(samples.rows, samples.k, samples.g, samples.slack))
     return Covered(left, brackets, looked, given_up | starts_inside)
+
+
+def _plain(profile: Profile, end_m: Tensor) -> Profile:
+    """The profile without expected samples behind one from which the hit (M,) is approached plainly."""
+    width = end_m[profile.rows] - profile.k
+    plain = (width <= _PLAIN_M) & (profile.g - profile.slack >= _PLAIN_SLOPE * width)
+    first = torch.full_like(end_m, torch.inf).scatter_reduce(0, profile.rows[plain], profile.k[plain], "amin")
+    return profile.select((profile.k <= first[profile.rows]) | (profile.slack == 0))
 
 
 def _watched(profile: Profile, until_m: Tensor) -> Profile:
@@ -125,14 +130,13 @@ class _Nodes:
     kind: Tensor
 
     @staticmethod
-    def of(profile: Profile, rays: Rays, hit_m: Tensor, open_end: Tensor) -> _Nodes:
+    def of(profile: Profile, rays: Rays, hit_m: Tensor) -> _Nodes:
         """The samples, and where rays begin and end."""
         every, is_hit = torch.arange(len(rays)), torch.isfinite(hit_m)
-        ends = torch.nonzero(~open_end | is_hit).squeeze(1)
-        end_m, kind = torch.where(is_hit, hit_m, rays.far_m)[ends], torch.where(is_hit, _HIT, _FAR)[ends]
+        end_m, kind = torch.where(is_hit, hit_m, rays.far_m), torch.where(is_hit, _HIT, _FAR)
         samples = _Nodes(profile.rows, profile.k, profile.g, profile.slack, torch.full_like(profile.rows, _SAMPLE))
         near = _Nodes.empty(every, rays.near_m, torch.full_like(every, _NEAR))
-        return near.joined(samples).joined(_Nodes.empty(ends, end_m, kind))
+        return near.joined(samples).joined(_Nodes.empty(every, end_m, kind))
 
     @staticmethod
     def empty(rows: Tensor, k: Tensor, kind: Tensor) -> _Nodes:

@@ -4,8 +4,8 @@ Between two steps of an attack a surface moves by millimetres or centimetres. A 
 derivatives of the last step say that it will hit now (see `approach`), and followed by secant steps where that is not
 near. In front of its hit, and along a beam that met nothing, the samples of the last search go on to vouch for free
 space: a coarse lattice says what has become of them (see `profile`), and where they no longer cover the beam it is
-sampled again (see `cover`). Only beams of which nothing is known are marched, and every `warm_refresh` renderings all
-are.
+sampled again (see `cover`). Only beams that this does not settle, such as those that begin inside the object, are
+marched, and every `warm_refresh` renderings all are.
 
 Source: our choice: the paper renders every step afresh. What this misses is measured against that.
 """
@@ -148,10 +148,8 @@ def warm_start(
     state, rows = _blank(beams, theta, guard, rays, FieldLattice.of(field.estimate, guard.box)), row_of[old]
     state.range_m[rows], state.residual_m[rows], state.slope[rows] = found.range_m, found.residual_m, found.slope
     profile = warm.profile.carried(warm.rays, rays, row_of, warm.lattice, state.lattice)
-    lost = torch.zeros(len(rays), dtype=torch.bool)
-    lost[rows[torch.isnan(found.range_m)]] = True
     state = replace(state, profile=profile, age=warm.age + 1, tangents=tangents)
-    state, searches = _searched(state, lost, field, settings)
+    state, searches = _searched(state, field, settings)
     return _settled(state, searches, field, settings)
 
 
@@ -173,26 +171,14 @@ def _marched(
     return _Search(rows, brackets, Profile.of(seen, rows))
 
 
-def _searched(
-    state: WarmStart, lost: Tensor, field: ObjectField, settings: RenderSettings
-) -> tuple[WarmStart, list[_Search]]:
-    """Look where a state no longer vouches for what is in front of its hits and along its misses.
-
-    lost: (M,) bool, rays whose hit could not be followed.
-    """
+def _searched(state: WarmStart, field: ObjectField, settings: RenderSettings) -> tuple[WarmStart, list[_Search]]:
+    """Look where a state no longer vouches for what is in front of its hits and along its misses, or knows nothing."""
     rays = state.rays
-    known = torch.isfinite(state.range_m)
-    known[state.profile.rows] = True
-    covered = cover(state.profile, rays, state.range_m, lost | ~known, field, settings)
+    covered = cover(state.profile, rays, state.range_m, field, settings)
     profile = covered.profile.of_rays(~covered.given_up)
     rows = torch.nonzero(covered.looked & ~covered.given_up).squeeze(1)
     looked = _between(rays, rows, covered.brackets.select(rows), profile, field)
-    unsure = lost.clone()
-    unsure[rows[looked.brackets.found | looked.brackets.undecided]] = False
-    # What is covered in front of a hit that was lost need not be marched again.
-    last = rays.near_m.scatter_reduce(0, profile.rows, profile.k, "amax")
-    afresh = torch.nonzero(unsure | ~known | covered.given_up).squeeze(1)
-    marched = _marched(replace(rays, near_m=last), afresh, field, settings)
+    marched = _marched(rays, torch.nonzero(covered.given_up).squeeze(1), field, settings)
     return replace(state, profile=profile), [looked, marched]
 
 

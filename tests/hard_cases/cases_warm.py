@@ -55,8 +55,8 @@ def a_followed_surface_that_moves_behind_the_return() -> None:
     area="renderer",
     why="a post slides out of a beam's way between two steps: the hit vanishes, the wall behind takes over",
     must="the wall is hit, in the very step",
-    guard="behind what is covered in front of a hit that cannot be followed its ray is marched",
-    edits=Edit(WARM, "unsure | ~known | covered.given_up", "~known | covered.given_up"),
+    guard="the ray of a hit that cannot be followed is covered to its end",
+    edits=Edit(COVER, "torch.where(is_hit, hit_m, rays.far_m)", "torch.where(is_hit, hit_m, rays.near_m)"),
 )
 def a_followed_hit_that_vanishes() -> None:
     beams, before = beams_at(0.0, -0.9), None
@@ -113,8 +113,8 @@ def a_beam_that_starts_to_hit() -> None:
     area="renderer",
     why="as the pose moves, the box takes in beams of which the last rendering knew nothing",
     must="they are searched, and hit once the object stands in their way",
-    guard="a beam of which nothing is known is marched",
-    edits=Edit(WARM, "unsure | ~known | covered.given_up", "unsure | covered.given_up"),
+    guard="a beam of which nothing is known is covered from end to end",
+    edits=Edit(COVER, "torch.where(is_hit, hit_m, rays.far_m)", "torch.where(is_hit, hit_m, rays.near_m)"),
 )
 def a_beam_that_enters_the_box() -> None:
     metric, beams = box((2.0, 0.9, 0.7)), beams_at(0.98, 0.0)

@@ -47,7 +47,6 @@ def covered(
     before: Field,
     after: Field,
     hit_m: float = math.nan,
-    open_end: bool = False,
     settings: RenderSettings = FLOAT64,
 ) -> Covered:
     """Cover rays in a field, from what was seen of another; the evaluations that it took stand in `spent`."""
@@ -55,9 +54,7 @@ def covered(
     every = torch.arange(len(rays))
     profile = Profile.none().with_more(marched(rays, before)).carried(rays, rays, every, *lattices)
     field = field_of(after)
-    found = cover(
-        profile, rays, torch.full_like(rays.far_m, hit_m), torch.full_like(every, open_end).bool(), field, settings
-    )
+    found = cover(profile, rays, torch.full_like(rays.far_m, hit_m), field, settings)
     spent.append(field.count.evaluations)
     return found
 
@@ -148,10 +145,18 @@ def test_in_front_of_a_hit_that_is_known() -> None:
     assert spent[-1] <= 4, "a wall that comes nearer is a hit that has moved"
 
 
-def test_behind_the_last_sample_of_an_open_end_nothing_is_looked_for() -> None:
+def test_between_a_plain_approach_and_its_hit_nothing_is_asked() -> None:
+    wall = box((0.3, 1.0, 1.0), (2.0, 0.0, 0.0))
+    nearer = box((0.3, 1.0, 1.0), (1.98, 0.0, 0.0))
+    assert not covered(along_x(0.0), wall, nearer, hit_m=4.68).brackets.found.any() and spent[-1] == 0
+    # A wall that the beam nearly runs along is no plain approach.
+    flat = box((2.0, 1.0, 1.0), (0.0, 1.02, 0.0))
+    assert covered(along_x(0.0), flat, box((2.0, 1.0, 1.0), (0.0, 0.99, 0.0)), hit_m=2.0).brackets.found.all()
+
+
+def test_behind_the_last_sample_of_a_hit_that_was_lost() -> None:
     wall = box((0.3, 1.0, 1.0), (2.0, 0.0, 0.0))
     away = box((0.3, 1.0, 1.0), (2.4, 0.0, 0.0))
-    assert not covered(along_x(0.0), wall, away, open_end=True).brackets.found.any()
     found = covered(along_x(0.0), wall, away)
     assert abs(float(roots(found, away, along_x(0.0))) - 5.1) < 2e-3
 
