@@ -67,8 +67,8 @@ class RenderSettings:
         warm_start: start from the previous rendering where one is given.
         warm_refresh: warm renderings in a row before everything is searched afresh.
         warm_gap_m: how much more than `step_m` of a beam may lie between two spheres of free space where these are
-            expected, from samples of an earlier rendering, and not measured. Measured on attacks of the shipped
-            decoder: with 0 a third of the lost beams are left, for 18 % more evaluations.
+            expected, from samples of an earlier rendering, and not measured. Of 2,972 hits in `make frontier` 0.3
+            loses or misplaces 4, 0.1 three, 0.03 and 0 one, for 7 % fewer, 5 % and 10 % more evaluations than 0.1.
         empty_space: use a map of empty space where one is handed over (`EmptySpace`).
         coarse_band_m: a decoder is evaluated in bfloat16 where it is farther than this from the surface, as far
             as that only sets the length of a step; 0 switches it off.
