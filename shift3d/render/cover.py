@@ -56,7 +56,7 @@ def cover(profile: Profile, rays: Rays, hit_m: Tensor, field: ObjectField, setti
     Not differentiable.
     """
     end_m = torch.where(torch.isnan(hit_m), torch.inf, hit_m)
-    profile = _watched(_plain(profile.before(end_m), end_m), end_m - _WATCHED_STEPS * settings.step_m)
+    profile = _watched(_thinned(profile.before(end_m), end_m), end_m - _WATCHED_STEPS * settings.step_m)
     nodes, done = _Nodes.of(profile, rays, hit_m), []
     looked, undecided, given_up = (torch.zeros(len(rays), dtype=torch.bool) for _ in range(3))
     for _ in range(_ROUNDS):
@@ -84,10 +84,14 @@ def cover(profile: Profile, rays: Rays, hit_m: Tensor, field: ObjectField, setti
     return Covered(left, brackets, looked, given_up | starts_inside)
 
 
-def _plain(profile: Profile, end_m: Tensor) -> Profile:
+def _is_plain(width_m: Tensor, g: Tensor) -> Tensor:
+    """Whether a hit so far behind a place with so much free space is approached plainly."""
+    return (width_m <= _PLAIN_M) & (g >= _PLAIN_SLOPE * width_m)
+
+
+def _thinned(profile: Profile, end_m: Tensor) -> Profile:
     """The profile without expected samples behind one from which the hit (M,) is approached plainly."""
-    width = end_m[profile.rows] - profile.k
-    plain = (width <= _PLAIN_M) & (profile.g - profile.slack >= _PLAIN_SLOPE * width)
+    plain = _is_plain(end_m[profile.rows] - profile.k, profile.g - profile.slack)
     first = torch.full_like(end_m, torch.inf).scatter_reduce(0, profile.rows[plain], profile.k[plain], "amin")
     return profile.select((profile.k <= first[profile.rows]) | (profile.slack == 0))
 
@@ -171,7 +175,7 @@ class _Nodes:
         allowed = torch.where(unsure[:-1] | unsure[1:], settings.step_m + settings.warm_gap_m, settings.step_m)
         # The return itself is a sample, as the paper has it.
         allowed[right == _FAR] = 0.0
-        plain = (right == _HIT) & (width <= _PLAIN_M) & (covers[:-1] >= _PLAIN_SLOPE * width)
+        plain = (right == _HIT) & _is_plain(width, covers[:-1])
         # What comes before a place inside must be known to be outside.
         entry = (right == _INSIDE) & (width > 0) & ((left == _NEAR) | unsure[:-1])
         wide = (self.rows[1:] == self.rows[:-1]) & ((~(gap <= allowed) & ~plain) | entry)
