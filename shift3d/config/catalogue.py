@@ -144,14 +144,13 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
     """Every setting behind a preset, with its changes, as plain values (dtypes by name).
 
-    ``detector`` is the precision of the detector inside the search, the others are the renderer's. What became a
-    setting later than others (``warm_gap_m``) is there only where it is not the default.
+    ``detector`` is the precision of the detector inside the search, the others are the renderer's.
     """
     from dataclasses import asdict
 
     import torch
 
-    from shift3d.render.settings import RenderSettings, preset
+    from shift3d.render.settings import preset
 
     settings = {
         name: str(value).removeprefix("torch.") if isinstance(value, torch.dtype) else value
@@ -172,8 +171,6 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
             )
         settings[name] = type(settings[name])(value)
     _check_render(settings)
-    if settings["warm_gap_m"] == RenderSettings.warm_gap_m:  # as before it was a setting: tasks keep their ids
-        del settings["warm_gap_m"]
     precision = config.detector or _SEARCH_PRECISION[config.name]
     if config.detector is None and precision == "bfloat16" and not has_fast_bfloat16():
         precision = "float32"

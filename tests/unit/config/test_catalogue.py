@@ -19,7 +19,7 @@ def test_accuracy_states_every_setting_in_plain_values(name: str) -> None:
     settings = accuracy_settings(AccuracyConfig(name=name, render={}))  # type: ignore[arg-type]
     preset = PRESETS[name]
     assert settings.pop("detector") in ("bfloat16", "float32", "float64")
-    assert settings.keys() == vars(preset).keys() - {"warm_gap_m"}, "tasks older than that setting keep their ids"
+    assert settings.keys() == vars(preset).keys()
     for field, value in settings.items():
         assert isinstance(value, bool | int | float | str)
         expected = getattr(preset, field)
@@ -29,7 +29,6 @@ def test_accuracy_states_every_setting_in_plain_values(name: str) -> None:
 def test_accuracy_changes() -> None:
     settings = accuracy_settings(AccuracyConfig(name="standard", render={"step_m": 1}))
     assert settings["step_m"] == 1.0 and isinstance(settings["step_m"], float)
-    assert accuracy_settings(AccuracyConfig(name="standard", render={"warm_gap_m": 0.0}))["warm_gap_m"] == 0.0
     assert accuracy_settings(AccuracyConfig(name="paper", render={"step_m": None}))["step_m"] == 0.1
     with pytest.raises(InputError, match="Did you mean 'step_m'"):
         accuracy_settings(AccuracyConfig(name="standard", render={"step": 0.1}))
