@@ -72,12 +72,13 @@ def first_brackets(
         else:
             march.steps_ahead()
     brackets = Brackets(march.found, march.outer, march.inner, march.g_outer, march.g_inner, march.undecided)
-    return looked_into(brackets, march.seen, rays, field)
+    return looked_into(brackets, march.seen, rays, field, settings)
 
 
-def looked_into(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectField) -> Brackets:
-    """The brackets with what lies between the samples that they come from."""
-    brackets = look_into_shallow(look_into_dips(brackets, seen, rays, field), rays, field)
+def looked_into(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectField, settings: RenderSettings) -> Brackets:
+    """The brackets with what lies between the samples that they come from, where `look_between` asks for it."""
+    if settings.look_between:
+        brackets = look_into_shallow(look_into_dips(brackets, seen, rays, field), rays, field)
     # Here alone, for all that looked: an undecided ray is no hit, whatever it met.
     return replace(brackets, found=brackets.found & ~brackets.undecided)
 

@@ -177,19 +177,21 @@ def _searched(state: WarmStart, field: ObjectField, settings: RenderSettings) ->
     covered = cover(state.profile, rays, state.range_m, field, settings)
     profile = covered.profile.of_rays(~covered.given_up)
     rows = torch.nonzero(covered.looked & ~covered.given_up).squeeze(1)
-    looked = _between(rays, rows, covered.brackets.select(rows), profile, field)
+    looked = _between(rays, rows, covered.brackets.select(rows), profile, field, settings)
     marched = _marched(rays, torch.nonzero(covered.given_up).squeeze(1), field, settings)
     return replace(state, profile=profile), [looked, marched]
 
 
-def _between(rays: Rays, rows: Tensor, brackets: Brackets, profile: Profile, field: ObjectField) -> _Search:
+def _between(
+    rays: Rays, rows: Tensor, brackets: Brackets, profile: Profile, field: ObjectField, settings: RenderSettings
+) -> _Search:
     """What lies between the samples of some rays."""
     local = torch.full((len(rays),), -1, dtype=torch.long)
     local[rows] = torch.arange(len(rows))
     samples = profile.select(local[profile.rows] >= 0)
     seen = Seen()
     seen.add(local[samples.rows], samples.k, samples.g)
-    brackets = looked_into(brackets, seen, rays.select(rows), field)
+    brackets = looked_into(brackets, seen, rays.select(rows), field, settings)
     return _Search(rows, brackets, Profile.of(seen, rows, len(samples)))
 
 

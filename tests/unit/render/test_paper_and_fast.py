@@ -42,6 +42,19 @@ def test_on_an_analytic_car() -> None:
     assert fast.evaluations * 20 < chord.evaluations < plain.evaluations
 
 
+def test_what_a_draft_leaves_out() -> None:
+    """Chords shorter than its step, and the last millimetres of depth."""
+    beams = Beams.from_arrays(*ground_scan(rings=64, columns=1024))
+    field = in_frame(car(), SHAPENET_FRAME)
+    fine, draft = (render(beams, field, THETA, SHAPENET_FRAME, preset(name)) for name in ("standard", "draft"))
+    assert draft.evaluations < 0.9 * fine.evaluations
+    assert not (draft.hit_mask & ~fine.hit_mask).any()
+    lost, hits = int((fine.hit_mask & ~draft.hit_mask).sum()), int(fine.hit_mask.sum())
+    assert lost <= 0.01 * hits
+    both = draft.hit_mask & fine.hit_mask
+    assert float((draft.range_m - fine.range_m)[both].abs().quantile(0.95)) < 0.01
+
+
 @pytest.fixture
 def published(real_data: Callable[[str], Path]) -> tuple[Field, Field, Frame]:
     """A trained 8 x 512 decoder with one of its cars: float32, float64, frame."""
