@@ -104,8 +104,8 @@ class _March:
         self.rows = torch.arange(count)
         self.seen = seen
 
-    def _g(self, k: Tensor, rows: Tensor) -> Tensor:
-        g = self.field.estimate(self.rays.at(k, rows)).double()
+    def _g(self, k: Tensor, rows: Tensor, expected: Tensor | None = None) -> Tensor:
+        g = self.field.estimate(self.rays.at(k, rows), expected).double()
         lost = ~torch.isfinite(g)
         self.undecided[rows[lost]] = True
         self.seen.add(rows, k, g)
@@ -142,7 +142,9 @@ class _March:
             rows, k, g, far, k_sure, k_new, leapt = (x[~clear] for x in (rows, k, g, far, k_sure, k_new, leapt))
             empty_ahead = leapt > k_sure
             k_sure, k_new = (torch.where(empty_ahead, leapt, x) for x in (k_sure, k_new))
-        g_new = self._g(k_new, rows)
+        # What a map leaves to be asked is next to the surface.
+        expected = g + self._slope(rows, g) * (k_new - k) if self.leaps is None else torch.zeros_like(g)
+        g_new = self._g(k_new, rows, expected)
         k_new, g_new = self._back_to_sure(rows, k_new, g_new, k_sure)
         inside = g_new < 0
         self._enter(rows[inside], k_new[inside], g_new[inside])
@@ -174,7 +176,7 @@ class _March:
         ahead = max(2, _AHEAD // len(rows))
         places = torch.minimum(k[:, None] + length[:, None] * torch.arange(ahead + 1), far[:, None])
         x = self.rays.at(places[:, 1:].reshape(-1), rows.repeat_interleave(ahead))
-        values = torch.cat((g[:, None], self.field.estimate(x).double().reshape(len(rows), ahead)), dim=1)
+        values = torch.cat((g[:, None], self.field(x).double().reshape(len(rows), ahead)), dim=1)
         self.seen.add(rows.repeat_interleave(ahead), places[:, 1:].reshape(-1), values[:, 1:].reshape(-1))
         lost = ~torch.isfinite(values)
         values = values.masked_fill(lost, torch.inf)
@@ -217,11 +219,15 @@ class _March:
         steepness, longest = self._steepness(rows), max(s.step_m, s.max_step_m)
         covered = s.step_safety * g / steepness
         sure = (covered + s.step_m).clamp_max(longest)
-        length = self.outer[rows] - self.before[rows]
-        slope = torch.where(length > 0, (g - self.g_before[rows]) / length.clamp_min(1e-12), -1.0)
-        slope = torch.where(torch.isfinite(slope), slope, -1.0).clamp(-1.0, 0.5)
+        slope = self._slope(rows, g).nan_to_num(nan=-1.0).clamp(-1.0, 0.5)
         bold = _BOLDNESS * (2.0 * covered + s.step_m) / (1.0 - slope)
         return sure, torch.maximum(sure, bold.clamp_max(longest))
+
+    def _slope(self, rows: Tensor, g: Tensor) -> Tensor:
+        """How g changed over the last step, a metre; NaN where there was none."""
+        length = self.outer[rows] - self.before[rows]
+        slope = (g - self.g_before[rows]) / length.clamp_min(1e-12)
+        return torch.where((length > 0) & torch.isfinite(slope), slope, torch.nan)
 
     def _back_to_sure(self, rows: Tensor, k_new: Tensor, g_new: Tensor, k_sure: Tensor) -> tuple[Tensor, Tensor]:
         """Take the safe step after all where a longer one is not covered from both its ends."""
@@ -231,7 +237,7 @@ class _March:
         if len(again):
             k_new, g_new = k_new.clone(), g_new.clone()
             k_new[again] = k_sure[again]
-            g_new[again] = self._g(k_sure[again], rows[again])
+            g_new[again] = self._g(k_sure[again], rows[again], torch.zeros_like(g_new[again]))
         return k_new, g_new
 
     def _steepness(self, rows: Tensor) -> Tensor:

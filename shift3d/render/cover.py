@@ -71,7 +71,7 @@ def cover(profile: Profile, rays: Rays, hit_m: Tensor, field: ObjectField, setti
         looked |= busy
         at = torch.nonzero(measured).squeeze(1)
         rows, k = torch.cat((nodes.rows[at], places.rows)), torch.cat((nodes.k[at], places.k))
-        g = field.estimate(rays.at(k, rows)).double()
+        g = field.estimate(rays.at(k, rows), torch.cat((nodes.g[at], places.g))).double()
         undecided[rows[~torch.isfinite(g)]] = True
         nodes.g[at], nodes.slack[at] = g[: len(at)], 0.0
         nodes = nodes.joined(replace(places, g=g[len(at) :]))
@@ -191,7 +191,9 @@ class _Nodes:
         at = torch.nonzero(wide & ~measured[:-1] & ~measured[1:] & ~behind[1:]).squeeze(1)
         k = self.k[at] + before[at] + 0.5 * gap[at]
         k = torch.where(left[at] == _NEAR, self.k[at], torch.where(right[at] == _FAR, self.k[at + 1], k))
-        return measured, _Nodes.empty(self.rows[at], k, torch.full_like(at, _SAMPLE))
+        wanted = _Nodes.empty(self.rows[at], k, torch.full_like(at, _SAMPLE))
+        between = sample[at] & sample[at + 1]
+        return measured, replace(wanted, g=torch.where(between, 0.5 * (self.g[at] + self.g[at + 1]), torch.nan))
 
     def up_to_first_inside(self, count: int) -> _Nodes:
         """Every ray up to its first measured sample inside, which becomes its end."""

@@ -55,7 +55,7 @@ def look_into_dips(brackets: Brackets, seen: Seen, rays: Rays, field: ObjectFiel
         if len(on) == 0:
             break
         there = dips.guess()[on]
-        value = field.estimate(rays.at(there, dips.rows[on])).double()
+        value = field(rays.at(there, dips.rows[on])).double()
         seen.add(dips.rows[on], there, value)
         undecided[dips.rows[on[~torch.isfinite(value)]]] = True
         inside = value < 0

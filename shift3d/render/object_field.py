@@ -103,19 +103,27 @@ class ObjectField:
             return self.sdf(x_sdf) * self.scale_m if len(x_sdf) else x_sdf[:, 0]
         return torch.cat([self.sdf(part) for part in x_sdf.split(self.batch)]) * self.scale_m
 
-    def estimate(self, x_object: Tensor) -> Tensor:
+    def estimate(self, x_object: Tensor, expected_m: Tensor | None = None) -> Tensor:
         """The distance for deciding where to sample next: exact within coarse_band_m of the surface and inside it.
+
+        Args:
+            expected_m: (N,) what it may be, NaN where nobody knows: what is likely near would be evaluated twice, and
+                is evaluated exactly at once.
 
         Not differentiable.
         """
-        if self.coarse is None or len(x_object) < _WORTH_IT:
+        far = torch.arange(len(x_object))
+        if expected_m is not None:  # NaN compares false
+            far = torch.nonzero(~(expected_m < self.coarse_band_m)).squeeze(1)
+        if self.coarse is None or len(far) < _WORTH_IT:
             return self(x_object)
-        x_sdf = self.to_sdf(x_object)
-        g = torch.cat([self.coarse(part) for part in x_sdf.split(self.batch)]) * self.scale_m
-        # NaN compares false both ways: it is looked at again.
+        parts = self.to_sdf(x_object[far]).split(self.batch)
+        coarse = torch.cat([self.coarse(part) for part in parts]) * self.scale_m
+        g = torch.zeros(len(x_object), dtype=coarse.dtype).index_copy(0, far, coarse)
+        # A NaN is looked at again, too.
         near = torch.nonzero(~(g >= self.coarse_band_m)).squeeze(1)
-        self.count.evaluations += len(x_sdf) - len(near)
-        self.count.coarse += len(x_sdf) - len(near)
+        self.count.evaluations += len(x_object) - len(near)
+        self.count.coarse += len(x_object) - len(near)
         if len(near):
             g[near] = self(x_object[near])
         return g

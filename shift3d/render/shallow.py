@@ -33,7 +33,7 @@ def look_into_shallow(brackets: Brackets, rays: Rays, field: ObjectField) -> Bra
     count = int((width[rows].max() / _LOOK_EVERY_M).ceil().clamp(max=_MOST_LOOKS))
     share = torch.arange(count + 1, dtype=torch.float64) / count
     k = brackets.outer[rows, None] + width[rows, None] * share
-    inner = field.estimate(rays.at(k[:, 1:-1].reshape(-1), rows.repeat_interleave(count - 1))).double()
+    inner = field(rays.at(k[:, 1:-1].reshape(-1), rows.repeat_interleave(count - 1))).double()
     inner = inner.reshape(len(rows), count - 1)
     g = torch.cat((brackets.g_outer[rows, None], inner, brackets.g_inner[rows, None]), dim=1)
     first = (g < 0).byte().argmax(1, keepdim=True)

@@ -40,6 +40,28 @@ def test_the_estimate_is_exact_near_the_surface_and_close_elsewhere(shipped: tup
 
 
 @needs_bfloat16
+@pytest.mark.parametrize("expectation", ["right", "wrong", "unknown", "all near"])
+def test_whatever_is_expected_near_the_surface_it_is_exact(shipped: tuple[Field, Frame], expectation: str) -> None:
+    """What is expected decides what is evaluated twice, never a value that matters."""
+    field, frame = shipped
+    metric = ObjectField.of(field, frame, torch.float32, 4096, coarse_band_m=0.02)
+    x = (torch.rand(4000, 3, generator=torch.Generator().manual_seed(1)).double() - 0.5) * torch.tensor([5.0, 2.4, 2.0])
+    exact = metric(x)
+    expected = {
+        "right": exact.double(),
+        "wrong": 0.04 - exact.double(),
+        "unknown": torch.full((4000,), torch.nan).double(),
+        "all near": torch.zeros(4000).double(),
+    }[expectation]
+    metric.count.evaluations = metric.count.coarse = 0
+    estimate = metric.estimate(x, expected)
+    assert torch.equal(estimate[estimate < 0.02], exact[estimate < 0.02])
+    assert torch.equal(estimate < 0, exact < 0)
+    assert metric.count.evaluations == 4000
+    assert (metric.count.coarse > 0) == (expectation in ("right", "unknown"))
+
+
+@needs_bfloat16
 def test_the_same_hits_with_and_without(shipped: tuple[Field, Frame]) -> None:
     field, frame = shipped
     beams = Beams.from_arrays(*sector_scan((13.0, 2.0, -1.0), half_angle_rad=0.17, rays=36))
