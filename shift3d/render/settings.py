@@ -68,8 +68,8 @@ class RenderSettings:
         warm_refresh: warm renderings in a row before everything is searched afresh.
         warm_gap_m: how much more than `step_m` of a beam may lie between two spheres of free space where these are
             expected, from samples of an earlier rendering, and not measured. Of 259,534 hits in three attacks
-            0.1 loses or misplaces 19, 0.03 thirteen, for 6 % more evaluations; of 2,972 in `make frontier` 0.3
-            four, 0.1 three, 0.03 and 0 one, for 11 % and 5 % fewer and 5 % more evaluations than 0.03.
+            0.1 loses or misplaces 19, 0.03 fourteen, for 6 % more evaluations; of 3,024 in `make frontier` 0.3
+            three, 0.1 and 0.03 one, 0 none, for 14 % and 4 % fewer and 8 % more evaluations than 0.03.
         look_between: `hybrid`: follow dips between two samples to their bottom, and look through brackets that are
             crossed at a flat angle. False: a chord shorter than a step may be missed.
         empty_space: use a map of empty space where one is handed over (`EmptySpace`).
