@@ -12,7 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from shift3d.processor import has_fast_bfloat16
+from shift3d.processor import has_fast_bfloat16, round_batch
 from shift3d.sdf.decoder import Field as DecoderField
 
 
@@ -31,7 +31,8 @@ class CoarseField:
         self.wide_biases = [bias.to(torch.bfloat16) for bias in self.biases]
 
     def __call__(self, x_sdf: Tensor) -> Tensor:
-        x = x_sdf.float()
+        # In round batches: this is only there where oneDNN takes the products.
+        x = torch.nn.functional.pad(x_sdf.float(), (0, 0, 0, round_batch(len(x_sdf)) - len(x_sdf)))
         hidden = torch.relu(torch.addmm(self.biases[0], x, self.first)).to(torch.bfloat16)
         for layer in range(1, len(self.wide) - 1):
             if layer == self.skip:
@@ -40,7 +41,7 @@ class CoarseField:
             else:
                 hidden = torch.addmm(self.wide_biases[layer], hidden, self.wide[layer])
             hidden = torch.relu(hidden)
-        return torch.tanh(torch.addmm(self.biases[-1], hidden.float(), self.last)[:, 0])
+        return torch.tanh(torch.addmm(self.biases[-1], hidden.float(), self.last)[: len(x_sdf), 0])
 
 
 def coarse_twin(field: object, dtype: torch.dtype) -> CoarseField | None:

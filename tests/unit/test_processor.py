@@ -1,4 +1,4 @@
-"""What a process computes with: its threads, and how much of the code that oneDNN makes it keeps."""
+"""What a process computes with: its threads, how much of the code that oneDNN makes it keeps, and its pages."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -37,11 +38,24 @@ with torch.no_grad():
 print(json.dumps({"grown_mb": resident_mb() - before, "threads": torch.get_num_threads()}))
 """
 
+# How much of a large tensor lies in large pages.
+PAGES = """
+import sys
+if sys.argv[1] == "early":
+    import torch
+from shift3d.processor import settle_numerics
+settle_numerics(1)
+import torch
+tensor = torch.ones(64 * 2**18)
+lines = open("/proc/self/smaps_rollup").read().splitlines()
+print(next(line.split()[1] for line in lines if line.startswith("AnonHugePages")))
+"""
+LARGE_PAGES = Path("/sys/kernel/mm/transparent_hugepage/enabled")
 
-pytestmark = [
-    pytest.mark.skipif(not has_wide_float32(), reason="float32 products are not oneDNN's on this processor"),
-    pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another allocator than glibc's"),
-]
+takes_onednn = pytest.mark.skipif(
+    not has_wide_float32() or platform.libc_ver()[0] != "glibc",
+    reason="float32 products are not oneDNN's on this processor, or the allocator is not glibc's",
+)
 
 
 def products(*how: str, **environment: str) -> dict[str, float]:
@@ -52,6 +66,7 @@ def products(*how: str, **environment: str) -> dict[str, float]:
     return found
 
 
+@takes_onednn
 @pytest.mark.parametrize("torch_imported", ["early", "late"])
 def test_code_that_is_made_does_not_pile_up(torch_imported: str) -> None:
     without, settled = products(torch_imported, "as it is"), products(torch_imported, "settled")
@@ -59,6 +74,23 @@ def test_code_that_is_made_does_not_pile_up(torch_imported: str) -> None:
     assert settled["threads"] == 1
 
 
+@takes_onednn
 def test_what_the_environment_says_is_left_as_it_is() -> None:
     said = {"ONEDNN_PRIMITIVE_CACHE_CAPACITY": "1024", "LRU_CACHE_CAPACITY": "1024"}
     assert products("late", "settled", **said)["grown_mb"] > 0.8 * products("late", "as it is")["grown_mb"]
+
+
+def large_pages_kb(torch_imported: str, **environment: str) -> int:
+    unset = {name: value for name, value in os.environ.items() if name != "THP_MEM_ALLOC_ENABLE"}
+    command = [sys.executable, "-c", PAGES, torch_imported]
+    done = subprocess.run(command, env=unset | environment, capture_output=True, text=True, check=True)
+    return int(done.stdout)
+
+
+@pytest.mark.skipif(
+    not LARGE_PAGES.exists() or "[madvise]" not in LARGE_PAGES.read_text(), reason="this kernel gives all or none"
+)
+@pytest.mark.parametrize("torch_imported", ["early", "late"])
+def test_large_tensors_lie_in_large_pages(torch_imported: str) -> None:
+    # Half of the 64 MB: what of a tensor is not on a page's border, and what the kernel has left, may not.
+    assert large_pages_kb(torch_imported) > large_pages_kb(torch_imported, THP_MEM_ALLOC_ENABLE="0") + 32 * 1024
