@@ -1,4 +1,4 @@
-"""Tasks that hang: a worker that is at one task for longer than allowed is asked where it is, and ended."""
+"""Tasks that hang: where a worker is at one task for longer than allowed its logbook is read, and it is ended."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from shift3d.sweep.ray_calls import Call
+from shift3d.sweep.ray_crew import Member
 from shift3d.sweep.ray_deaths import Death
-from shift3d.sweep.ray_worker import BESIDE, Whereabouts
+from shift3d.sweep.ray_logbook import Whereabouts, read_logbook
 
 __all__ = ["Hang", "Watch"]
 
-# A worker that gives no answer for so long holds its interpreter, is stopped, or is gone.
-_ANSWER_S = 10.0
+# A machine on which no process can read the logbook for so long is overloaded, or gone.
+_ANSWER_S = 20.0
 _LOOK_S = 0.5
 
 
 @dataclass(frozen=True)
 class Hang:
-    """A call whose worker is to be ended. position: of the task that hangs; None where the worker could not say."""
+    """A call whose worker is to be ended. position: of the task that hangs; None where nobody could say."""
 
     call: Call
     position: int | None
@@ -47,22 +48,28 @@ class Watch:
         now = time.monotonic()
         if call.question is None:
             if call.ask_at == float("inf") or now >= call.ask_at:
-                ask = call.member.actor.whereabouts.options(concurrency_group=BESIDE)
-                call.question, call.asked = ask.remote(), now
+                call.question, call.asked = self._ask(call.member), now
             return None
         ready, _ = self._ray.wait([call.question], timeout=0)
         if ready:
             return self._answered(call, timeout_s)
-        if now - call.asked < _ANSWER_S:
-            return None
-        what = f"no result after {call.seconds:.0f} s, and the worker does not say where it is"
-        alone = call.positions[0] if len(call.positions) == 1 else None
-        return Hang(call, alone, Death("timeout", what))
+        return None if now - call.asked < _ANSWER_S else _unseen(call)
+
+    def _ask(self, member: Member) -> Any:
+        """A process beside the worker, on its machine, reads what it is at."""
+        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+        assert member.greeting is not None  # it has a call
+        there = NodeAffinitySchedulingStrategy(member.node_id, soft=False)
+        read = self._ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=there)(read_logbook)
+        return read.remote(member.greeting.logbook, member.greeting.pid)
 
     def _answered(self, call: Call, timeout_s: float) -> Hang | None:
         try:
             at: Whereabouts = self._ray.get(call.question)
-        except self._ray.exceptions.RayError:
+        except self._ray.exceptions.RayError as error:
+            if isinstance(error, OSError) and not isinstance(error, ProcessLookupError | FileNotFoundError):
+                return _unseen(call)
             call.ask_at = float("inf")  # it is dead: the call itself will say so
             call.question = None
             return None
@@ -72,3 +79,8 @@ class Watch:
             return None
         what = f"no result after {at.seconds:.0f} s (runner.task_timeout_s={timeout_s:g})"
         return Hang(call, call.positions[at.index], Death("timeout", what, at.stack))
+
+
+def _unseen(call: Call) -> Hang:
+    what = f"no result after {call.seconds:.0f} s, and nobody could see where the worker is"
+    return Hang(call, call.positions[0] if len(call.positions) == 1 else None, Death("timeout", what))

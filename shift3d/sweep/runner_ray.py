@@ -30,7 +30,7 @@ from shift3d.sweep.ray_connection import connect
 from shift3d.sweep.ray_crew import Crew
 from shift3d.sweep.ray_deaths import Death, death_of
 from shift3d.sweep.ray_watch import Watch
-from shift3d.sweep.ray_worker import BESIDE, RayWorker
+from shift3d.sweep.ray_worker import RayWorker
 from shift3d.sweep.reproduce import reproduce_command, with_command
 from shift3d.sweep.running import Running
 from shift3d.sweep.worker import BatchOutcome, attempt_row
@@ -72,8 +72,7 @@ class RayRunner:
         options: dict[str, Any] = {"num_cpus": config.cpus_per_worker, "max_restarts": 0, "max_task_retries": 0}
         if config.worker_memory_mb:
             options["memory"] = int(config.worker_memory_mb * 2**20)
-        # A thread of its own answers what the worker is at while a task runs.
-        actor = self._ray.remote(concurrency_groups={BESIDE: 1}, **options)(RayWorker)
+        actor = self._ray.remote(**options)(RayWorker)
         # A private Ray's workers are on this machine, and read what lies here.
         freight = self._ray.put(loaded(self._plan.assets) if config.address else {})
         tasks, assets = self._ray.put(self._plan.tasks), self._ray.put(self._plan.assets)

@@ -82,19 +82,24 @@ def _process() -> str:
 class Worker:
     """Holds what tasks need and runs them. The same class in this process and in a Ray actor.
 
-    command: that shows a task again, up to its id.
-
-    Attributes:
-        current: the place in its batch of the task that runs (None between tasks), and since when, monotonic.
+    command: that shows a task again, up to its id. note: told the place in its batch of each task that begins, and None
+    after the last one.
     """
 
-    def __init__(self, kind: TaskKind, sweep: str, assets: Sequence[AssetsSpec], command: str = "") -> None:
+    def __init__(
+        self,
+        kind: TaskKind,
+        sweep: str,
+        assets: Sequence[AssetsSpec],
+        command: str = "",
+        note: Callable[[int | None], None] = lambda _: None,
+    ) -> None:
         self._kind = kind
         self._sweep = sweep
         self._assets_specs = assets
         self._command = command
         self._assets: dict[int, Any] = {}
-        self.current: tuple[int | None, float] = (None, time.monotonic())
+        self._note = note
 
     def run_batch(
         self, tasks: Sequence[PlannedTask], stop: Callable[[], bool] = lambda: False, first_attempt: int = 1
@@ -116,9 +121,9 @@ class Worker:
             except InputError as error:
                 outcome.fatal = error
                 break
-            self.current = (index, time.monotonic())
+            self._note(index)
             results.append(self._run_task(task.spec, assets, first_attempt))
-        self.current = (None, time.monotonic())
+        self._note(None)
         outcome.tables = self._tables_of(results)
         for rows in results:
             (outcome.done if rows.done else outcome.quarantined).append(rows.task_id)

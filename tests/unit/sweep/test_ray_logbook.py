@@ -1,0 +1,102 @@
+"""What a process is at can be read by another one, whatever it hangs in."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from shift3d.sweep.ray_logbook import Whereabouts, read_logbook
+
+# Says where its logbook is, then hangs in the third task of its call, in the way that it is told.
+HANGS = """
+import re, sys, threading, time
+from shift3d.sweep.ray_logbook import Logbook
+
+def sleeps():
+    time.sleep(3600)
+
+def holds_the_interpreter():
+    re.match("(a+)+$", "a" * 64 + "b")
+
+def ends():
+    logbook.note(None)
+    time.sleep(3600)
+
+threading.Thread(target=time.sleep, args=(3600,), daemon=True).start()
+logbook = Logbook()
+logbook.note(2)
+print(logbook.path, flush=True)
+globals()[sys.argv[1]]()
+"""
+
+pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGUSR2"), reason="no such signals here")
+
+
+@pytest.fixture
+def hanging(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], tuple[str, subprocess.Popen[str]]]]:
+    # From a file, so that the lines of its stack can be shown.
+    script = tmp_path_factory.mktemp("hangs") / "hangs.py"
+    script.write_text(HANGS)
+    started: list[subprocess.Popen[str]] = []
+
+    def start(how: str) -> tuple[str, subprocess.Popen[str]]:
+        process = subprocess.Popen([sys.executable, str(script), how], stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        assert process.stdout is not None
+        path = process.stdout.readline().strip()
+        time.sleep(0.3)
+        return path, process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize(
+    ("how", "line"), [("sleeps", "time.sleep(3600)"), ("holds_the_interpreter", 're.match("(a+)+$"')]
+)
+def test_the_stack_of_a_task_that_hangs_ends_where_it_is(
+    hanging: Callable[[str], tuple[str, subprocess.Popen[str]]], how: str, line: str
+) -> None:
+    path, process = hanging(how)
+    for _ in range(2):  # what was said the first time is not said again
+        at = read_logbook(path, process.pid)
+        assert at.index == 2 and 0.2 < at.seconds < 60
+        assert at.stack.count("globals()[sys.argv[1]]()") == 1 and line in at.stack, at.stack
+        assert at.stack.index("globals()") < at.stack.index(line), "the innermost call comes last"
+    assert process.poll() is None, "who is looked at goes on"
+
+
+def test_a_stopped_process_says_which_task_and_no_stack(
+    hanging: Callable[[str], tuple[str, subprocess.Popen[str]]],
+) -> None:
+    path, process = hanging("sleeps")
+    process.send_signal(signal.SIGSTOP)
+    at = read_logbook(path, process.pid)
+    assert at.index == 2 and at.stack == ""
+
+
+def test_between_tasks_there_is_nothing_to_see(hanging: Callable[[str], tuple[str, subprocess.Popen[str]]]) -> None:
+    path, process = hanging("ends")
+    at = read_logbook(path, process.pid)
+    assert at == Whereabouts(None, at.seconds, "")
+
+
+def test_a_process_that_is_gone_is_no_other_ones_business(
+    hanging: Callable[[str], tuple[str, subprocess.Popen[str]]],
+) -> None:
+    path, process = hanging("sleeps")
+    process.kill()
+    process.wait()
+    with pytest.raises(OSError):
+        read_logbook(path, process.pid)
+    # Its number may have another owner by now, who knows nothing of logbooks and would be ended by the signal.
+    with pytest.raises(OSError):
+        read_logbook(path, os.getpid())
