@@ -6,7 +6,6 @@ Ray would let a second thread of the worker answer. But then the thread that wai
 
 from __future__ import annotations
 
-import contextlib
 import faulthandler
 import os
 import re
@@ -102,6 +101,4 @@ def _stack(file: int, pid: int, process: int | None, thread: int) -> str:
     of_thread = said.partition(f"0x{thread:016x} ")[2].partition("\n\n")[0]
     of_thread = re.split(r"\n(?:Current thread|Thread) ", of_thread)[0]
     frames = [traceback.FrameSummary(name, int(line), where) for name, line, where in _FRAME.findall(of_thread)]
-    with contextlib.suppress(OSError):  # where a line's file is not to be read the line is left out
-        return "".join(traceback.StackSummary.from_list(frames[29::-1]).format())
-    return of_thread
+    return "".join(traceback.StackSummary.from_list(frames[29::-1]).format())
