@@ -17,11 +17,20 @@ from shift3d.sweep.ray_token import require_token
 
 __all__ = ["connect"]
 
+# Counters and events of a private Ray, which go to a dashboard that is not there.
+_UNCOUNTED = {
+    "enable_metrics_collection": False,
+    "enable_open_telemetry": False,
+    "event_stats": False,
+    "task_events_report_interval_ms": 0,
+}
+
 
 def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
     """Ray, started or joined: the module, ready to use.
 
-    A private Ray listens on loopback alone, has no dashboard, and asks whoever comes for the token of its owner.
+    A private Ray listens on loopback alone, has no dashboard and none of its counters, and asks whoever comes for the
+    token of its owner.
 
     tasks_left: a private Ray needs no more workers than this.
 
@@ -57,8 +66,10 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
                     include_dashboard=False,
                     _node_ip_address="127.0.0.1",
                     object_store_memory=256 * 2**20,
+                    _system_config=_UNCOUNTED,
                     **quiet,
                 )
+            _end_idle_helpers(ray)
     except ray.exceptions.AuthenticationError as error:
         raise InputError(
             "this Ray asks for a token, and ours is none or another one",
@@ -73,6 +84,15 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
             remedy="Check the address, or use runner=local",
         ) from error
     return ray
+
+
+def _end_idle_helpers(ray: Any) -> None:
+    """End what a private Ray starts and nobody here uses: each wakes 20 to 30 times a second, beside workers that have
+    every core. They are the reader of logs for a driver that wants none, the autoscaler's monitor, and the server of a
+    dashboard that is off."""
+    node = ray._private.worker.global_worker.node
+    for end in (node.kill_log_monitor, node.kill_monitor, node.kill_dashboard):
+        end(check_alive=False)
 
 
 def _check_token(address: str) -> None:

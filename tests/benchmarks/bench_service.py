@@ -75,31 +75,36 @@ def task_s(bench: Results, quick: bool, tmp_path_factory: pytest.TempPathFactory
     """Seconds of a real task on one worker, and how two workers do beside one."""
     # The default sweep's own tasks, of 40 steps: beside the smoke sweep's, of a few, a worker's first one, in which
     # libraries are loaded and code is made, weighs more than in any sweep that people run.
-    name, turns = ("smoke", 1) if quick else ("default", 3)
-    words = ("scenes.count=1", "mode=shape") if quick else ("scenes.count=2", "vehicle=coupe,suv", "attack.lambda=1")
+    name, turns, scenes = ("smoke", 1, 2) if quick else ("default", 3, 6)
+    words = ("mode=shape,pose", "vehicle=coupe") if quick else ("vehicle=coupe,suv", "attack.lambda=1")
+    found = in_own_process(
+        "benchmarks.paired_workers", name, f"scenes.count={scenes}", *words, folder=tmp_path_factory.mktemp("paired")
+    )
+    of = f"work of two Ray workers / of one while the other is stopped; tasks of the {name} sweep, one thread each"
+    note = f"a task takes {found['slower']:.3f} times as long, {found['pairs']} tasks of {found['seconds']:.1f} s"
+    bench.add("scaling_two_workers", 2 / found["slower"], "ratio", of, note=note)
     rates: dict[int, list[float]] = {1: [], 2: []}
     alone: dict[int, list[float]] = {1: [], 2: []}
-    tasks = 0
+    words = ("scenes.count=2", *words)
     for turn in range(turns):
         # In turns: a machine that grows slower while it is measured does so to all alike.
         for workers in (1, 2) if turn % 2 == 0 else (2, 1):
             found = sweep("REAL", name, workers, *words, folder=tmp_path_factory.mktemp("real"))
             rates[workers].append(found["tasks_a_second"])
-            tasks = found["tasks"]
             if turn == 0:
                 alone[workers].append(bare(workers, name, *words, folder=tmp_path_factory.mktemp("bare")))
-    of = f"tasks a second of two Ray workers while both work / of one; tasks of the {name} sweep, one thread each"
-    _add_scaling(bench, "scaling_two_workers", rates, of, f"{tasks} tasks")
+    of = f"tasks a second of two Ray workers while both work / of one, whole sweeps of {found['tasks']} of these tasks"
+    _add_scaling(bench, "scaling_whole_sweeps", rates, of)
     of = "the same tasks in two processes without Ray, each on its own / in one: what this machine's cores allow"
-    _add_scaling(bench, "scaling_two_processes", alone, of, f"{tasks} tasks each")
+    _add_scaling(bench, "scaling_two_processes", alone, of)
     return 1 / max(rates[1])
 
 
-def _add_scaling(bench: Results, name: str, rates: dict[int, list[float]], of: str, what: str) -> None:
+def _add_scaling(bench: Results, name: str, rates: dict[int, list[float]], of: str) -> None:
     """Add the median over turns of two beside one in the same turn: between turns the machine drifts by a tenth."""
     ratios = [two / one for one, two in zip(rates[1], rates[2], strict=True)]
     turns = ", ".join(f"{two:.3g} / {one:.3g}" for one, two in zip(rates[1], rates[2], strict=True))
-    bench.add(name, statistics.median(ratios), "ratio", of, note=f"{turns} a second, {what}; median of the turns")
+    bench.add(name, statistics.median(ratios), "ratio", of, note=f"{turns} a second; median of the turns")
 
 
 def bench_cost_model(bench: Results, overhead_us: float, task_s: float, quick: bool, tmp_path: Path) -> None:
@@ -110,7 +115,7 @@ def bench_cost_model(bench: Results, overhead_us: float, task_s: float, quick: b
     bench.add("service_commit_ms", parts.commit_ms, "ms", "a durable commit of 1,000 score rows, local disk")
     bench.add("service_call_us", parts.call_us, "us", "a call to a Ray actor and its answer, two actors in turns")
     bench.add("service_transfer_mb_s", parts.transfer_mb_s, "MB/s", "64 MB into the object store and an actor")
-    bench.add("service_task_s", task_s, "s", "a real task, one worker: see scaling_two_workers")
+    bench.add("service_task_s", task_s, "s", "a real task, one worker: see scaling_whole_sweeps")
     thousand = forecast(parts, workers=1_000, tasks=10**7)
     of = "extrapolated: the shortest task at which one driver keeps 1,000 workers busy"
     note = forecast_lines(thousand).replace("\n", "; ")

@@ -1,4 +1,4 @@
-"""A Ray that a sweep starts: on loopback alone, without a dashboard, and nobody without the token gets in."""
+"""A Ray that a sweep starts: on loopback alone, without idle helpers, and nobody without the token gets in."""
 
 from __future__ import annotations
 
@@ -29,6 +29,9 @@ if address is None:
     sys.stdin.read()
 ray.shutdown()
 """
+
+USED = ("gcs_server", "raylet/raylet")
+UNUSED = ("dashboard/dashboard.py", "log_monitor.py", "monitor.py")
 
 
 def without_a_token(home: Path, **more: str) -> dict[str, str]:
@@ -80,14 +83,17 @@ def joins(ray: PrivateRay, home: Path, **more: str) -> subprocess.CompletedProce
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
 
 
-def test_it_listens_on_loopback_alone_and_has_no_dashboard(private_ray: PrivateRay) -> None:
+def test_it_listens_on_loopback_alone(private_ray: PrivateRay) -> None:
     processes = list(descendants(private_ray.process.pid))
     found = set().union(*(listening(process) for process in processes))
     loopback = {"0100007F", "0000000000000000FFFF00000100007F", "00000000000000000000000001000000"}
     assert found and found <= loopback
-    # Ray starts the process that would serve the dashboard in any case.
-    commands = [Path(f"/proc/{process}/cmdline").read_text() for process in processes]
-    assert all("--disable-frontend" in command for command in commands if "dashboard/dashboard.py" in command)
+
+
+def test_it_has_no_process_that_a_sweep_has_no_use_for(private_ray: PrivateRay) -> None:
+    commands = [Path(f"/proc/{process}/cmdline").read_text() for process in descendants(private_ray.process.pid)]
+    running = [name for name in (*USED, *UNUSED) if any(name in command for command in commands)]
+    assert running == list(USED)
 
 
 def test_its_token_is_its_owners(private_ray: PrivateRay) -> None:
