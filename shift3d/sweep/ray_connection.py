@@ -6,6 +6,7 @@ import contextlib
 import logging
 import math
 import os
+import signal
 import socket
 import sys
 from collections.abc import Iterator
@@ -59,7 +60,7 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
             ray.init(address=config.address, **quiet)
         else:
             workers = min(config.workers or os.cpu_count() or 1, max(tasks_left, 1))
-            with _on_loopback():
+            with _on_loopback(), _deaf_to_sigterm():
                 ray.init(
                     address="local",
                     num_cpus=max(1, math.ceil(workers * config.cpus_per_worker)),
@@ -109,6 +110,20 @@ def _check_token(address: str) -> None:
     if known and (found := parse_address(known)):
         socket.create_connection((found[0], int(found[1])), timeout=10).close()
         GcsClient(address=known).check_alive([], timeout=10)
+
+
+@contextlib.contextmanager
+def _deaf_to_sigterm() -> Iterator[None]:
+    """What starts meanwhile never gets SIGTERM, workers included, as Ray sees to it with SIGINT.
+
+    Who ends a job (``timeout``, Slurm, systemd) often signals all of its processes at once. A driver stops after the
+    tasks in flight, and until then needs its Ray.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager

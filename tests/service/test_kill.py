@@ -62,6 +62,24 @@ def test_interrupt_finishes_what_is_in_flight_and_says_how_to_resume(
     assert drivers.final("out") == undisturbed
 
 
+def test_a_signal_to_the_whole_job_finishes_what_its_workers_are_at(
+    drivers: Drivers, undisturbed: dict[str, bytes], tmp_path: Path
+) -> None:
+    """As ``timeout``, Slurm and systemd end a job: every process of it gets SIGTERM, those of Ray too."""
+    journal = tmp_path / "journal"
+    settings = ("runner.workers=2", "runner.commit_seconds=0", "runner.batch_seconds=0.1")
+    driver = drivers.start("out", *settings, SHIFT3D_TEST_SECONDS="0.5", SHIFT3D_TEST_JOURNAL=str(journal))
+    drivers.wait_for_commits("out", 6)
+    os.killpg(driver.pid, signal.SIGTERM)
+    _, errors = driver.communicate(timeout=60)
+    assert driver.returncode == 130, errors
+    committed = drivers.committed("out")
+    assert len(committed) < TASKS and sorted(committed) == sorted(journal.read_text().split())
+    assert f"{len(committed)} of {TASKS} tasks done" in errors
+    assert drivers.run("out", "runner.workers=2")[0] == 0
+    assert drivers.final("out") == undisturbed
+
+
 def test_second_interrupt_drops_what_is_in_flight(drivers: Drivers) -> None:
     driver = drivers.start("out", "runner=local", SHIFT3D_TEST_SECONDS="30")
     deadline = time.monotonic() + 30
