@@ -8,7 +8,7 @@ BIN := .venv/bin
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress ui train pictures clean
+.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train pictures clean
 
 help:  ## what there is to run
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-18s %s\n", $$1, $$2}'
@@ -59,6 +59,9 @@ frontier: .venv/.runtime  ## what accuracy costs in time, by sweeps/accuracy_tim
 
 stress: .venv/.dev  ## 10,000 random extreme poses and codes, every unresolved beam accounted for
 	$(BIN)/python tests/stress/extreme_poses.py --count 10000 --workers 2 $(ARGS)
+
+mutants: .venv/.dev  ## break the code in a seeded sample of places and count what the tests notice; ARGS="shift3d/attack"
+	$(BIN)/python tests/mutants.py $(ARGS)
 
 ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 	$(BIN)/shift3d ui $(ARGS)

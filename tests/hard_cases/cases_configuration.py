@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from clear_errors import place, refused
 from valid_settings import installed, settings, write_installation
 
@@ -15,7 +15,6 @@ from shift3d.config.expand import expand
 from shift3d.config.schema import AccuracyConfig, Config
 
 AREA = "configuration"
-COMPOSE, CATALOGUE, MESSAGES = "shift3d.config.compose", "shift3d.config.catalogue", "shift3d.config.messages"
 HERE = "sweep mine"
 
 
@@ -48,7 +47,6 @@ def put(name: str, value: object) -> dict[str, object]:
     why="a misspelt setting that were ignored would measure something else than was asked for",
     must="an error that names it, and what there is",
     guard="the schema forbids what it does not know, and the error says so",
-    edits=Edit(MESSAGES, 'if kind == "extra_forbidden":', 'if kind == "none":'),
 )
 def a_setting_that_does_not_exist() -> None:
     values = settings()
@@ -61,7 +59,6 @@ def a_setting_that_does_not_exist() -> None:
     why="_target_ is how Hydra is told to call any function",
     must="an error: configuration names no code",
     guard="Hydra's refusal becomes one line with the settings there are",
-    edits=Edit(MESSAGES, "if match := re.search(r\"Could not override '([^']+)'\", text):", "if match := None:"),
 )
 def a_setting_that_would_call_a_function() -> None:
     refused(lambda: composed("vehicle._target_=os.system"), HERE, "unknown setting 'vehicle._target_'", "vehicle.name")
@@ -75,7 +72,6 @@ def a_setting_that_would_call_a_function() -> None:
     why="true counts as 1, and 'many' as nothing",
     must="an error that names the setting and the kind of its value",
     guard="a setting of the renderer must have the type of the preset's",
-    edits=Edit(CATALOGUE, "if type(value) is not type(settings[name]) and not (", "if value == -7 and not ("),
 )
 def a_renderer_setting_of_another_type() -> None:
     for name, value in (("max_iterations", 2.5), ("batch", True), ("step_m", "wide"), ("warm_start", 1)):
@@ -89,7 +85,6 @@ def a_renderer_setting_of_another_type() -> None:
     why="a task's id is the hash of JSON, which has no infinity and no NaN; NaN also compares false with every limit",
     must="an error that names the setting",
     guard="numbers for the renderer must be finite",
-    edits=Edit(CATALOGUE, "if isinstance(value, float) and not math.isfinite(value):", "if value == -7:"),
 )
 def a_renderer_setting_that_is_infinite() -> None:
     for name, value in (("max_slope", float("inf")), ("grazing_floor", float("inf")), ("step_m", float("nan"))):
@@ -102,7 +97,6 @@ def a_renderer_setting_that_is_infinite() -> None:
     why="a step of less than nothing never arrives; without a check, workers would find out task by task",
     must="an error while the sweep is planned, naming the setting",
     guard="the renderer's own check is made with the plan",
-    edits=Edit(CATALOGUE, "    _check_render(settings)\n", "    str(settings)\n"),
 )
 def a_renderer_setting_below_zero() -> None:
     for name, value in (("step_m", -0.02), ("step_m", 0.0), ("max_iterations", -1), ("batch", 0), ("dtype", "float8")):
@@ -114,7 +108,6 @@ def a_renderer_setting_below_zero() -> None:
     why="from 50 m to 15 m there is no place, and every task would report that nothing fits",
     must="an error that names both limits",
     guard="the near limit must be below the far one",
-    edits=Edit("shift3d.config.schema", "if self.min_range_m >= self.max_range_m:", "if self.min_range_m < 0:"),
 )
 def a_placement_ring_without_a_place() -> None:
     refused(lambda: validate(put("attack.placement.min_range_m", 50.0), HERE), HERE, "min_range_m", "max_range_m")
@@ -125,7 +118,6 @@ def a_placement_ring_without_a_place() -> None:
     why="an interval has no list of values: a sweep over it has no end",
     must="an error that names the axis and how to list values",
     guard="only axes of single values are taken",
-    edits=Edit(COMPOSE, "if not override.is_discrete_sweep():", "if False:"),
 )
 def an_axis_without_steps() -> None:
     refused(lambda: composed("attack.alpha=interval(0,1)"), HERE, "attack.alpha", "continuous axis")
@@ -136,7 +128,6 @@ def an_axis_without_steps() -> None:
     why="a pattern that fits nothing is an axis of no values, and the product with it is a sweep of no tasks",
     must="an error that names the axis",
     guard="every axis must have a value",
-    edits=Edit(COMPOSE, "if empty:", "if len(empty) > 9:"),
 )
 def an_axis_without_values() -> None:
     refused(lambda: composed("vehicle=glob(zeppelin*)"), HERE, "vehicle", "no value")
@@ -147,9 +138,6 @@ def an_axis_without_values() -> None:
     why="${scene} as the scene's name refers to itself, and to an axis it would have another value in every task",
     must="an error that names the setting",
     guard="interpolations are refused before anything is resolved",
-    edits=Edit(
-        COMPOSE, 'elif isinstance(values, str) and "${" in values:', 'elif isinstance(values, str) and values == "${":'
-    ),
 )
 def a_setting_that_refers_to_itself() -> None:
     for word in ("scene=${scene}", "vehicle.name=${mode}", "detector.weights=${oc.env:HOME}"):
@@ -161,7 +149,6 @@ def a_setting_that_refers_to_itself() -> None:
     why="Hydra passes on what the YAML reader raises, and ValueErrors of its own",
     must="an error of one line that names the sweep and the place",
     guard="whatever composing raises becomes ours",
-    edits=Edit(COMPOSE, "except Exception as error:\n            known", "except OSError as error:\n            known"),
 )
 def a_sweep_file_that_is_no_yaml() -> None:
     for content in (
@@ -181,7 +168,6 @@ def a_sweep_file_that_is_no_yaml() -> None:
     why="a setting that must be given stands as ??? in the files, which is also a text",
     must="an error that says how to give it",
     guard="the mark is looked for before the schema takes it for a name",
-    edits=Edit(COMPOSE, 'if value == "???":', 'if value == "?":'),
 )
 def a_setting_that_was_never_given() -> None:
     refused(lambda: validate(put("vehicle.name", "???"), HERE), HERE, "vehicle.name is required", "vehicle.name=VALUE")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from hard_echoes import (
     BALL,
     READER,
@@ -32,7 +32,6 @@ from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
 
 AREA = "effects"
-EFFECTS = "shift3d.render.effects"
 
 
 @hard_case(
@@ -40,7 +39,6 @@ EFFECTS = "shift3d.render.effects"
     why="of the light at the first metre exp(-5400) is left, which is 0 in float64",
     must="every surface beyond a metre is an echo of fog at 0.9 m, finite, and none behind its surface",
     guard="the echo of fog is a logarithm, with the loss up to its beginning taken out",
-    edits=Edit(f"{EFFECTS}.fog", "np.exp(-2.0 * extinction * behind)", "np.exp(-2.0 * extinction * node)"),
 )
 def a_visibility_of_a_millimetre() -> None:
     without_tables()
@@ -56,11 +54,6 @@ def a_visibility_of_a_millimetre() -> None:
     why="the loss of light is 1 less a number that is nearly 1",
     must="2 alpha R to twelve digits, and above 0 for 1e18 m; fog is not called for",
     guard="the loss is taken from expm1",
-    edits=Edit(
-        f"{EFFECTS}.power",
-        "-math.expm1(-2.0 * extinction_per_m * range_m)",
-        "1.0 - math.exp(-2.0 * extinction_per_m * range_m)",
-    ),
 )
 def a_visibility_of_a_million_kilometres() -> None:
     for visibility_m in (1e9, 1e18):
@@ -75,7 +68,6 @@ def a_visibility_of_a_million_kilometres() -> None:
     why="a scene may lose each of its points",
     must="every row keeps its place, finite and far out; none of them counts as returned",
     guard="what the weather took from the scene rests far out",
-    edits=Edit(f"{EFFECTS}.chain", "resting = resting.index_copy(0, lost, self._far(lost)", "_ = (self._far(lost)"),
 )
 def a_scene_in_which_every_point_is_lost_in_fog() -> None:
     scene = ahead(60.0, 50, reflectance=reported(1.0))
@@ -89,7 +81,6 @@ def a_scene_in_which_every_point_is_lost_in_fog() -> None:
     why="the tables of drops take the logarithm of the power to outdo, which is 0 for a surface along the beam",
     must="such echoes are weakened and outdone by drops; nothing is NaN",
     guard="powers outside a table are taken for those at its ends, before the logarithm",
-    edits=Edit(f"{EFFECTS}.rain", "np.log(np.maximum(values, first) / first)", "np.log(values / first)"),
 )
 def a_surface_met_at_90_degrees_in_rain() -> None:
     situation, returns = on_object(ahead(30.0, 200), Conditions("rain", rain_mm_h=1000.0), None, cosine=0.0)
@@ -103,7 +94,6 @@ def a_surface_met_at_90_degrees_in_rain() -> None:
     why="its echo has no power at all, and a draw may be exactly 0",
     must="it is lost under a sharp limit and under a soft one",
     guard="an echo comes back where its draw lies below its probability, not at it",
-    edits=Edit(f"{EFFECTS}.power", "self.shared[row] >= survival(", "self.shared[row] > survival("),
 )
 def a_surface_met_at_90_degrees_with_the_luckiest_draw() -> None:
     _, returns = on_object(ahead(30.0, 3), Conditions(), None, cosine=0.0)
@@ -118,7 +108,6 @@ def a_surface_met_at_90_degrees_with_the_luckiest_draw() -> None:
     why="power falls with the square of a range that is 0",
     must="the row stays where it is, bit for bit, and its power is 0",
     guard="nearer than the receiver sees anything, the power is not divided by the range",
-    edits=Edit(f"{EFFECTS}.power", "range_m.clamp(min=OVERLAP_FROM_M) ** 2", "range_m**2"),
 )
 def a_row_without_a_beam_in_rain() -> None:
     scene = scene_of([[20.0, 0.0, 0.0], [0.0, 0.0, 0.0], [15.0, 3.0, 0.0]])
@@ -131,9 +120,6 @@ def a_row_without_a_beam_in_rain() -> None:
     why="it has no direction in which it could rest far out",
     must="it is neither moved nor counted as lost, as without fog",
     guard="only beams can lose their return",
-    edits=Edit(
-        f"{EFFECTS}.chain", "returned = background.returned | ~self.beams.carries", "returned = background.returned"
-    ),
 )
 def a_row_without_a_beam_in_fog() -> None:
     scene = scene_of([[20.0, 0.0, 0.0], [0.0, 0.0, 0.0], [15.0, 3.0, 0.0]])
@@ -147,14 +133,6 @@ def a_row_without_a_beam_in_fog() -> None:
     why="the receiver sees nothing nearer than 0.9 m, so that the noise of an echo there is infinite",
     must="such points of a scene keep their range",
     guard="an echo that was noticed has at least the least power, before the rain and in it",
-    edits=(
-        Edit(f"{EFFECTS}.rain", "(least / power.clamp(min=least)).clamp(max=1.0)", "least / power"),
-        Edit(
-            f"{EFFECTS}.rain",
-            "(least / (power * transmission).clamp(min=least)).clamp(max=1.0)",
-            "least / (power * transmission)",
-        ),
-    ),
 )
 def points_on_the_sensors_own_roof_in_rain() -> None:
     scene = ahead(0.6, 100)
@@ -168,11 +146,6 @@ def points_on_the_sensors_own_roof_in_rain() -> None:
     why="the flake that would send as much would be wider than the beam",
     must="no flake outdoes it, however hard it snows",
     guard="a particle sends back no more than one that fills the beam",
-    edits=Edit(
-        f"{EFFECTS}.rain",
-        "np.where(share <= 1.0, 1e3 * self.width_m(range_m) * np.sqrt(share), np.inf)",
-        "1e3 * self.width_m(range_m) * np.sqrt(share)",
-    ),
 )
 def a_snowfall_of_1000_mm_an_hour_before_a_mirror() -> None:
     without_tables()
@@ -185,11 +158,6 @@ def a_snowfall_of_1000_mm_an_hour_before_a_mirror() -> None:
     why="a limit that is sharp cannot have let such an echo pass, and yet it is in the recording",
     must="thin fog takes the share of light that it takes from all, not every such point",
     guard="what came back from below a sharp limit survives with the light that is left",
-    edits=Edit(
-        f"{EFFECTS}.power",
-        "torch.where(before >= least, (before * transmission >= least).double(), transmission)",
-        "(before * transmission >= least).double()",
-    ),
 )
 def a_reported_reflectance_of_0_under_a_sharp_limit() -> None:
     scene = ahead(40.0, 2000, reflectance=reported(0.0))
@@ -202,7 +170,6 @@ def a_reported_reflectance_of_0_under_a_sharp_limit() -> None:
     why="the logarithm of its power is infinite, before the fog and in it",
     must="the share that is kept is the limit for weak echoes, the light that is left to the power 1 / spread",
     guard="the logarithm is taken of no less than 1e-300",
-    edits=Edit(f"{EFFECTS}.power", "before.clamp(min=_NO_POWER).log()", "before.log()"),
 )
 def a_reported_reflectance_of_0_under_a_soft_limit() -> None:
     scene = ahead(40.0, 2000, reflectance=reported(0.0))
@@ -215,11 +182,6 @@ def a_reported_reflectance_of_0_under_a_soft_limit() -> None:
     why="the chances to be noticed, before and in fog, are both 0 in float64, and their quotient is asked for",
     must="the light that is left to the power 1 / spread",
     guard="the quotient is a difference of logarithms",
-    edits=Edit(
-        f"{EFFECTS}.power",
-        "torch.exp(torch.nn.functional.logsigmoid(after) - torch.nn.functional.logsigmoid(x))",
-        "torch.sigmoid(after) / torch.sigmoid(x)",
-    ),
 )
 def an_echo_far_below_a_limit_that_is_nearly_sharp() -> None:
     scene = ahead(40.0, 2000, reflectance=reported(1e-5))
@@ -232,11 +194,6 @@ def an_echo_far_below_a_limit_that_is_nearly_sharp() -> None:
     why="what water leaves of an echo is a quotient of two albedos that are both 0",
     must="it reports 0, and is not NaN",
     guard="the quotient is taken where there is an albedo",
-    edits=Edit(
-        f"{EFFECTS}.wet_ground",
-        "torch.where(returns.albedo > 0.0, albedo / returns.albedo.clamp(min=1e-12), 1.0)",
-        "albedo / returns.albedo",
-    ),
 )
 def a_ground_of_reflectance_0_that_gets_wet() -> None:
     scene = scene_of([[10.0, 0.0, -1.7]] * 9, reflectance=np.zeros(9, np.float32))
@@ -249,11 +206,6 @@ def a_ground_of_reflectance_0_that_gets_wet() -> None:
     why="both of Fresnel's quotients are 0 / 0 along a face that light cannot leave the water through",
     must="all light is reflected, as at every angle beyond the critical one",
     guard="light along a face on both of its sides is reflected",
-    edits=Edit(
-        f"{EFFECTS}.wet_ground",
-        "torch.where((cosine + behind) > 0.0, share, torch.ones_like(share))",
-        "share",
-    ),
 )
 def light_along_the_water_from_below() -> None:
     cosine = torch.tensor([0.0, 1e-9, 0.1, 0.5], dtype=torch.float64)
@@ -265,10 +217,6 @@ def light_along_the_water_from_below() -> None:
     why="the least power is 0, and its logarithm is taken",
     must="no echo is lost, in clear air and in fog, as if the limit were unknown",
     guard="an infinite limit is none",
-    edits=(
-        Edit(f"{EFFECTS}.power", " or math.isinf(sensor.limit_range_m)", ""),
-        Edit(f"{EFFECTS}.ray_drop", " and math.isfinite(sensor.limit_range_m)", ""),
-    ),
 )
 def a_limit_infinitely_far_away() -> None:
     sensor = SensorModel(limit_range_m=math.inf, power_spread=0.5)
@@ -283,7 +231,6 @@ def a_limit_infinitely_far_away() -> None:
     why="it takes nothing from any echo that float32 could hold",
     must="rain is not called for; forced, every row returns, and moves by less than a hundredth of a millimetre",
     guard="rain is called for by the light that it takes, not by its rate",
-    edits=Edit(f"{EFFECTS}.rain", "if loss(extinction, law.reach_m(scene.conditions)) < LEAST_LOSS:", "if not rate:"),
 )
 def a_rain_of_a_trillionth_of_a_millimetre_an_hour() -> None:
     scene = ahead(30.0, 50)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from clear_errors import refused
 from hard_echoes import AHEAD, BALL, READER, ahead, drawn, on_object, scene_of
 
@@ -23,8 +23,6 @@ from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel, SilentBeams
 
 AREA = "effects"
-EFFECTS, FACTS = "shift3d.render.effects", "shift3d.scenes.facts"
-REFLECTANCE = "shift3d.scenes.reflectance"
 
 
 @hard_case(
@@ -32,7 +30,6 @@ REFLECTANCE = "shift3d.scenes.reflectance"
     why="a scene is validated when it is read, and settings are laid over it afterwards",
     must="an error that names the setting: a cone of 7 rad, noise of 1e30 m, a limit whose square is infinite",
     guard="settings have the bounds of a sensor",
-    edits=Edit(FACTS, '_sensor(SensorModel(), self.given()).validate("effects")', "self.given()"),
 )
 def settings_of_no_sensor() -> None:
     for name, value in (("divergence_rad", 7.0), ("range_noise_m", 1e30), ("limit_range_m", 1e200)):
@@ -44,7 +41,6 @@ def settings_of_no_sensor() -> None:
     why="every comparison with NaN is false, so that it is not out of any bounds",
     must="an error that names the field",
     guard="a value must lie within its bounds, not fail to lie outside",
-    edits=Edit("shift3d.scenes.sensor", "not 0.0 < value <= most", "(value <= 0.0 or value > most)"),
 )
 def a_sensor_whose_divergence_is_not_a_number() -> None:
     refused(lambda: scene_of([[20.0, 0.0, 0.0]], sensor=SensorModel(divergence_rad=math.nan)), "divergence_rad")
@@ -55,7 +51,6 @@ def a_sensor_whose_divergence_is_not_a_number() -> None:
     why="fog would be laid over points that were seen through fog",
     must="an error that names the setting to leave out; settings of the sensor are taken",
     guard="points carry one weather",
-    edits=Edit(FACTS, 'if conditions.weather_in_points and conditions.weather != "dry":', "if not about:"),
 )
 def weather_on_a_scene_that_carries_weather_already() -> None:
     scene = scene_of([[20.0, 0.0, 0.0]], conditions=Conditions("rain", rain_mm_h=5.0))
@@ -68,7 +63,6 @@ def weather_on_a_scene_that_carries_weather_already() -> None:
     why="no beam starts in the scene's origin, and yet there is one sensor",
     must="beams start where they started, and the effect of several sensors is not called for",
     guard="places are compared with each other, not with the scene's origin",
-    edits=Edit(FACTS, "(scene.origins == scene.origins[:1]).all()", "(scene.origins == 0.0).all()"),
 )
 def beams_that_all_start_in_one_place_that_is_not_the_origin() -> None:
     origins = np.broadcast_to(np.array([[1.5, -0.7, 0.2]], np.float32), (6, 3))
@@ -83,7 +77,6 @@ def beams_that_all_start_in_one_place_that_is_not_the_origin() -> None:
     why="times count from somewhere: all beams of a flash fire at once, and not at 0",
     must="nothing rolls: the effect is not called for, however fast the object",
     guard="a scan lasts from its first firing time to its last",
-    edits=Edit(FACTS, "float(times.max() - times.min())", "float(times.max())"),
 )
 def firing_times_that_are_all_the_same() -> None:
     scene = ahead(30.0, 6, time_s=np.array([0.08], np.float32))
@@ -96,7 +89,6 @@ def firing_times_that_are_all_the_same() -> None:
     why="a measurement that went wrong says neither that an effect matters nor that it does not",
     must="the effect is kept",
     guard="an effect is left out where it was measured to lie below the bound, not where it does not exceed it",
-    edits=Edit("shift3d.render.called_for", "not self.high < WORTH_BOUND", "self.high >= WORTH_BOUND"),
 )
 def a_worth_that_is_not_a_number() -> None:
     assert Worth(math.nan, math.nan, math.nan, 1.0).matters and not Worth(0.001, 0.0, 0.002, 1.0).matters
@@ -122,7 +114,6 @@ def returns_of_pixels(pixels: list[tuple[int, int]], numbers: list[int], **parts
     why="range gates and crops drop first returns",
     must="a second return whose first is not in the scene is the object's echo, and comes back",
     guard="a return is compared with the earliest of its beam that is there",
-    edits=Edit(f"{EFFECTS}.second_returns", "return number > earliest[beam]", "return number > 0"),
 )
 def a_second_return_without_a_first() -> None:
     assert stopped(returns_of_pixels([(0, 0), (0, 0), (5, 9)], [0, 1, 1])) == [True, False, True]
@@ -133,7 +124,6 @@ def a_second_return_without_a_first() -> None:
     why="points that are in no range image all have the pixel (-1, -1)",
     must="each is a beam of its own, and comes back",
     guard="only pixels of at least 0 are paired",
-    edits=Edit(f"{EFFECTS}.second_returns", "(pixel >= 0)", "(pixel >= -1)"),
 )
 def points_without_a_pixel() -> None:
     assert all(stopped(returns_of_pixels([(-1, -1)] * 3, [0, 1, 1])))
@@ -144,7 +134,6 @@ def points_without_a_pixel() -> None:
     why="two sensors count their pixels alike",
     must="a second return of one is not stopped by the first of the other",
     guard="rows of one beam share their origin too",
-    edits=Edit(f"{EFFECTS}.second_returns", "if not bool((scene.origins == scene.origins[:1]).all()):", "if False:"),
 )
 def one_pixel_of_two_sensors() -> None:
     origins = np.array([[0, 0, 0], [0, 0.5, 0]], np.float32)
@@ -162,9 +151,6 @@ def with_silent(directions: np.ndarray, **parts: Any) -> Scene:
     why="they have a row, as every beam that is cast, and a row has a point",
     must="no point of theirs lies in a pillar of any detector, and none is counted as a return",
     guard="beams without a return rest 10 km out",
-    edits=Edit(
-        f"{EFFECTS}.chain", "self._origins()[rows] + NO_RETURN_M * self.beams.directions[rows]", "self._origins()[rows]"
-    ),
 )
 def silent_beams_that_meet_nothing() -> None:
     rendering = drawn(with_silent(np.random.default_rng(1).standard_normal((50, 3)) * [1, 1, 0.05]), ["silent_beams"])
@@ -178,7 +164,6 @@ def silent_beams_that_meet_nothing() -> None:
     why="fog outshines whatever lies 10 km away, and there lie the rows of silent beams",
     must="they stay silent: fog in front of the sky is left out",
     guard="silent beams bring nothing back before the weather acts",
-    edits=Edit(f"{EFFECTS}.chain", "beams.carries if silent is None else beams.carries & ~silent", "beams.carries"),
 )
 def silent_beams_in_fog() -> None:
     scene = with_silent(np.random.default_rng(2).standard_normal((20, 3)))
@@ -192,7 +177,6 @@ def silent_beams_in_fog() -> None:
     why="all seven echoes have no power, and half of nothing is no less than nothing",
     must="the beam stays silent: the object has to send something back",
     guard="what wins has power",
-    edits=Edit(f"{EFFECTS}.divergence", "(of_object > 0) & (of_object >= 0.5 * total)", "(of_object >= 0.5 * total)"),
 )
 def a_cone_past_the_object_with_nothing_behind() -> None:
     edge = 1.0 / math.sqrt(399.0)
@@ -206,7 +190,6 @@ def a_cone_past_the_object_with_nothing_behind() -> None:
     why="their echoes overlap, and the nearer alone is weaker than what lies far behind",
     must="they merge into one echo, which wins together",
     guard="echoes nearer to each other than a pulse add up",
-    edits=Edit(f"{EFFECTS}.divergence", "(ordered.diff(dim=1) > PULSE_M)", "(ordered.diff(dim=1) > 0.0)"),
 )
 def two_surfaces_within_one_pulse() -> None:
     range_m = torch.tensor([[20.0, 20.5, 60.0]], dtype=torch.float64)
@@ -219,7 +202,6 @@ def two_surfaces_within_one_pulse() -> None:
     why="float32 has a millimetre there, which a hit at an angle would lie off its beam",
     must="noise moves points along the beam alone: rounded once, not twice",
     guard="effects start from hits on their beams, in float64",
-    edits=Edit(f"{EFFECTS}.chain", "cast_points = cast_points + (exact - cast_points).detach()", "pass"),
 )
 def an_object_10_km_away_in_float32() -> None:
     place = np.array([7011.3, 7101.9, 803.7])
@@ -238,9 +220,6 @@ def an_object_10_km_away_in_float32() -> None:
     why="one flipped bit makes a reflectance of 1e38, and it is on no scale",
     must="the scale of all others, 0 to 1",
     guard="up to one value in twenty may lie beyond a scale",
-    edits=Edit(
-        "shift3d.scenes.reflectance", "return misfits if misfits.sum() > few else misfits & False", "return misfits"
-    ),
 )
 def a_reflectance_with_a_flipped_bit() -> None:
     values = np.linspace(0.0, 1.0, 40).astype(np.float32)
@@ -253,9 +232,6 @@ def a_reflectance_with_a_flipped_bit() -> None:
     why="NaN is neither too small nor too large, and all reflectance would be NaN",
     must="an error that names the file",
     guard="a stated maximum must lie within its bounds",
-    edits=Edit(
-        "shift3d.scenes.reflectance", "if not 0.0 < stated <= MOST_RAW:", "if stated <= 0.0 or stated > MOST_RAW:"
-    ),
 )
 def a_largest_reflectance_that_is_not_a_number() -> None:
     refused(lambda: full_reflectance(np.ones(3, np.float32), "file.bin", math.nan, "Give it"), "file.bin")

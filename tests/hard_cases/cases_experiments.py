@@ -8,14 +8,13 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from clear_errors import harmful, place, refused
 from valid_weights import NETWORKS, write_experiment
 
 from shift3d.sdf.foreign import load_experiment
 
 AREA = "checkpoints"
-FOREIGN = "shift3d.sdf.foreign"
 WEIGHTS, CODES, SPECS = "ModelParameters/latest.pth", "LatentCodes/latest.pth", "specs.json"
 
 
@@ -40,7 +39,6 @@ def experiment_after(part: str, change: Callable[[Any], object]) -> Any:
     why="a checkpoint is a pickle, and a pickle can be a program",
     must="an error that names the file, and the program does not run",
     guard="only tensors and plain values are unpickled",
-    edits=Edit(FOREIGN, 'map_location="cpu", weights_only=True', 'map_location="cpu", weights_only=False'),
 )
 def a_checkpoint_that_runs_code() -> None:
     with place() as folder:
@@ -54,9 +52,6 @@ def a_checkpoint_that_runs_code() -> None:
     why="a damaged pickle fails in as many ways as it has instructions",
     must="an error that names the file",
     guard="whatever the unpickler raises becomes ours",
-    edits=Edit(
-        FOREIGN, "except Exception as error:  # a damaged pickle", "except OSError as error:  # a damaged pickle"
-    ),
 )
 def a_checkpoint_that_is_torn() -> None:
     for content in (b"", b"PK\x03\x04 torn", b"\x80\x02}q\x00.", pickle.dumps(3)[:-1], b"\xff" * 100):
@@ -68,7 +63,6 @@ def a_checkpoint_that_is_torn() -> None:
     why="a network with another activation has the same tensors and other values",
     must="an error that names the file and the setting",
     guard="settings that the original network does not have are refused",
-    edits=Edit(FOREIGN, "if unknown := sorted(set(network) - _KNOWN_SPECS):", "if unknown := sorted(set()):"),
 )
 def specs_with_an_unknown_activation() -> None:
     for name in ("activation", "geometric_init", "positional_encoding"):
@@ -81,7 +75,6 @@ def specs_with_an_unknown_activation() -> None:
     why='"false" in quotes is a text, and every text but the empty one counts as true',
     must="an error that names the file and the setting",
     guard="a switch must be true, false or null",
-    edits=Edit(FOREIGN, "if not isinstance(value, bool | None):", "if False:"),
 )
 def specs_with_false_in_quotes() -> None:
     change = lambda specs: specs["NetworkSpecs"].update(use_tanh="false")  # noqa: E731
@@ -93,7 +86,6 @@ def specs_with_false_in_quotes() -> None:
     why="codes of another epoch fit in shape, and draw other cars",
     must="an error that names both epochs",
     guard="the epochs of codes and weights are compared",
-    edits=Edit(FOREIGN, "if None not in epochs and epochs[0] != epochs[1]:", "if False:"),
 )
 def codes_of_another_epoch_than_the_weights() -> None:
     refused(
@@ -106,7 +98,6 @@ def codes_of_another_epoch_than_the_weights() -> None:
     why="weight norm divides by a row's length: squares of 1e25 are infinite in float32, and the row would be zero",
     must="an error that names the file and the tensor",
     guard="the lengths must be finite",
-    edits=Edit(FOREIGN, "if not bool(torch.isfinite(lengths).all()):", "if False:"),
 )
 def a_weight_norm_whose_squares_overflow() -> None:
     def spoil(content: Any) -> None:

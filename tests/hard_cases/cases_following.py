@@ -6,16 +6,13 @@ import math
 
 import torch
 from cases_voxels import CENTRE, NAN, cluster, detector, seen, window
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from torch import Tensor
 
 from shift3d.detectors.grid import WAYMO_GRID
 from shift3d.detectors.incremental import Follower
 
 AREA = "detector"
-POINTS = "shift3d.detectors.followed_points"
-PILLARS = "shift3d.detectors.pillar_follower"
-TOKENS = "shift3d.detectors.token_follower"
 
 
 def followed(*clouds: Tensor, name: str = "pointpillars", live: Tensor | None = None) -> None:
@@ -46,11 +43,6 @@ def shifted(points: Tensor, rows: slice, *offset: float) -> Tensor:
     why="a point that moves to the next cell changes two pillars, the one that it left with the other points in it",
     must="what a fresh look at the scene gives",
     guard="the cells that held a moved point are computed again, as well as those that hold it",
-    edits=Edit(
-        POINTS,
-        "flat[self.cell_of_point[rows]] = True\n            self.cell_of_point[rows] = ",
-        "self.cell_of_point[rows] = ",
-    ),
 )
 def a_followed_point_crosses_into_the_next_cell() -> None:
     points = cluster()
@@ -62,7 +54,6 @@ def a_followed_point_crosses_into_the_next_cell() -> None:
     why="an object that moves on leaves cells without a point, and there is nothing to write into them",
     must="what a fresh look at the scene gives: an empty pillar is 0",
     guard="cells that are due are emptied before they are filled",
-    edits=Edit(PILLARS, "self._cache.canvas[torch.from_numpy(np.flatnonzero(to_write))] = 0.0", "pass"),
 )
 def a_followed_object_leaves_its_cells_empty() -> None:
     points = cluster(200, size_m=1.0)
@@ -75,7 +66,6 @@ def a_followed_object_leaves_its_cells_empty() -> None:
     why="the cell of a point without a number is none, and as an integer an arbitrary one",
     must="what a fresh look gives, while such points come and go",
     guard="points without a cell get a number that stands for none",
-    edits=Edit(POINTS, "np.where(inside, numbers, 0.0).astype(np.int64)", "numbers.astype(np.int64)"),
 )
 def a_followed_point_is_no_number_for_a_while() -> None:
     points = cluster()
@@ -94,11 +84,6 @@ def a_followed_point_is_no_number_for_a_while() -> None:
     why="rows of a cloud of another length are other points: what moved cannot be told row by row",
     must="what a fresh look gives, from many points to none and back",
     guard="a cloud of another length is taken for new as a whole",
-    edits=Edit(
-        POINTS,
-        "flat[self.cell_of_point] = True\n            self.cell_of_point = ",
-        "self.cell_of_point = ",
-    ),
 )
 def a_followed_cloud_changes_its_length() -> None:
     points, none = cluster(), torch.zeros(0, 3, dtype=torch.float64)
@@ -112,11 +97,6 @@ def a_followed_cloud_changes_its_length() -> None:
     why="what changed where nobody looked is not computed, and must not be forgotten when somebody does",
     must="what a fresh look at the scene gives, once the window moves there",
     guard="changed cells that are not needed stay due",
-    edits=Edit(
-        "shift3d.detectors.cell_backbone",
-        "due, self._stale[0] = _split(changed | self._stale[0], needed)",
-        "due, self._stale[0] = changed & needed, self._stale[0] & ~needed",
-    ),
 )
 def a_followed_point_moves_where_nobody_looks() -> None:
     wide = detector().window_for(CENTRE, 9.0)
@@ -137,7 +117,6 @@ def a_followed_point_moves_where_nobody_looks() -> None:
     why="what an object uncovers becomes a token among those that stay, and what it hides is none any more",
     must="what a fresh look at the scene gives, from SST too: windows attend the tokens that are there",
     guard="of the cells of a window, those that hold a point are its tokens",
-    edits=Edit(TOKENS, "held = self._points.cells()", "held = self._row_of_cell.reshape(changed.shape) >= 0"),
 )
 def a_followed_token_comes_and_goes() -> None:
     points = cluster(300, size_m=9.0)
@@ -152,11 +131,6 @@ def a_followed_token_comes_and_goes() -> None:
     why="the gradient goes through every token of a window, of which a few alone hang on the points that are moved",
     must="at the points that are asked for, the gradient of a fresh look, through every layer",
     guard="tokens that carry a gradient enter a layer as they are, not as they were kept",
-    edits=Edit(
-        TOKENS,
-        "return features.index_copy(0, places, flow.features[torch.from_numpy(among)])",
-        "return features",
-    ),
 )
 def a_followed_token_is_live_among_others() -> None:
     points = cluster(600, size_m=12.0)
@@ -169,11 +143,6 @@ def a_followed_token_is_live_among_others() -> None:
     why="a token that changed where nobody looked reaches other windows, layer by layer, once somebody does",
     must="what a fresh look at the scene gives, from SST too, once the window moves there",
     guard="in every layer, windows that changed and are not needed stay due",
-    edits=Edit(
-        TOKENS,
-        "self._stale[level] = changed & ~(due_windows | live_windows)",
-        "self._stale[level] &= ~(due_windows | live_windows)",
-    ),
 )
 def a_followed_token_changes_where_nobody_looks() -> None:
     sst = detector(name="sst")

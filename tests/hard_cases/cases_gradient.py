@@ -7,13 +7,12 @@ import math
 import numpy as np
 import torch
 from analytic_fields import Field, car, sphere
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from hard_scenes import AT_TEN, FAST, PAPER, PLAIN, PRESETS, beams_along_x, draw, fan, hit_at, pose, sound
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering, RenderSettings
 
-IMPLICIT, POSES = "shift3d.render.implicit", "shift3d.geometry.se3"
 SPHERE = sphere(1.0)
 
 
@@ -33,7 +32,6 @@ def descended(
     why="at the silhouette the derivative of the range grows without bound, and the next step may lose the beam",
     must="sign and direction stay, no motion is amplified more than five times, the share of such beams is told",
     guard="the slope that a gradient is divided by is no smaller than the grazing floor",
-    edits=Edit(IMPLICIT, "slope.neg().clamp_min(grazing_floor)", "slope.neg().clamp_min(1e-9)"),
 )
 def a_beam_that_grazes() -> None:
     beams = beams_along_x(0.9999)
@@ -51,7 +49,6 @@ def a_beam_that_grazes() -> None:
     why="a field that is flat on both sides of its jump has a slope of exactly zero",
     must="no gradient, and no NaN, where the paper's formula divides zero by zero",
     guard="a slope of zero has no inverse",
-    edits=Edit(IMPLICIT, "torch.where(steep < 0, 1.0 / torch.where(steep < 0, steep, 1.0), 0.0)", "1.0 / steep"),
 )
 def a_slope_of_exactly_zero() -> None:
     def dead(x: Tensor) -> Tensor:
@@ -69,7 +66,6 @@ def a_slope_of_exactly_zero() -> None:
     why="a saturated tanh has a slope of thousands at its root and of nothing beside it",
     must="the gradient of the surface, whatever the field's own scale",
     guard="the root is reached before the slope is taken",
-    edits=Edit("shift3d.render.roots", "nonzero((best_g > tolerance) & ~lost)", "nonzero((best_g > 9.0) & ~lost)"),
 )
 def a_saturated_field_has_the_gradient_of_its_surface() -> None:
     beams = beams_along_x(0.3)
@@ -86,10 +82,6 @@ def a_saturated_field_has_the_gradient_of_its_surface() -> None:
     why="Newton's step at a grazing beam, where the slope is nearly zero, may lead anywhere along it",
     must="grazing hits are where a rendering without a gradient has them",
     guard="a root is polished only where the slope is below -0.05",
-    edits=(
-        Edit(IMPLICIT, "slope.clamp_max(STEEP)", "slope"),
-        Edit(IMPLICIT, "(slope <= STEEP) & (step", "(step"),
-    ),
 )
 def a_root_on_a_grazing_beam_is_not_polished() -> None:
     chord = np.linspace(0.0005, 0.05, 100)
@@ -106,7 +98,6 @@ def a_root_on_a_grazing_beam_is_not_polished() -> None:
     why="a field that jumps over zero has a large |g| and a fine slope at its surface: Newton's step leaves it",
     must="the hit stays at the jump, and its residual is told",
     guard="a root is polished by no more than 2 mm",
-    edits=Edit(IMPLICIT, " & (step.abs() <= _POLISH_M)", ""),
 )
 def a_root_is_not_polished_far() -> None:
     torn = lambda x: SPHERE(x) + torch.where(SPHERE(x) < 0, -0.05, 0.05)  # noqa: E731
@@ -120,7 +111,6 @@ def a_root_is_not_polished_far() -> None:
     why="a followed root can be a millimetre off when its gradient is taken",
     must="it is as good as one that was searched",
     guard="the gradient's own value and slope make one more Newton step",
-    edits=Edit(IMPLICIT, "range_m=hits.range_m + step", "range_m=hits.range_m"),
 )
 def a_followed_root_is_polished() -> None:
     y = np.array([0.0, 0.5, 0.8, 0.95])
@@ -138,7 +128,6 @@ def a_followed_root_is_polished() -> None:
     why="a loss that does not depend on the moved points sends them a gradient of zero",
     must="a gradient of zero, and a share of grazing beams of zero",
     guard="a share of nothing is zero",
-    edits=Edit(IMPLICIT, " if total > 0 else 0.0", ""),
 )
 def a_loss_that_no_point_moves() -> None:
     for settings in PRESETS.values():
@@ -154,7 +143,6 @@ def a_loss_that_no_point_moves() -> None:
     why="an optimiser holds its pose in float32, the hits are float64",
     must="a gradient in the pose's own dtype, to the rounding of the pose",
     guard="points are moved by the pose in float64",
-    edits=Edit(IMPLICIT, "pose = theta.double()", "pose = theta"),
 )
 def the_gradient_of_a_pose_in_float32() -> None:
     theta = pose(12.0, 3.0, -1.0, 0.4)
@@ -169,7 +157,6 @@ def the_gradient_of_a_pose_in_float32() -> None:
     why="at a pitch of a right angle yaw and roll turn about one axis, and formulas with a root or an arc fail",
     must="the derivative of a full re-render, by central differences",
     guard="a rotation is made of sines and cosines, no angle is taken out of one",
-    edits=Edit(POSES, "torch.cos(pose[3:]).unbind()", "(1.0 - torch.sin(pose[3:]) ** 2).sqrt().unbind()"),
 )
 def a_pitch_at_a_right_angle() -> None:
     sharp = FAST.with_(tolerance_m=1e-11, max_iterations=80)
@@ -185,7 +172,6 @@ def a_pitch_at_a_right_angle() -> None:
     why="headings of pi, -pi and 3 pi are one",
     must="the same points and the same gradient, continuous across the wrap",
     guard="nothing but sine and cosine ever sees a heading",
-    edits=Edit(POSES, "torch.sin(pose[3:]).unbind()", "(1.0 - torch.cos(pose[3:]) ** 2).sqrt().unbind()"),
 )
 def a_heading_at_the_wrap() -> None:
     at = pose(-12.0, 0.4, -1.0, math.pi, 0.02, 0.03)

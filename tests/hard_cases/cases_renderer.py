@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from analytic_fields import car, in_frame, sector_scan, sphere
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from hard_scenes import (
     FAST,
     PLAIN,
@@ -30,7 +30,6 @@ from shift3d.render import Beams, EmptySpace
     why="a return at the sensor itself has no direction, and what a scan lost is written as such",
     must="the row carries no beam, is not counted, and its twins and neighbours are hit as ever",
     guard="a row carries a beam only where its range is above zero",
-    edits=Edit("shift3d.render.beams", " & (ranges > 0)", ""),
 )
 def rows_without_a_return() -> None:
     points = np.array([[0, 0, 0], [np.nan, 0, 0], [30, 0, 0], [30, 0, 0], [0, 0, 0]], np.float64)
@@ -48,7 +47,6 @@ def rows_without_a_return() -> None:
     why="an infinite coordinate has an infinite range and no direction",
     must="the row carries no beam, and no direction or range of the scene is NaN or infinite",
     guard="a row carries a beam only where its range is finite",
-    edits=Edit("shift3d.render.beams", "torch.isfinite(ranges) & ", ""),
 )
 def rows_at_infinity() -> None:
     points = np.array([[np.inf, 0, 0], [-np.inf, np.inf, 1], [30, 0, 0]], np.float32)
@@ -66,7 +64,6 @@ def rows_at_infinity() -> None:
     why="at 20 km from the origin float32 coordinates are 2 mm apart, and a sensor's place is rounded as well",
     must="ranges as if the origin were at the sensor, to a micrometre",
     guard="a beam is the difference of its ends, taken in float64",
-    edits=Edit("shift3d.render.beams", "points_t.double() - origins_t", "(points_t - origins_t.float()).double()"),
 )
 def returns_in_float32_far_from_the_origin() -> None:
     far = np.array([20_000.0003, -12_000.0007, 120.0004])
@@ -86,11 +83,6 @@ def returns_in_float32_far_from_the_origin() -> None:
     why="in a map's own coordinates a pose is kilometres large and its differences from a beam are metres",
     must="ranges as near the origin, to a hundredth of a millimetre, whatever dtype the field has",
     guard="beams are moved to the object in float64, the field's dtype comes after that",
-    edits=Edit(
-        "shift3d.render.culling",
-        "(beams.origins[index] - theta[:3])",
-        "(beams.origins[index].float() - theta[:3].float()).double()",
-    ),
 )
 def a_pose_far_from_the_origin() -> None:
     far = np.array([15_600.0, 4_200.0, 120.0]) + 0.0003
@@ -111,7 +103,6 @@ def a_pose_far_from_the_origin() -> None:
     why="a pose that an optimiser holds in float32 meets beams in float64",
     must="it is rendered, to the rounding of the pose itself",
     guard="the pose is taken to float64 before the beams are moved by it",
-    edits=Edit("shift3d.render.culling", "    theta = theta.detach().double()\n", "    theta = theta.detach()\n"),
 )
 def a_pose_in_float32() -> None:
     theta = pose(12.0, 3.0, -1.0, 0.4)
@@ -127,7 +118,6 @@ def a_pose_in_float32() -> None:
     why="one NaN in a pose makes every beam miss: the object would silently be gone",
     must="an input error that shows the pose",
     guard="a pose is looked at before anything is rendered",
-    edits=Edit("shift3d.render.render", " or not bool(torch.isfinite(theta).all())", ""),
 )
 def a_pose_that_is_not_finite() -> None:
     for bad in (math.nan, math.inf):
@@ -145,7 +135,6 @@ def a_pose_that_is_not_finite() -> None:
     why="several sensors, or one that drives while it turns: two beams to one point start at different places",
     must="each beam is followed from its own sensor, two returns of one beam are two beams",
     guard="the first origin stands for all only where all are one row of memory",
-    edits=Edit("shift3d.render.culling", "len(beams) > 0 and beams.origins.stride(0) == 0", "len(beams) > 0"),
 )
 def beams_of_two_sensors() -> None:
     points = np.array([[20.0, 0.0, 0.0], [20.0, 0.0, 0.0], [8.0, 0.0, 0.0]])
@@ -161,7 +150,6 @@ def beams_of_two_sensors() -> None:
     why="the map of empty space samples as far as the longest of its rays, and there may be none",
     must="nothing moves, nothing is evaluated beyond the box itself, no hit has no residual",
     guard="no ray at all has length zero",
-    edits=Edit("shift3d.render.empty_space", " if len(rays) else 0.0", ""),
 )
 def no_beam_through_the_box() -> None:
     space = EmptySpace.of(_SPHERE, PLAIN, FAST)
@@ -177,7 +165,6 @@ def no_beam_through_the_box() -> None:
     why="without a hit there is no largest residual and no gradient to take",
     must="the scene itself, residual 0, and no graph",
     guard="the residual of no hits is 0",
-    edits=Edit("shift3d.render.render", " if len(hits.index) else 0.0", ""),
 )
 def no_hit_at_all() -> None:
     beams = fan(pose(12.0, 3.0))
@@ -194,7 +181,6 @@ def no_hit_at_all() -> None:
     why="the paper's march sizes its memory by the longest beam, and no beam may pass the sphere",
     must="no hit, none unresolved",
     guard="a scene without a beam near the object is done at once",
-    edits=Edit("shift3d.render.reference", "if len(index) == 0:", "if len(index) < 0:"),
 )
 def no_beam_past_the_sphere() -> None:
     beams = beams_along_x()
@@ -207,11 +193,6 @@ def no_beam_past_the_sphere() -> None:
     why="all samples of a scene at once do not fit the memory of a worker",
     must="never more points at once than the batch, and the same bits as in one go",
     guard="points are handed to the field a batch at a time",
-    edits=Edit(
-        "shift3d.render.object_field",
-        "self.sdf(part) for part in x_sdf.split(self.batch)",
-        "self.sdf(part) for part in [x_sdf]",
-    ),
 )
 def more_points_than_a_batch() -> None:
     theta = pose(12.0, 3.0, -1.0, 0.4)

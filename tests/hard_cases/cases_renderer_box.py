@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from analytic_fields import box, car, ground_scan, sphere, union
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from hard_scenes import (
     FAST,
     FEW,
@@ -33,7 +33,6 @@ from shift3d.render import Beams
     why="a beam in a face of the box divides zero by zero, one parallel to a face divides by zero",
     must="a beam in the face is inside the box: what stands out there is hit",
     guard="a component below 1e-12 is never divided by",
-    edits=Edit("shift3d.render.culling", "rays.directions.abs() < 1e-12", "rays.directions.abs() < 0.0"),
 )
 def beams_parallel_to_the_faces_of_the_box() -> None:
     # The checked box ends at y = 0.9375 exactly; a fin stands out there, between two of the places that are checked.
@@ -53,7 +52,6 @@ def beams_parallel_to_the_faces_of_the_box() -> None:
     why="a box around the sensor begins behind it, and so may the object's surface",
     must="only what lies ahead of the sensor is hit",
     guard="the stretch of a beam in the box never begins before the sensor",
-    edits=Edit("shift3d.render.culling", "torch.maximum(rays.near_m, enter)", "enter"),
 )
 def a_sensor_inside_the_box_with_a_surface_behind_it() -> None:
     behind = union(box((0.2, 0.5, 0.5), (-1.8, 0.0, 0.0)), box((0.2, 0.5, 0.5), (1.8, 0.0, 0.0)))
@@ -67,7 +65,6 @@ def a_sensor_inside_the_box_with_a_surface_behind_it() -> None:
     why="the object stands behind what the scan saw: a wall, a truck, the first of two returns",
     must="nothing moves and nothing fails",
     guard="the stretch of a beam in the box ends at its return",
-    edits=Edit("shift3d.render.culling", "torch.minimum(rays.far_m, leave)", "leave"),
 )
 def an_object_behind_the_returns() -> None:
     points, origin = ground_scan(rings=32, columns=360)
@@ -83,14 +80,6 @@ def an_object_behind_the_returns() -> None:
     why="the last step of a march reaches beyond the return, and the surface lies there",
     must="a return before the surface stays, to a tenth of a millimetre; one behind it moves onto it",
     guard="the last sample of a march is at the return itself",
-    edits=(
-        Edit("shift3d.render.bracket", "torch.minimum(k + bold, far)", "k + bold"),
-        Edit(
-            "shift3d.render.bracket",
-            "torch.arange(ahead + 1), far[:, None])",
-            "torch.arange(ahead + 1), far[:, None] + 1.0)",
-        ),
-    ),
 )
 def a_surface_at_the_end_of_a_beam() -> None:
     wall = box((1.0, 1.0, 1.0))
@@ -106,7 +95,6 @@ def a_surface_at_the_end_of_a_beam() -> None:
     why="a beam that starts inside the object has no crossing from outside",
     must="it is counted as unresolved and its return stays",
     guard="the paper's march calls a beam whose first sample is inside unresolved",
-    edits=Edit("shift3d.render.reference", "lost |= first_inside == 0", "lost |= first_inside < -1"),
 )
 def a_sensor_inside_the_object() -> None:
     for settings in PRESETS.values():
@@ -120,7 +108,6 @@ def a_sensor_inside_the_object() -> None:
     why="a code far off the prior can be inside everywhere: no beam has a way in",
     must="every beam through the decoder's ball is counted as unresolved, nothing moves",
     guard="a march that is still inside when it is back at its sensor calls the beam undecided",
-    edits=Edit("shift3d.render.bracket", "self.undecided[rows[at_sensor]] = True", "pass"),
 )
 def a_field_negative_everywhere() -> None:
     for settings in PRESETS.values():
@@ -134,7 +121,6 @@ def a_field_negative_everywhere() -> None:
     why="a thin part can leave the checked box between two of the places where it is checked",
     must="a beam that enters the box inside that part hits the part where it begins",
     guard="a march that starts inside goes back towards the sensor until it is outside",
-    edits=Edit("shift3d.render.bracket", "at_sensor = k <= 0", "at_sensor = k <= torch.inf"),
 )
 def a_part_that_sticks_out_of_the_checked_box() -> None:
     for settings in PRESETS.values():
@@ -147,7 +133,6 @@ def a_part_that_sticks_out_of_the_checked_box() -> None:
     why="going back from the box, a march that passes the sensor would find the way in behind it",
     must="the sensor is inside that part: the beam is unresolved, its range never negative",
     guard="going back ends at the sensor",
-    edits=Edit("shift3d.render.bracket", "- _BACK_STEP_M).clamp_min(0.0)", "- _BACK_STEP_M)"),
 )
 def a_sensor_inside_a_part_outside_the_box() -> None:
     for settings in PRESETS.values():
@@ -161,7 +146,6 @@ def a_sensor_inside_a_part_outside_the_box() -> None:
     why="a code far off the prior breaks into pieces, and one may float outside the baseline's box",
     must="every piece is hit",
     guard="the box is also checked on a lattice in the rest of the decoder's ball",
-    edits=Edit("shift3d.render.bounds", "torch.cat((_face_lattice(box), beyond))", "_face_lattice(box)"),
 )
 def a_shape_in_pieces() -> None:
     pieces = union(sphere(0.3, (-1.5, 0.0, 0.0)), sphere(0.3, (1.5, 0.9, 0.6)), sphere(0.4, (0.0, 0.0, 1.8)))
@@ -176,7 +160,6 @@ def a_shape_in_pieces() -> None:
     why="a shape under attack outgrows the box of its baseline, in which its beams were looked for",
     must="what stands out is hit as the rest is",
     guard="the box grows until the field is outside on all of its faces",
-    edits=Edit("shift3d.render.bounds", "if len(inside) == 0:", "if len(check):"),
 )
 def a_shape_that_outgrew_its_box() -> None:
     grown = union(car(), box((0.3, 0.3, 0.3), (0.0, 0.0, 1.0)))
@@ -189,11 +172,6 @@ def a_shape_that_outgrew_its_box() -> None:
     why="some beams hit, some pass, some start inside and some meet a NaN in front of the surface, all in one scene",
     must="each is a hit, a miss or unresolved, as geometry has it, and the three add up to all beams",
     guard="a ray that is undecided is not found, whatever it met afterwards",
-    edits=(
-        Edit("shift3d.render.bracket", "brackets.found & ~brackets.undecided", "brackets.found"),
-        # Where hits are put together it is said once more, for those that were known before.
-        Edit("shift3d.render.warm", "ranges[rows[undecided]], unresolved[rows[undecided]] = torch.nan, True", "pass"),
-    ),
 )
 def every_beam_is_a_hit_a_miss_or_unresolved() -> None:
     def metric(x: Tensor) -> Tensor:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import torch
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from hard_scenes import AT_TEN, MANY, PLAIN, Profile, beams_along_x, hit_at, sound, unmoved
 
 from shift3d.render import Beams, Rendering, preset, render
 
-WALK = "shift3d.render.exact"
 EXACT = preset("reference")
 UNIT = PLAIN.scale_m
 START = -8.0
@@ -33,7 +32,6 @@ def plate(steepness: float, at: float = 0.2, half: float = 0.002) -> Profile:
     why="a network forty times as steep as a distance is saturated a metre from its surface: no step shows it",
     must="the first crossing, as with no bound at all",
     guard="a beam whose pieces are nearly as steep as the bound walks every piece from there",
-    edits=Edit(WALK, "self._bound[rows[piece.slope.abs() > _SUSPECT * self._bound[rows]]] = torch.inf", "pass"),
 )
 def a_bound_that_does_not_hold_from_the_start() -> None:
     for steepness in (5.0, 40.0):
@@ -46,7 +44,6 @@ def a_bound_that_does_not_hold_from_the_start() -> None:
     why="a network is gentle where a beam begins and steep where it dips into a thin plate in front of a low plain",
     must="the plate is hit, not stepped over",
     guard="a step over which g fell by more than the bound allows is taken back and walked",
-    edits=Edit(WALK, "suspect = (g_before - g > _SUSPECT * allowed)", "suspect = (g_before - g > 99.0 * allowed)"),
 )
 def a_bound_that_fails_on_the_way() -> None:
     # 0.2 up to the plate, down to -0.01 and up to 0.01 within 0.03 units, flat behind it.
@@ -61,7 +58,6 @@ def a_bound_that_fails_on_the_way() -> None:
     why="a step that relies on the bound ends inside the object",
     must="the crossing that it stepped over is found",
     guard="a beam that turned negative in one step is walked again from its sensor",
-    edits=Edit(WALK, "torch.zeros_like(k)[inside & ~at_sensor]", "k[inside & ~at_sensor]"),
 )
 def a_surface_before_the_box_of_the_decoder() -> None:
     # The surface lies at x = -1.2 units, outside the ball of 1.05 in which shapes are looked for.
@@ -74,7 +70,6 @@ def a_surface_before_the_box_of_the_decoder() -> None:
     why="pieces are shorter than the rounding of a range: going to the end of one goes nowhere",
     must="the walk ends, with the first crossing",
     guard="every piece is a nanometre longer than it says",
-    edits=Edit(WALK, "piece.length[chosen] + _NUDGE_M", "piece.length[chosen]"),
 )
 def pieces_shorter_than_a_nanometre() -> None:
     crowd = [(0.1 + i * 1e-3 + j * 1e-17, 0.01 * (-1) ** j) for i in range(40) for j in range(10)]
@@ -88,7 +83,6 @@ def pieces_shorter_than_a_nanometre() -> None:
     why="g levels off a nanometre above zero and falls on steeply: one step along the pieces ends just inside",
     must="the root is there, within a nanometre",
     guard="a beam that came along its pieces and is inside by a rounding has its root where it is",
-    edits=Edit(WALK, "piece.value.clamp_min(0.0)", "piece.value"),
 )
 def a_bend_just_above_the_surface() -> None:
     # Down to `above` at 0.2 units, level for 1e-8, then down ten times as steep as before.
@@ -102,7 +96,6 @@ def a_bend_just_above_the_surface() -> None:
     why="the piece on which a beam ends goes on to a root behind its return",
     must="the return stays, be it a micrometre in front of the surface",
     guard="a root on a piece counts up to the end of the beam",
-    edits=Edit(WALK, "(root <= length) & (k_kept + root <= self.rays.far_m[kept])", "(root <= length)"),
 )
 def a_root_behind_the_return() -> None:
     surface = 10.0 + UNIT * 0.2
@@ -117,7 +110,6 @@ def a_root_behind_the_return() -> None:
     why="a beam that starts inside a network's object has no crossing from outside",
     must="it is counted as unresolved, with every bound",
     guard="a walk that is inside at its sensor is given up, not ended",
-    edits=Edit(WALK, "self._give_up(rows[at_sensor])", "self._end(rows[at_sensor])"),
 )
 def a_sensor_inside_the_object_of_a_network() -> None:
     beams = beams_along_x(start_x=10.5, count=MANY)
@@ -130,7 +122,6 @@ def a_sensor_inside_the_object_of_a_network() -> None:
     why="a network with a weight that is not a number has pieces without value, slope or end",
     must="the beams through it are counted as unresolved and stay",
     guard="a walk that meets a value that is not finite is given up, not ended",
-    edits=Edit(WALK, "self._give_up(rows[lost])", "self._end(rows[lost])"),
 )
 def a_network_with_a_weight_of_nan() -> None:
     beams = beams_along_x(count=MANY)

@@ -6,7 +6,7 @@ import math
 
 import torch
 from analytic_fields import Field, box, car, sphere
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from hard_scenes import (
     FAST,
     FEW,
@@ -56,7 +56,6 @@ def _lost(metric: Field, space: bool = False, names: tuple[str, ...] = tuple(SOL
     why="a NaN is neither inside nor outside: every comparison with it is false, as for a miss",
     must="the beams that meet it are counted as unresolved and stay",
     guard="a march calls a ray undecided where g is not a number",
-    edits=Edit("shift3d.render.bracket", "self.undecided[rows[lost]] = True", "pass"),
 )
 def a_field_of_nan() -> None:
     _lost(lambda x: x[:, 0] * math.nan)
@@ -68,7 +67,6 @@ def a_field_of_nan() -> None:
     why="an infinite value has a sign, and a root can be found beside it",
     must="the beams that meet it are counted as unresolved and stay",
     guard="a march asks for finite values, not for numbers",
-    edits=Edit("shift3d.render.bracket", "        lost = ~torch.isfinite(g)\n", "        lost = torch.isnan(g)\n"),
 )
 def a_field_of_infinities() -> None:
     _lost(lambda x: torch.full_like(x[:, 0], math.inf))
@@ -80,7 +78,6 @@ def a_field_of_infinities() -> None:
     why="several samples of one beam are looked at ahead of time, and only the last of them could be written down",
     must="one beam alone is as unresolved as forty",
     guard="among the samples that count, one that is not finite is enough",
-    edits=Edit("shift3d.render.bracket", "self.undecided[rows] |= lost.logical_and_", "lost.logical_and_"),
 )
 def nan_ahead_of_the_last_few_beams() -> None:
     _lost(_where(SURFACE, math.nan), names=("standard", "reference", "itp"))
@@ -96,7 +93,6 @@ def nan_ahead_of_the_last_few_beams() -> None:
     why="a NaN between the two ends of a bracket keeps a search for the root away from it: it ends beside the gap",
     must="the beam is unresolved, not a hit with whatever residual",
     guard="a root that passed a value that is not finite is not settled",
-    edits=Edit("shift3d.render.roots", "        lost[rows] = ~torch.isfinite(value)\n", ""),
 )
 def nan_at_the_surface() -> None:
     _lost(lambda x: torch.where(SURFACE(x).abs() < 0.002, math.nan, SURFACE(x)))
@@ -107,7 +103,6 @@ def nan_at_the_surface() -> None:
     why="the same, where roots are bisected or found by ITP",
     must="the beam is unresolved",
     guard="a row on which g is not finite is given up",
-    edits=Edit("shift3d.render.itp", "        lost[rows] = ~torch.isfinite(value)\n", ""),
 )
 def nan_where_roots_are_bisected() -> None:
     _lost(lambda x: torch.where(SURFACE(x).abs() < 0.002, math.nan, SURFACE(x)), names=("itp", "march", "paper"))
@@ -118,7 +113,6 @@ def nan_where_roots_are_bisected() -> None:
     why="between the samples of a bracket that is crossed at a flat angle lies a NaN",
     must="the beam is unresolved",
     guard="a flat bracket with a value that is not finite before its crossing is no bracket",
-    edits=Edit("shift3d.render.shallow", "lost = (~torch.isfinite(g) &", "lost = (torch.isnan(first) &"),
 )
 def nan_in_a_flat_bracket() -> None:
     # g falls by 0.1 a metre: every bracket is flat. The NaN lies in the middle of one, where no root search looks.
@@ -138,11 +132,6 @@ def nan_in_a_flat_bracket() -> None:
     why="a map of distances with NaN in it says neither that a place is free nor that it is not",
     must="the beams that meet it are marched and counted as unresolved",
     guard="what is not surely free is in doubt",
-    edits=Edit(
-        "shift3d.render.empty_space",
-        "torch.where(self.distance_m >= self.doubt_m, count, torch.arange(count))",
-        "torch.where(self.distance_m < self.doubt_m, torch.arange(count), count)",
-    ),
 )
 def nan_in_the_map() -> None:
     for metric in (lambda x: x[:, 0] * math.nan, _where(SURFACE, math.nan), _where(SURFACE, -math.inf)):
@@ -154,7 +143,6 @@ def nan_in_the_map() -> None:
     why="the map's error is measured, and a NaN among its places would make it NaN: then nothing is in doubt",
     must="every beam through the box is marched",
     guard="an error that is not a number is taken as infinite",
-    edits=Edit("shift3d.render.empty_space", "torch.nan_to_num(off, nan=torch.inf)", "off.nan_to_num(0.0)"),
 )
 def nan_where_the_map_is_checked() -> None:
     # A NaN shell thinner than the lattice, on the surface: no lattice point shows it, checks between them do.
@@ -169,7 +157,6 @@ def nan_where_the_map_is_checked() -> None:
     why="the paper's march asks for the first negative sample, and a NaN before it is not negative",
     must="the beam is unresolved, in the plain renderer too",
     guard="a sample that is not finite, at the first inside or before, leaves a beam unresolved",
-    edits=Edit("shift3d.render.reference", ", lost[r, c] = g < 0, ~torch.isfinite(g)", " = g < 0"),
 )
 def nan_before_the_surface() -> None:
     gap = _where(box((0.2, 1.0, 1.0), (-1.8, 0.0, 0.0)), math.nan)
@@ -181,7 +168,6 @@ def nan_before_the_surface() -> None:
     why="a NaN where the box is checked cannot say whether the shape goes on outside",
     must="the beams that meet the field outside the baseline's box are looked at, and counted as unresolved",
     guard="a check point that is not above zero counts as inside, and the box grows",
-    edits=Edit("shift3d.render.bounds", "check[~(g > 0)]", "check[g <= 0]"),
 )
 def nan_where_the_box_is_checked() -> None:
     above = _where(box((3.0, 3.0, 0.5), (0.0, 0.0, 1.3)), math.nan)
@@ -195,7 +181,6 @@ def nan_where_the_box_is_checked() -> None:
     why="a field that is saturated, or grows a thousandfold within millimetres, gives chords that hardly shrink",
     must="the root, within the evaluations that are allowed",
     guard="a bracket that three steps have not halved is bisected",
-    edits=Edit("shift3d.render.roots", "slow[rows] >= 3", "slow[rows] >= 100"),
 )
 def a_saturated_field() -> None:
     def of(change: Field) -> Field:
@@ -216,7 +201,6 @@ def a_saturated_field() -> None:
     why="a field that jumps from +1 to -1, flat on both sides, has no place with a small |g|",
     must="the hit is at the jump, and its residual says that |g| is a metre there",
     guard="a bracket that has shrunk to rounding counts as settled, its residual is kept",
-    edits=Edit("shift3d.render.roots", " & ~point & ~lost[rows]", " & ~lost[rows]"),
 )
 def a_field_that_jumps() -> None:
     for settings in PRESETS.values():
@@ -230,7 +214,6 @@ def a_field_that_jumps() -> None:
     why="a root can take more evaluations than are allowed",
     must="the beam is counted as unresolved: hits and unresolved beams are those that hit with patience",
     guard="a bracket whose root was not reached is undecided",
-    edits=Edit("shift3d.render.warm", "undecided[found[~roots.settled]] = True", "pass"),
 )
 def a_root_that_is_not_reached_in_time() -> None:
     theta = pose(12.0, 3.0, -1.0, 0.4)
@@ -248,7 +231,6 @@ def a_root_that_is_not_reached_in_time() -> None:
     why="in float32 |g| stalls at the rounding of the place it is evaluated at",
     must="what is promised is reached at 40 m too, and a tolerance below that rounding is refused",
     guard="a tolerance is compared with what the dtype can reach on this object",
-    edits=Edit("shift3d.render.render", "settings.check_tolerance(float(vehicle.scale_m))", "pass"),
 )
 def a_tolerance_below_the_rounding() -> None:
     theta = pose(40.0, 8.0, -1.0, 0.4)
@@ -271,7 +253,6 @@ def a_tolerance_below_the_rounding() -> None:
     why="far values are taken from bfloat16, off by up to 7 mm, and next to the surface that is a sign",
     must="no value below the band is a coarse one, no sign either",
     guard="values below the band are evaluated again",
-    edits=Edit("shift3d.render.object_field", "~(g >= self.coarse_band_m)", "g != g"),
 )
 def a_coarse_value_next_to_the_surface() -> None:
     vehicle = baseline_vehicles()["coupe"]

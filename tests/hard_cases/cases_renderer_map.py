@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 from analytic_fields import Field, box, union
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from hard_scenes import AT_TEN, FAST, PLAIN, draw, in_plain
 
 from shift3d.render import Beams, EmptySpace
-
-MAP = "shift3d.render.empty_space"
 
 
 def mapped(beams: Beams, metric: Field):  # type: ignore[no-untyped-def]
@@ -35,7 +33,6 @@ def first_face(beams: Beams, x: float, found: torch.Tensor) -> None:
     why="a plate 2 cm thick lies between two points of a lattice of 5 cm: interpolation shows free space all along",
     must="the plate is hit",
     guard="the map's error is measured between its points, and what lies within it is in doubt",
-    edits=Edit(MAP, "max(_MARGIN * unchecked.worst_error(metric), _LEAST_ERROR_M)", "_LEAST_ERROR_M"),
 )
 def a_plate_between_the_points_of_a_map() -> None:
     for at in (-0.975, -0.925, 0.475):
@@ -49,7 +46,6 @@ def a_plate_between_the_points_of_a_map() -> None:
     why="such a plate 5 cm in front of a body shows in the map as a fall into the body that slackens for a while",
     must="the plate is hit, not the body",
     guard="a crossing is taken from the map only where the distance falls all the way, at no flat angle",
-    edits=Edit(MAP, "<= -_PLAIN_SLOPE * SAMPLE_M", "<= 0.0"),
 )
 def a_plate_close_to_a_body() -> None:
     for at in np.linspace(-1.0, -0.95, 8).tolist():
@@ -63,7 +59,6 @@ def a_plate_close_to_a_body() -> None:
     why="a plate 8 cm in front of a body makes the mapped distance fall, rise and fall again",
     must="the plate is hit, not the body",
     guard="what does not fall all the way is marched",
-    edits=Edit(MAP, "kept = falls & ", "kept = "),
 )
 def a_plate_farther_from_a_body() -> None:
     for at in np.linspace(-1.0, -0.95, 8).tolist():
@@ -77,11 +72,6 @@ def a_plate_farther_from_a_body() -> None:
     why="a beam that ends before all that the map doubts was never marched: how near it came is not known",
     must="it is searched once the shape grows, and hit",
     guard="the end of a beam is a sample: what covers the way there does not do",
-    edits=(
-        Edit("shift3d.render.cover", "allowed[right == _FAR] = 0.0", "pass"),
-        # The nearest sample before it would be looked at again as well.
-        Edit("shift3d.render.cover", "watched = low & ", "watched = low & False & "),
-    ),
 )
 def a_beam_that_ends_before_what_the_map_doubts() -> None:
     before, after = box((0.72, 0.5, 0.5)), box((0.775, 0.5, 0.5))

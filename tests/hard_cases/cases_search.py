@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import torch
 from analytic_fields import Field, Frame, ground_scan, in_frame, soft_car
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from torch import Tensor
 from toy_detector import WaveDetector
 
@@ -21,7 +21,6 @@ from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.render import Beams, preset
 
 AREA = "constraints"
-LOOP = "shift3d.attack.loop"
 FRAME = Frame((4.0, 1.8, 1.4))
 SETTINGS = preset("standard").with_(dtype=torch.float64, empty_space=False)
 CODE = torch.zeros(6, dtype=torch.float64)
@@ -46,7 +45,6 @@ def problem(min_object_points: int = 50) -> AttackProblem:
     why="an object that no beam reaches is missed by every detector: a blind spot that is none",
     must="it is never kept, however few points are asked for, as long as any are",
     guard="the share of the points that must remain is rounded up",
-    edits=Edit("shift3d.attack.problem", "math.ceil(self.kept_share *", "int(self.kept_share *"),
 )
 def an_object_wholly_occluded() -> None:
     side = np.linspace(-4.0, 4.0, 40)
@@ -78,7 +76,6 @@ class SquareRootDetector(WaveDetector):
     why="one NaN in the gradient spoils every number of the code or the pose, and every later step",
     must="the search ends there, says so, and returns the finite object that it had",
     guard="a step that leaves the finite numbers is not taken",
-    edits=Edit(LOOP, "if not bool(torch.isfinite(moved).all()):", "if False:"),
 )
 def a_gradient_that_is_no_number() -> None:
     broken = replace(problem(), detector=SquareRootDetector(), _near=[])
@@ -106,7 +103,6 @@ class ForgetfulDetector(WaveDetector):
     why="a NaN is not above the lowest loss so far, which is infinite before the first valid step",
     must="a step without a loss is never the best one",
     guard="a step is kept where its loss is lower, which a NaN is not",
-    edits=Edit(LOOP, "loss < lowest", "not loss >= lowest"),
 )
 def a_loss_that_is_no_number() -> None:
     for steps in (1, 3):
@@ -121,7 +117,6 @@ def a_loss_that_is_no_number() -> None:
     why="the pull of lambda throws the code to the other side, farther each time, until it overflows",
     must="the search ends in a few steps, with a finite code; with lambda 0 the same step size is no penalty at all",
     guard="a step that leaves the finite numbers is not taken",
-    edits=Edit(LOOP, "if not bool(torch.isfinite(moved).all()):", "if False:"),
 )
 def a_huge_lambda() -> None:
     for lambda_ in (1e100, 1e300):
@@ -135,11 +130,6 @@ def a_huge_lambda() -> None:
     why="the squared length of a code of 1e200 is infinite, and 0 times infinity is NaN",
     must="without lambda the loss is the detector's, finite at every step",
     guard="a lambda of 0 leaves the penalty out",
-    edits=Edit(
-        "shift3d.attack.shape",
-        "lambda_ * latent_penalty(code, problem.code0) if lambda_ else code.new_zeros(())",
-        "lambda_ * latent_penalty(code, problem.code0)",
-    ),
 )
 def no_lambda_and_a_huge_step() -> None:
     result = attack_shape(problem(), 0.0, alpha=1e200, steps=2)
@@ -164,7 +154,6 @@ class WatchingDetector(WaveDetector):
     why="a step of a million metres leads out of the scene and of the detector's range",
     must="the object stays within 4 m of its start at every step",
     guard="every step is projected onto the limits",
-    edits=Edit("shift3d.attack.pose", "if float(shift) > limits.max_shift_m:", "if False:"),
 )
 def a_step_of_a_million_metres() -> None:
     watching = WatchingDetector()
@@ -180,7 +169,6 @@ def a_step_of_a_million_metres() -> None:
     why="the square of a step of 1e200 m is infinite: divided by its length the step would be 0",
     must="the nearest pose in its direction, at the limit",
     guard="the length is taken without squares that overflow",
-    edits=Edit("shift3d.attack.pose", "shift = torch.hypot(change[0], change[1])", "shift = change[:2].norm()"),
 )
 def a_step_whose_square_overflows() -> None:
     for alpha in (1e160, 1e300):
@@ -199,7 +187,6 @@ def nothing(x: Tensor) -> Tensor:
     why="the field is positive everywhere: no beam is moved, and the loss does not depend on the pose",
     must="a gradient of 0 and no valid step, not an error of the backward pass",
     guard="the gradient of a loss without a graph is 0",
-    edits=Edit(LOOP, "if not loss.requires_grad:", "if False:"),
 )
 def a_pose_attack_on_a_code_that_draws_nothing() -> None:
     empty = replace(problem(), field_of=lambda code: nothing, _near=[])
@@ -214,7 +201,6 @@ def a_pose_attack_on_a_code_that_draws_nothing() -> None:
     why="the shape under attack has left the ground, or vanished: there is no height at which it touches",
     must="it keeps the start's pose, is not valid, and the search goes on",
     guard="a shape that cannot be settled is left where it is",
-    edits=Edit("shift3d.attack.shape", "return problem.theta0 if found is None else found", "return found"),
 )
 def a_shape_attack_from_a_code_that_draws_nothing() -> None:
     def field_of(code: Tensor) -> Field:

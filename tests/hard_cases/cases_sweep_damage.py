@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from clear_errors import place, refused
 from valid_sweeps import DRIVER, plan, rows, write_frontier, write_sweep
 
@@ -18,7 +18,6 @@ from shift3d.sweep.final import write_final
 from shift3d.sweep.folder import read_plan
 
 AREA = "sweep"
-LOG, TABLES = "shift3d.store.log", "shift3d.store.tables"
 SECOND, SCORES = "_log/00000002.json", f"data/00000001-{DRIVER}-scores.parquet"
 
 
@@ -49,7 +48,6 @@ def parquet_with(name: str, column: str, value: object) -> Callable[[Path], None
     why="in compressed numbers one flipped bit is read as another score",
     must="an error that names the segment, or the same scores",
     guard="pages carry checksums, and they are compared",
-    edits=Edit(TABLES, "page_checksum_verification=True", "page_checksum_verification=False"),
 )
 def a_flipped_bit_in_a_score() -> None:
     with place() as folder:
@@ -72,9 +70,6 @@ def a_flipped_bit_in_a_score() -> None:
     why="NaN in one committed score would be NaN in the AUC of its group, and shown as a gap",
     must="an error that names the segment and the column",
     guard="floating-point columns are looked through where they are read",
-    edits=Edit(
-        TABLES, "if pa.types.is_floating(field.type) and not np.isfinite(column", "if False and not np.isfinite(column"
-    ),
 )
 def a_committed_score_of_nan() -> None:
     refused(lambda: final_after(parquet_with(SCORES, "score", float("nan"))), SCORES, "score", "NaN")
@@ -85,7 +80,6 @@ def a_committed_score_of_nan() -> None:
     why="a column that is gone or renamed is not missed before a mean is taken over it",
     must="an error that names the file",
     guard="the columns are compared with the schema's",
-    edits=Edit(TABLES, "if table.schema.names != schema.names:", "if not table.schema.names:"),
 )
 def a_segment_with_a_column_missing() -> None:
     def drop(folder: Path) -> None:
@@ -101,7 +95,6 @@ def a_segment_with_a_column_missing() -> None:
     why="rows of tasks that the plan does not have would stand at the end of the tables, and count",
     must="an error that says how many",
     guard="every row's task must be in the plan",
-    edits=Edit("shift3d.sweep.final", "if found.null_count:", "if found.null_count > 99:"),
 )
 def a_segment_of_foreign_tasks() -> None:
     def swap(folder: Path) -> None:
@@ -116,7 +109,6 @@ def a_segment_of_foreign_tasks() -> None:
     why="an entry may name any file, also one outside of the folder",
     must="an error that names the entry; as for rows of less than none and segments that do not exist",
     guard="an entry's values must be such as a driver writes",
-    edits=Edit(LOG, "    if wrong:\n", "    if wrong and sequence < 0:\n"),
 )
 def a_log_entry_that_no_driver_wrote() -> None:
     for values in (
@@ -140,7 +132,6 @@ def a_log_entry_that_no_driver_wrote() -> None:
     why="a log copied from another sweep's folder says that all is done",
     must="an error that names the entry",
     guard="every entry's spec is compared with the sweep's",
-    edits=Edit(LOG, "if entry.spec_hash != self.spec_hash:", "if entry.spec_hash is None:"),
 )
 def a_log_of_another_sweep() -> None:
     with place() as folder:
@@ -153,7 +144,6 @@ def a_log_of_another_sweep() -> None:
     why="a spec or a plan that was edited by hand describes other tasks than those that were run",
     must="an error that names the folder",
     guard="the hash of all tasks is worked out again and compared",
-    edits=Edit("shift3d.sweep.folder", 'complete = plan.spec_hash == spec["spec_hash"]', "complete = True"),
 )
 def a_plan_that_was_edited() -> None:
     with place() as folder:
@@ -168,11 +158,6 @@ def a_plan_that_was_edited() -> None:
     why="a frontier's column of NaN has neither a least nor a largest value to plot",
     must="an error that names the file and the column",
     guard="a frontier that is read is looked through as segments are",
-    edits=Edit(
-        "shift3d.store.frontier_table",
-        "check_table(table.select(FRONTIER_SCHEMA.names), FRONTIER_SCHEMA, path)",
-        "str(path)",
-    ),
 )
 def a_measured_frontier_with_nan() -> None:
     with place() as folder:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from clear_errors import place, refused
 from valid_sweeps import DRIVER, plan, rows, write_sweep
 
@@ -18,13 +18,7 @@ from shift3d.sweep.final import FinalTables, write_final
 from shift3d.sweep.folder import open_folder, read_plan, read_spec
 
 AREA = "sweep"
-LOG, TABLES, FOLDER = "shift3d.store.log", "shift3d.store.tables", "shift3d.sweep.folder"
 SECOND = "_log/00000002.json"
-VERSION = Edit(
-    "shift3d.store.migrations",
-    "if isinstance(version, int) and oldest <= version <= SCHEMA_VERSION:",
-    "if isinstance(version, int):\n        return []\n    if False:",
-)
 SCORES, TIMINGS = (f"data/00000001-{DRIVER}-{name}.parquet" for name in ("scores", "timings"))
 
 
@@ -51,7 +45,6 @@ def in_entry(**values: object) -> Callable[[Path], object]:
     why="an entry that a full disk or a copy cut off says nothing of what it finished",
     must="an error that names the entry: skipped, its tasks would be run and counted twice",
     guard="an entry that is no JSON is an error of ours",
-    edits=Edit(LOG, "except (OSError, ValueError, KeyError, TypeError,", "except (OSError, KeyError, TypeError,"),
 )
 def a_log_entry_that_is_torn() -> None:
     def tear(folder: Path) -> None:
@@ -65,7 +58,6 @@ def a_log_entry_that_is_torn() -> None:
     why="with an entry gone the rest still reads as a log, of fewer tasks",
     must="an error that names the entry that is missing",
     guard="entries are numbered, and the numbers are counted",
-    edits=Edit(LOG, "if entries and entries[0].sequence != 0:", "if False:"),
 )
 def a_log_with_an_entry_missing() -> None:
     refused(lambda: finished(lambda folder: (folder / "_log" / "00000001.json").unlink()), "00000001.json is missing")
@@ -76,10 +68,6 @@ def a_log_with_an_entry_missing() -> None:
     why="a driver that was killed leaves a temporary file in the log",
     must="it counts for nothing, and the tables are whole",
     guard="entries begin with a digit, temporary files with a dot, and neither is listed without the other",
-    edits=(
-        Edit(LOG, "and name[0].isdigit()", ""),
-        Edit("shift3d.store.location", 'if not entry.name.startswith(".")', "if entry.name"),
-    ),
 )
 def a_file_that_a_killed_driver_left() -> None:
     def leave(folder: Path) -> None:
@@ -93,7 +81,6 @@ def a_file_that_a_killed_driver_left() -> None:
     why="the same names may mean something else in another version",
     must="an error that says which version it is",
     guard="an entry's version is compared",
-    edits=VERSION,
 )
 def a_log_entry_of_another_version() -> None:
     refused(lambda: finished(in_entry(schema_version=1)), SECOND, "version 1")
@@ -104,7 +91,6 @@ def a_log_entry_of_another_version() -> None:
     why="a segment of another length than was committed is another file under the same name",
     must="an error that names it and both lengths",
     guard="rows are counted against the log",
-    edits=Edit("shift3d.store.segments", "if part.num_rows != rows:", "if part.num_rows < 0:"),
 )
 def a_segment_of_another_length_than_was_committed() -> None:
     def shorten(folder: Path) -> None:
@@ -120,7 +106,6 @@ def a_segment_of_another_length_than_was_committed() -> None:
     why="Parquet keeps its directory at the end: of a file that was cut off nothing is left",
     must="an error that names the segment",
     guard="errors of the Parquet reader become ours",
-    edits=Edit(TABLES, "except (OSError, pa.Arrow", "except ZeroDivisionError if True else (OSError, pa.Arrow"),
 )
 def a_segment_that_is_torn() -> None:
     def tear(folder: Path) -> None:
@@ -134,7 +119,6 @@ def a_segment_that_is_torn() -> None:
     why="a table of another kind is as good a Parquet file",
     must="an error that names the file and the kind that it should be",
     guard="every table carries its kind and version",
-    edits=Edit(TABLES, '.decode(errors="replace") != name:', ".decode() == 0:"),
 )
 def a_segment_of_another_kind() -> None:
     with place() as folder:
@@ -148,7 +132,6 @@ def a_segment_of_another_kind() -> None:
     why="a spec of another version describes tasks that are run differently today",
     must="an error that says which version it is, and what to do",
     guard="the spec's version is compared",
-    edits=VERSION,
 )
 def a_spec_of_another_version() -> None:
     with place() as folder:
@@ -164,7 +147,6 @@ def a_spec_of_another_version() -> None:
     why="two sweeps in one folder would mix their results",
     must="an error that names what differs; the folder is left as it was",
     guard="the folder's spec is compared by the hash of all its tasks",
-    edits=Edit(FOLDER, 'if found["spec_hash"] != plan.spec_hash:', "if False:"),
 )
 def a_folder_that_holds_another_sweep() -> None:
     with place() as folder:
@@ -180,7 +162,6 @@ def a_folder_that_holds_another_sweep() -> None:
     why="two drivers that both append would finish every task twice",
     must="the one that comes second stops, and its segments are gone",
     guard="an entry is created only where there is none",
-    edits=Edit(LOG, "if not created:", "if False:"),
 )
 def a_second_driver_in_one_folder() -> None:
     with place() as folder:
@@ -198,7 +179,6 @@ def a_second_driver_in_one_folder() -> None:
     why="NaN in one row would be NaN in the mean of all",
     must="an error that names the column, before a file is touched",
     guard="numbers are looked through where rows become a table",
-    edits=Edit(TABLES, "        if bad:\n", "        if len(bad) > 99:\n"),
 )
 def a_result_that_is_nan() -> None:
     for value in (math.nan, math.inf):

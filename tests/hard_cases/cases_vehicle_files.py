@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 import trimesh
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from clear_errors import place, refused
 from safetensors.numpy import load_file, save_file
 from valid_weights import NETWORKS, VEHICLES, write_experiment, write_vehicles
@@ -25,8 +25,6 @@ from shift3d.vehicles.sources import DeepSdfVehicles
 from shift3d.vehicles.vehicle import Vehicle, baseline_vehicles
 
 AREA = "vehicle files"
-FILES, FRAME, REPAIR = "shift3d.vehicles.mesh_files", "shift3d.vehicles.mesh_frame", "shift3d.vehicles.repair"
-VEHICLE = "shift3d.vehicles.vehicle"
 IN_METRES = MeshFrame("+x", "+z", "m")
 
 
@@ -59,7 +57,6 @@ def with_facts(change: Callable[[dict[str, Any], dict[str, np.ndarray]], object]
     why="a point cloud is a mesh file without faces",
     must="an error that names the file",
     guard="faces are counted before the parts are put together",
-    edits=Edit(FILES, "if not sum(len(part) for part in faces):", "if False:"),
 )
 def a_mesh_without_faces() -> None:
     refused(lambda: read("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "car.obj"), "car.obj", "no faces")
@@ -71,7 +68,6 @@ def a_mesh_without_faces() -> None:
     why="NaN is neither the largest nor the smallest coordinate, so that a box around it looks finite",
     must="an error that names the file",
     guard="every vertex that a face names must be finite",
-    edits=Edit(FILES, "if not np.isfinite(mesh.vertices[np.unique(mesh.faces)]).all():", "if False:"),
 )
 def a_mesh_with_a_vertex_of_nan() -> None:
     broken = block()
@@ -86,7 +82,6 @@ def a_mesh_with_a_vertex_of_nan() -> None:
     why="a face that names a vertex beyond the last reads memory that is none of it",
     must="an error that names the file",
     guard="the largest index is compared with the number of vertices",
-    edits=Edit(FILES, "if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):", "if False:"),
 )
 def a_face_of_a_vertex_that_is_not_there() -> None:
     content = trimesh.Trimesh(np.eye(3), [[0, 1, 9]], process=False).export(file_type="ply")
@@ -98,9 +93,6 @@ def a_face_of_a_vertex_that_is_not_there() -> None:
     why="of an OBJ file that lacks one number of one vertex, the reader makes pairs of all of them",
     must="an error that names the file",
     guard="every vertex must have three coordinates",
-    edits=Edit(
-        FILES, "if any(part.shape[1:] != (3,) for part in vertices):", "if any(not part.size for part in vertices):"
-    ),
 )
 def a_vertex_with_a_coordinate_missing() -> None:
     lines = block().export(file_type="obj").splitlines()
@@ -114,7 +106,6 @@ def a_vertex_with_a_coordinate_missing() -> None:
     why="a header of a few bytes claims two gigabytes, which a reader asks for before it reads",
     must="an error that names the file, and no more memory than the file has",
     guard="the reader is given the bytes that there are",
-    edits=Edit(FILES, "else io.BytesIO(path.read_bytes())", 'else path.open("rb")'),
 )
 def a_glb_with_an_absurd_length() -> None:
     content = struct.pack("<4sIIII", b"glTF", 2, 40, 2**31 - 1, 0x4E4F534A) + b"{}" * 10
@@ -131,7 +122,6 @@ def a_glb_with_an_absurd_length() -> None:
     why="CAD is often in millimetres: a car of 4.5 km fits no scene, and one of 4.5 mm is between the beams",
     must="an error that says how long it would be, and the unit that would fit",
     guard="a vehicle is 2 to 20 m long",
-    edits=Edit(FRAME, "if LENGTH_M[0] <= length * scale <= LENGTH_M[1]:", "if LENGTH_M[0] <= length * scale:"),
 )
 def a_mesh_in_millimetres() -> None:
     mesh = block(4500.0, 1800.0, 1500.0)
@@ -144,7 +134,6 @@ def a_mesh_in_millimetres() -> None:
     why="a house is no longer than a lorry; on the repair's grid of 2.5 cm it has half a billion nodes",
     must="an error that names the file, before anything is allocated",
     guard="a vehicle is at most 6 m wide and high",
-    edits=Edit(FRAME, "if extent[1:].max() * scale > WIDEST_M:", "if False:"),
 )
 def a_mesh_of_a_house() -> None:
     refused(lambda: IN_METRES.to_object(block(19.9, 19.8, 19.7), "house.ply"), "house.ply", "wide")
@@ -155,7 +144,6 @@ def a_mesh_of_a_house() -> None:
     why="a sheet has an inside only by rounding",
     must="an error that names the file",
     guard="the shortest side of the box is at least a thousandth of the longest",
-    edits=Edit(FRAME, "if extent.min() < 1e-3 * extent.max() or extent.max() <= 0.0:", "if False:"),
 )
 def a_flat_mesh() -> None:
     for thickness in (1e-6, 1e-3):
@@ -167,7 +155,6 @@ def a_flat_mesh() -> None:
     why="with its faces turned inwards, all of space but the vehicle is inside",
     must="negative distances inside and positive ones outside, with the faces turned and nothing else changed",
     guard="pieces with a negative volume are turned",
-    edits=Edit(REPAIR, "faces[piece == index] = faces[piece == index][:, ::-1]", "faces = faces + 0"),
 )
 def a_mesh_that_is_inside_out() -> None:
     turned = block(2.0, 0.8, 0.6)
@@ -182,7 +169,6 @@ def a_mesh_that_is_inside_out() -> None:
     why="one missing triangle, and inside and outside are the same",
     must="the hole is closed, the rest of the surface stays where it is, and the report says so",
     guard="holes of three or four edges are filled before anything is wrapped",
-    edits=Edit(REPAIR, "    trimesh.repair.fill_holes(mesh)\n", "    trimesh.repair.fix_winding(mesh)\n"),
 )
 def a_mesh_with_a_hole() -> None:
     whole = block(2.0, 0.8, 0.6)
@@ -196,7 +182,6 @@ def a_mesh_with_a_hole() -> None:
     why="two crossing sheets have length, width and height, and enclose nothing",
     must="an error that names the file",
     guard="what is wrapped must fill a share of its box",
-    edits=Edit("shift3d.vehicles.wrap", "if volume[-1] < FILLED_SHARE * box_m3:", "if volume[-1] <= 0.0:"),
 )
 def a_mesh_that_encloses_nothing() -> None:
     square = np.array([[-1.1, -0.4, 0.0], [1.1, -0.4, 0.0], [1.1, 0.4, 0.0], [-1.1, 0.4, 0.0]])
@@ -210,7 +195,6 @@ def a_mesh_that_encloses_nothing() -> None:
     why="a matrix that stretches turns distances into other numbers: hits would lie off the surface",
     must="an error that names the file and the vehicle",
     guard="sdf_R_object must be orthonormal",
-    edits=Edit(VEHICLE, "elif not np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-4:", "elif False:"),
 )
 def a_vehicle_whose_transform_stretches() -> None:
     stretched = np.diag([1.0, 0.5, 1.0]).tolist()
@@ -224,9 +208,6 @@ def a_vehicle_whose_transform_stretches() -> None:
     why="a scale in centimetres, of zero or NaN: the decoder's sphere is a dot or a city",
     must="an error that names the file and the vehicle",
     guard="the vehicle's longest side must fit into the decoder's sphere",
-    edits=Edit(
-        VEHICLE, "elif not SPHERES[0] * vehicle.scale_m <= size.max() <= SPHERES[1] * vehicle.scale_m:", "elif False:"
-    ),
 )
 def a_vehicle_of_another_scale_than_its_size() -> None:
     for scale in (250.0, 0.0, -2.5, 1e-300, float("nan")):
@@ -240,7 +221,6 @@ def a_vehicle_of_another_scale_than_its_size() -> None:
     why="one NaN in a code makes every value of the field NaN, and NaN is no surface: the vehicle would vanish",
     must="an error that names the file and the tensor",
     guard="the tensor's values must all lie below a limit, which NaN does not",
-    edits=Edit(VEHICLE, "if not (usable and bool((np.abs(found) <= LARGEST).all())):", "if not usable:"),
 )
 def a_latent_code_with_nan() -> None:
     for value in (np.nan, np.inf, 1e30):
@@ -256,7 +236,6 @@ def a_latent_code_with_nan() -> None:
     why="codes of zeros cannot be scaled to any length",
     must="an error that names the folder and the setting",
     guard="the mean length of the codes is looked at before it divides",
-    edits=Edit("shift3d.vehicles.sources", "if mean < _SHORTEST_CODE:", "if False:"),
 )
 def codes_that_were_never_trained() -> None:
     with place() as folder:

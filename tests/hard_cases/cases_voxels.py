@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import torch
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from random_networks import random_net
 from torch import Tensor
 
@@ -17,7 +17,6 @@ from shift3d.detectors.grid import WAYMO_GRID, Pillars, assign_pillars, full_win
 from shift3d.detectors.pillar_net import PillarNet, decorate
 
 AREA = "voxelisation"
-GRID = "shift3d.detectors.grid"
 CENTRE = (10.0, -7.3)
 NAN, INF = float("nan"), float("inf")
 
@@ -56,11 +55,6 @@ def seen(points: Tensor, name: str = "pointpillars") -> tuple[Tensor, Tensor]:
     why="a float32 coordinate next to an edge falls to either side, by how its cell is rounded",
     must="the cell in which the point exactly is, half open, and the same in every precision of the network",
     guard="cells are computed in float64, whatever the points come in",
-    edits=Edit(
-        GRID,
-        'x, y, z = points.detach().to("cpu", torch.float64).numpy().T',
-        'x, y, z = points.detach().to("cpu", torch.float32).numpy().T',
-    ),
 )
 def a_point_on_a_pillars_edge() -> None:
     edges = (np.arange(1, 468) * 0.32 - 74.88).astype(np.float32)
@@ -80,7 +74,6 @@ def a_point_on_a_pillars_edge() -> None:
     why="a point a hand's breadth beyond the last column would be counted into the first one of the next line",
     must="it belongs to no pillar, on any side of the grid and at its very ends",
     guard="columns and lines are held against the window before they become a number",
-    edits=Edit(GRID, "(cell_x < window.x0 + window.num_x)", "(cell_x <= window.x0 + window.num_x)"),
 )
 def a_point_just_beyond_the_grid() -> None:
     below = np.nextafter(74.88, 0.0)
@@ -104,7 +97,6 @@ def a_point_just_beyond_the_grid() -> None:
     why="the published network keeps 20 points of a pillar: the others have no gradient, and order decides which",
     must="every point is kept, and the last of 400 has its gradient",
     guard="pillars of any number of points, without a limit",
-    edits=Edit(GRID, "rows = np.nonzero(inside)[0]", "rows = np.nonzero(inside)[0][:20]"),
 )
 def four_hundred_points_in_one_pillar() -> None:
     points = cluster(size_m=0.1)
@@ -120,7 +112,6 @@ def four_hundred_points_in_one_pillar() -> None:
     why="a sum of floating-point numbers depends on their order, and so would a score",
     must="the same logits to the bit for any order of the points",
     guard="the points of a pillar are sorted by their coordinates before anything is added",
-    edits=Edit(GRID, "by_value = np.lexsort((z, y, x, flat))", 'by_value = np.argsort(flat, kind="stable")'),
 )
 def the_points_in_another_order() -> None:
     points = cluster(1000, size_m=2.0)
@@ -137,11 +128,6 @@ def the_points_in_another_order() -> None:
     why="two points in one place both hold the maximum: its derivative is not defined",
     must="each gets half of what one point there would get",
     guard="the maximum whose backward pass divides among all that hold it",
-    edits=Edit(
-        "shift3d.detectors.pillar_net",
-        'highest = torch.segment_reduce(per_point, "max", lengths=pillars.counts, axis=0, unsafe=True)',
-        "highest = per_point.max(dim=0, keepdim=True).values",
-    ),
 )
 def two_points_hold_a_pillars_maximum() -> None:
     torch.manual_seed(0)
@@ -166,7 +152,6 @@ def two_points_hold_a_pillars_maximum() -> None:
     why="a NaN is neither too low nor too high, and a huge coordinate overflows on its way to a cell",
     must="such points are no part of the scene: the logits of the others, and a gradient of 0",
     guard="a point counts only where it is known to be inside",
-    edits=Edit(GRID, "(z >= grid.z_min_m) & (z < grid.z_max_m)", "~(z < grid.z_min_m) & ~(z >= grid.z_max_m)"),
 )
 def points_without_a_place() -> None:
     x, y = CENTRE
@@ -184,11 +169,6 @@ def points_without_a_place() -> None:
     why="bfloat16 knows a coordinate to 0.25 m at 70 m: a point would change its pillar, and its offset be noise",
     must="the features of a far pillar are those of the float32 network to the bit",
     guard="points and the pillar network stay in float32 for any precision of the convolutions",
-    edits=Edit(
-        "shift3d.detectors.pillar_net",
-        "xyz = points.index_select(0, pillars.order)",
-        "xyz = points.index_select(0, pillars.order).bfloat16().to(points.dtype)",
-    ),
 )
 def a_pillar_at_seventy_metres_in_bfloat16() -> None:
     points = (cluster(50, size_m=0.3) + torch.tensor([60.0, 0.0, 0.0])).float()

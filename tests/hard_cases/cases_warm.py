@@ -7,15 +7,13 @@ import math
 import numpy as np
 import torch
 from analytic_fields import Field, Frame, box, car, rounded, sphere, union
-from catalogue import Edit, hard_case
+from catalogue import hard_case
 from hard_scenes import AT_TEN, FAST, PLAIN, beams_along_x, draw, fan, hit_at, pose, unmoved
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering
 from shift3d.render.warm import WarmStart
 
-WARM, FOLLOW, APPROACH = "shift3d.render.warm", "shift3d.render.follow", "shift3d.render.approach"
-COVER, PROFILE = "shift3d.render.cover", "shift3d.render.profile"
 SPHERE, SLAB = sphere(1.0), box((0.2, 1.0, 0.5), (0.6, 0.0, 0.0))
 
 
@@ -42,7 +40,6 @@ def as_cold(found: Rendering, beams: Beams, metric: Field, theta: Tensor = AT_TE
     why="a surface that is followed moves behind the return of its beam",
     must="the return stays",
     guard="a followed root counts on the stretch of its beam alone",
-    edits=Edit(FOLLOW, " & (k <= rays.far_m)", ""),
 )
 def a_followed_surface_that_moves_behind_the_return() -> None:
     beams = beams_along_x(end_x=9.3)
@@ -56,7 +53,6 @@ def a_followed_surface_that_moves_behind_the_return() -> None:
     why="a post slides out of a beam's way between two steps: the hit vanishes, the wall behind takes over",
     must="the wall is hit, in the very step",
     guard="the ray of a hit that cannot be followed is covered to its end",
-    edits=Edit(COVER, "torch.where(is_hit, hit_m, rays.far_m)", "torch.where(is_hit, hit_m, rays.near_m)"),
 )
 def a_followed_hit_that_vanishes() -> None:
     beams, before = beams_at(0.0, -0.9), None
@@ -71,12 +67,6 @@ def a_followed_hit_that_vanishes() -> None:
     why="the slope of the last rendering leads a followed beam through a thin plate into the wall behind",
     must="the plate is hit",
     guard="a root farther than 30 cm from where the hit was does not count, and the way to a nearer one is covered",
-    edits=(
-        Edit(FOLLOW, "(k_new - start[active]).abs() >= reach_m", "(k_new - start[active]).abs() >= 99.0"),
-        Edit(FOLLOW, "(k - start).abs() < reach_m", "(k - start).abs() < 99.0"),
-        Edit(COVER, "wide = (", "wide = torch.zeros_like(entry) & ("),
-        Edit(COVER, "measured = unsure & ~(self.g - self.slack > _LOW_M)", "measured = unsure & False"),
-    ),
 )
 def a_followed_hit_that_overshoots() -> None:
     def plate(at: float, steepness: float) -> Field:
@@ -94,11 +84,6 @@ def a_followed_hit_that_overshoots() -> None:
     why="a limb creeps towards a beam that passes it, and moves along the beam meanwhile",
     must="the beam hits in the step in which a fresh search says so",
     guard="a passing beam is looked at where it came nearest, and wherever what is expected no longer covers it",
-    edits=(
-        Edit(COVER, "watched = low & ", "watched = low & False & "),
-        Edit(COVER, "wide = (", "wide = torch.zeros_like(entry) & ("),
-        Edit(COVER, "measured = unsure & ~(self.g - self.slack > _LOW_M)", "measured = unsure & False"),
-    ),
 )
 def a_beam_that_starts_to_hit() -> None:
     beams, before = beams_at(1.04, 0.0), None
@@ -114,7 +99,6 @@ def a_beam_that_starts_to_hit() -> None:
     why="as the pose moves, the box takes in beams of which the last rendering knew nothing",
     must="they are searched, and hit once the object stands in their way",
     guard="a beam of which nothing is known is covered from end to end",
-    edits=Edit(COVER, "torch.where(is_hit, hit_m, rays.far_m)", "torch.where(is_hit, hit_m, rays.near_m)"),
 )
 def a_beam_that_enters_the_box() -> None:
     metric, beams = box((2.0, 0.9, 0.7)), beams_at(0.98, 0.0)
@@ -132,7 +116,6 @@ def a_beam_that_enters_the_box() -> None:
     why="a bump rises from a shelf that a beam skims on its way down to its hit: the field falls all the way, no dip",
     must="the bump is hit, in the very step",
     guard="the lowest place in front of a hit is looked at, whatever is expected there",
-    edits=Edit(COVER, "watched = low & ", "watched = low & False & "),
 )
 def a_bump_that_rises_from_a_shelf() -> None:
     def wall_behind_a_shelf(bump_top_m: float) -> Field:
@@ -157,7 +140,6 @@ def a_bump_that_rises_from_a_shelf() -> None:
     why="a pea appears out of nothing in front of a hit that can be followed, amid the points of the coarse lattice",
     must="it is found after `warm_refresh` renderings at the latest",
     guard="after so many warm renderings everything is searched",
-    edits=Edit(WARM, "warm.age >= settings.warm_refresh", "warm.age < 0"),
 )
 def a_surface_that_appears_in_front_of_a_followed_hit() -> None:
     ends, starts = np.array([[30.0, 0.225, 0.225]]), np.array([[0.0, 0.225, 0.225]])
@@ -176,10 +158,6 @@ def a_surface_that_appears_in_front_of_a_followed_hit() -> None:
     why="a pose that jumps puts other parts of the object before every beam",
     must="what a fresh search finds",
     guard="a pose that moved by more than 5 cm is searched afresh, and samples are expected elsewhere",
-    edits=(
-        Edit(WARM, "theta, guard.box) > _STILL_M", "theta, guard.box) < 0"),
-        Edit(PROFILE, "old.g + now.at(here) - lattice.at(then), slack)", "old.g, slack * 0.0)"),
-    ),
 )
 def a_pose_that_jumps() -> None:
     here, there = pose(10.0, 0.0, 0.0, 0.2), pose(9.6, 0.5, 0.1, 1.4)
@@ -193,7 +171,6 @@ def a_pose_that_jumps() -> None:
     why="after a rendering without a hit nothing tells how far the surface has moved",
     must="a shape that comes back is hit at once",
     guard="without a hit to follow everything is searched",
-    edits=Edit(WARM, "    if len(old) == 0:\n", "    if len(old) < 0:\n"),
 )
 def a_shape_that_comes_back() -> None:
     beams = beams_at(0.0, 0.5)
@@ -207,7 +184,6 @@ def a_shape_that_comes_back() -> None:
     why="a shape that grows by centimetres a step leaves the box that was checked for its ancestor",
     must="beams above the old box hit it",
     guard="the box's check points are looked at again as far as the surface has moved",
-    edits=Edit("shift3d.render.bounds", "return bool((self.g > 0).all())", "return True"),
 )
 def a_shape_that_outgrows_its_box_step_by_step() -> None:
     beams = Beams.from_arrays(np.array([[30.0, 0.0, 0.85], [30.0, 0.0, 0.0]]), np.array([[0, 0, 0.85], [0, 0, 0.0]]))
@@ -225,10 +201,6 @@ def a_shape_that_outgrows_its_box_step_by_step() -> None:
     why="a field that turns NaN beside a beam that passes the object says nothing about its clearance",
     must="the beam is looked at, and counted as unresolved",
     guard="what is not surely covered is looked at",
-    edits=(
-        Edit(COVER, "unsure & ~(self.g - self.slack > _LOW_M)", "unsure & (self.g - self.slack <= _LOW_M)"),
-        Edit(COVER, "~(gap <= allowed)", "(gap > allowed)"),
-    ),
 )
 def a_field_that_turns_nan() -> None:
     beams = beams_at(0.0, 1.3)
@@ -243,10 +215,6 @@ def a_field_that_turns_nan() -> None:
     why="a rendering of another scene knows other beams under the same numbers",
     must="what a fresh search finds",
     guard="a warm start is used for the very beams that it is of",
-    edits=(
-        Edit(WARM, " or not beams.same_as(warm.beams)", ""),
-        Edit(PROFILE, "old.g + now.at(here) - lattice.at(then), slack)", "old.g, slack * 0.0)"),
-    ),
 )
 def a_warm_start_from_another_scene() -> None:
     ends = np.array([[30.0, 1.5, 0.0], [30.0, 0.0, 0.0]])
@@ -266,7 +234,6 @@ def a_warm_start_from_another_scene() -> None:
     why="a last short step of a followed hit is left to whoever takes the gradient, and nobody takes one here",
     must="every root is as good as the tolerance says",
     guard="without a gradient no step is left unchecked",
-    edits=Edit("shift3d.render.render", "settings = settings.with_(unchecked_m=0.0)", "pass"),
 )
 def a_followed_hit_without_a_gradient() -> None:
     beams = beams_at(0.0, 0.5, 0.8, 0.95)
@@ -307,7 +274,6 @@ def fins(*steps: tuple[float, float]) -> None:
     why="a fin grows through the side of the box, in front of what a beam hits that comes in through that side",
     must="the beam hits the fin at once",
     guard="what a grown box adds to a beam in front is covered too",
-    edits=Edit(COVER, "wide = (", "wide = (left != _NEAR) & ("),
 )
 def a_fin_shoots_out_of_the_box_in_front_of_a_hit() -> None:
     fins((0.17, 0.92), (0.25, 1.05))
@@ -318,10 +284,6 @@ def a_fin_shoots_out_of_the_box_in_front_of_a_hit() -> None:
     why="a fin grows out of the box slowly: when the box was grown for it, it did not yet reach the beam that it hides",
     must="the beam hits the fin in the very step that takes it there",
     guard="what was seen on the stretch that was added is carried along",
-    edits=(
-        Edit(COVER, "wide = (", "wide = (left != _NEAR) & ("),
-        Edit(COVER, "watched = low & ", "watched = low & False & "),
-    ),
 )
 def a_fin_that_grows_out_of_the_box_in_front_of_a_hit() -> None:
     fins(*((0.15 + 0.02 * step, 0.9 + 0.02 * step) for step in range(1, 9)))
@@ -332,7 +294,6 @@ def a_fin_that_grows_out_of_the_box_in_front_of_a_hit() -> None:
     why="the pose moves away from the last beam that passed through the box",
     must="an empty rendering, none unresolved",
     guard="beams that are carried over may be none",
-    edits=Edit(WARM, "if len(rays) == 0 or len(others) == 0:", "if len(rays) < 0:"),
 )
 def the_last_beam_leaves_the_box() -> None:
     beams, metric = beams_at(0.94), box((2.0, 0.9, 0.7))
@@ -346,7 +307,6 @@ def the_last_beam_leaves_the_box() -> None:
     why="a surface that is predicted to a millimetre moves just behind the return of its beam",
     must="the return stays",
     guard="a predicted root counts on the stretch of its beam alone",
-    edits=Edit(APPROACH, "near &= (start + step >= rays.near_m) & (start + step <= rays.far_m)", "pass"),
 )
 def a_predicted_surface_that_moves_behind_the_return() -> None:
     beams, metric = beams_along_x(end_x=9.3), box((0.7005, 0.5, 0.5))
@@ -360,7 +320,6 @@ def a_predicted_surface_that_moves_behind_the_return() -> None:
     why="a ball comes up in front of a wall whose hit was predicted",
     must="the ball is hit, and the gradient is that of its surface",
     guard="a tangent counts only at the very hit it was made at",
-    edits=Edit("shift3d.render.implicit", "(row >= 0) & (known.range_m[row] == hits.range_m)", "row >= 0"),
 )
 def a_predicted_hit_that_is_covered() -> None:
     def gradient(metric: Field, warm: WarmStart | None) -> tuple[Tensor, Rendering]:
