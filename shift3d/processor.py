@@ -68,6 +68,8 @@ def round_batch(rows: int) -> int:
     time, and of the time of a short attack 7 % went there. Eight numbers an octave are soon all known and add 4 % to
     the rows; large batches, which do not come round, are filled up to 128.
     """
-    octave = 1 << max(0, rows - 1).bit_length()
-    step = min(max(octave // 16, 16), 128)
+    if rows <= 16:
+        return 16
+    octave = 1 << (rows - 1).bit_length() - 1
+    step = max(octave // 2, 16) if rows <= 256 else 128
     return -(-rows // step) * step

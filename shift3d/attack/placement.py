@@ -22,12 +22,12 @@ from shift3d.attack.constraints import (
 from shift3d.attack.ground import fit_ground
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.beams import Beams
-from shift3d.render.bounds import Box
-from shift3d.render.empty_space import EmptySpace
-from shift3d.render.fast import rays_in_box
+from shift3d.render.bounding_box import Box
+from shift3d.render.culling import rays_in_box
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
+from shift3d.render.sdf_grid import SdfGrid
 from shift3d.render.settings import STANDARD, RenderSettings
 
 _OBSTACLE_HEIGHT_M = 0.3
@@ -91,7 +91,7 @@ def place(
     constraints: Constraints = PAPER_CONSTRAINTS,
     settings: RenderSettings = STANDARD,
     others: Tensor | None = None,
-    space: EmptySpace | None = None,
+    space: SdfGrid | None = None,
 ) -> Placement | NoPlacement:
     """A random place that satisfies every constraint.
 

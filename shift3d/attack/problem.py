@@ -24,12 +24,12 @@ from shift3d.attack.objective import (
 from shift3d.detectors.base import Detector, Proposals
 from shift3d.detectors.incremental import Follower, follow
 from shift3d.render.beams import Beams
-from shift3d.render.empty_space import EmptySpace
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
+from shift3d.render.sdf_grid import SdfGrid
+from shift3d.render.search import WarmStart
 from shift3d.render.settings import STANDARD, RenderSettings
-from shift3d.render.warm import WarmStart
 
 if TYPE_CHECKING:  # nothing of effects is imported unless a scene calls for one
     from shift3d.render.effects.chain import EffectChain
@@ -51,7 +51,7 @@ class AttackProblem:
             to keep out objects that the scene hides; a shape that shrinks or a pose that backs away loses points
             without being hidden. Our choice: the paper is silent.
         others: (M, 2) centres of the scene's own vehicles, to stay clear of.
-        space: `EmptySpace.of` the field of code0, where one is at hand: renderings of code0 get cheaper.
+        space: `SdfGrid.of` the field of code0, where one is at hand: renderings of code0 get cheaper.
         effects: what happens to beams beyond their first hit; None: nothing does, as in the paper.
     """
 
@@ -67,7 +67,7 @@ class AttackProblem:
     travel_m: float = 4.0
     kept_share: float = 0.5
     others: Tensor | None = None
-    space: EmptySpace | None = None
+    space: SdfGrid | None = None
     effects: EffectChain | None = None
     _near: list[Tensor] = field(default_factory=list, repr=False)
 
@@ -88,13 +88,13 @@ class AttackProblem:
 
     def with_space(self) -> AttackProblem:
         """The same problem with a map of code0's empty space, where the settings use one."""
-        if self.space is not None or not self.settings.empty_space:
+        if self.space is not None or not self.settings.sdf_grid:
             return self
         with torch.no_grad():
             sdf = self.field_of(self.code0.detach())
-            return replace(self, space=EmptySpace.of(sdf, self.vehicle, self.settings))
+            return replace(self, space=SdfGrid.of(sdf, self.vehicle, self.settings))
 
-    def space_for(self, code: Tensor) -> EmptySpace | None:
+    def space_for(self, code: Tensor) -> SdfGrid | None:
         """The map of empty space, if it belongs to this code."""
         return self.space if torch.equal(code, self.code0) else None
 

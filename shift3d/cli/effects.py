@@ -68,7 +68,7 @@ def _measured(path: Path) -> dict[str, float]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.render.called_for import WORTH
+    from shift3d.render.effects.applicability import WORTH
     from shift3d.report.effects import (
         LEAST_SCENES,
         effect_lines,

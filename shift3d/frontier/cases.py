@@ -73,7 +73,7 @@ def problem_of(
     code: (d,) that stands for the vehicle's own. space: with a map of that code's empty space, if the accuracy uses
     one; without, there is none, so none is made.
     """
-    settings = dict(accuracy) if space else {**accuracy, "empty_space": False}
+    settings = dict(accuracy) if space else {**accuracy, "sdf_grid": False}
     spec = dataclasses.replace(case.spec, accuracy_settings=settings)
     problem = build_problem(spec, assets, case.theta)
     problem = dataclasses.replace(problem, detector=assets.detector_of(spec.detector, str(accuracy["detector"])))

@@ -12,7 +12,7 @@ from torch import Tensor
 from shift3d.attack.problem import AttackProblem, measure
 from shift3d.detectors.incremental import Follower
 from shift3d.render.rendering import Rendering
-from shift3d.render.warm import WarmStart
+from shift3d.render.search import WarmStart
 
 __all__ = ["AttackStep", "attack_step", "cosine", "norm_ratio"]
 

@@ -22,7 +22,7 @@ from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.culling import SPHERE_RADIUS_M, beams_near
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
-from shift3d.render.warm import WarmStart
+from shift3d.render.search import WarmStart
 from shift3d.task.assets import Assets
 
 __all__ = ["CaseInstrument", "Outcome"]

@@ -1,10 +1,10 @@
 """Inserting a vehicle into a LiDAR scene: beams, first hits, implicit gradients."""
 
 from shift3d.render.beams import Beams
-from shift3d.render.empty_space import EmptySpace
 from shift3d.render.object_field import Field, VehicleFrame
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
+from shift3d.render.sdf_grid import SdfGrid
 from shift3d.render.settings import PRESETS, RenderSettings, preset
 
-__all__ = ["PRESETS", "Beams", "EmptySpace", "Field", "RenderSettings", "Rendering", "VehicleFrame", "preset", "render"]
+__all__ = ["PRESETS", "Beams", "Field", "RenderSettings", "Rendering", "SdfGrid", "VehicleFrame", "preset", "render"]

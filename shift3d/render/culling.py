@@ -9,6 +9,7 @@ from torch import Tensor
 
 from shift3d.geometry.se3 import scene_R_object
 from shift3d.render.beams import Beams
+from shift3d.render.bounding_box import Box
 
 SPHERE_RADIUS_M = 7.0
 """Radius of the sphere around the object outside which beams are left alone. Source: SHIFT3D, Setup."""
@@ -84,11 +85,7 @@ def clip_to_box(rays: Rays, lower: Tensor, upper: Tensor) -> Rays:
     return Rays(rays.index[kept], rays.origins[kept], rays.directions[kept], near[kept], far[kept])
 
 
-def clip_to_sphere(rays: Rays, radius_m: float) -> Rays:
-    """The rays that cross a sphere around the object's centre, cut to their chord inside it."""
-    along = -(rays.origins * rays.directions).sum(-1)
-    offset = torch.linalg.cross(rays.origins, rays.directions).square().sum(-1)
-    half = (radius_m**2 - offset).clamp_min(0.0).sqrt()
-    near, far = torch.maximum(rays.near_m, along - half), torch.minimum(rays.far_m, along + half)
-    kept = (near <= far) & (offset <= radius_m**2)
-    return Rays(rays.index[kept], rays.origins[kept], rays.directions[kept], near[kept], far[kept])
+def rays_in_box(beams: Beams, theta: Tensor, box: Box) -> Rays:
+    """Beams that cross the object's box, cut to their stretch inside it; object frame."""
+    index = beams_near(beams, theta[:3].detach(), box.radius_m)
+    return clip_to_box(object_rays(beams, index, theta), box.lower, box.upper)

@@ -9,7 +9,7 @@ through x does what the paper does in three.
 
 Grazing beams. dg/dk = e . grad g tends to 0 at the silhouette and the derivative of k grows without bound,
 although the beam itself is about to leave the object. Our choice (the paper is silent): |dg/dk| is floored at
-`grazing_floor` (0.2, an angle of 78 degrees). A beam below it keeps the sign and direction of its gradient and
+`min_n_dot_d` (0.2, an angle of 78 degrees). A beam below it keeps the sign and direction of its gradient and
 loses only length: no surface motion is amplified more than five times. Measured on attacks of cars at 16 m: with
 a floor of 0.05, nine of 960 beams carried a third of the gradient and single steps threw the code four times its
 own length; with 0.2 the direction stays (cosine 0.9) and the loss falls steadily. Dropping such beams would
@@ -25,12 +25,12 @@ import torch
 from torch import Tensor
 
 from shift3d.geometry.se3 import object_from_scene, scene_R_object
-from shift3d.render.approach import STEEP
 from shift3d.render.beams import Beams
+from shift3d.render.corrector import NEWTON_SLOPE
 from shift3d.render.culling import Rays, object_rays
+from shift3d.render.linearization import Linearization, linearize
 from shift3d.render.object_field import ObjectField
 from shift3d.render.rendering import FirstHits, GrazingShare
-from shift3d.render.tangents import Tangents, tangents_at
 
 _POLISH_M = 0.002
 
@@ -40,10 +40,10 @@ def surface_points(
     hits: FirstHits,
     field: ObjectField,
     theta: Tensor,
-    grazing_floor: float,
+    min_n_dot_d: float,
     polish: bool = False,
-    known: Tangents | None = None,
-) -> tuple[Tensor, FirstHits, GrazingShare, Tangents | None]:
+    known: Linearization | None = None,
+) -> tuple[Tensor, FirstHits, GrazingShare, Linearization | None]:
     """Hit points as functions of pose and latent code.
 
     Args:
@@ -51,14 +51,14 @@ def surface_points(
         hits: first crossings.
         field: metric distance in the object frame; may depend on a latent code.
         theta: (6,) pose, scene frame.
-        grazing_floor: smallest |e . grad g| to divide by.
+        min_n_dot_d: smallest |e . grad g| to divide by.
         polish: g and its slope are at hand here: take the Newton step that they make, where it is shorter than 2 mm.
-        known: tangents that the search has made at some of the hits.
+        known: linearization that the search has made at some of the hits.
 
     Returns:
         (M, 3) float64 points, scene frame, metres; the hits, polished, their residual being the one before that
-        step; the share of the gradient that grazing beams carry; and the tangents at all hits, None where nobody asks
-        for a gradient.
+        step; the share of the gradient that grazing beams carry; and the linearization at all hits, None where nobody
+        asks for a gradient.
 
     Differentiable w.r.t. theta and whatever the field depends on.
     Source: SHIFT3D eqs. dl_dz to theta_final and supplement, Gradient Calculation.
@@ -68,36 +68,36 @@ def surface_points(
     if len(hits.index) == 0 or not wants_gradient(theta, field.depends_on_code()):
         return origins + hits.range_m[:, None] * directions, hits, share, None
     pose = theta.double()
-    tangents = _at_all(hits, known, field, object_rays(beams, hits.index, theta))
-    change = tangents.change(field, object_from_scene(origins + hits.range_m[:, None] * directions, pose))
-    slope = (tangents.gradient * (directions @ scene_R_object(pose.detach()))).sum(-1)
+    linearization = _at_all(hits, known, field, object_rays(beams, hits.index, theta))
+    change = linearization.change(field, object_from_scene(origins + hits.range_m[:, None] * directions, pose))
+    slope = (linearization.gradient * (directions @ scene_R_object(pose.detach()))).sum(-1)
     if polish:
-        hits = _polished(hits, tangents.g, slope)
+        hits = _polished(hits, linearization.g, slope)
     # Hits go from outside to inside, so the slope is negative; a wrong sign is noise about zero.
-    steep = -slope.neg().clamp_min(grazing_floor)
+    steep = -slope.neg().clamp_min(min_n_dot_d)
     inverse = torch.where(steep < 0, 1.0 / torch.where(steep < 0, steep, 1.0), 0.0)
     range_m = hits.range_m - (change - change.detach()) * inverse
-    share.beams = int((slope.abs() < grazing_floor).sum())
+    share.beams = int((slope.abs() < min_n_dot_d).sum())
     share.least_slope = float(slope.abs().min())
-    share.cosine = cosine_of(slope, tangents.gradient)
+    share.cosine = cosine_of(slope, linearization.gradient)
     if range_m.requires_grad:
-        range_m.register_hook(_measure(share, inverse.abs(), slope.abs() < grazing_floor))
-    return origins + range_m[:, None] * directions, hits, share, tangents
+        range_m.register_hook(_measure(share, inverse.abs(), slope.abs() < min_n_dot_d))
+    return origins + range_m[:, None] * directions, hits, share, linearization
 
 
-def _at_all(hits: FirstHits, known: Tangents | None, field: ObjectField, rays: Rays) -> Tangents:
-    """Tangents at every hit: those that are known, and the missing ones, evaluated.
+def _at_all(hits: FirstHits, known: Linearization | None, field: ObjectField, rays: Rays) -> Linearization:
+    """Linearization at every hit: those that are known, and the missing ones, evaluated.
 
     The march may have found another surface in front of a place that is known, or none at all: only what was made at
     the hit itself counts.
     """
     if known is None or len(known) == 0:
-        return tangents_at(field, rays, hits.range_m)
+        return linearize(field, rays, hits.range_m)
     row = known.rows_of(hits.index)
     at_hit = (row >= 0) & (known.range_m[row] == hits.range_m)
     missing = torch.nonzero(~at_hit).squeeze(1)
     kept = known.select(row[at_hit])
-    return kept.joined(tangents_at(field, rays.select(missing), hits.range_m[missing])) if len(missing) else kept
+    return kept.joined(linearize(field, rays.select(missing), hits.range_m[missing])) if len(missing) else kept
 
 
 def cosine_of(slope: Tensor, gradient: Tensor) -> Tensor:
@@ -115,7 +115,7 @@ def cosine_of_incidence(directions: Tensor, points: Tensor, field: ObjectField, 
     places = (points.detach().double() - theta.detach().double()[:3]) @ rotation
     still = torch.zeros(len(places), dtype=torch.float64)
     rays = Rays(torch.arange(len(places)), places, directions @ rotation, still, still)
-    gradient = tangents_at(field, rays, still).gradient
+    gradient = linearize(field, rays, still).gradient
     return cosine_of((gradient * rays.directions).sum(-1), gradient)
 
 
@@ -126,8 +126,8 @@ def wants_gradient(theta: Tensor, with_code: bool) -> bool:
 
 def _polished(hits: FirstHits, g: Tensor, slope: Tensor) -> FirstHits:
     """One Newton step with the exact slope; none on beams that graze, where it may lead anywhere."""
-    step = -g / slope.clamp_max(STEEP)
-    step = torch.where((slope <= STEEP) & (step.abs() <= _POLISH_M), step, 0.0)
+    step = -g / slope.clamp_max(NEWTON_SLOPE)
+    step = torch.where((slope <= NEWTON_SLOPE) & (step.abs() <= _POLISH_M), step, 0.0)
     return replace(hits, range_m=hits.range_m + step, residual_m=g.abs())
 
 

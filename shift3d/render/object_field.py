@@ -10,12 +10,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.render.coarse import CoarseField, coarse_twin
+from shift3d.sdf.bfloat16 import Bfloat16Field, bfloat16_twin
 from shift3d.sdf.decoder import Field as DecoderField
 from shift3d.sdf.pieces import Piece
 
 _WORTH_IT = 96
 """Fewer points than this take as long to fetch the weights for as to evaluate: once, then, in float32."""
+
+
+LiveUnits = tuple[Tensor, ...] | None
+"""Hidden units that are on somewhere, a bool mask a hidden layer; None: not known, all are evaluated."""
+
+
+def either(a: LiveUnits, b: LiveUnits) -> LiveUnits:
+    """Units that are on in one survey or the other."""
+    if a is None or b is None:
+        return None
+    return tuple(one | other for one, other in zip(a, b, strict=True))
 
 
 class Field(Protocol):
@@ -73,17 +84,17 @@ class ObjectField:
     sdf_t_object: Tensor
     dtype: torch.dtype
     batch: int
-    coarse: CoarseField | None = None
-    coarse_band_m: float = 0.0
+    rough: Bfloat16Field | None = None
+    bfloat16_band_m: float = 0.0
     count: EvaluationCount = dataclasses.field(default_factory=EvaluationCount)
 
     @staticmethod
     def of(
-        sdf: Field, vehicle: VehicleFrame, dtype: torch.dtype, batch: int, coarse_band_m: float = 0.0
+        sdf: Field, vehicle: VehicleFrame, dtype: torch.dtype, batch: int, bfloat16_band_m: float = 0.0
     ) -> ObjectField:
         """The field of a vehicle, evaluated in `dtype`, `batch` points at a time.
 
-        coarse_band_m: `estimate` uses bfloat16 beyond this distance from the surface; 0 never.
+        bfloat16_band_m: `estimate` uses bfloat16 beyond this distance from the surface; 0 never.
         """
         return ObjectField(
             sdf,
@@ -92,8 +103,8 @@ class ObjectField:
             torch.as_tensor(np.asarray(vehicle.sdf_t_object, dtype=np.float64)),
             dtype,
             batch,
-            coarse_twin(sdf, dtype) if coarse_band_m > 0 else None,
-            coarse_band_m,
+            bfloat16_twin(sdf, dtype) if bfloat16_band_m > 0 else None,
+            bfloat16_band_m,
         )
 
     def __call__(self, x_object: Tensor) -> Tensor:
@@ -104,7 +115,7 @@ class ObjectField:
         return torch.cat([self.sdf(part) for part in x_sdf.split(self.batch)]) * self.scale_m
 
     def estimate(self, x_object: Tensor, expected_m: Tensor | None = None) -> Tensor:
-        """The distance for deciding where to sample next: exact within coarse_band_m of the surface and inside it.
+        """The distance for deciding where to sample next: exact within bfloat16_band_m of the surface and inside it.
 
         Args:
             expected_m: (N,) what it may be, NaN where nobody knows: what is likely near would be evaluated twice, and
@@ -114,19 +125,39 @@ class ObjectField:
         """
         far = torch.arange(len(x_object))
         if expected_m is not None:  # NaN compares false
-            far = torch.nonzero(~(expected_m < self.coarse_band_m)).squeeze(1)
-        if self.coarse is None or len(far) < _WORTH_IT:
+            far = torch.nonzero(~(expected_m < self.bfloat16_band_m)).squeeze(1)
+        if self.rough is None or len(far) < _WORTH_IT:
             return self(x_object)
         parts = self.to_sdf(x_object[far]).split(self.batch)
-        coarse = torch.cat([self.coarse(part) for part in parts]) * self.scale_m
-        g = torch.zeros(len(x_object), dtype=coarse.dtype).index_copy(0, far, coarse)
+        rough = torch.cat([self.rough(part) for part in parts]) * self.scale_m
+        g = torch.zeros(len(x_object), dtype=rough.dtype).index_copy(0, far, rough)
         # A NaN is looked at again, too.
-        near = torch.nonzero(~(g >= self.coarse_band_m)).squeeze(1)
+        near = torch.nonzero(~(g >= self.bfloat16_band_m)).squeeze(1)
         self.count.evaluations += len(x_object) - len(near)
         self.count.coarse += len(x_object) - len(near)
         if len(near):
             g[near] = self(x_object[near])
         return g
+
+    def survey(self, x_object: Tensor) -> tuple[Tensor, LiveUnits]:
+        """The distances at points (N, 3), good for deciding where to sample, and the hidden units that are on there.
+
+        In bfloat16 where `estimate` is. None for fields that are no decoder's. Not differentiable.
+        """
+        if not isinstance(self.sdf, DecoderField):
+            return self(x_object), None
+        self.count.evaluations += len(x_object)
+        self.count.coarse += len(x_object) if self.rough is not None else 0
+        parts = [(self.rough or self.sdf).survey(part) for part in self.to_sdf(x_object).split(self.batch)]
+        live = tuple(torch.stack(masks).any(0) for masks in zip(*(on for _, on in parts), strict=True))
+        return torch.cat([g for g, _ in parts]) * self.scale_m, live
+
+    def sliced(self, live: LiveUnits) -> ObjectField:
+        """The same field without the hidden units that are not live, counted together; itself where none is known."""
+        if live is None or not isinstance(self.sdf, DecoderField):
+            return self
+        sdf = self.sdf.sliced(live)
+        return dataclasses.replace(self, sdf=sdf, rough=None if self.rough is None else bfloat16_twin(sdf, self.dtype))
 
     def float32_twin(self) -> ObjectField | None:
         """The same field evaluated in float32, counted together; None for fields that are no decoder's.

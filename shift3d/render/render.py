@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render import exact, march, reference
+from shift3d.render import paper, piecewise_linear, sphere_tracing
 from shift3d.render.beams import Beams
-from shift3d.render.empty_space import EmptySpace
 from shift3d.render.implicit import surface_points, wants_gradient
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.rendering import FirstHits, Rendering
+from shift3d.render.sdf_grid import SdfGrid, vehicle_size
+from shift3d.render.search import WarmStart, cold_start, warm_start
 from shift3d.render.settings import STANDARD, RenderSettings
-from shift3d.render.warm import WarmStart, cold_start, warm_start
 
 
 def render(
@@ -26,7 +25,7 @@ def render(
     vehicle: VehicleFrame,
     settings: RenderSettings = STANDARD,
     warm: WarmStart | None = None,
-    space: EmptySpace | None = None,
+    grid: SdfGrid | None = None,
 ) -> Rendering:
     """Move every return whose beam meets the object to the first crossing of its surface.
 
@@ -37,7 +36,7 @@ def render(
         vehicle: scale and axes of the sdf frame, size of the baseline.
         settings: every approximation.
         warm: `Rendering.warm` of an earlier rendering of the same beams and vehicle, nearby in code or pose.
-        space: `EmptySpace.of` this very field, where it is rendered often. Used by the fast solver alone.
+        grid: `SdfGrid.of` this very field, where it is rendered often. Used by `sphere_tracing` alone.
 
     Returns:
         Rendering. Its points are differentiable w.r.t. theta and the field's latent code.
@@ -50,15 +49,15 @@ def render(
     if theta.shape != (6,) or not bool(torch.isfinite(theta).all()):
         raise InputError("a pose is six finite numbers: x, y, z, yaw, pitch, roll", where=f"pose {theta.tolist()}")
     settings.check_tolerance(float(vehicle.scale_m))
-    metric = ObjectField.of(field, vehicle, settings.dtype, settings.batch, settings.coarse_band_m)
+    metric = ObjectField.of(field, vehicle, settings.dtype, settings.batch, settings.bfloat16_band_m)
     state = None
-    if settings.unchecked_m and not wants_gradient(theta, metric.depends_on_code()):
-        settings = settings.with_(unchecked_m=0.0)
+    if settings.final_newton_m and not wants_gradient(theta, metric.depends_on_code()):
+        settings = settings.with_(final_newton_m=0.0)
     with torch.no_grad():
         if settings.solver == "paper":
-            hits = reference.first_hits(beams, metric, theta, settings)
+            hits = paper.first_hits(beams, metric, theta, settings)
         else:
-            hits, state = _fast(beams, metric, theta, vehicle, settings, warm, space)
+            hits, state = _fast(beams, metric, theta, vehicle, settings, warm, grid)
     return assemble(beams, hits, metric, theta, settings, state)
 
 
@@ -69,17 +68,16 @@ def _fast(
     vehicle: VehicleFrame,
     settings: RenderSettings,
     warm: WarmStart | None,
-    space: EmptySpace | None,
+    grid: SdfGrid | None,
 ) -> tuple[FirstHits, WarmStart | None]:
-    space = space if settings.empty_space else None
-    size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
-    if settings.solver == "exact" and metric.piecewise_linear():
-        return exact.first_hits(beams, metric, theta, size, settings), None
-    if settings.solver == "march":
-        return march.first_hits(beams, metric, theta, size, settings), None
+    grid, size = grid if settings.sdf_grid else None, vehicle_size(vehicle)
+    if settings.solver == "piecewise_linear" and metric.piecewise_linear():
+        return piecewise_linear.first_hits(beams, metric, theta, size, settings), None
+    if settings.solver == "plain_sphere_tracing":
+        return sphere_tracing.first_hits(beams, metric, theta, size, settings), None
     if warm is None or not settings.warm_start:
-        return cold_start(beams, metric, theta, size, settings, space)
-    return warm_start(beams, metric, theta, size, warm, settings, space)
+        return cold_start(beams, metric, theta, size, settings, grid)
+    return warm_start(beams, metric, theta, size, warm, settings, grid)
 
 
 def assemble(
@@ -92,11 +90,13 @@ def assemble(
 ) -> Rendering:
     """The scene with the hit points in place, differentiable where gradients are wanted."""
     evaluations, coarse = field.count.evaluations, field.count.coarse
-    polish = settings.unchecked_m > 0
-    known = None if warm is None else warm.tangents
-    surface, hits, grazing, tangents = surface_points(beams, hits, field, theta, settings.grazing_floor, polish, known)
+    polish = settings.final_newton_m > 0
+    known = None if warm is None else warm.linearization
     if warm is not None:
-        warm = replace(warm, tangents=None if tangents is None else tangents.without_graph())
+        field = field.sliced(warm.live)
+    surface, hits, grazing, at_hits = surface_points(beams, hits, field, theta, settings.min_n_dot_d, polish, known)
+    if warm is not None:
+        warm = replace(warm, linearization=None if at_hits is None else at_hits.without_graph())
     points = beams.points
     if len(hits.index):
         points = points.index_copy(0, hits.index, surface.to(points.dtype))

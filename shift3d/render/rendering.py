@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from shift3d.render.warm import WarmStart
+    from shift3d.render.search import WarmStart
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class GrazingShare:
     """How near the hits are to the silhouette, and how much of the last backward pass ran through those that graze it.
 
     Attributes:
-        beams: hits with |e . grad g| below `grazing_floor`.
+        beams: hits with |e . grad g| below `min_n_dot_d`.
         gradient: share in [0, 1] of sum_i |e_i . dL/dx_i| / max(|e_i . grad g|, floor) that they carry;
             0 before a backward pass and where no gradient flows.
         cosine: (M,) float64 of incidence at every hit, in the order of the rows; None where no gradient was asked for.

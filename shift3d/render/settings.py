@@ -12,8 +12,7 @@ from shift3d.errors import InputError
 SMALLEST_SCALE_M = 0.5
 """Settings alone are checked for an object a metre long; `render` checks them again for the one at hand."""
 
-Solver = Literal["paper", "hybrid", "exact", "march"]
-Root = Literal["anderson_bjorck", "itp", "bisection"]
+Solver = Literal["paper", "plain_sphere_tracing", "sphere_tracing", "piecewise_linear"]
 
 
 def reachable_residual_m(dtype: torch.dtype, scale_m: float, range_m: float = 100.0) -> float:
@@ -40,76 +39,92 @@ class RenderSettings:
     """What the renderer may trade for time.
 
     Attributes:
-        solver: `paper` samples every beam through the 7 m sphere and bisects; `hybrid` culls to the
-            vehicle's box, marches by the field's own distance and finds roots with a safeguarded secant; `exact`
-            walks the linear pieces of a ReLU decoder and misses no first crossing where `max_slope` holds (see there;
-            for any other field it is `hybrid`); `march` is the paper's search inside the vehicle's box.
-        root: `hybrid`: how the root in a bracket is found, see `roots` and `itp`.
+        solver: `sphere_tracing` predicts, corrects and covers, see `search`. `plain_sphere_tracing` is its simple
+            twin, see `sphere_tracing.first_hits`. `paper` samples every beam through the 7 m sphere and bisects.
+            `piecewise_linear` traverses the linear regions of a ReLU decoder and misses no first crossing where
+            `max_slope` holds (any other field goes to `sphere_tracing`).
         dtype: precision in which the field is evaluated. Beam geometry is float64 whatever this says.
-        step_m: `paper`, `march`: largest sample spacing. `hybrid`: the smallest march step, that is the chord
-            that is hard to miss.
-        max_step_m: `hybrid`: the largest march step; a learned field says little about far distances.
-        step_safety: `hybrid`: share of the field's distance that one step may cover. Below 1 because a
-            learned field can be steeper than a true distance.
-        max_slope: `exact`: what |grad g| is taken never to exceed where the surface is far; infinite: nothing is
-            taken, every piece is walked. The steepest place of the shipped decoder that was found in 54,000 points
-            of nine shapes, attacked ones among them, had 1.7.
-        tolerance_m: metric |g| at which a root counts as found (`hybrid`, and `exact` for fields that have no linear
-            pieces). Not below what the dtype can reach, see `reachable_residual_m`. The paper asks for 1e-6 and ends
-            after 30 bisections whatever |g| then is, and so do `paper` and `march`, which do not look at it.
-        unchecked_m: a last secant step of at most this length is not evaluated where a gradient is taken afterwards,
-            which evaluates the root anyway and takes one more Newton step from it; 0: every root is evaluated.
-        max_iterations: bisections (`paper`, `march`) or root iterations (`hybrid`).
+        step_m: `paper`: sample spacing. Sphere tracing: the least step, and what of an interval may stay uncovered.
+        max_step_m: sphere tracing: the largest step; a learned field says little about far distances.
+        step_safety: sphere tracing: share of the field's distance that counts as free. Below 1 because a learned
+            field can be steeper than a true distance.
+        max_slope: `piecewise_linear`: what |grad g| is taken never to exceed where the surface is far; infinite:
+            nothing is taken, every region is traversed. The steepest place of the shipped decoder that was found in
+            54,000 points of nine shapes, attacked ones among them, has 1.7.
+        tolerance_m: metric |g| at which a root counts as found. Not below what the dtype can reach, see
+            `reachable_residual_m`. The paper asks for 1e-6 and ends after 30 bisections whatever |g| then is, and so
+            does `paper`, which does not look at it.
+        final_newton_m: final Newton threshold: a last step of at most this length is not evaluated where a gradient
+            is taken afterwards, which linearizes the field at the root anyway; 0: every root is evaluated.
+        max_iterations: bisections (`paper`) or root iterations.
         box_margin_m: growth of the vehicle's box before beams are culled against it.
-        sphere_chord_only: `paper`: sample only the part of a beam inside the 7 m sphere. The paper
-            samples the whole beam; outside the sphere g is positive, so this changes no hit as long as
-            the field is a distance there. The sample positions are those of the whole beam.
+        sphere_chord_only: `paper`: sample only the part of a beam inside the 7 m sphere. The paper samples the whole
+            beam; outside the sphere g is positive, so this changes no hit as long as the field is a distance there.
+            The sample positions are those of the whole beam.
         warm_start: start from the previous rendering where one is given.
         warm_refresh: warm renderings in a row before everything is searched afresh.
-        warm_gap_m: how much more than `step_m` of a beam may lie between two spheres of free space where these are
-            expected, from samples of an earlier rendering, and not measured. Of 259,534 hits in three attacks
-            0.1 loses or misplaces 19, 0.03 fourteen, for 6 % more evaluations; of 3,024 in `make frontier` 0.3
-            three, 0.1 and 0.03 one, 0 none, for 14 % and 4 % fewer and 8 % more evaluations than 0.03.
-        look_between: `hybrid`: follow dips between two samples to their bottom, and look through brackets that are
-            crossed at a flat angle. False: a chord shorter than a step may be missed.
-        empty_space: use a map of empty space where one is handed over (`EmptySpace`).
-        coarse_band_m: a decoder is evaluated in bfloat16 where it is farther than this from the surface, as far
-            as that only sets the length of a step; 0 switches it off.
-        grazing_floor: smallest |e . grad g| by which a gradient is divided, see `implicit`.
+        warm_change_m: everything is searched afresh where the field's change since the earlier rendering differs by more
+            than this within a cell of the change grid (0.45 m).
+        local_minima: between samples that leave `step_m` uncovered, look next to local minima and where g hardly
+            falls. False: a chord shorter than `step_m` may be missed.
+        approach_slope, approach_m: a hit is approached plainly where g falls by this slope or more over at most this
+            length; nothing is looked for in between.
+        grazing_m: an interval that g crosses more flatly than `approach_slope` is halved down to this width, as it
+            may hold several crossings.
+        sdf_grid: use an SDF grid of the field where one is handed over (`SdfGrid`).
+        live_units: leave out the decoder's hidden units that are off at all places of a survey of the vehicle's box.
+        bfloat16_band_m: a decoder is evaluated in bfloat16 where it is farther than this from the surface, as far as
+            that only sets the length of a step; 0 switches it off.
+        min_n_dot_d: smallest |grad g . d| by which a gradient is divided, d the beam's direction; see `implicit`.
         batch: points handed to the field at once.
     """
 
-    solver: Solver = "hybrid"
-    root: Root = "anderson_bjorck"
+    solver: Solver = "sphere_tracing"
     dtype: torch.dtype = torch.float32
     step_m: float = 0.02
     max_step_m: float = 0.25
     step_safety: float = 0.9
     max_slope: float = 3.0
     tolerance_m: float = 3e-6
-    unchecked_m: float = 1e-3
+    final_newton_m: float = 1e-3
     max_iterations: int = 40
     box_margin_m: float = 0.05
     sphere_chord_only: bool = False
     warm_start: bool = True
     warm_refresh: int = 40
-    warm_gap_m: float = 0.03
-    look_between: bool = True
-    empty_space: bool = True
-    coarse_band_m: float = 0.02
-    grazing_floor: float = 0.2
-    batch: int = 4096
+    warm_change_m: float = 0.2
+    local_minima: bool = True
+    approach_slope: float = 0.3
+    approach_m: float = 0.2
+    grazing_m: float = 0.003
+    sdf_grid: bool = True
+    live_units: bool = True
+    bfloat16_band_m: float = 0.02
+    min_n_dot_d: float = 0.2
+    batch: int = 256
 
     def __post_init__(self) -> None:
-        for name, known in (("solver", get_args(Solver)), ("root", get_args(Root))):
-            if getattr(self, name) not in known:
-                found = f"{name} is {getattr(self, name)!r}"
-                raise InputError(found, where="render settings", remedy=f"one of {', '.join(known)}")
-        positive = ("step_m", "max_step_m", "step_safety", "max_slope", "tolerance_m", "max_iterations", "batch")
+        if self.solver not in get_args(Solver):
+            found = f"solver is {self.solver!r}"
+            raise InputError(found, where="render settings", remedy=f"one of {', '.join(get_args(Solver))}")
+        positive = (
+            *("step_m", "max_step_m", "step_safety", "max_slope", "tolerance_m", "max_iterations"),
+            *("approach_slope", "grazing_m", "batch"),
+        )
         for name in positive:
             if not getattr(self, name) > 0:
                 raise InputError(f"{name} must be positive", where=f"render settings: {name}={getattr(self, name)}")
-        not_negative = ("unchecked_m", "box_margin_m", "grazing_floor", "coarse_band_m", "warm_refresh", "warm_gap_m")
+        not_negative = (
+            *(
+                "final_newton_m",
+                "box_margin_m",
+                "min_n_dot_d",
+                "bfloat16_band_m",
+                "warm_refresh",
+                "approach_m",
+                "warm_change_m",
+            ),
+        )
         for name in not_negative:
             # NaN compares false: a margin of NaN would leave no beam and say nothing.
             if not getattr(self, name) >= 0:
@@ -130,7 +145,7 @@ class RenderSettings:
             InputError: saying what can be reached, and with which setting more.
         """
         reachable = self.reachable_residual_m(scale_m)
-        if self.solver in ("paper", "march") or self.tolerance_m >= reachable:
+        if self.solver == "paper" or self.tolerance_m >= reachable:
             return
         dtype = str(self.dtype).removeprefix("torch.")
         finer = "" if self.dtype == torch.float64 else ", or dtype=float64"
@@ -149,36 +164,36 @@ PAPER = RenderSettings(
     solver="paper",
     step_m=0.1,
     tolerance_m=1e-6,
-    unchecked_m=0.0,
+    final_newton_m=0.0,
     max_iterations=30,
-    grazing_floor=0.0,
+    min_n_dot_d=0.0,
     warm_start=False,
-    empty_space=False,
-    coarse_band_m=0.0,
+    sdf_grid=False,
+    live_units=False,
+    bfloat16_band_m=0.0,
     batch=16384,
 )
 STANDARD = RenderSettings()
-# What saves most is not to look between samples: longer steps alone save nothing, since between samples that are 10 cm
-# apart there is more to look into than steps were saved.
 DRAFT = RenderSettings(
-    step_m=0.03, step_safety=1.0, tolerance_m=1e-3, warm_gap_m=0.1, look_between=False, coarse_band_m=0.005
+    step_m=0.03, step_safety=1.0, tolerance_m=1e-3, final_newton_m=5e-3, local_minima=False, bfloat16_band_m=0.005
 )
-# The floor of the gradient is the standard one: it is a rule of what is descended, not an approximation, and with the
-# paper's (none) a handful of grazing beams would decide every comparison of gradients. step_m to tolerance_m are for
-# fields that are not piecewise linear.
+# min_n_dot_d is the standard one: it is a rule of what is descended, not an approximation, and with the paper's (0) a
+# handful of grazing beams would decide every comparison of gradients. step_m to tolerance_m are for fields that are
+# not piecewise linear.
 REFERENCE = RenderSettings(
-    solver="exact",
+    solver="piecewise_linear",
     dtype=torch.float64,
     step_m=0.005,
     max_step_m=0.05,
     step_safety=0.5,
     tolerance_m=1e-9,
-    unchecked_m=0.0,
+    final_newton_m=0.0,
     max_iterations=80,
     box_margin_m=0.3,
     warm_start=False,
-    empty_space=False,
-    coarse_band_m=0.0,
+    sdf_grid=False,
+    live_units=False,
+    bfloat16_band_m=0.0,
 )
 PRESETS: dict[str, RenderSettings] = {
     "draft": DRAFT,

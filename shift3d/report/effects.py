@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shift3d.errors import InputError
-from shift3d.render.called_for import NEEDS, WORTH_BOUND, Worth
+from shift3d.render.effects.applicability import NEEDS, WORTH_BOUND, Worth
 from shift3d.report.page import html_image, html_table, page
 from shift3d.report.resampling import Interval, mean_interval
 from shift3d.report.tables import aligned

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow.compute as pc
 
-from shift3d.render.called_for import measured_worth
+from shift3d.render.effects.applicability import measured_worth
 from shift3d.report.accuracy_cost import measured_presets
 from shift3d.report.task_parts import searched, shipped_parts
 from shift3d.store.location import Place, as_location

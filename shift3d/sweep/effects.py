@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.config.catalogue import Catalogue
 from shift3d.config.schema import Config
-from shift3d.render.called_for import NEEDS, Choice, DetectorFacts, choose
+from shift3d.render.effects.applicability import NEEDS, Choice, DetectorFacts, choose
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from shift3d.detectors.base import Detector
 from shift3d.detectors.weights import load_detector
 from shift3d.errors import InputError
 from shift3d.render.beams import Beams
-from shift3d.render.empty_space import EmptySpace
+from shift3d.render.sdf_grid import SdfGrid
 from shift3d.render.settings import RenderSettings
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
@@ -51,7 +51,7 @@ class Assets:
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)
     _vehicle_hashes: dict[str, str] = field(default_factory=dict)
     _volumes: dict[str, float] = field(default_factory=dict)
-    _spaces: OrderedDict[tuple[str, RenderSettings], EmptySpace] = field(default_factory=OrderedDict)
+    _spaces: OrderedDict[tuple[str, RenderSettings], SdfGrid] = field(default_factory=OrderedDict)
 
     def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
         """A task's scene and its beams.
@@ -102,20 +102,20 @@ class Assets:
             self._volumes[spec.vehicle] = volume_m3(self.vehicle(spec), self.decoder)
         return self._volumes[spec.vehicle]
 
-    def space_of(self, spec: TaskSpec, settings: RenderSettings) -> EmptySpace | None:
+    def space_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
         """A map of the task's vehicle at these settings, None where they use none.
 
         Made once a vehicle: it depends on its code alone. Whether there is one depends on the settings, never on what
         ran before, so that a task's bytes do not.
         """
-        if not settings.empty_space or settings.solver != "hybrid":
+        if not settings.sdf_grid or settings.solver != "sphere_tracing":
             return None
         key = (spec.vehicle, settings)
         if key not in self._spaces:
             vehicle = self.vehicle(spec)
             code = torch.from_numpy(vehicle.latent_code).to(settings.dtype)
             with torch.no_grad():
-                self._spaces[key] = EmptySpace.of(self.decoder_of(settings.dtype).field(code), vehicle, settings)
+                self._spaces[key] = SdfGrid.of(self.decoder_of(settings.dtype).field(code), vehicle, settings)
             if len(self._spaces) > _SPACES_KEPT:
                 self._spaces.popitem(last=False)
         self._spaces.move_to_end(key)

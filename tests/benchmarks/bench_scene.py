@@ -11,7 +11,7 @@ from benchmarks.timing import Timing, milliseconds
 from benchmarks.world import World, with_beams_elsewhere
 
 from shift3d.attack.problem import AttackProblem
-from shift3d.render import EmptySpace
+from shift3d.render import SdfGrid
 
 ELSEWHERE = "the scene's beams and so many times as many, none of the new ones within 12 m of the object"
 
@@ -23,7 +23,7 @@ class Sized:
         self.attacks = AttackLoops(problem, steps, modes=("shape",))
         self.cold_ms: list[float] = []
 
-    def measure(self, space: EmptySpace, renderings: int) -> None:
+    def measure(self, space: SdfGrid, renderings: int) -> None:
         """One more attack and some more renderings from nothing."""
         self.attacks.run()
         cold = functools.partial(cold_rendering, self.attacks.problem, space)

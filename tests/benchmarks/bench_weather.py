@@ -10,7 +10,7 @@ from benchmarks.results import Results
 from benchmarks.timing import milliseconds, repeat
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import effect_named
+from shift3d.render.effects.applicability import effect_named
 from shift3d.render.effects.base import Returns, Situation
 from shift3d.render.effects.fog import soft_echo
 from shift3d.render.effects.rain import crossings

@@ -17,7 +17,7 @@ from shift3d.attack.pose import attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import StepRecord
 from shift3d.attack.shape import attack_shape
-from shift3d.render import EmptySpace, Rendering, render
+from shift3d.render import SdfGrid, Rendering, render
 
 __all__ = ["MODES", "AttackLoops", "Loop", "cold_rendering", "published_step"]
 
@@ -102,7 +102,7 @@ class AttackLoops:
 
 
 @torch.no_grad()
-def cold_rendering(problem: AttackProblem, space: EmptySpace | None = None) -> Rendering:
+def cold_rendering(problem: AttackProblem, space: SdfGrid | None = None) -> Rendering:
     """One rendering of the start, with nothing to begin from but a map, and without gradients."""
     field = problem.field_of(problem.code0)
     return render(problem.beams, field, problem.theta0, problem.vehicle, problem.settings, None, space)

@@ -15,7 +15,7 @@ from shift3d.attack.placement import Placement
 from shift3d.attack.problem import AttackProblem
 from shift3d.config.catalogue import accuracy_settings
 from shift3d.config.schema import AccuracyConfig
-from shift3d.render import EmptySpace
+from shift3d.render import SdfGrid
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
 from shift3d.task.assets import Assets, load_assets
@@ -130,10 +130,10 @@ class World:
         precision = str(spec.accuracy_settings["detector"])
         return dataclasses.replace(problem, detector=self.assets.detector_of(spec.detector, precision))
 
-    def empty_space(self, problem: AttackProblem) -> EmptySpace:
+    def empty_space(self, problem: AttackProblem) -> SdfGrid:
         """The map of the vehicle's empty space that tasks make once."""
         with torch.no_grad():
-            return EmptySpace.of(problem.field_of(problem.code0), problem.vehicle, problem.settings)
+            return SdfGrid.of(problem.field_of(problem.code0), problem.vehicle, problem.settings)
 
     def place_at(self, range_m: float) -> tuple[str, Placement] | None:
         """A scene and a place for the vehicle at this range, within half a metre; None if no scene has one.

@@ -21,7 +21,7 @@ from torch import Tensor
 from shift3d.render import Beams, Rendering, preset
 
 # Roots to 1e-13 m, so that differences over 1e-6 still carry six digits. No floor: the paper's formula.
-EXACT = preset("reference").with_(step_m=0.02, max_step_m=0.1, tolerance_m=1e-13, max_iterations=200, grazing_floor=0.0)
+EXACT = preset("reference").with_(step_m=0.02, max_step_m=0.1, tolerance_m=1e-13, max_iterations=200, min_n_dot_d=0.0)
 
 
 def wavy_loss(points: Tensor) -> Tensor:

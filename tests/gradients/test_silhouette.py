@@ -18,7 +18,7 @@ def test_the_floor_bounds_the_gradient_of_a_grazing_beam(offset: float) -> None:
 
     def slope(floor: float) -> tuple[float, Rendering]:
         radius = torch.tensor(1.0, dtype=torch.float64, requires_grad=True)
-        settings = EXACT.with_(step_m=1e-4, grazing_floor=floor)
+        settings = EXACT.with_(step_m=1e-4, min_n_dot_d=floor)
         rendering = render(beams, in_frame(sphere(radius), SHAPENET_FRAME), theta, SHAPENET_FRAME, settings)
         assert rendering.object_points == 1
         rendering.points[0, 0].backward()
@@ -37,7 +37,7 @@ def test_the_floor_bounds_the_gradient_of_a_grazing_beam(offset: float) -> None:
 def test_the_share_of_grazing_beams_is_reported() -> None:
     beams, field = fan(61), in_frame(sphere(1.0), SHAPENET_FRAME)
     theta = THETA.clone().requires_grad_()
-    rendering = render(beams, field, theta, SHAPENET_FRAME, EXACT.with_(grazing_floor=0.2))
+    rendering = render(beams, field, theta, SHAPENET_FRAME, EXACT.with_(min_n_dot_d=0.2))
     assert rendering.grazing.gradient == 0.0
     rendering.points.sum().backward()
     assert 0.0 < rendering.grazing.gradient < 0.5

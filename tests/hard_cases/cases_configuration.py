@@ -87,7 +87,7 @@ def a_renderer_setting_of_another_type() -> None:
     guard="numbers for the renderer must be finite",
 )
 def a_renderer_setting_that_is_infinite() -> None:
-    for name, value in (("max_slope", float("inf")), ("grazing_floor", float("inf")), ("step_m", float("nan"))):
+    for name, value in (("max_slope", float("inf")), ("min_n_dot_d", float("inf")), ("step_m", float("nan"))):
         refused(lambda name=name, value=value: accuracy(**{name: value}), "accuracy.render", name, str(value))
     refused(lambda: validate(put("attack.alpha", float("nan")), HERE), "attack.alpha", "finite")
 

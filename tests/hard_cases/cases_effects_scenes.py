@@ -13,7 +13,7 @@ from hard_echoes import AHEAD, BALL, READER, ahead, drawn, on_object, scene_of
 
 from shift3d.detectors.grid import WAYMO_GRID, assign_pillars, full_window
 from shift3d.render import Beams
-from shift3d.render.called_for import Worth, choose, effect_named
+from shift3d.render.effects.applicability import Worth, choose, effect_named
 from shift3d.render.effects.base import Situation
 from shift3d.render.effects.chain import EffectChain
 from shift3d.render.effects.divergence import strongest

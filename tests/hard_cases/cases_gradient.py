@@ -55,7 +55,7 @@ def a_slope_of_exactly_zero() -> None:
         return torch.where(SPHERE(x) < 0, -1.0, 1.0) + 0.0 * x.sum(-1)
 
     for settings in PRESETS.values():
-        rendering, gradient = descended(beams_along_x(), dead, settings=settings.with_(grazing_floor=0.0))
+        rendering, gradient = descended(beams_along_x(), dead, settings=settings.with_(min_n_dot_d=0.0))
         hit_at(rendering, 9.0)
         sound(rendering)
         assert torch.equal(gradient, torch.zeros(6, dtype=torch.float64))

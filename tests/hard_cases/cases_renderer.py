@@ -22,7 +22,7 @@ from hard_scenes import (
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render import Beams, EmptySpace
+from shift3d.render import Beams, SdfGrid
 
 
 @hard_case(
@@ -152,7 +152,7 @@ def beams_of_two_sensors() -> None:
     guard="no ray at all has length zero",
 )
 def no_beam_through_the_box() -> None:
-    space = EmptySpace.of(_SPHERE, PLAIN, FAST)
+    space = SdfGrid.of(_SPHERE, PLAIN, FAST)
     for beams in (beams_along_x(y=60.0), beams_along_x(start_x=20.0), Beams.from_arrays(np.zeros((0, 3)), np.zeros(3))):
         for settings in PRESETS.values():
             rendering = draw(beams, sphere(1.0), settings=settings, frame=PLAIN, space=space)

@@ -25,8 +25,8 @@ from hard_scenes import (
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render import EmptySpace, preset
-from shift3d.render.coarse import CoarseField
+from shift3d.render import SdfGrid, preset
+from shift3d.sdf.bfloat16 import CoarseField
 from shift3d.render.object_field import ObjectField
 from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.vehicle import baseline_vehicles
@@ -45,7 +45,7 @@ def _lost(metric: Field, space: bool = False, names: tuple[str, ...] = tuple(SOL
     for name in names:
         for count in (FEW, MANY):
             beams = beams_along_x(count=count)
-            known = EmptySpace.of(in_plain(metric), PLAIN, FAST) if space else None
+            known = SdfGrid.of(in_plain(metric), PLAIN, FAST) if space else None
             rendering = draw(beams, metric, settings=SOLVERS[name], frame=PLAIN, space=known)
             sound(rendering)
             unmoved(rendering, beams, unresolved=count)
@@ -147,7 +147,7 @@ def nan_in_the_map() -> None:
 def nan_where_the_map_is_checked() -> None:
     # A NaN shell thinner than the lattice, on the surface: no lattice point shows it, checks between them do.
     shell = lambda x: torch.where(SURFACE(x).abs() < 0.002, math.nan, SURFACE(x))  # noqa: E731
-    space = EmptySpace.of(in_plain(shell), PLAIN, FAST)
+    space = SdfGrid.of(in_plain(shell), PLAIN, FAST)
     assert space.error_m == math.inf
     _lost(shell, space=True, names=("standard",))
 
@@ -262,7 +262,7 @@ def a_coarse_value_next_to_the_surface() -> None:
         along = torch.linspace(-2.4, 2.4, 240, dtype=torch.float64)
         x = torch.stack((along, torch.full_like(along, 0.3), torch.full_like(along, -0.1)), 1)
         coarse = ObjectField.of(sdf, vehicle, torch.float32, 4096)
-        estimate = type(coarse)(**{**vars(coarse), "coarse": CoarseField(sdf), "coarse_band_m": 0.02}).estimate(x)
+        estimate = type(coarse)(**{**vars(coarse), "coarse": CoarseField(sdf), "bfloat16_band_m": 0.02}).estimate(x)
         exact = fine(x)
     near = (exact < 0.01) | (estimate < 0.01)
     assert near.sum() > 20 and torch.equal(estimate < 0, exact < 0)

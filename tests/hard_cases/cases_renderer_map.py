@@ -8,12 +8,12 @@ from analytic_fields import Field, box, union
 from catalogue import hard_case
 from hard_scenes import AT_TEN, FAST, PLAIN, draw, in_plain
 
-from shift3d.render import Beams, EmptySpace
+from shift3d.render import Beams, SdfGrid
 
 
 def mapped(beams: Beams, metric: Field):  # type: ignore[no-untyped-def]
     """A rendering with a map of the very field, and the map."""
-    space = EmptySpace.of(in_plain(metric), PLAIN, FAST)
+    space = SdfGrid.of(in_plain(metric), PLAIN, FAST)
     return draw(beams, metric, space=space, frame=PLAIN), space
 
 

@@ -9,8 +9,8 @@ import torch
 from analytic_fields import SHAPENET_FRAME, Field, Frame, in_frame, sector_scan
 from torch import Tensor
 
-from shift3d.render import Beams, EmptySpace, Rendering, RenderSettings, preset, render
-from shift3d.render.warm import WarmStart
+from shift3d.render import Beams, SdfGrid, Rendering, RenderSettings, preset, render
+from shift3d.render.search import WarmStart
 from shift3d.sdf.decoder import Field as Network
 from shift3d.sdf.pieces import Piece
 
@@ -49,7 +49,7 @@ def draw(
     theta: Tensor = AT_TEN,
     settings: RenderSettings = FAST,
     warm: WarmStart | None = None,
-    space: EmptySpace | None = None,
+    space: SdfGrid | None = None,
     frame: Frame = SHAPENET_FRAME,
 ) -> Rendering:
     """Render a shape that is given in the object frame and in metres."""

@@ -159,7 +159,7 @@ def test_the_paper_reaches_its_1e_6_in_float32_near_and_far(distance_m: float) -
 
 def test_reachable_at_the_asked_tolerance(near_surface: Tensor) -> None:
     """Asked for just what float32 can reach, every root settles, and is as good as tolerance and rounding together."""
-    settings = RenderSettings(tolerance_m=reachable_residual_m(torch.float32, SUV.scale_m), unchecked_m=0.0)
+    settings = RenderSettings(tolerance_m=reachable_residual_m(torch.float32, SUV.scale_m), final_newton_m=0.0)
     theta = torch.tensor([14.0, 0.0, 0.0, 0.4, 0.0, 0.0], dtype=torch.float64)
     rng = np.random.default_rng(1)
     ends = np.array([14.0, 0.0, 0.0]) + rng.uniform(-0.6, 0.6, (60, 3))

@@ -76,7 +76,7 @@ class Solver:
     place_m: float = 0.0
 
 
-_PLAIN = preset("standard").with_(unchecked_m=0.0)
+_PLAIN = preset("standard").with_(final_newton_m=0.0)
 SOLVERS = {
     "hybrid": Solver(_PLAIN, _PLAIN.tolerance_m),
     # A root is a quotient: as good as the two numbers.
@@ -127,7 +127,7 @@ def test_gradients_at_the_surface() -> None:
     a range's derivative, -(dg/dv) / (dg/dk), by (1 / slope + |dg/dv| / slope^2) d; a point's coordinates by that times
     their share of the beam, which the loss weighs by a cosine.
     """
-    settings = preset("standard").with_(dtype=torch.float64, unchecked_m=0.0)
+    settings = preset("standard").with_(dtype=torch.float64, final_newton_m=0.0)
     beams = fan_at_the_vehicle(60)
     code = torch.tensor([0.3, -0.2, 0.1, 0.5, -0.4, 0.8], dtype=torch.float64)
     field = in_frame(soft_car(code), SHAPENET_FRAME)
@@ -139,10 +139,10 @@ def test_gradients_at_the_surface() -> None:
     for dtype in (torch.float32, torch.float64):
         z, theta = code.clone().requires_grad_(), THETA.clone().requires_grad_()
         metric = ObjectField.of(in_frame(soft_car(z), SHAPENET_FRAME), SHAPENET_FRAME, dtype, 4096)
-        points, _, share, _ = surface_points(beams, hits, metric, theta, settings.grazing_floor)
+        points, _, share, _ = surface_points(beams, hits, metric, theta, settings.min_n_dot_d)
         assert torch.equal(points, beams.origins[rows] + hits.range_m[:, None] * beams.directions[rows])
         gradients.append(torch.cat(torch.autograd.grad(points.sin().sum(), (z, theta))))
-        least = max(share.least_slope, settings.grazing_floor)
+        least = max(share.least_slope, settings.min_n_dot_d)
     assert len(rows) > 15
     weight = (found.points[rows].cos() * beams.directions[rows]).sum(-1).abs()
     bound = float(weight.sum()) * 4.0 * gamma(60) * (1 / least + 4.0 / least**2)

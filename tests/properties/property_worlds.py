@@ -17,9 +17,9 @@ from shift3d.render import Beams, Field, Rendering, RenderSettings, preset, rend
 from shift3d.sdf.decoder import Architecture, Decoder
 
 U64 = torch.finfo(torch.float64).eps / 2
-EXACT = preset("standard").with_(dtype=torch.float64, tolerance_m=1e-12, unchecked_m=0.0, max_iterations=100)
+EXACT = preset("standard").with_(dtype=torch.float64, tolerance_m=1e-12, final_newton_m=0.0, max_iterations=100)
 """The fast renderer with roots as good as float64 has them."""
-FAST64 = preset("standard").with_(dtype=torch.float64, unchecked_m=0.0)
+FAST64 = preset("standard").with_(dtype=torch.float64, final_newton_m=0.0)
 FARTHEST_M = 20_000.0
 ANGLES = st.floats(-math.pi, math.pi)
 NUMBERS = st.integers(0, 2**32 - 1)

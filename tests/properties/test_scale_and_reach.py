@@ -112,5 +112,5 @@ def test_an_angle_of_pi_is_one_of_minus_pi(theta: Tensor, field: Field, which: i
     # A range's derivative by an angle is g_angle / slope. Where the hit moves by d, it changes by up to
     # d (8 / m)(2.5 m)(1 / slope + 1 / slope^2): curvatures of these shapes are below 8 / m (2.4 m over 0.56 m squared),
     # arms below 2.5 m, slopes floored. The loss weighs a coordinate by at most 1, and there are three.
-    moved = 3 * float((bound * 20.0 * 2.0 / EXACT.grazing_floor**2).sum())
+    moved = 3 * float((bound * 20.0 * 2.0 / EXACT.min_n_dot_d**2).sum())
     assert float((gradient_one - gradient_other).abs().max()) <= moved

@@ -22,7 +22,7 @@ SETTINGS: dict[str, RenderSettings] = {
     "standard": preset("standard"),
     "draft": preset("draft"),
     "itp": preset("standard").with_(root="itp"),
-    "float64": preset("standard").with_(dtype=torch.float64, tolerance_m=1e-9, unchecked_m=0.0),
+    "float64": preset("standard").with_(dtype=torch.float64, tolerance_m=1e-9, final_newton_m=0.0),
 }
 _OFTEN = ("standard", "standard", "standard", "standard", "draft", "itp", "float64")
 _ANGLES = (math.pi, -math.pi, math.pi / 2, -math.pi / 2, 0.0, math.nextafter(math.pi, 0), 1e-12)

@@ -30,7 +30,7 @@ from torch import Tensor
 from shift3d.render import Beams, render
 from shift3d.render.object_field import ObjectField
 from shift3d.render.rendering import FirstHits, Rendering
-from shift3d.render.warm import cold_start, warm_start
+from shift3d.render.search import cold_start, warm_start
 
 PATIENCE_S = 20.0
 _STEP = np.array([0.01, 0.0, 0.005, 0.001, 0.0, -0.001])
@@ -147,11 +147,11 @@ def _judge_hits(case: Case, drawn: Rendering, outcome: Outcome) -> None:
     settings = SETTINGS[case.settings]
     reachable_m = settings.reachable_residual_m(case.frame.scale_m)
     # What a root was asked for, and what its dtype adds. A last secant step is not evaluated again: from up to
-    # unchecked_m away it may end where another linear piece has begun, off by that length times the change of slope.
+    # final_newton_m away it may end where another linear piece has begun, off by that length times the change of slope.
     told_m = settings.tolerance_m + reachable_m
     outcome.worst_residual_m = max(outcome.worst_residual_m, float(g.max()))
-    outcome.untold += int(((g > told_m) & (g <= told_m + settings.unchecked_m)).sum())
-    outcome.off_surface += int((g > told_m + settings.unchecked_m).sum())
+    outcome.untold += int(((g > told_m) & (g <= told_m + settings.final_newton_m)).sum())
+    outcome.off_surface += int((g > told_m + settings.final_newton_m).sum())
     if float(distance_m(case, np.zeros((1, 3)))[0]) < -reachable_m:
         outcome.from_inside += int(hit.sum())
 

@@ -19,10 +19,10 @@ import torch
 from torch import Tensor
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import DetectorFacts
-from shift3d.render.empty_space import EmptySpace
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.rendering import Rendering
+from shift3d.render.sdf_grid import SdfGrid
 from shift3d.render.settings import RenderSettings
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Scene
@@ -140,7 +140,7 @@ class Insertion:
     vehicle: VehicleFrame
     settings: RenderSettings
     shift_m: Tensor | None = None
-    space: EmptySpace | None = None
+    space: SdfGrid | None = None
 
     def metric(self) -> ObjectField:
         """The object's metric field, object frame."""

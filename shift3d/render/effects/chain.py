@@ -11,16 +11,16 @@ import torch
 from torch import Tensor
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import NEEDS, effect_named
+from shift3d.render.effects.applicability import NEEDS, effect_named
 from shift3d.render.effects.base import Cast, CastStep, FootprintStep, Insertion, Returns, ReturnsStep, Situation
 from shift3d.render.effects.materials import albedo_of
-from shift3d.render.empty_space import EmptySpace
 from shift3d.render.implicit import cosine_of_incidence
 from shift3d.render.object_field import Field, VehicleFrame
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
+from shift3d.render.sdf_grid import SdfGrid
+from shift3d.render.search import WarmStart
 from shift3d.render.settings import RenderSettings
-from shift3d.render.warm import WarmStart
 from shift3d.scenes.facts import EffectSettings, with_settings
 from shift3d.scenes.scene import Scene
 
@@ -100,7 +100,7 @@ class EffectChain:
         theta: Tensor,
         settings: RenderSettings,
         warm: WarmStart | None = None,
-        space: EmptySpace | None = None,
+        space: SdfGrid | None = None,
     ) -> Rendering:
         """Insert the object and let every effect act.
 

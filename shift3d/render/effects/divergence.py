@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import FootprintStep, Insertion, Kind, Returns, Situation
 from shift3d.render.effects.chain import SCENE_ALBEDO
 from shift3d.render.effects.materials import albedo_of

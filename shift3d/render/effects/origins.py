@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import CastStep, Kind, Situation
 from shift3d.render.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Cast, CastStep, Kind, Situation
 from shift3d.render.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts

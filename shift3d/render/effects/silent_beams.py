@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Cast, CastStep, Kind, Situation
 from shift3d.render.effects.chain import NO_RETURN_M
 from shift3d.render.object_field import VehicleFrame

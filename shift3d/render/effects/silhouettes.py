@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from shift3d.geometry.se3 import scene_R_object
-from shift3d.render.bounds import Box, checked_box
-from shift3d.render.culling import Rays
+from shift3d.render.bounding_box import Box, verified_box
+from shift3d.render.culling import Rays, rays_in_box
 from shift3d.render.effects.base import Insertion
-from shift3d.render.fast import rays_in_box
 from shift3d.render.object_field import ObjectField
 
 __all__ = ["at_silhouettes", "sub_rays"]
@@ -50,7 +49,7 @@ def at_silhouettes(insertion: Insertion, angle_rad: float) -> Tensor:
     """
     settings, beams = insertion.settings, insertion.beams
     theta, spread = insertion.theta.detach().double(), math.tan(angle_rad)
-    field = ObjectField.of(insertion.field, insertion.vehicle, settings.dtype, settings.batch, settings.coarse_band_m)
+    field = ObjectField.of(insertion.field, insertion.vehicle, settings.dtype, settings.batch, settings.bfloat16_band_m)
     box = _box(insertion, field)
     starts = beams.origins[:1] if beams.origins.stride(0) == 0 else beams.origins
     farthest = float((theta[:3] - starts).norm(dim=-1).max()) + box.radius_m
@@ -62,8 +61,8 @@ def at_silhouettes(insertion: Insertion, angle_rad: float) -> Tensor:
         chosen[row], until[row] = _leave_the_face(row, field, insertion, angle_rad)
     rays = replace(rays, far_m=torch.minimum(rays.far_m, until[rays.index]))
     rays = rays.select((rays.near_m <= rays.far_m) & ~chosen[rays.index])
-    if insertion.space is not None and settings.empty_space and len(rays):
-        clearance = insertion.space.sight(rays).closest()[0]
+    if insertion.space is not None and settings.sdf_grid and len(rays):
+        clearance = insertion.space.along(rays).clearance()
         rays = rays.select(~(clearance > spread * rays.far_m))
     chosen[rays.index[_touched(rays, field, spread, settings.step_safety, settings.max_step_m)]] = True
     return chosen.nonzero().squeeze(1)
@@ -72,12 +71,12 @@ def at_silhouettes(insertion: Insertion, angle_rad: float) -> Tensor:
 def _box(insertion: Insertion, field: ObjectField) -> Box:
     """The checked box of the object, from the rendering if it has one."""
     warm, settings = insertion.rendering.warm, insertion.settings
-    if insertion.space is not None and settings.empty_space:
+    if insertion.space is not None and settings.sdf_grid:
         return insertion.space.box
     if warm is not None and warm.guard is not None:
         return warm.guard.box
     size = torch.as_tensor(np.asarray(insertion.vehicle.size_m, dtype=np.float64))
-    return checked_box(field, size, settings.box_margin_m)
+    return verified_box(field, size, settings.box_margin_m).box
 
 
 def _leave_the_face(row: Tensor, field: ObjectField, insertion: Insertion, angle_rad: float) -> tuple[Tensor, Tensor]:

@@ -19,7 +19,7 @@ from shift3d.frontier.cases import Case, place_case
 from shift3d.frontier.measure import CaseInstrument
 from shift3d.frontier.settings import Setting
 from shift3d.frontier.truth import Truth, make_truth
-from shift3d.render import Beams, EmptySpace, RenderSettings
+from shift3d.render import Beams, SdfGrid, RenderSettings
 from shift3d.scenes.scene import Scene
 from shift3d.task.spec import PlacementSpec, TaskSpec
 
@@ -57,10 +57,10 @@ class SoftAssets:
 
         return Decoder()
 
-    def space_of(self, spec: TaskSpec, settings: RenderSettings) -> EmptySpace | None:
-        if not settings.empty_space or settings.solver != "hybrid":
+    def space_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
+        if not settings.sdf_grid or settings.solver != "sphere_tracing":
             return None
-        return EmptySpace.of(field_of(CODE.to(settings.dtype)), FRAME, settings)
+        return SdfGrid.of(field_of(CODE.to(settings.dtype)), FRAME, settings)
 
     def detector_of(self, name: str, precision: str) -> WaveDetector:
         return WaveDetector()

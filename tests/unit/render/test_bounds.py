@@ -4,7 +4,7 @@ import pytest
 import torch
 from analytic_fields import SHAPENET_FRAME, Frame, box, car, in_frame, rounded, sphere, union
 
-from shift3d.render.bounds import Box, checked_box, guarded_box, sdf_ball_box
+from shift3d.render.bounding_box import Box, checked_box, guarded_box, sdf_ball_box
 from shift3d.render.object_field import ObjectField
 
 # The decoder's ball has radius 1.05 units: with 2.5 m a unit a car fits.

@@ -6,7 +6,7 @@ import torch
 from analytic_fields import Frame, sector_scan
 
 from shift3d.render import Beams, preset, render
-from shift3d.render.coarse import coarse_twin
+from shift3d.sdf.bfloat16 import coarse_twin
 from shift3d.render.object_field import ObjectField
 from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, Field, load_decoder
 
@@ -30,7 +30,7 @@ needs_bfloat16 = pytest.mark.skipif(
 @needs_bfloat16
 def test_the_estimate_is_exact_near_the_surface_and_close_elsewhere(shipped: tuple[Field, Frame]) -> None:
     field, frame = shipped
-    metric = ObjectField.of(field, frame, torch.float32, 4096, coarse_band_m=0.02)
+    metric = ObjectField.of(field, frame, torch.float32, 4096, bfloat16_band_m=0.02)
     x = (torch.rand(4000, 3, generator=torch.Generator().manual_seed(0)).double() - 0.5) * torch.tensor([5.0, 2.4, 2.0])
     exact, estimate = metric(x), metric.estimate(x)
     assert torch.equal(estimate[estimate < 0.02], exact[estimate < 0.02])
@@ -44,7 +44,7 @@ def test_the_estimate_is_exact_near_the_surface_and_close_elsewhere(shipped: tup
 def test_whatever_is_expected_near_the_surface_it_is_exact(shipped: tuple[Field, Frame], expectation: str) -> None:
     """What is expected decides what is evaluated twice, never a value that matters."""
     field, frame = shipped
-    metric = ObjectField.of(field, frame, torch.float32, 4096, coarse_band_m=0.02)
+    metric = ObjectField.of(field, frame, torch.float32, 4096, bfloat16_band_m=0.02)
     x = (torch.rand(4000, 3, generator=torch.Generator().manual_seed(1)).double() - 0.5) * torch.tensor([5.0, 2.4, 2.0])
     exact = metric(x)
     expected = {
@@ -67,7 +67,7 @@ def test_the_same_hits_with_and_without(shipped: tuple[Field, Frame]) -> None:
     beams = Beams.from_arrays(*sector_scan((13.0, 2.0, -1.0), half_angle_rad=0.17, rays=36))
     theta = torch.tensor([13.0, 2.0, -1.0, 0.8, 0.0, 0.0], dtype=torch.float64)
     with torch.no_grad():
-        fine = render(beams, field, theta, frame, preset("standard").with_(coarse_band_m=0.0))
+        fine = render(beams, field, theta, frame, preset("standard").with_(bfloat16_band_m=0.0))
         coarse = render(beams, field, theta, frame, preset("standard"))
     assert fine.object_points > 200 and fine.coarse_evaluations == 0
     assert coarse.coarse_evaluations > 0.4 * coarse.evaluations
@@ -80,4 +80,4 @@ def test_only_float32_decoders_have_a_coarse_twin() -> None:
     field = Decoder().folded().double().field(torch.zeros(256, dtype=torch.float64))
     assert coarse_twin(field, torch.float64) is None
     assert coarse_twin(lambda x: x[:, 0], torch.float32) is None
-    assert np.isfinite(preset("reference").coarse_band_m) and preset("reference").coarse_band_m == 0.0
+    assert np.isfinite(preset("reference").bfloat16_band_m) and preset("reference").bfloat16_band_m == 0.0

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from shift3d.render.bounds import Box
+from shift3d.render.bounding_box import Box
 from shift3d.render.bracket import first_brackets
-from shift3d.render.cover import Covered, cover
+from shift3d.render.coverage import Covered, cover
 from shift3d.render.culling import Rays
-from shift3d.render.lattice import FieldLattice
+from shift3d.render.sdf_grid import FieldLattice
 from shift3d.render.object_field import ObjectField
-from shift3d.render.profile import Profile
+from shift3d.render.ray_samples import Profile
 from shift3d.render.seen import Seen
 from shift3d.render.settings import STANDARD, RenderSettings
 

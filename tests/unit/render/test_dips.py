@@ -93,12 +93,12 @@ def test_a_bottom_that_is_no_number_leaves_its_ray_undecided() -> None:
     assert found.undecided.all() and not found.found.any()
 
 
-def test_who_does_not_look_between_samples_misses_a_short_chord_and_nothing_else() -> None:
+def test_who_does_not_local_minima_samples_misses_a_short_chord_and_nothing_else() -> None:
     one, origin = torch.ones(2, dtype=torch.float64), torch.zeros(2, 3, dtype=torch.float64)
     origin[1, 1] = 1.0  # beside the post
     rays = Rays(torch.arange(2), origin, torch.eye(3).double()[[0, 0]], 0 * one, END * one)
     post = lambda x: valley(4.0071, 2e-4)(x) + 0.3 * x[:, 1].abs()  # noqa: E731
     field = ObjectField.of(lowest_of(post, valley(8.0, 0.3)), Frame(), torch.float64, 4096)
-    first = [first_brackets(rays, field, STANDARD.with_(look_between=look)).inner for look in (True, False)]
+    first = [first_brackets(rays, field, STANDARD.with_(local_minima=look)).inner for look in (True, False)]
     assert abs(float(first[0][0]) - 4.0071) < 1e-3 and abs(float(first[1][0]) - 7.0) < 0.3
     assert first[0][1] == first[1][1]

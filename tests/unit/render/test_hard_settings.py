@@ -11,7 +11,7 @@ import torch
 from analytic_fields import SHAPENET_FRAME, Field, box, car, ground_scan, in_frame, sector_scan, sphere, union
 from torch import Tensor
 
-from shift3d.render import Beams, EmptySpace, Rendering, RenderSettings, preset, render
+from shift3d.render import Beams, SdfGrid, Rendering, RenderSettings, preset, render
 
 FAST = preset("standard").with_(dtype=torch.float64)
 REFERENCE = preset("reference").with_(step_m=0.01)
@@ -79,7 +79,7 @@ def test_a_map_of_empty_space_loses_no_hit_on_thin_parts() -> None:
     # The baseline's box holds its mirrors: a plate this thin that outgrew it could hide from the box's check.
     frame = replace(SHAPENET_FRAME, size_m=(4.4, 2.3, 1.5))
     field = in_frame(thin, frame)
-    space = EmptySpace.of(field, frame, FAST)
+    space = SdfGrid.of(field, frame, FAST)
     beams = Beams.from_arrays(*sector_scan((8.0, 3.0, -1.0), half_angle_rad=0.3, rays=70))
     theta = torch.tensor([8.0, 3.0, -1.0, 0.4, 0.0, 0.0], dtype=torch.float64)
     mapped = render(beams, field, theta, frame, FAST, space=space)

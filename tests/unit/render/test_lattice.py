@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from shift3d.render.bounds import Box
-from shift3d.render.lattice import SPACING_M, FieldLattice
+from shift3d.render.bounding_box import Box
+from shift3d.render.sdf_grid import SPACING_M, FieldLattice
 
 BOX = Box(torch.tensor([-2.1, -0.9, -0.7], dtype=torch.float64), torch.tensor([2.0, 1.0, 0.8], dtype=torch.float64))
 WIDER = BOX.grown(0.5)

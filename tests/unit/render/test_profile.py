@@ -3,10 +3,10 @@
 import torch
 from torch import Tensor
 
-from shift3d.render.bounds import Box
+from shift3d.render.bounding_box import Box
 from shift3d.render.culling import Rays
-from shift3d.render.lattice import FieldLattice
-from shift3d.render.profile import Profile
+from shift3d.render.sdf_grid import FieldLattice
+from shift3d.render.ray_samples import Profile
 from shift3d.render.seen import Seen
 
 BOX = Box(torch.tensor([-3.0, -1.5, -1.5], dtype=torch.float64), torch.tensor([3.0, 1.5, 1.5], dtype=torch.float64))

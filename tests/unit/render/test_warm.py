@@ -3,8 +3,8 @@
 import torch
 from analytic_fields import SHAPENET_FRAME, box, car, ground_scan, in_frame, rounded, sphere, union
 
-from shift3d.render import Beams, EmptySpace, Rendering, preset, render
-from shift3d.render.fast import rays_in_box
+from shift3d.render import Beams, SdfGrid, Rendering, preset, render
+from shift3d.render.culling import rays_in_box
 from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.vehicle import baseline_vehicles
 
@@ -48,7 +48,7 @@ def test_a_shape_that_changes_step_by_step() -> None:
 
 def test_a_pose_that_changes_step_by_step_with_and_without_a_map() -> None:
     beams, field = scan(), in_frame(car(), SHAPENET_FRAME)
-    space = EmptySpace.of(field, SHAPENET_FRAME, STANDARD)
+    space = SdfGrid.of(field, SHAPENET_FRAME, STANDARD)
     warm = mapped = None
     for step in range(8):
         theta = THETA + step * torch.tensor([0.06, -0.03, 0.002, 0.04, 0.005, -0.004], dtype=torch.float64)
@@ -105,7 +105,7 @@ def test_warm_starts_from_nothing_hit() -> None:
 
 def test_what_the_map_vouches_for_is_so() -> None:
     metric, beams = car(), scan()
-    space = EmptySpace.of(in_frame(metric, SHAPENET_FRAME), SHAPENET_FRAME, STANDARD)
+    space = SdfGrid.of(in_frame(metric, SHAPENET_FRAME), SHAPENET_FRAME, STANDARD)
     rays = rays_in_box(beams, THETA, space.box)
     sight = space.sight(rays)
     k = torch.arange(0.0, 6.0, 0.003, dtype=torch.float64)
@@ -125,8 +125,8 @@ def test_what_the_map_vouches_for_is_so() -> None:
 
 
 def test_the_map_measures_its_own_error() -> None:
-    smooth = EmptySpace.of(in_frame(sphere(0.8), SHAPENET_FRAME), SHAPENET_FRAME, STANDARD)
-    creased = EmptySpace.of(in_frame(box((0.8, 0.5, 0.4)), SHAPENET_FRAME), SHAPENET_FRAME, STANDARD)
+    smooth = SdfGrid.of(in_frame(sphere(0.8), SHAPENET_FRAME), SHAPENET_FRAME, STANDARD)
+    creased = SdfGrid.of(in_frame(box((0.8, 0.5, 0.4)), SHAPENET_FRAME), SHAPENET_FRAME, STANDARD)
     # Linear interpolation over h = 0.05 of a curvature 1 / 0.8: at most 3 h^2 / 8 times it, 1.2 mm; the floor is 5 mm.
     assert smooth.error_m == 0.005
     assert smooth.error_m < creased.error_m < 0.05

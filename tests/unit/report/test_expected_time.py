@@ -11,7 +11,7 @@ from valid_sweeps import _catalogue, plan, write_sweep
 
 from shift3d.config.compose import compose_sweep
 from shift3d.errors import InputError
-from shift3d.render.called_for import measured_worth
+from shift3d.render.effects.applicability import measured_worth
 from shift3d.report.expected import expected, expected_lines
 from shift3d.report.task_parts import TaskParts, measured_parts, shipped_parts
 from shift3d.store.log import CommitLog

@@ -13,7 +13,7 @@ import pytest
 import torch
 from test_task import STREET, make_spec
 
-from shift3d.render.called_for import NEEDS
+from shift3d.render.effects.applicability import NEEDS
 from shift3d.scenes.kitti_files import read_points
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.export import export_solution

@@ -11,7 +11,7 @@ from analytic_fields import Frame
 
 from shift3d.errors import InputError
 from shift3d.render import called_for
-from shift3d.render.called_for import NEEDS, WORTH_BOUND, Choice, DetectorFacts, choose
+from shift3d.render.effects.applicability import NEEDS, WORTH_BOUND, Choice, DetectorFacts, choose
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel, SilentBeams
@@ -108,7 +108,7 @@ def test_a_dry_scene_calls_for_nothing():
 _FRESH = """
 import sys
 from types import SimpleNamespace
-from shift3d.render.called_for import DetectorFacts, choose
+from shift3d.render.effects.applicability import DetectorFacts, choose
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import SensorModel
 frame = SimpleNamespace(scale_m=1.0, sdf_R_object=None, sdf_t_object=None, size_m=(4.4, 1.8, 1.5))

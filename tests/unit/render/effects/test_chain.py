@@ -9,7 +9,7 @@ from analytic_fields import SHAPENET_FRAME, car, ground_scan, in_frame, soft_car
 from torch import Tensor
 
 from shift3d.render import Beams, preset, render
-from shift3d.render.called_for import NEEDS
+from shift3d.render.effects.applicability import NEEDS
 from shift3d.render.effects.chain import NO_RETURN_M, EffectChain
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from shift3d.geometry.se3 import scene_from_object
 from shift3d.render import Beams, preset, render
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Insertion, Returns, Situation
 from shift3d.render.effects.chain import SCENE_ALBEDO, EffectChain
 from shift3d.render.effects.divergence import (

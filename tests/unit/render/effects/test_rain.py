@@ -10,7 +10,7 @@ from analytic_fields import Frame
 from scipy.integrate import quad
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Returns, Situation
 from shift3d.render.effects.rain import DIVERGENCE_RAD, DROP_ALBEDO, EFFECT, EXIT_M, crossings, drops, extra_noise_m
 from shift3d.scenes.facts import SceneFacts

@@ -8,7 +8,7 @@ import torch
 from analytic_fields import Frame
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Returns, Situation
 from shift3d.render.effects.materials import PAINT_ALBEDO
 from shift3d.render.effects.reflectance import EFFECT

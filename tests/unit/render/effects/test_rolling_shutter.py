@@ -9,7 +9,7 @@ import torch
 from analytic_fields import Frame, box, in_frame
 
 from shift3d.render import Beams, preset
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Cast, Situation
 from shift3d.render.effects.chain import EffectChain
 from shift3d.render.effects.rolling_shutter import ASSUMED_NOISE_M, EFFECT, relative_velocity

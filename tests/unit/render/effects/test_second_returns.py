@@ -9,7 +9,7 @@ from analytic_fields import Frame, box, in_frame
 
 from shift3d.render import preset
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Returns, Situation
 from shift3d.render.effects.chain import NO_RETURN_M, EffectChain
 from shift3d.render.effects.second_returns import EFFECT

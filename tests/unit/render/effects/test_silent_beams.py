@@ -8,7 +8,7 @@ import torch
 from analytic_fields import Frame, in_frame, sphere
 
 from shift3d.render import Beams, preset
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Cast, Situation
 from shift3d.render.effects.chain import NO_RETURN_M, EffectChain
 from shift3d.render.effects.silent_beams import EFFECT

@@ -7,7 +7,7 @@ import pytest
 import torch
 from analytic_fields import Frame, car, in_frame, rounded
 
-from shift3d.render import Beams, EmptySpace, preset, render
+from shift3d.render import Beams, SdfGrid, preset, render
 from shift3d.render.effects.base import Insertion
 from shift3d.render.effects.chain import EffectChain
 from shift3d.render.effects.divergence import PULSE_M, SUB_RAY_SHARE
@@ -58,7 +58,7 @@ def test_a_map_of_empty_space_changes_nothing_but_the_time() -> None:
     scene = scene_about_a_car(7)
     settings = preset("standard").with_(dtype=torch.float64)
     chain = EffectChain.of(["divergence"], scene, frame, 1, EffectSettings(divergence_rad=ANGLE))
-    space = EmptySpace.of(field, frame, settings)
+    space = SdfGrid.of(field, frame, settings)
     plain, mapped = (chain.render(field, theta, settings, None, given) for given in (None, space))
     assert plain.core is not None and not torch.equal(plain.hit_mask, plain.core.hit_mask)
     assert torch.equal(plain.hit_mask, mapped.hit_mask)

@@ -10,7 +10,7 @@ from analytic_fields import Frame
 from scipy.integrate import quad
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import NEEDS, DetectorFacts, effect_named
+from shift3d.render.effects.applicability import NEEDS, DetectorFacts, effect_named
 from shift3d.render.effects.base import Returns, Situation
 from shift3d.render.effects.fog import extinction_per_m
 from shift3d.render.effects.rain import DIVERGENCE_RAD, EXIT_M, drops

@@ -10,7 +10,7 @@ from analytic_fields import Frame
 from scipy.integrate import quad
 
 from shift3d.render.beams import Beams
-from shift3d.render.called_for import DetectorFacts
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Returns, Situation
 from shift3d.render.effects.power import survival
 from shift3d.render.effects.wet_ground import EFFECT, GROUND_BAND_M, WATER_INDEX, reflected, trapped, wet_albedo

@@ -10,7 +10,7 @@ A bound that does not hold is noticed where it shows: each beam begins with a pi
 `_SUSPECT` of the bound it walks every piece from there; one on which g fell by more than that share of what the bound
 allows, or turned negative in one step, goes back and does the same.
 
-Where a piece is shorter than a nanometre, the next one is taken for it. Beams are cut to the checked box, grown by
+Where a piece is shorter than a nanometre, the next one is taken for it. Beams are cut to the verified box, grown by
 `box_margin_m`: what a decoder makes of places outside it is no part of the object (our choice: the paper cuts at 7 m).
 """
 
@@ -20,9 +20,8 @@ import torch
 from torch import Tensor
 
 from shift3d.render.beams import Beams
-from shift3d.render.bounds import checked_box
-from shift3d.render.culling import Rays
-from shift3d.render.fast import rays_in_box
+from shift3d.render.bounding_box import verified_box
+from shift3d.render.culling import Rays, rays_in_box
 from shift3d.render.object_field import ObjectField
 from shift3d.render.rendering import FirstHits
 from shift3d.render.settings import RenderSettings
@@ -39,7 +38,7 @@ _MOST_PIECES = 200_000
 
 
 def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, settings: RenderSettings) -> FirstHits:
-    """First crossing of g = 0 on every beam through the checked box.
+    """First crossing of g = 0 on every beam through the verified box.
 
     Args:
         field: metric distance in the object frame; its decoder must be piecewise linear.
@@ -48,7 +47,7 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
     Unresolved: beams whose sensor is inside the object, or whose field is not finite before the first crossing.
     Not differentiable. Source: our choice: the paper samples every 0.1 m.
     """
-    rays = rays_in_box(beams, theta, checked_box(field, size_m, settings.box_margin_m))
+    rays = rays_in_box(beams, theta, verified_box(field, size_m, settings.box_margin_m).box)
     walk = Walk(rays, field, settings.max_slope)
     walk.run()
     hit = torch.nonzero(torch.isfinite(walk.root_m)).squeeze(1)

@@ -42,12 +42,7 @@ def sdf_ball_box(field: ObjectField) -> Box:
     return Box(centre - radius, centre + radius)
 
 
-def checked_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Box:
-    """The box of `guarded_box` alone."""
-    return guarded_box(field, size_m, margin_m).box
-
-
-def guarded_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Guard:
+def verified_box(field: ObjectField, size_m: Tensor, margin_m: float) -> VerifiedBox:
     """The vehicle's box grown by a margin and, where the field is inside at a check point, further.
 
     A shape under attack can outgrow the box of its baseline. Checked are the faces of the grown box, every
@@ -66,10 +61,10 @@ def guarded_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Guard:
     ball = sdf_ball_box(field)
     half = torch.as_tensor(size_m, dtype=torch.float64) / 2
     box = Box(torch.maximum(-half - margin_m, ball.lower), torch.minimum(half + margin_m, ball.upper))
-    return _guarded(field, box, margin_m)
+    return _verified(field, box, margin_m)
 
 
-def _guarded(field: ObjectField, box: Box, margin_m: float) -> Guard:
+def _verified(field: ObjectField, box: Box, margin_m: float) -> VerifiedBox:
     """The box, grown until the field is outside at every check point."""
     ball = sdf_ball_box(field)
     outside = _ball_lattice(ball)
@@ -79,10 +74,10 @@ def _guarded(field: ObjectField, box: Box, margin_m: float) -> Guard:
         g = field.estimate(check).double()
         inside = check[~(g > 0)]
         if len(inside) == 0:
-            return Guard(box, check, g, torch.zeros_like(g), torch.ones_like(g))
+            return VerifiedBox(box, check, g, torch.zeros_like(g), torch.ones_like(g))
         box = _around(box, inside, ball, margin_m)
     nothing = torch.empty(0, dtype=torch.float64)
-    return Guard(ball, nothing.reshape(0, 3), nothing, nothing, nothing)
+    return VerifiedBox(ball, nothing.reshape(0, 3), nothing, nothing, nothing)
 
 
 def _around(box: Box, inside: Tensor, ball: Box, margin_m: float) -> Box:
@@ -95,7 +90,7 @@ def _around(box: Box, inside: Tensor, ball: Box, margin_m: float) -> Box:
 
 
 @dataclass(frozen=True)
-class Guard:
+class VerifiedBox:
     """A checked box and the places (P, 3) where it was checked.
 
     g: (P,) distances found there. moved_m: (P,) how far the surface may have moved since each was looked at. share:
@@ -113,7 +108,7 @@ class Guard:
         """Whether nothing was found to have left the box. A NaN counts as having left."""
         return bool((self.g > 0).all())
 
-    def after(self, field: ObjectField, moved_m: float) -> Guard:
+    def after(self, field: ObjectField, moved_m: float) -> VerifiedBox:
         """The guard after the surface moved by up to `moved_m`.
 
         Only places that the surface can have come near are looked at again.
@@ -126,12 +121,12 @@ class Guard:
         # what moves fastest is assumed all the same, for what sets off late.
         seen = 2.0 * (g[near] - self.g[near]).abs() / moved[near].clamp_min(1e-12)
         share[near], moved[near] = seen.clamp(_LEAST_SHARE, 1.0), 0.0
-        return Guard(self.box, self.points, g, moved, share)
+        return VerifiedBox(self.box, self.points, g, moved, share)
 
-    def grown(self, field: ObjectField, margin_m: float) -> Guard:
-        """A guard of a box that holds what has left this one."""
+    def grown(self, field: ObjectField, margin_m: float) -> VerifiedBox:
+        """A verified box that holds what has left this one."""
         inside = self.points[~(self.g > 0)]
-        return _guarded(field, _around(self.box, inside, sdf_ball_box(field), margin_m), margin_m)
+        return _verified(field, _around(self.box, inside, sdf_ball_box(field), margin_m), margin_m)
 
 
 def _ball_lattice(ball: Box) -> Tensor:

@@ -3,7 +3,7 @@
 One linear model serves twice. Asked about the field and the places that it was made at, it is worth 0 and carries the
 exact derivatives of g by pose and code: that is the implicit gradient (see `implicit`). Asked about the code and pose
 of the next step, it predicts by how much g has changed there, and so where the beam meets the surface: attacks descend
-in small steps, and most hits are found within half a millimetre of that (see `approach`).
+in small steps, and most hits are found within half a millimetre of that (see `corrector`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from shift3d.sdf.decoder import Field as DecoderField
 
 
 @dataclass(frozen=True)
-class Tangents:
+class Linearization:
     """The field about M places on beams; constants but for `graph`.
 
     Attributes:
@@ -49,9 +49,9 @@ class Tangents:
         at = torch.searchsorted(self.index, index).clamp_max(len(self) - 1)
         return torch.where(self.index[at] == index, at, -1)
 
-    def select(self, rows: Tensor) -> Tangents:
+    def select(self, rows: Tensor) -> Linearization:
         """Some of them, by row or by mask."""
-        return Tangents(
+        return Linearization(
             self.index[rows],
             self.range_m[rows],
             self.x_object[rows],
@@ -62,7 +62,7 @@ class Tangents:
             None if self.graph is None else self.graph[rows],
         )
 
-    def joined(self, other: Tangents) -> Tangents:
+    def joined(self, other: Linearization) -> Linearization:
         """These and others of the same field, by beam."""
         if len(other) == 0 or len(self) == 0:
             return self if len(other) == 0 else other
@@ -71,7 +71,7 @@ class Tangents:
         def both(one: Tensor, another: Tensor) -> Tensor:
             return torch.cat((one, another))[order]
 
-        return Tangents(
+        return Linearization(
             both(self.index, other.index),
             both(self.range_m, other.range_m),
             both(self.x_object, other.x_object),
@@ -82,7 +82,7 @@ class Tangents:
             None if self.graph is None or other.graph is None else both(self.graph, other.graph),
         )
 
-    def without_graph(self) -> Tangents:
+    def without_graph(self) -> Linearization:
         """The same as constants: of a field that is no decoder's nothing then tells what its code does."""
         return replace(self, graph=None)
 
@@ -100,7 +100,7 @@ class Tangents:
         return change
 
 
-def tangents_at(field: ObjectField, rays: Rays, k: Tensor) -> Tangents:
+def linearize(field: ObjectField, rays: Rays, k: Tensor) -> Linearization:
     """The field about the places at ranges k (M,) of M rays: what eqs. dl_dz to theta_final of SHIFT3D need of it.
 
     Costs two evaluations a place, counted as one. It says nothing of a code that no gradient is asked for.
@@ -109,9 +109,9 @@ def tangents_at(field: ObjectField, rays: Rays, k: Tensor) -> Tangents:
     if len(rays) and isinstance(field.sdf, DecoderField):
         g, gradient, at_bias = _of_decoder(field, field.sdf, x_object, field.sdf.code_layers)
         biases = {layer: field.sdf.biases[layer].detach() for layer in at_bias}
-        return Tangents(rays.index, k, x_object, g, gradient, at_bias, biases)
+        return Linearization(rays.index, k, x_object, g, gradient, at_bias, biases)
     g, gradient, graph = _by_autograd(field, x_object)
-    return Tangents(rays.index, k, x_object, g, gradient, {}, {}, graph)
+    return Linearization(rays.index, k, x_object, g, gradient, {}, {}, graph)
 
 
 def _of_decoder(

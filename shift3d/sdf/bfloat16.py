@@ -3,8 +3,8 @@
 A march spends most of its samples in free space, where only the length of the next step depends on the value.
 There eight bits of mantissa do: against float32 the metric distance of a car is off by 0.7 mm in the median and
 7 mm at most. Coordinates stay in float32 (a coordinate in bfloat16 alone is off by millimetres), the wide
-layers are in bfloat16. Every value below `coarse_band_m` is evaluated again in float32, so the sign that decides
-a hit never is a coarse one.
+layers are in bfloat16. Every value below `bfloat16_band_m` is evaluated again in float32, so the sign that decides
+a hit never is a rough one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from shift3d.processor import has_fast_bfloat16, round_batch
 from shift3d.sdf.decoder import Field as DecoderField
 
 
-class CoarseField:
+class Bfloat16Field:
     """g(z, .) of a folded decoder, wide layers in bfloat16. Not differentiable. Takes and returns float32."""
 
     def __init__(self, field: DecoderField) -> None:
@@ -31,9 +31,19 @@ class CoarseField:
         self.wide_biases = [bias.to(torch.bfloat16) for bias in self.biases]
 
     def __call__(self, x_sdf: Tensor) -> Tensor:
+        return self._evaluate(x_sdf, None)
+
+    def survey(self, x_sdf: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Values (N,) at points (N, 3), and which hidden units are on at one of them: a bool mask a layer."""
+        live: list[Tensor] = []
+        return self._evaluate(x_sdf, live), live
+
+    def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None) -> Tensor:
         # In round batches: this is only there where oneDNN takes the products.
         x = torch.nn.functional.pad(x_sdf.float(), (0, 0, 0, round_batch(len(x_sdf)) - len(x_sdf)))
         hidden = torch.relu(torch.addmm(self.biases[0], x, self.first)).to(torch.bfloat16)
+        note = (lambda units: live.append((units[: len(x_sdf)] != 0).any(0))) if live is not None else lambda _: None
+        note(hidden)
         for layer in range(1, len(self.wide) - 1):
             if layer == self.skip:
                 entry = torch.addmm(self.biases[layer], x, self.at_skip).to(torch.bfloat16)
@@ -41,13 +51,14 @@ class CoarseField:
             else:
                 hidden = torch.addmm(self.wide_biases[layer], hidden, self.wide[layer])
             hidden = torch.relu(hidden)
+            note(hidden)
         return torch.tanh(torch.addmm(self.biases[-1], hidden.float(), self.last)[: len(x_sdf), 0])
 
 
-def coarse_twin(field: object, dtype: torch.dtype) -> CoarseField | None:
-    """The coarse form of a float32 decoder's field; None for other fields and where bfloat16 would be slow."""
+def bfloat16_twin(field: object, dtype: torch.dtype) -> Bfloat16Field | None:
+    """The bfloat16 form of a float32 decoder's field; None for other fields and where bfloat16 would be slow."""
     if not isinstance(field, DecoderField) or dtype != torch.float32 or field.dtype != torch.float32:
         return None
     if field.skip_layer < 1 or not has_fast_bfloat16():
         return None
-    return CoarseField(field)
+    return Bfloat16Field(field)
