@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.config import messages
+from shift3d.config.scene_cache import SceneEntry
+from shift3d.config.scene_entries import scene_entries
 from shift3d.config.schema import (
     AccuracyConfig,
     Config,
@@ -26,7 +28,6 @@ from shift3d.processor import has_fast_bfloat16
 
 if TYPE_CHECKING:
     from shift3d.render.object_field import VehicleFrame
-    from shift3d.scenes.facts import SceneFacts
     from shift3d.scenes.sets import SceneSet
     from shift3d.vehicles.sources import VehicleSource
 
@@ -47,16 +48,6 @@ __all__ = [
 # says. bfloat16 changes the direction of a step and nothing that is reported. A processor without instructions for
 # it plans with float32, which is faster there; the plan says which, so that all workers of a sweep do the same.
 _SEARCH_PRECISION = {"draft": "bfloat16", "standard": "bfloat16", "paper": "float32", "reference": "float64"}
-
-
-@dataclass(frozen=True)
-class SceneEntry:
-    """One scene: its name in the set, its data set, the hash of its content, and what it may call for."""
-
-    name: str
-    dataset: str
-    content_hash: str
-    facts: SceneFacts
 
 
 @dataclass(frozen=True)
@@ -195,23 +186,20 @@ def _check_render(settings: dict[str, Any]) -> None:
         raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy or remedy) from error
 
 
-def read_catalogue(config: Config) -> Catalogue:
+def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     """Load what tasks of these settings refer to, and hash it.
+
+    Args:
+        preview: scenes that would be made for their hash alone have none, see `scene_entries`.
 
     Raises:
         InputError: a missing file, or a scene that cannot be read.
     """
-    from shift3d.scenes.facts import SceneFacts
-
     scenes = scene_set(config.scenes)
-    entries = []
-    for name in scenes.names():
-        scene = scenes.load(name)
-        entries.append(SceneEntry(name, scene.dataset, scene.content_hash(), SceneFacts.of(scene)))
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names"})
     return Catalogue(
-        scenes=tuple(entries),
+        scenes=scene_entries(scenes, preview),
         scene_arguments=arguments,
         sector_rad=(float(scenes.placement_sector_rad[0]), float(scenes.placement_sector_rad[1])),
         vehicles=_VehicleHashes(source),

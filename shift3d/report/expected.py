@@ -133,17 +133,19 @@ class _Model:
         return max(self._parts.of(spec) + renderings * more_ms, renderings) / 1e3
 
 
-def expected_lines(plan: Plan, out: Place, others: Sequence[Place], timings: Sequence[Place], workers: int) -> str:
+def expected_lines(
+    plan: Plan, out: Place | None, others: Sequence[Place], timings: Sequence[Place], workers: int
+) -> str:
     """What is left to run of a plan, in words: time with some workers, and core-hours.
 
     Args:
-        out: the folder that the sweep would write to; others: those whose results it would take over; timings: those
-            that say how long tasks take, asked before these.
+        out: the folder that the sweep would write to, where it is known; others: those whose results it would take
+            over; timings: those that say how long tasks take, asked before these.
 
     Raises:
         InputError: a folder of others or timings is no sweep's, or damaged.
     """
-    own = [out] if (as_location(out) / "spec.yaml").is_file() else []
+    own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
     done = finished_in(plan.tasks, [*own, *others])
     left = plan.tasks.select(np.flatnonzero(~done))
     said = f"{int(done.sum())} of {len(plan.tasks)} tasks are done already\n" if done.any() else ""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d, points_in_boxes
+from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.kitti_files import (
     CLASSES,
     GROUND,
@@ -130,6 +131,19 @@ class KittiScenes:
         )
         scene.validate()
         return scene
+
+    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
+        """See `SceneSet`: nothing is known of a frame but by its files."""
+        return None
+
+    def source(self, name: str) -> tuple[str | int | float | None, ...]:
+        """See `SceneSet`: path, size and time of last change of each of the frame's files."""
+        values: list[str | int | float | None] = ["kitti", name, self.reflectance_max, self._has_labels]
+        for part, suffix in (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt"), (GROUND, "txt")):
+            path = self.folder / part / f"{name}.{suffix}"
+            state = path.stat() if path.is_file() else None
+            values += [str(path.absolute()), state and state.st_size, state and state.st_ctime_ns]
+        return tuple(values)
 
     def camera_view(self, name: str) -> CameraView:
         """What camera 2 sees of one frame."""

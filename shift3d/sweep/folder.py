@@ -20,7 +20,7 @@ from shift3d.sweep.plan import Plan
 from shift3d.sweep.plan_file import plan_bytes, read_tasks
 from shift3d.task.spec import AssetsSpec
 
-__all__ = ["default_folder", "open_folder", "read_plan", "read_spec"]
+__all__ = ["check_folder", "default_folder", "open_folder", "read_plan", "read_spec"]
 
 _LIBRARIES = ("numpy", "torch", "trimesh", "embreex", "scipy", "pyarrow", "ray", "hydra-core", "pydantic")
 
@@ -30,15 +30,15 @@ def default_folder(plan: Plan) -> Location:
     return as_location("outputs") / f"{plan.sweep}-{plan.spec_hash}"
 
 
-def open_folder(folder: Place, plan: Plan) -> None:
-    """Create a sweep's folder, or check that an existing one is of the same plan.
+def check_folder(folder: Place, plan: Plan) -> bool:
+    """Make sure that a plan can run in a folder; whether it was begun there. Nothing is changed.
 
     Raises:
-        InputError: the folder holds another sweep or something else, or the disk is full. Nothing is changed.
+        InputError: the folder holds another sweep or something else, or cannot be written to.
     """
     folder = as_location(folder)
-    spec_path = folder / "spec.yaml"
-    begun = spec_path.is_file()
+    folder.check_writable()
+    begun = (folder / "spec.yaml").is_file()
     if begun:
         found = read_spec(folder)
         if found["spec_hash"] != plan.spec_hash:
@@ -53,12 +53,22 @@ def open_folder(folder: Place, plan: Plan) -> None:
             where=str(folder),
             remedy="Choose another folder with out=DIR",
         )
-    if not begun:
+    return begun
+
+
+def open_folder(folder: Place, plan: Plan) -> None:
+    """Create a sweep's folder, or check that an existing one is of the same plan.
+
+    Raises:
+        InputError: see `check_folder`; or the disk is full.
+    """
+    folder = as_location(folder)
+    if not check_folder(folder, plan):
         # spec.yaml last: a folder that has it has all three.
         (folder / "plan.parquet").write_atomic(plan_bytes(plan.tasks))
         environment = json.dumps(_environment(), indent=1, sort_keys=True)
         (folder / "env.json").write_atomic(environment.encode() + b"\n")
-        if not spec_path.put_if_absent(_spec_bytes(plan)):
+        if not (folder / "spec.yaml").put_if_absent(_spec_bytes(plan)):
             open_folder(folder, plan)  # another driver was quicker: it must be of the same plan
 
 

@@ -34,6 +34,7 @@ class Plan:
 
     settings: of the first task, for the reader. axes: key to values as they were written.
     effects: what was decided about each effect for each scene, see `sweep.effects`.
+    preview: the content of some scenes is not known, and ids are not those that the sweep will have.
     runner, tracking: how it runs; they are no part of the hash.
     """
 
@@ -44,11 +45,14 @@ class Plan:
     tasks: Tasks
     assets: tuple[AssetsSpec, ...]
     effects: tuple[EffectLine, ...] = ()
+    preview: bool = False
 
     @functools.cached_property
     def spec_hash(self) -> str:
         """64-bit BLAKE2b of the sweep's name and its task ids, hex: what makes two output folders the
-        same."""
+        same. Raises ValueError for a preview, which has no hash yet."""
+        if self.preview:
+            raise ValueError("a preview has no hash")
         state = hashlib.blake2b(json.dumps([_IDENTITY, self.sweep]).encode()[:-1] + b", [", digest_size=8)
         # The JSON of the list of ids, from their column: ids have one length and nothing to be escaped.
         for start in range(0, len(self.tasks), _HASHED):
@@ -104,6 +108,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
         tasks,
         tuple(assets),
         decided.lines(),
+        preview=not all(entry.content_hash for catalogue, _ in catalogues.values() for entry in catalogue.scenes),
     )
     return plan, first
 
