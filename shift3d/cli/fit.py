@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from shift3d.cli.command import Command, key_values
+from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
 
 __all__ = ["COMMAND"]
@@ -37,7 +36,7 @@ def _run(arguments: argparse.Namespace) -> int:
     frame = mesh_frame(values, "fit")
     from shift3d.vehicles.fit import STEPS, fit_meshes
 
-    out = Path(values["out"]).expanduser()
+    out = writable_folder(values["out"])
     steps = whole_number(values, "steps", STEPS, "fit")
     vehicles = fit_meshes(arguments.path, frame, out, values.get("decoder"), steps)
     for vehicle in vehicles:

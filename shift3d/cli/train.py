@@ -6,10 +6,9 @@ import argparse
 import os
 import sys
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values
+from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
 from shift3d.errors import InputError
 
@@ -93,7 +92,7 @@ def _options(values: dict[str, str]) -> TrainOptions:
     scenes = values.get("scenes", "street")
     folder = f"outputs/train-{values['model']}" + ("" if scenes == "street" else f"-{scenes}")
     return TrainOptions(
-        out=Path(values.get("out", folder)).expanduser(),
+        out=writable_folder(values.get("out", folder)),
         threads=_number(values, "threads"),
         device=values.get("device", "auto"),
         scenes=scenes,
