@@ -6,6 +6,7 @@ import argparse
 
 from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
+from shift3d.wording import counted
 
 __all__ = ["COMMAND"]
 
@@ -42,7 +43,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for vehicle in vehicles:
         size = " x ".join(f"{metres:.2f}" for metres in vehicle.facts()["size_m"])
         print(f"{vehicle.name}: {size} m, {100 * vehicle.chamfer_m:.1f} cm from its mesh")
-    print(f"{len(vehicles)} vehicles in {out}/")
+    print(f"{counted(len(vehicles), 'vehicle')} in {out}/")
     return 0
 
 

@@ -13,6 +13,7 @@ from shift3d.cli.command import Command, writable_folder
 from shift3d.cli.completion import overrides
 from shift3d.cli.words import take_folders
 from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from shift3d.config.frontier import FrontierSweep
@@ -82,7 +83,7 @@ def _run(arguments: argparse.Namespace) -> int:
         _measure(config, plan, folder, arguments.again)
     except KeyboardInterrupt:
         print("interrupted: the same command resumes", file=sys.stderr)
-        return 130
+        return int(ExitCode.INTERRUPTED)
     if not part:
         _mirror(config, folder)
     return 0

@@ -12,6 +12,8 @@ from shift3d.cli.command import Command
 from shift3d.cli.plan import add_tasks, show
 from shift3d.cli.words import Request, add_words, read_words
 from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -110,15 +112,16 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined, reuse=asked.reuse
     )
     if result.reused:
-        print(f"{result.reused} of {result.planned} tasks were done in {', '.join(map(str, asked.reuse))}")
+        others = ", ".join(map(str, asked.reuse))
+        print(f"{result.reused} of {counted(result.planned, 'task')} were done in {others}")
     if result.final is None:
         command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
         left = result.planned - result.done - result.quarantined
-        print(f"interrupted: {result.done} of {result.planned} tasks done, {left} left", file=sys.stderr)
+        print(f"interrupted: {result.done} of {counted(result.planned, 'task')} done, {left} left", file=sys.stderr)
         print(f"the same command resumes: {command}", file=sys.stderr)
-        return 130
-    _show(plan, config, result)
-    return 3 if result.quarantined else 0
+        return int(ExitCode.INTERRUPTED)
+    placed = _show(plan, config, result)
+    return int(ExitCode.DONE if placed and not result.quarantined else ExitCode.INCOMPLETE)
 
 
 def _submit(asked: Request, address: str, retry_quarantined: bool) -> int:
@@ -142,22 +145,31 @@ def _status(words: list[str]) -> int:
     return 0
 
 
-def _show(plan: Plan, config: Config, result: SweepResult) -> None:
-    from shift3d.report.tables import sweep_report
+def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
+    """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
+    from shift3d.report.placement import nothing_placed
+    from shift3d.report.tables import coverage, sweep_report
 
     final = result.final
     assert final is not None
     frames = {name: final.frame(name) for name in final.tables}
-    print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
-    _show_effects(plan, result.folder, frames)
+    unplaced = nothing_placed(frames["scores"], plan.settings)
+    if unplaced:
+        print(f"\n{unplaced}\n\n{coverage(frames['scores'], frames['attempts'], result.planned)}\n", flush=True)
+    else:
+        print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
+        _show_effects(plan, result.folder, frames)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
-    if "verification" in frames:
+    if unplaced:
+        pass  # there is nothing to verify
+    elif "verification" in frames:
         from shift3d.report.stability import stability_lines
 
         print(f"\n{stability_lines(frames['verification'])}\n")
     else:
         print(f"are its hard cases hard, or rounding? shift3d verify {result.folder}")
     _mirror(plan, config, result)
+    return unplaced is None
 
 
 def _show_effects(plan: Plan, folder: Location, frames: Mapping[str, pd.DataFrame]) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
 from shift3d.errors import InputError
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.tracking.training import TrainingCurves
@@ -173,8 +174,8 @@ def _train_on_meshes(values: dict[str, str]) -> int:
     _finish(curves)
     chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
     print(
-        f"{len(vehicles)} vehicles, decoder and codes in {options.out}/; symmetric Chamfer distance to their meshes: "
-        f"median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
+        f"{counted(len(vehicles), 'vehicle')}, decoder and codes in {options.out}/; symmetric Chamfer distance "
+        f"to their meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
     )
     return 0
 

@@ -19,6 +19,7 @@ from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.plan import Plan
 from shift3d.sweep.plan_file import plan_bytes, read_tasks
 from shift3d.task.spec import AssetsSpec
+from shift3d.wording import counted
 
 __all__ = ["check_folder", "default_folder", "open_folder", "read_plan", "read_spec"]
 
@@ -84,7 +85,7 @@ def _difference(found: dict[str, Any], plan: Plan) -> str:
     if found["sweep"] != plan.sweep:
         return f"{found['sweep']}, not {plan.sweep}"
     if found["tasks"] != len(plan.tasks):
-        return f"{found['tasks']} tasks, not {len(plan.tasks)}"
+        return f"{counted(found['tasks'], 'task')}, not {len(plan.tasks)}"
     old, new = _flat(found["settings"]), _flat(plan.settings)
     changed = [f"{key} {old.get(key)}, not {new.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key)]
     return changed[0] if changed else "made from other scenes, vehicles, weights or axes"

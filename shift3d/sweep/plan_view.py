@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from shift3d.sweep.effects import effect_table
 from shift3d.sweep.plan import Plan
+from shift3d.wording import counted
 
 __all__ = ["plan_lines", "plan_summary"]
 
@@ -21,7 +22,8 @@ def plan_summary(plan: Plan) -> str:
         modes[group.ground.mode] += group.tasks
     by_mode = ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items(), reverse=True))
     size = ", its small size" if plan.settings.get("size") == "small" else ""
-    counts = f"sweep {plan.sweep}{size}: {len(plan.tasks)} tasks ({by_mode}) of {vehicles} vehicles in {scenes} scenes"
+    counts = f"sweep {plan.sweep}{size}: {counted(len(plan.tasks), 'task')} ({by_mode}) of "
+    counts += f"{counted(vehicles, 'vehicle')} in {counted(scenes, 'scene')}"
     return f"{counts}\n{effect_table(plan.effects, scenes)}"
 
 

@@ -22,6 +22,7 @@ from shift3d.store.location import Location, Place, as_location
 from shift3d.store.log import CommitLog, read_log
 from shift3d.sweep.folder import read_spec
 from shift3d.sweep.running import Running
+from shift3d.wording import counted
 
 __all__ = ["State", "SweepStatus", "Teller", "read_status", "status_lines"]
 
@@ -133,8 +134,8 @@ def status_lines(status: SweepStatus) -> str:
     """What ``shift3d sweep status`` prints."""
     share = (status.done + status.quarantined) / max(status.planned, 1)
     lines = [
-        f"{status.sweep}: {status.done} of {status.planned} tasks done ({share:.0%}), "
-        f"{status.quarantined} quarantined, {status.left} left, {status.commits} commits"
+        f"{status.sweep}: {status.done} of {counted(status.planned, 'task')} done ({share:.0%}), "
+        f"{status.quarantined} quarantined, {status.left} left, {counted(status.commits, 'commit')}"
     ]
     said = status.said
     if said is None:
@@ -146,13 +147,13 @@ def status_lines(status: SweepStatus) -> str:
     if alive == "running":
         rate = said["per_s"]
         eta = f", about {_ago(status.left / rate)} left" if rate > 0 else ""
-        lines.append(f"{rate:.3g} tasks a second on {said['workers']} workers{eta}")
+        lines.append(f"{rate:.3g} tasks a second on {counted(said['workers'], 'worker')}{eta}")
         if said.get("worker_peak_mb"):
             lines.append(f"a worker takes up to {said['worker_peak_mb']:.0f} MB")
         since = time.time() - said["written_unix_s"]
         lines += [f"  runs now: {what}, for {_ago(seconds + since)}" for what, seconds in said["running"]]
         if (more := said["running_calls"] - len(said["running"])) > 0:
-            lines.append(f"  and {more} calls more")
+            lines.append(f"  and {counted(more, 'call')} more")
     return "\n".join(lines)
 
 
