@@ -69,10 +69,13 @@ def _run(arguments: argparse.Namespace) -> int:
     settle_numerics()
     import torch
 
+    from shift3d.tracking.store_uri import check_tracking
+
     torch.set_num_threads(1)
     words = [re.sub(r"^kitti=", "frontier.kitti=", word) for word in arguments.words]
     out, words = take_folders("out", words)
     config = _config(words)
+    check_tracking(config.tracking)
     plan, left_out = plan_of(config, arguments.only, arguments.quick)
     # A part of the frontier must not take the place of the whole one.
     part = "-part" if arguments.only else "-quick" if arguments.quick else ""

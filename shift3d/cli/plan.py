@@ -62,6 +62,7 @@ def show(given: Sequence[str], kind: TaskKind, tasks: bool = False) -> int:
     from shift3d.sweep.folder import check_folder, default_folder
     from shift3d.sweep.plan import make_plan
     from shift3d.sweep.plan_view import plan_lines, plan_summary
+    from shift3d.tracking.store_uri import check_tracking
 
     timings, rest = words.take_folders("timings", given)
     asked = words.read_words(rest)
@@ -70,6 +71,7 @@ def show(given: Sequence[str], kind: TaskKind, tasks: bool = False) -> int:
     begun = asked.out is not None and (asked.out / "spec.yaml").is_file()
     catalogue = kind.catalogue if tasks or begun or asked.reuse else kind.preview or kind.catalogue
     plan, config = make_plan(compose_sweep(asked.name, asked.overrides), catalogue)
+    check_tracking(config.tracking)
     print(plan_summary(plan), flush=True)
     folder = asked.out or (None if plan.preview else default_folder(plan))
     if folder:

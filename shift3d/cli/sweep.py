@@ -86,6 +86,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     from shift3d.sweep.folder import default_folder
     from shift3d.sweep.plan import make_plan
     from shift3d.sweep.plan_view import plan_summary
+    from shift3d.tracking.store_uri import check_tracking
 
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])
@@ -100,6 +101,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     if asked.out and not arguments.task:
         asked.out.check_writable()  # before scenes are looked at, which may take minutes
     plan, config = make_plan(compose_sweep(asked.name, asked.overrides), kind.catalogue)
+    check_tracking(config.tracking)
     folder = asked.out or default_folder(plan)
     print(plan_summary(plan), flush=True)
     if arguments.task:

@@ -111,6 +111,9 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
     uri = values.get("mlflow", _STORE)
     if uri == "none":
         return None
+    from shift3d.tracking.store_uri import check_store
+
+    check_store(uri, "mlflow")
     from dataclasses import asdict
 
     from shift3d.tracking.training import TrainingCurves
