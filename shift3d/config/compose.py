@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from shift3d.config import messages
+from shift3d.config.names import quoted, text_settings
 from shift3d.config.schema import Config
 from shift3d.errors import InputError
 
@@ -94,7 +95,8 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     params = stated["hydra"]["sweeper"]["params"] or {}
     own = [f"{key}={value}" for key, value in params.items()]
     small = _small(stated.get(_SMALL), parse(list(overrides)), where)
-    axis_texts, fixed = _split(parse([*own, *small, *overrides]), where)
+    words = [quoted(word, text_settings(Config)) for word in [*own, *small, *overrides]]
+    axis_texts, fixed = _split(parse(words), where)
     first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]
     base = compose([*fixed, *first])
     base.pop("hydra")
