@@ -38,7 +38,7 @@ def sweeps_in(out: str) -> list[Location]:
         InputError: it is no sweep's folder.
     """
     from shift3d.store.location import as_location
-    from shift3d.sweep.folder import read_spec
+    from shift3d.sweep.spec_file import read_spec
     from shift3d.sweep.verified_scores import FOLDER
 
     folder = as_location(out)

@@ -72,6 +72,8 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    if arguments.words[:1] == ["status"]:
+        return _status(arguments.words[1:])  # before what a sweep imports: it is polled
     from shift3d.processor import settle_numerics
     from shift3d.sweep.kind import shift3d_kind
 

@@ -94,7 +94,7 @@ def _words_of_folder(words: list[str]) -> list[str]:
     if not words or "=" in words[0]:
         return words
     from shift3d.store.location import as_location
-    from shift3d.sweep.folder import read_spec
+    from shift3d.sweep.spec_file import read_spec
 
     folder = as_location(words[0])
     if not (folder / "spec.yaml").is_file():

@@ -14,10 +14,10 @@ import yaml  # type: ignore[import-untyped]
 import shift3d
 from shift3d.errors import InputError
 from shift3d.store.location import Location, Place, as_location
-from shift3d.store.migrations import steps
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.plan import Plan
 from shift3d.sweep.plan_file import plan_bytes, read_tasks
+from shift3d.sweep.spec_file import read_spec
 from shift3d.task.spec import AssetsSpec
 from shift3d.wording import counted
 
@@ -136,28 +136,6 @@ def _environment() -> dict[str, Any]:
         "cpus": os.cpu_count(),
         "libraries": versions,
     }
-
-
-def read_spec(folder: Place) -> dict[str, Any]:
-    """``spec.yaml`` of a sweep.
-
-    Raises:
-        InputError: there is none, it cannot be read, or it is of another schema version.
-    """
-    path = as_location(folder) / "spec.yaml"
-    try:
-        values = yaml.safe_load(path.read_text())
-        for step in steps(values["schema_version"], str(path)):
-            values = step.spec(values)
-        return {**values, "schema_version": SCHEMA_VERSION}
-    except FileNotFoundError as error:
-        raise InputError(
-            "is not the output folder of a sweep (it has no spec.yaml)",
-            where=str(folder),
-            remedy="Check the path",
-        ) from error
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
-        raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error
 
 
 def read_plan(folder: Place) -> Plan:
