@@ -42,6 +42,7 @@ examples:
   shift3d sweep default accuracy=draft,standard  one axis more
   shift3d sweep default detector=sst             attack SST, and let PointPillars score what it found
   shift3d sweep kitti scenes.root=PATH out=runs/kitti
+  shift3d sweep kitti scenes.root=PATH scenes.skip_bad=true      without the frames that cannot be read
   shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
   shift3d sweep default out=s3://bucket/runs/a runner.address=auto
   shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder
@@ -153,6 +154,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
     from shift3d.report.placement import nothing_placed
     from shift3d.report.tables import coverage, sweep_report
+    from shift3d.sweep.plan_view import skipped_lines
 
     final = result.final
     assert final is not None
@@ -163,6 +165,8 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     else:
         print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
         _show_effects(plan, result.folder, frames)
+    for line in skipped_lines(plan):
+        print(line)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
     if unplaced:
         pass  # there is nothing to verify

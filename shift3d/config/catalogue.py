@@ -6,7 +6,7 @@ import hashlib
 import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +58,7 @@ class Catalogue:
     which the scene set lets vehicles be placed. vehicles: name to hash; a hash is worked out when it is asked for.
     frame_of: a vehicle's frame and size by its name.
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
-    accuracy: every setting behind a preset's name.
+    accuracy: every setting behind a preset's name. skipped: scenes that cannot be read and are left out, name to why.
     """
 
     scenes: tuple[SceneEntry, ...]
@@ -69,6 +69,7 @@ class Catalogue:
     decoder_hash: str
     detectors: dict[str, str]
     accuracy: dict[str, Any]
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
 
 def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
@@ -80,10 +81,10 @@ def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
     from shift3d.scenes.kitti import KittiScenes
 
     root, reflectance_max = Path(config.root).expanduser(), config.reflectance_max
-    scenes = KittiScenes(root, config.names, reflectance_max)
+    scenes = KittiScenes(root, config.names, reflectance_max, config.skip_bad)
     if config.count is None:
         return scenes
-    return KittiScenes(root, scenes.names()[: config.count], reflectance_max)
+    return KittiScenes(root, scenes.names()[: config.count], reflectance_max, config.skip_bad)
 
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
@@ -196,10 +197,11 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         InputError: a missing file, or a scene that cannot be read.
     """
     scenes = scene_set(config.scenes)
+    entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
-    arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names"})
+    arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
     return Catalogue(
-        scenes=scene_entries(scenes, preview),
+        scenes=entries,
         scene_arguments=arguments,
         sector_rad=(float(scenes.placement_sector_rad[0]), float(scenes.placement_sector_rad[1])),
         vehicles=_VehicleHashes(source),
@@ -207,7 +209,21 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         decoder_hash=source.decoder_hash(),
         detectors={name: file_hash(weights_file(name, path)) for name, path in detectors.items()},
         accuracy=accuracy_settings(config.accuracy),
+        skipped=skipped,
     )
+
+
+def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
+    """See `scene_entries`; the error for a frame that cannot be read says how to do without it."""
+    recorded = isinstance(config.scenes, KittiConfig)
+    skip_bad = isinstance(config.scenes, KittiConfig) and config.scenes.skip_bad
+    try:
+        return scene_entries(scenes, preview, skip_bad)
+    except InputError as error:
+        if not recorded or skip_bad:
+            raise
+        remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
+        raise InputError(error.what, where=error.where, remedy=remedy) from error
 
 
 class _VehicleHashes(Mapping[str, str]):

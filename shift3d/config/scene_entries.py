@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from shift3d.config.scene_cache import SceneEntry, keep_entry, kept_entry
+from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 
 if TYPE_CHECKING:
@@ -21,21 +22,32 @@ _FEW = 8
 """So many scenes are made for a preview, too: it takes seconds, and then the preview is exact."""
 
 
-def scene_entries(scenes: SceneSet, preview: bool = False) -> tuple[SceneEntry, ...]:
+def scene_entries(
+    scenes: SceneSet, preview: bool = False, skip_bad: bool = False
+) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
     """An entry a scene, in order. A bar on stderr shows how many of those that have to be looked at are left.
 
     Args:
         preview: leave ``content_hash`` empty where many scenes would have to be made for it alone.
+        skip_bad: leave out scenes that cannot be read.
+
+    Returns:
+        the entries, and of each scene that is left out why.
 
     Raises:
-        InputError: a scene cannot be read.
+        InputError: a scene cannot be read; with skip_bad, none can.
     """
     entries = {name: _known(scenes, name) for name in scenes.names()}
     unknown = [name for name, entry in entries.items() if entry is None or not entry.content_hash]
     if preview and len(unknown) > _FEW:
         unknown = [name for name in unknown if entries[name] is None]
-    entries |= zip(unknown, _look(scenes, unknown), strict=True)
-    return tuple(entry for entry in entries.values() if entry is not None)
+    looked_at = dict(zip(unknown, _look(scenes, unknown, skip_bad), strict=True))
+    skipped = {name: found for name, found in looked_at.items() if isinstance(found, InputError)}
+    if skipped and len(skipped) == len(entries):
+        raise next(iter(skipped.values()))
+    entries |= {name: found for name, found in looked_at.items() if isinstance(found, SceneEntry)}
+    found = tuple(entry for name, entry in entries.items() if entry is not None and name not in skipped)
+    return found, {name: str(error) for name, error in skipped.items()}
 
 
 def _known(scenes: SceneSet, name: str) -> SceneEntry | None:
@@ -48,8 +60,11 @@ def _known(scenes: SceneSet, name: str) -> SceneEntry | None:
     return SceneEntry(name, dataset, kept.content_hash if kept else "", facts)
 
 
-def _look(scenes: SceneSet, names: Sequence[str]) -> list[SceneEntry]:
-    """Load scenes, by a thread a core: most of it is arithmetic that lets other threads run."""
+def _look(scenes: SceneSet, names: Sequence[str], skip_bad: bool) -> list[SceneEntry | InputError]:
+    """Load scenes, by a thread a core: most of it is arithmetic that lets other threads run.
+
+    skip_bad: the error of one that cannot be read stands in its place.
+    """
     from tqdm import tqdm
 
     terminal = sys.stderr.isatty()
@@ -57,7 +72,7 @@ def _look(scenes: SceneSet, names: Sequence[str]) -> list[SceneEntry]:
         try:
             return list(
                 tqdm(
-                    threads.map(lambda name: _look_at(scenes, name), names),
+                    threads.map(lambda name: _look_at(scenes, name, skip_bad), names),
                     desc="looking at scenes",
                     total=len(names),
                     unit="scene",
@@ -72,9 +87,14 @@ def _look(scenes: SceneSet, names: Sequence[str]) -> list[SceneEntry]:
             raise
 
 
-def _look_at(scenes: SceneSet, name: str) -> SceneEntry:
+def _look_at(scenes: SceneSet, name: str, skip_bad: bool) -> SceneEntry | InputError:
     source = scenes.source(name)  # before the files are read: one that changes meanwhile is looked at again
-    scene = scenes.load(name)
+    try:
+        scene = scenes.load(name)
+    except InputError as error:
+        if not skip_bad:
+            raise
+        return error
     entry = SceneEntry(name, scene.dataset, scene.content_hash(), SceneFacts.of(scene))
     keep_entry(source, entry)
     configured = scenes.configured(name)

@@ -83,13 +83,15 @@ class StreetConfig(StreetOptionsConfig):
 
 
 class KittiConfig(_Record):
-    """KITTI object frames under ``root``/training. reflectance_max: what the files call full reflectance; None: 1."""
+    """KITTI object frames under ``root``/training. reflectance_max: what the files call full reflectance; None: 1.
+    skip_bad: leave out frames that cannot be read."""
 
     kind: Literal["kitti"]
     root: Text
     count: Count | None
     names: list[Text] | None
     reflectance_max: Annotated[float, Field(gt=0, le=MOST_RAW)] | None = None
+    skip_bad: bool = False
 
 
 class VehicleSetConfig(_Record):

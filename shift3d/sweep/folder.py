@@ -110,6 +110,7 @@ def _spec_bytes(plan: Plan) -> bytes:
         "overrides": list(plan.overrides),
         "axes": plan.axes,
         "settings": plan.settings,
+        "skipped": dict(plan.skipped),
         "assets": [_plain(dataclasses.asdict(assets)) for assets in plan.assets],
     }
     text: str = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
@@ -160,6 +161,7 @@ def read_plan(folder: Place) -> Plan:
             axes=dict(spec["axes"]),
             tasks=tasks,
             assets=tuple(AssetsSpec(**assets) for assets in spec["assets"]),
+            skipped={str(name): str(why) for name, why in dict(spec.get("skipped", {})).items()},
         )
         # One number that depends on every task: what was changed in either file does not give it.
         complete = plan.spec_hash == spec["spec_hash"]

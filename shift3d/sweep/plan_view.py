@@ -9,7 +9,9 @@ from shift3d.sweep.effects import effect_table
 from shift3d.sweep.plan import Plan
 from shift3d.wording import counted
 
-__all__ = ["plan_lines", "plan_summary"]
+__all__ = ["plan_lines", "plan_summary", "skipped_lines"]
+
+_SHOWN = 20
 
 
 def plan_summary(plan: Plan) -> str:
@@ -24,7 +26,16 @@ def plan_summary(plan: Plan) -> str:
     size = ", its small size" if plan.settings.get("size") == "small" else ""
     counts = f"sweep {plan.sweep}{size}: {counted(len(plan.tasks), 'task')} ({by_mode}) of "
     counts += f"{counted(vehicles, 'vehicle')} in {counted(scenes, 'scene')}"
-    return f"{counts}\n{effect_table(plan.effects, scenes)}"
+    return "\n".join([counts, effect_table(plan.effects, scenes), *skipped_lines(plan)])
+
+
+def skipped_lines(plan: Plan) -> list[str]:
+    """Which scenes are left out because they cannot be read, and why."""
+    if not plan.skipped:
+        return []
+    lines = [f"{counted(len(plan.skipped), 'scene')} left out that cannot be read (scenes.skip_bad):"]
+    lines += [f"  {name}: {why}" for name, why in list(plan.skipped.items())[:_SHOWN]]
+    return lines if len(plan.skipped) <= _SHOWN else [*lines, f"  and {len(plan.skipped) - _SHOWN} more, in spec.yaml"]
 
 
 def plan_lines(plan: Plan) -> Iterator[str]:

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from shift3d.config import scene_cache
-from shift3d.config.scene_entries import scene_entries
+from shift3d.config.scene_cache import SceneEntry
+from shift3d.config.scene_entries import scene_entries as entries_and_skipped
 from shift3d.errors import InputError
 from shift3d.scenes.kitti import KittiScenes
-from shift3d.scenes.sets import StreetScenes
+from shift3d.scenes.sets import SceneSet, StreetScenes
 
 
 @pytest.fixture(autouse=True)
@@ -20,6 +21,12 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "cache"
     monkeypatch.setattr(scene_cache, "user_cache", lambda: folder)
     return folder
+
+
+def scene_entries(scenes: SceneSet, preview: bool = False) -> tuple[SceneEntry, ...]:
+    entries, skipped = entries_and_skipped(scenes, preview)
+    assert not skipped
+    return entries
 
 
 def unreadable(self: object, name: str) -> None:
