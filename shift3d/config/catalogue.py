@@ -215,12 +215,11 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
     """See `scene_entries`; the error for a frame that cannot be read says how to do without it."""
-    recorded = isinstance(config.scenes, KittiConfig)
-    skip_bad = isinstance(config.scenes, KittiConfig) and config.scenes.skip_bad
+    frames = config.scenes if isinstance(config.scenes, KittiConfig) else None
     try:
-        return scene_entries(scenes, preview, skip_bad)
+        return scene_entries(scenes, preview, skip_bad=frames is not None and frames.skip_bad)
     except InputError as error:
-        if not recorded or skip_bad:
+        if frames is None or frames.skip_bad:
             raise
         remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
         raise InputError(error.what, where=error.where, remedy=remedy) from error
