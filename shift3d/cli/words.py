@@ -85,7 +85,9 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
     named = [word.removeprefix(f"{key}=") for word in words if word.startswith(f"{key}=")]
     if not all(named):
         # An unset variable of the shell leaves nothing; a path of no parts would be the current folder.
-        raise InputError(f"{key}= is empty", remedy=f"Give {key}=FOLDER, or leave {key}= out; is a variable unset?")
+        raise InputError(
+            f"{key}= is empty", remedy=f"Give {key}=FOLDER, or no {key}= at all; is a variable of the shell unset?"
+        )
     return [as_location(folder) for folder in named], [word for word in words if not word.startswith(f"{key}=")]
 
 
