@@ -4,6 +4,9 @@ PYTHON ?= python3.11
 SWEEP ?= default
 ARGS ?=
 BIN := .venv/bin
+# key=value words of the command that are no variable from here: make would swallow them without a word.
+OWN := PYTHON SWEEP ARGS OUT SHELL
+WORDS = $(strip $(foreach name,$(filter-out $(OWN),$(.VARIABLES)),$(if $(filter command,$(origin $(name))),'$(name)=$($(name))')))
 # Workers run one thread each (same bytes on any machine); these keep libraries from starting more on import.
 export HYDRA_FULL_ERROR := 1
 
@@ -27,15 +30,15 @@ help:  ## what there is to run
 setup: .venv/.runtime  ## install shift3d and its libraries in .venv
 
 sweep: .venv/.runtime  ## run sweeps/$(SWEEP).yaml; the same command again resumes
-	$(BIN)/shift3d sweep $(SWEEP) $(ARGS)
+	$(BIN)/shift3d sweep $(SWEEP) $(ARGS) $(WORDS)
 
 retry-quarantined: .venv/.runtime  ## run again what a sweep gave up on: OUT=outputs/NAME-HASH
 	@test -n "$(OUT)" || { echo 'which sweep? make retry-quarantined OUT=outputs/NAME-HASH'; exit 2; }
-	$(BIN)/shift3d sweep $(OUT) $(ARGS) --retry-quarantined
+	$(BIN)/shift3d sweep $(OUT) $(ARGS) $(WORDS) --retry-quarantined
 
 verify: .venv/.runtime  ## score a sweep's solutions again at reference accuracy: OUT=outputs/NAME-HASH
 	@test -n "$(OUT)" || { echo 'which sweep? make verify OUT=outputs/NAME-HASH'; exit 2; }
-	$(BIN)/shift3d verify $(OUT) $(ARGS)
+	$(BIN)/shift3d verify $(OUT) $(ARGS) $(WORDS)
 
 report: .venv/.runtime  ## write a sweep's page, report.html: OUT=outputs/NAME-HASH
 	@test -n "$(OUT)" || { echo 'which sweep? make report OUT=outputs/NAME-HASH'; exit 2; }
@@ -55,7 +58,7 @@ bench: .venv/.dev  ## measure speed, write outputs/bench.json; ARGS="-k render",
 	$(BIN)/python -m pytest tests/benchmarks -o python_files='bench_*.py' -o python_functions='bench_*' $(ARGS)
 
 frontier: .venv/.runtime  ## what accuracy costs in time, by sweeps/accuracy_time.yaml: 25 minutes; ARGS=--quick: 3
-	$(BIN)/shift3d frontier $(ARGS)
+	$(BIN)/shift3d frontier $(ARGS) $(WORDS)
 
 stress: .venv/.dev  ## 10,000 random extreme poses and codes, every unresolved beam accounted for
 	$(BIN)/python tests/stress/extreme_poses.py --count 10000 --workers 2 $(ARGS)
@@ -67,7 +70,7 @@ ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 	$(BIN)/shift3d ui $(ARGS)
 
 train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, sst_small or sst; shift3d train --help says what else
-	$(BIN)/shift3d train $(ARGS)
+	$(BIN)/shift3d train $(ARGS) $(WORDS)
 
 pictures: .venv/.runtime  ## draw the README's pictures again
 	$(BIN)/python -m shift3d.report.pictures $(ARGS)

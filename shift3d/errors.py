@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from shift3d.exit_codes import ExitCode
+
 
 class InputError(Exception):
     """Something the user gave cannot be used.
@@ -15,12 +17,15 @@ class InputError(Exception):
         remedy: what to do about it.
     """
 
+    exit_code = ExitCode.UNUSABLE
+
     def __init__(self, what: str, where: str = "", remedy: str = "") -> None:
         self.what = what
         self.where = where
         self.remedy = remedy
         message = f"{where}: {what}" if where else what
-        super().__init__(_one_line(f"{message}. {remedy}" if remedy else message))
+        end = "" if message.endswith((".", "!", "?")) else "."
+        super().__init__(_one_line(f"{message}{end} {remedy}" if remedy else message))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
         # Ray carries exceptions between processes: without this the three parts would be lost on the way.

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["Command", "key_values"]
+__all__ = ["Command", "key_values", "writable_folder"]
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
     """Read ``key=value`` words.
 
     Raises:
-        InputError: a word without '=', an unknown or repeated key, or a required one that is missing.
+        InputError: a word without '=', an unknown, repeated or empty key, or a required one that is missing.
     """
     values: dict[str, str] = {}
     usage = "Give " + " ".join(f"{key}=..." for key in required)
@@ -42,8 +43,24 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
             raise InputError(f"cannot read {word!r}", where=where, remedy=f"One of: {keys}")
         if key in values:
             raise InputError(f"{key}= is given twice", where=where, remedy="Give it once")
+        if not value:
+            # An unset variable of the shell leaves nothing; out= would be the current folder.
+            raise InputError(f"{key}= is empty", where=where, remedy=f"Give {key}=..., or leave it out")
         values[key] = value
     for key in required:
-        if not values.get(key):
+        if key not in values:
             raise InputError(f"{key}= is missing", where=where, remedy=usage)
     return values
+
+
+def writable_folder(text: str) -> Path:
+    """The folder that a command writes to, found to be writable before the work begins.
+
+    Raises:
+        InputError: it cannot be written to, or made.
+    """
+    from shift3d.store.atomic import check_writable
+
+    folder = Path(text).expanduser()
+    check_writable(folder)
+    return folder

@@ -6,6 +6,7 @@ import argparse
 
 from shift3d.cli.command import Command
 from shift3d.cli.gc import sweeps_in
+from shift3d.wording import counted
 
 __all__ = ["COMMAND"]
 
@@ -34,15 +35,19 @@ def _run(arguments: argparse.Namespace) -> int:
         if arguments.dry_run:
             entries = read_log(folder)
             segments = [name for entry in entries for name, _ in entry.segments]
-            to = f"1 entry and {len(set(segments))} segments"
-            print(f"{folder}: {len(entries)} log entries and {len(segments)} segments would become {to}")
+            to = f"1 entry and {counted(len(set(segments)), 'segment')}"
+            print(f"{folder}: {_files(len(entries), len(segments))} would become {to}")
             continue
         done = compact(folder)
         print(
-            f"{folder}: {done.entries} log entries and {done.segments} segments became 1 entry and "
-            f"{len(done.entry.segments)} segments; {done.removed} files removed"
+            f"{folder}: {_files(done.entries, done.segments)} became 1 entry and "
+            f"{counted(len(done.entry.segments), 'segment')}; {counted(done.removed, 'file')} removed"
         )
     return 0
+
+
+def _files(entries: int, segments: int) -> str:
+    return f"{counted(entries, 'log entry', 'log entries')} and {counted(segments, 'segment')}"
 
 
 COMMAND = Command("compact", "merge a sweep's files into few", _DESCRIPTION, _EPILOG, _add_arguments, _run)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,7 +93,7 @@ def _run(arguments: argparse.Namespace) -> int:
         effects_figure(worths).savefig(arguments.picture, dpi=110, metadata={"Software": None})
     if arguments.adopt:
         if (fewest := min(worth.scenes for worth in worths)) < LEAST_SCENES:
-            what = f"{fewest} scenes behind an effect: intervals are too narrow below {LEAST_SCENES}"
+            what = f"{counted(fewest, 'scene')} behind an effect: intervals are too narrow below {LEAST_SCENES}"
             raise InputError(what, str(folder), f"Run the sweep with scenes.count={LEAST_SCENES} or more")
         print(f"{write_worth(WORTH, sweep, worths)} written: effects=auto goes by it")
     return 0

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values
+from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
 
@@ -75,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     scenes = _scenes(values, count)
     name, tail = values["detector"], f"-{count}" if count else ""
-    out = Path(values.get("out", f"outputs/evaluate/{name}-{scenes.dataset}{tail}")).expanduser()
+    out = writable_folder(values.get("out", f"outputs/evaluate/{name}-{scenes.dataset}{tail}"))
     print(evaluate_detector(name, scenes, out, values.get("weights"), workers, score_threshold))
     return 0
 

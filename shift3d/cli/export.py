@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values
+from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -50,7 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.task.export import export_solution
     from shift3d.task.run import load_assets
 
-    target = Path(values["to"]).expanduser()
+    target = writable_folder(values["to"])
     export_solution(task.spec, row, load_assets(plan.assets[task.assets]), target)
     print(f"{task.spec.vehicle} in {task.spec.scene}, {values['method']}: {target}")
     return 0

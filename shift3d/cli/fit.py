@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from shift3d.cli.command import Command, key_values
+from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
+from shift3d.wording import counted
 
 __all__ = ["COMMAND"]
 
@@ -37,13 +37,13 @@ def _run(arguments: argparse.Namespace) -> int:
     frame = mesh_frame(values, "fit")
     from shift3d.vehicles.fit import STEPS, fit_meshes
 
-    out = Path(values["out"]).expanduser()
+    out = writable_folder(values["out"])
     steps = whole_number(values, "steps", STEPS, "fit")
     vehicles = fit_meshes(arguments.path, frame, out, values.get("decoder"), steps)
     for vehicle in vehicles:
         size = " x ".join(f"{metres:.2f}" for metres in vehicle.facts()["size_m"])
         print(f"{vehicle.name}: {size} m, {100 * vehicle.chamfer_m:.1f} cm from its mesh")
-    print(f"{len(vehicles)} vehicles in {out}/")
+    print(f"{counted(len(vehicles), 'vehicle')} in {out}/")
     return 0
 
 

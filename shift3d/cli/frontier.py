@@ -9,9 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command
+from shift3d.cli.command import Command, writable_folder
 from shift3d.cli.completion import overrides
+from shift3d.cli.words import take_folders
 from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from shift3d.config.frontier import FrontierSweep
@@ -67,21 +69,24 @@ def _run(arguments: argparse.Namespace) -> int:
     settle_numerics()
     import torch
 
+    from shift3d.tracking.store_uri import check_tracking
+
     torch.set_num_threads(1)
     words = [re.sub(r"^kitti=", "frontier.kitti=", word) for word in arguments.words]
-    out = [word.removeprefix("out=") for word in words if word.startswith("out=")]
-    config = _config([word for word in words if not word.startswith("out=")])
+    out, words = take_folders("out", words)
+    config = _config(words)
+    check_tracking(config.tracking)
     plan, left_out = plan_of(config, arguments.only, arguments.quick)
     # A part of the frontier must not take the place of the whole one.
     part = "-part" if arguments.only else "-quick" if arguments.quick else ""
-    folder = Path(out[-1]).expanduser() if out else Path(f"outputs/frontier{part}")
+    folder = writable_folder(str(out[-1]) if out else f"outputs/frontier{part}")
     for name in left_out:
         print(f"left out: {name} (this processor has no instructions for bfloat16)")
     try:
         _measure(config, plan, folder, arguments.again)
     except KeyboardInterrupt:
         print("interrupted: the same command resumes", file=sys.stderr)
-        return 130
+        return int(ExitCode.INTERRUPTED)
     if not part:
         _mirror(config, folder)
     return 0

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.store.location import Location
@@ -37,7 +38,7 @@ def sweeps_in(out: str) -> list[Location]:
         InputError: it is no sweep's folder.
     """
     from shift3d.store.location import as_location
-    from shift3d.sweep.folder import read_spec
+    from shift3d.sweep.spec_file import read_spec
     from shift3d.sweep.verified_scores import FOLDER
 
     folder = as_location(out)
@@ -53,8 +54,9 @@ def _run(arguments: argparse.Namespace) -> int:
         garbage = find_garbage(folder)
         said = "would be removed" if arguments.dry_run else "removed"
         print(
-            f"{folder}: {len(garbage.segments)} segments that no log entry names, {len(garbage.replaced)} log entries "
-            f"that a compaction replaced, {len(garbage.temporary)} temporary files {said}"
+            f"{folder}: {counted(len(garbage.segments), 'segment')} that no log entry names, "
+            f"{counted(len(garbage.replaced), 'log entry', 'log entries')} that a compaction replaced, "
+            f"{counted(len(garbage.temporary), 'temporary file')} {said}"
         )
         for file in garbage.files[:_SHOWN]:
             print(f"  {file}")

@@ -7,11 +7,13 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import textwrap
 from collections.abc import Sequence
 
 from shift3d.cli import compact, effects, evaluate, export, fit, frontier, gc, plan, report, sweep, train, ui, verify
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode, exit_codes
 
 __all__ = ["COMMANDS", "main", "make_parser", "parse"]
 
@@ -35,7 +37,7 @@ _DESCRIPTION = """\
 Finds the blind spots of a LiDAR 3D detector: inserts a vehicle into a LiDAR scene and follows the
 detector's gradient to a shape or a pose of it that the detector misses (SHIFT3D)."""
 
-_EPILOG = """\
+_EPILOG = f"""\
 examples:
   shift3d sweep                          the paper's tables on procedural streets, into outputs/
   shift3d sweep smoke                    a minute's worth of the same
@@ -47,8 +49,7 @@ examples:
 tab completion (bash, zsh):
   eval "$(register-python-argcomplete shift3d)"
 
-exit codes: 0 done, 2 something you gave cannot be used, 3 done but some tasks failed (they are in
-final/attempts.parquet), 4 another driver took the sweep over, 130 interrupted"""
+{textwrap.fill(exit_codes(), 110)}"""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -97,14 +98,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(parsed.run(parsed))
     except InputError as error:
         print(f"shift3d {parsed.command}: {error}", file=sys.stderr)
-        return int(getattr(error, "exit_code", 2))
+        return int(error.exit_code)
     except KeyboardInterrupt:
         print(f"shift3d {parsed.command}: interrupted", file=sys.stderr)
-        return 130
+        return int(ExitCode.INTERRUPTED)
     except BrokenPipeError:
         # The reader of our output (head, less) has left; there is nobody to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
+        return int(ExitCode.NO_READER)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
-from shift3d.cli.completion import sweep_words
+from shift3d.cli.plan import add_tasks, show
+from shift3d.cli.words import Request, add_words, read_words
 from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
     from shift3d.sweep.kind import TaskKind
     from shift3d.sweep.plan import Plan
 
-__all__ = ["COMMAND", "add_words", "load_plan", "run_with", "split_words", "take_folders"]
+__all__ = ["COMMAND", "run_with"]
 
 _DESCRIPTION = """\
 Runs sweeps/NAME.yaml (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
@@ -39,6 +42,7 @@ examples:
   shift3d sweep default accuracy=draft,standard  one axis more
   shift3d sweep default detector=sst             attack SST, and let PointPillars score what it found
   shift3d sweep kitti scenes.root=PATH out=runs/kitti
+  shift3d sweep kitti scenes.root=PATH scenes.skip_bad=true      without the frames that cannot be read
   shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
   shift3d sweep default out=s3://bucket/runs/a runner.address=auto
   shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder
@@ -49,20 +53,10 @@ examples:
   shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also what it gave up on"""
 
 
-def add_words(parser: argparse.ArgumentParser) -> None:
-    """The words after ``sweep`` and ``plan``."""
-    words = parser.add_argument(
-        "words",
-        nargs="*",
-        metavar="NAME | key=value",
-        help="the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs",
-    )
-    words.completer = sweep_words  # type: ignore[attr-defined]
-
-
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_words(parser)
-    parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing")
+    parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing, as: sweep plan")
+    add_tasks(parser, "with plan or --dry-run: list every task, with its id")
     parser.add_argument(
         "--retry-quarantined", action="store_true", help="run the tasks again that earlier runs gave up on"
     )
@@ -78,55 +72,9 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def split_words(words: list[str]) -> tuple[str, list[str], Location | None]:
-    """Words to (name, overrides, out).
-
-    Raises:
-        InputError: out= is a URL that cannot be used.
-    """
-    from shift3d.store.location import as_location
-
-    name = "default"
-    if words and "=" not in words[0] and not words[0].startswith(("+", "~")):
-        name, words = words[0], words[1:]
-    out = [word.removeprefix("out=") for word in words if word.startswith("out=")]
-    rest = [word for word in words if not word.startswith("out=")]
-    return name, rest, as_location(out[-1]) if out else None
-
-
-def take_folders(key: str, words: list[str]) -> tuple[list[Location], list[str]]:
-    """The folders that words name as ``key=FOLDER``, and the other words."""
-    from shift3d.store.location import as_location
-
-    found = [as_location(word.removeprefix(f"{key}=")) for word in words if word.startswith(f"{key}=")]
-    return found, [word for word in words if not word.startswith(f"{key}=")]
-
-
-def _words_of_folder(words: list[str]) -> list[str]:
-    """The words that a sweep was begun with where its output folder stands for them; words after it are added."""
-    if not words or "=" in words[0]:
-        return words
-    from shift3d.store.location import as_location
-    from shift3d.sweep.folder import read_spec
-
-    folder = as_location(words[0])
-    if not (folder / "spec.yaml").is_file():
-        return words
-    spec = read_spec(folder)
-    changed = {word.partition("=")[0] for word in words[1:]}
-    kept = [word for word in spec["overrides"] if word.partition("=")[0] not in changed]
-    return [spec["sweep"], *kept, *words[1:], f"out={folder}"]
-
-
-def load_plan(name: str, overrides: list[str], kind: TaskKind) -> tuple[Plan, Config]:
-    """Compose and expand a sweep."""
-    from shift3d.config.compose import compose_sweep
-    from shift3d.sweep.plan import make_plan
-
-    return make_plan(compose_sweep(name, overrides), kind.catalogue)
-
-
 def _run(arguments: argparse.Namespace) -> int:
+    if arguments.words[:1] == ["status"]:
+        return _status(arguments.words[1:])  # before what a sweep imports: it is polled
     from shift3d.processor import settle_numerics
     from shift3d.sweep.kind import shift3d_kind
 
@@ -136,54 +84,60 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     """Run the command with a kind of task."""
-    from shift3d.cli.jobs import take_job
+    from shift3d.config.compose import compose_sweep
     from shift3d.sweep.drive import run_sweep
     from shift3d.sweep.folder import default_folder
+    from shift3d.sweep.plan import make_plan
     from shift3d.sweep.plan_view import plan_summary
+    from shift3d.tracking.store_uri import check_tracking
 
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])
-    if arguments.words[:1] == ["plan"]:
-        from shift3d.cli import plan as plan_command
-
-        return plan_command.show([*arguments.words[1:], *(f"reuse={folder}" for folder in arguments.reuse)], kind)
-    others, words = take_folders("reuse", [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)])
-    job, typed = take_job(words)
-    words = _words_of_folder(typed)
-    name, overrides, out = split_words(words)
-    if job:
-        # Not the runner that the folder was begun with.
-        overrides = [word for word in overrides if word in typed or not word.startswith("runner")]
-        overrides = [*job.overrides(overrides), *overrides]
-    if job and job.address and not (arguments.dry_run or arguments.task):
-        from shift3d.sweep.ray_job import submit_sweep
-
-        target = [word for word in words if word.startswith("out=")] + [f"reuse={other}" for other in others]
-        flags = ["--retry-quarantined"] if arguments.retry_quarantined else []
-        return submit_sweep([name, *overrides, *target, *flags], job.address, job.runtime_env)
-    plan, config = load_plan(name, overrides, kind)
-    folder = out or default_folder(plan)
+    words = [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)]
+    if words[:1] == ["plan"] or arguments.dry_run:
+        return show(words[1:] if words[:1] == ["plan"] else words, kind, arguments.tasks)
+    if arguments.tasks:
+        raise InputError("--tasks lists the tasks of a plan", remedy="shift3d sweep plan NAME --tasks")
+    asked = read_words(words)
+    if asked.job and asked.job.address and not arguments.task:
+        return _submit(asked, asked.job.address, arguments.retry_quarantined)
+    if asked.out and not arguments.task:
+        asked.out.check_writable()  # before scenes are looked at, which may take minutes
+    plan, config = make_plan(compose_sweep(asked.name, asked.overrides), kind.catalogue)
+    check_tracking(config.tracking)
+    folder = asked.out or default_folder(plan)
     print(plan_summary(plan), flush=True)
-    if arguments.dry_run:
-        print(f"would write to {folder}")
-        return 0
     if arguments.task:
         from shift3d.sweep.single import run_single
 
         print(run_single(plan, kind, arguments.task))
         return 0
     print(f"writing to {folder}", flush=True)
-    result = run_sweep(plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined, reuse=others)
+    result = run_sweep(
+        plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined, reuse=asked.reuse
+    )
     if result.reused:
-        print(f"{result.reused} of {result.planned} tasks were done in {', '.join(map(str, others))}")
+        others = ", ".join(map(str, asked.reuse))
+        print(f"{result.reused} of {counted(result.planned, 'task')} were done in {others}")
     if result.final is None:
         command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
         left = result.planned - result.done - result.quarantined
-        print(f"interrupted: {result.done} of {result.planned} tasks done, {left} left", file=sys.stderr)
+        print(f"interrupted: {result.done} of {counted(result.planned, 'task')} done, {left} left", file=sys.stderr)
         print(f"the same command resumes: {command}", file=sys.stderr)
-        return 130
-    _show(plan, config, result)
-    return 3 if result.quarantined else 0
+        return int(ExitCode.INTERRUPTED)
+    placed = _show(plan, config, result)
+    return int(ExitCode.DONE if placed and not result.quarantined else ExitCode.INCOMPLETE)
+
+
+def _submit(asked: Request, address: str, retry_quarantined: bool) -> int:
+    """Hand the sweep to a cluster's Jobs API."""
+    from shift3d.sweep.ray_job import submit_sweep
+
+    folders = [f"out={asked.out}"] if asked.out else []
+    folders += [f"reuse={other}" for other in asked.reuse]
+    flags = ["--retry-quarantined"] if retry_quarantined else []
+    environment = asked.job.runtime_env if asked.job else None
+    return submit_sweep([asked.name, *asked.overrides, *folders, *flags], address, environment)
 
 
 def _status(words: list[str]) -> int:
@@ -196,22 +150,34 @@ def _status(words: list[str]) -> int:
     return 0
 
 
-def _show(plan: Plan, config: Config, result: SweepResult) -> None:
-    from shift3d.report.tables import sweep_report
+def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
+    """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
+    from shift3d.report.placement import nothing_placed
+    from shift3d.report.tables import coverage, sweep_report
+    from shift3d.sweep.plan_view import skipped_lines
 
     final = result.final
     assert final is not None
     frames = {name: final.frame(name) for name in final.tables}
-    print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
-    _show_effects(plan, result.folder, frames)
+    unplaced = nothing_placed(frames["scores"], plan.settings)
+    if unplaced:
+        print(f"\n{unplaced}\n\n{coverage(frames['scores'], frames['attempts'], result.planned)}\n", flush=True)
+    else:
+        print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
+        _show_effects(plan, result.folder, frames)
+    for line in skipped_lines(plan):
+        print(line)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
-    if "verification" in frames:
+    if unplaced:
+        pass  # there is nothing to verify
+    elif "verification" in frames:
         from shift3d.report.stability import stability_lines
 
         print(f"\n{stability_lines(frames['verification'])}\n")
     else:
         print(f"are its hard cases hard, or rounding? shift3d verify {result.folder}")
     _mirror(plan, config, result)
+    return unplaced is None
 
 
 def _show_effects(plan: Plan, folder: Location, frames: Mapping[str, pd.DataFrame]) -> None:

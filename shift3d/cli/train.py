@@ -6,12 +6,12 @@ import argparse
 import os
 import sys
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values
+from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
 from shift3d.errors import InputError
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.tracking.training import TrainingCurves
@@ -93,7 +93,7 @@ def _options(values: dict[str, str]) -> TrainOptions:
     scenes = values.get("scenes", "street")
     folder = f"outputs/train-{values['model']}" + ("" if scenes == "street" else f"-{scenes}")
     return TrainOptions(
-        out=Path(values.get("out", folder)).expanduser(),
+        out=writable_folder(values.get("out", folder)),
         threads=_number(values, "threads"),
         device=values.get("device", "auto"),
         scenes=scenes,
@@ -111,6 +111,9 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
     uri = values.get("mlflow", _STORE)
     if uri == "none":
         return None
+    from shift3d.tracking.store_uri import check_store
+
+    check_store(uri, "mlflow")
     from dataclasses import asdict
 
     from shift3d.tracking.training import TrainingCurves
@@ -174,8 +177,8 @@ def _train_on_meshes(values: dict[str, str]) -> int:
     _finish(curves)
     chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
     print(
-        f"{len(vehicles)} vehicles, decoder and codes in {options.out}/; symmetric Chamfer distance to their meshes: "
-        f"median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
+        f"{counted(len(vehicles), 'vehicle')}, decoder and codes in {options.out}/; symmetric Chamfer distance "
+        f"to their meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
     )
     return 0
 

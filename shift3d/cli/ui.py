@@ -22,7 +22,9 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.tracking.mlflow import serve_command
+    from shift3d.tracking.store_uri import check_store
 
+    check_store(arguments.uri, "--uri")
     if arguments.uri.startswith("sqlite:///") and not Path(arguments.uri.removeprefix("sqlite:///")).exists():
         raise InputError("there is no run yet", where=arguments.uri, remedy="Run a sweep first: make sweep")
     print(f"MLflow on http://127.0.0.1:{arguments.port} (Ctrl-C ends it)", flush=True)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
@@ -48,21 +50,21 @@ def _run(arguments: argparse.Namespace) -> int:
     folder = as_location(arguments.out)
     runner = _runner(arguments.words)
     plan = verification_plan(folder)
-    print(f"verifying {len(plan.tasks)} tasks of {folder}", flush=True)
+    print(f"verifying {counted(len(plan.tasks), 'task')} of {folder}", flush=True)
     result = verify_sweep(folder, plan, runner)
     if result.final is None:
         left = result.planned - result.done - result.quarantined
-        print(f"interrupted: {result.done} of {result.planned} tasks verified, {left} left", file=sys.stderr)
+        print(f"interrupted: {result.done} of {counted(result.planned, 'task')} verified, {left} left", file=sys.stderr)
         print("the same command resumes", file=sys.stderr)
-        return 130
+        return int(ExitCode.INTERRUPTED)
     scores, verification = result.final.frame("scores"), result.final.frame("verification")
     print(f"\n{stability_lines(verification)}\n\n{diagnostics(scores)}\n")
     page = write_stability_page(folder / "final" / "stability.html", plan.sweep, scores, verification)
     print(f"{page} written in {result.seconds:.0f} s; the sweep's command again puts it into MLflow")
     if result.quarantined:
         attempts = folder / "verification" / "final" / "attempts.parquet"
-        print(f"{result.quarantined} tasks could not be verified: {attempts}", file=sys.stderr)
-        return 3
+        print(f"{counted(result.quarantined, 'task')} could not be verified: {attempts}", file=sys.stderr)
+        return int(ExitCode.INCOMPLETE)
     return 0
 
 

@@ -6,11 +6,13 @@ import hashlib
 import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.config import messages
+from shift3d.config.scene_cache import SceneEntry
+from shift3d.config.scene_entries import scene_entries
 from shift3d.config.schema import (
     AccuracyConfig,
     Config,
@@ -26,7 +28,6 @@ from shift3d.processor import has_fast_bfloat16
 
 if TYPE_CHECKING:
     from shift3d.render.object_field import VehicleFrame
-    from shift3d.scenes.facts import SceneFacts
     from shift3d.scenes.sets import SceneSet
     from shift3d.vehicles.sources import VehicleSource
 
@@ -50,16 +51,6 @@ _SEARCH_PRECISION = {"draft": "bfloat16", "standard": "bfloat16", "paper": "floa
 
 
 @dataclass(frozen=True)
-class SceneEntry:
-    """One scene: its name in the set, its data set, the hash of its content, and what it may call for."""
-
-    name: str
-    dataset: str
-    content_hash: str
-    facts: SceneFacts
-
-
-@dataclass(frozen=True)
 class Catalogue:
     """What a sweep's tasks refer to, by content.
 
@@ -67,7 +58,7 @@ class Catalogue:
     which the scene set lets vehicles be placed. vehicles: name to hash; a hash is worked out when it is asked for.
     frame_of: a vehicle's frame and size by its name.
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
-    accuracy: every setting behind a preset's name.
+    accuracy: every setting behind a preset's name. skipped: scenes that cannot be read and are left out, name to why.
     """
 
     scenes: tuple[SceneEntry, ...]
@@ -78,6 +69,7 @@ class Catalogue:
     decoder_hash: str
     detectors: dict[str, str]
     accuracy: dict[str, Any]
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
 
 def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
@@ -89,10 +81,10 @@ def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
     from shift3d.scenes.kitti import KittiScenes
 
     root, reflectance_max = Path(config.root).expanduser(), config.reflectance_max
-    scenes = KittiScenes(root, config.names, reflectance_max)
+    scenes = KittiScenes(root, config.names, reflectance_max, config.skip_bad)
     if config.count is None:
         return scenes
-    return KittiScenes(root, scenes.names()[: config.count], reflectance_max)
+    return KittiScenes(root, scenes.names()[: config.count], reflectance_max, config.skip_bad)
 
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
@@ -195,23 +187,21 @@ def _check_render(settings: dict[str, Any]) -> None:
         raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy or remedy) from error
 
 
-def read_catalogue(config: Config) -> Catalogue:
+def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     """Load what tasks of these settings refer to, and hash it.
+
+    Args:
+        preview: scenes that would be made for their hash alone have none, see `scene_entries`.
 
     Raises:
         InputError: a missing file, or a scene that cannot be read.
     """
-    from shift3d.scenes.facts import SceneFacts
-
     scenes = scene_set(config.scenes)
-    entries = []
-    for name in scenes.names():
-        scene = scenes.load(name)
-        entries.append(SceneEntry(name, scene.dataset, scene.content_hash(), SceneFacts.of(scene)))
+    entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
-    arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names"})
+    arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
     return Catalogue(
-        scenes=tuple(entries),
+        scenes=entries,
         scene_arguments=arguments,
         sector_rad=(float(scenes.placement_sector_rad[0]), float(scenes.placement_sector_rad[1])),
         vehicles=_VehicleHashes(source),
@@ -219,7 +209,20 @@ def read_catalogue(config: Config) -> Catalogue:
         decoder_hash=source.decoder_hash(),
         detectors={name: file_hash(weights_file(name, path)) for name, path in detectors.items()},
         accuracy=accuracy_settings(config.accuracy),
+        skipped=skipped,
     )
+
+
+def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
+    """See `scene_entries`; the error for a frame that cannot be read says how to do without it."""
+    frames = config.scenes if isinstance(config.scenes, KittiConfig) else None
+    try:
+        return scene_entries(scenes, preview, skip_bad=frames is not None and frames.skip_bad)
+    except InputError as error:
+        if frames is None or frames.skip_bad:
+            raise
+        remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
+        raise InputError(error.what, where=error.where, remedy=remedy) from error
 
 
 class _VehicleHashes(Mapping[str, str]):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from shift3d.config import messages
+from shift3d.config.names import quoted, text_settings
 from shift3d.config.schema import Config
 from shift3d.errors import InputError
 
@@ -94,7 +95,8 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     params = stated["hydra"]["sweeper"]["params"] or {}
     own = [f"{key}={value}" for key, value in params.items()]
     small = _small(stated.get(_SMALL), parse(list(overrides)), where)
-    axis_texts, fixed = _split(parse([*own, *small, *overrides]), where)
+    words = [quoted(word, text_settings(Config)) for word in [*own, *small, *overrides]]
+    axis_texts, fixed = _split(parse(words), where)
     first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]
     base = compose([*fixed, *first])
     base.pop("hydra")
@@ -153,19 +155,19 @@ def _hydra(name: str, where: str) -> tuple[Any, Any]:
             known = None
             with contextlib.suppress(Exception):  # a file that cannot be read is no better without overrides
                 known = plain([])
-            raise messages.from_hydra(error, where, known) from error
+            raise messages.from_hydra(error, where, known, _Groups().get_group_options) from error
 
     def parse(texts: Sequence[str]) -> Any:
         try:
             return OverridesParser.create(config_loader=_Groups()).parse_overrides(list(texts))  # type: ignore[arg-type]
         except Exception as error:
-            raise messages.from_hydra(error, where, None) from error
+            raise messages.unreadable(error, where) from error
 
     return run, parse
 
 
 class _Groups:
-    """What Hydra asks to expand ``glob()``: the options of a group."""
+    """What Hydra asks to expand ``glob()``: the options of a group. What begins with _ is what they have in common."""
 
     def get_group_options(self, group_name: str, *_: object, **__: object) -> list[str]:
         return sorted(path.stem for path in (config_folder() / group_name).glob("[!_]*.yaml"))
@@ -198,11 +200,24 @@ def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], lis
         elif key in axes:
             axes[key] = [override.get_value_element_as_str()]
         else:
+            _refuse_no_names(key, override, where)
             fixed[key] = override.input_line
     empty = [key for key, texts in axes.items() if not texts]
     if empty:
         raise InputError(f"the axis {empty[0]} has no value", where=where, remedy=f"Give at least one: {empty[0]}=...")
     return axes, list(fixed.values())
+
+
+def _refuse_no_names(group: str, override: Any, where: str) -> None:
+    """Hydra says of ``effects=null`` and ``effects=[3]`` neither what was wrong nor what there is."""
+    from hydra.core.override_parser.types import QuotedString
+
+    if not group:
+        raise InputError(f"{override.input_line}: no setting is named", where=where, remedy="Write key=value")
+    options, value = _Groups().get_group_options(group), override.value()
+    for name in value if isinstance(value, list) else [value]:
+        if options and not isinstance(name, str | QuotedString):
+            raise messages.choice_error(group, "null" if name is None else str(name), options, where)
 
 
 def _refuse_interpolations(values: Any, where: str, path: str = "") -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from pydantic import ValidationError
 
 from shift3d.errors import InputError
 
-__all__ = ["choice_error", "from_hydra", "from_validation", "one_of"]
+__all__ = ["choice_error", "from_hydra", "from_validation", "one_of", "unreadable"]
 
 
 def one_of(value: str, allowed: Iterable[str]) -> str:
@@ -56,32 +56,35 @@ def _shown(value: object) -> str:
     return text if len(text) <= 120 else f"{text[:120]}..."
 
 
-def from_hydra(error: Exception, where: str, config: Mapping[str, Any] | None) -> InputError:
+def from_hydra(
+    error: Exception, where: str, config: Mapping[str, Any] | None, options: Callable[[str], Sequence[str]]
+) -> InputError:
     """Hydra's message in our form: what, the names that exist, and the nearest one.
 
     Args:
-        config: the settings without any override, for the names of fields.
+        config: the settings without any override, for the names of fields. options: of a group, by its name.
     """
     text = str(error)
-    if match := re.search(r"Could not find '([^']+)'", text):
+    # Of one option Hydra says that it did not find it, of one in a list that it could not load it.
+    if match := re.search(r"Could not (?:find|load) '([^']+)'", text):
         group, _, name = match.group(1).rpartition("/")
-        options = re.search(r"Available options in '[^']*':\n((?:\t.*\n?)*)", text)
-        # What begins with _ is what options have in common, and no option.
-        allowed = [name for name in (options.group(1).split() if options else []) if not name.startswith("_")]
-        return choice_error(group or "sweep", name, allowed, where)
+        return choice_error(group or "sweep", name, options(group), where)
     if match := re.search(r"Could not override '([^']+)'", text):
         key, siblings = match.group(1), _siblings(match.group(1), config or {})
         if key in siblings:
             return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
         return choice_error("setting", key, siblings, where)
-    if "lexer" in text.lower() or "mismatched input" in text or "extraneous input" in text:
-        shown = text.splitlines()[0].split(": ", 1)[-1]
-        return InputError(
-            f"cannot read the override {shown!r}",
-            where=where,
-            remedy="Write key=value, and quote values with spaces or brackets: 'key=\"a b\"'",
-        )
     return InputError(" ".join(text.split())[:300], where=where, remedy="See conf/ for all settings")
+
+
+def unreadable(error: Exception, where: str) -> InputError:
+    """The error for an override that is not of Hydra's grammar."""
+    shown = str(error).splitlines()[0].split(": ", 1)[-1]
+    return InputError(
+        f"cannot read the override {shown!r}",
+        where=where,
+        remedy="Write key=value, and quote values with spaces or brackets: 'key=\"a b\"'",
+    )
 
 
 def _siblings(key: str, config: Mapping[str, Any]) -> list[str]:

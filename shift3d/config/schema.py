@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from shift3d.config.names import Text
 from shift3d.errors import InputError
 from shift3d.scenes.reflectance import MOST_RAW
 from shift3d.scenes.street.options import LIMITS, MOST_SENSORS, StreetOptions
@@ -82,33 +83,35 @@ class StreetConfig(StreetOptionsConfig):
 
 
 class KittiConfig(_Record):
-    """KITTI object frames under ``root``/training. reflectance_max: what the files call full reflectance; None: 1."""
+    """KITTI object frames under ``root``/training. reflectance_max: what the files call full reflectance; None: 1.
+    skip_bad: leave out frames that cannot be read."""
 
     kind: Literal["kitti"]
-    root: str
+    root: Text
     count: Count | None
-    names: list[str] | None
+    names: list[Text] | None
     reflectance_max: Annotated[float, Field(gt=0, le=MOST_RAW)] | None = None
+    skip_bad: bool = False
 
 
 class VehicleSetConfig(_Record):
     """One vehicle of a folder with vehicles.safetensors and sdf.safetensors; folder null: those that ship."""
 
     kind: Literal["set"]
-    name: str
-    folder: str | None
+    name: Text
+    folder: Text | None
 
 
 class DeepSdfVehicleConfig(_Record):
     """One instance of an experiment in the layout of the original DeepSDF repository."""
 
     kind: Literal["deepsdf"]
-    name: str
-    folder: str
-    checkpoint: str
+    name: Text
+    folder: Text
+    checkpoint: Text
     forward: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-    length_m: Positive | dict[str, Positive]
+    length_m: Positive | dict[Text, Positive]
     code_norm: Positive | None
 
 
@@ -125,9 +128,9 @@ class DetectorConfig(_Record):
     """
 
     name: DetectorName
-    weights: str | None
+    weights: Text | None
     scored_by: list[DetectorName] | None
-    other_weights: dict[DetectorName, str | None]
+    other_weights: dict[DetectorName, Text | None]
 
     def weights_by_name(self) -> dict[str, str | None]:
         """Files of weights that were given, by the detector's name; None: those that ship."""
@@ -234,7 +237,7 @@ class RayRunnerConfig(_Record):
 
     kind: Literal["ray"]
     workers: Count | None
-    address: str | None
+    address: Text | None
     cpus_per_worker: Positive
     worker_memory_mb: Positive | None
     task_timeout_s: Positive | None
@@ -257,8 +260,8 @@ class MlflowConfig(_Record):
     """An MLflow store."""
 
     kind: Literal["mlflow"]
-    uri: str
-    experiment: str
+    uri: Text
+    experiment: Text
 
 
 class NoTrackingConfig(_Record):
@@ -284,7 +287,7 @@ class Config(_Record):
     tracking: Annotated[MlflowConfig | NoTrackingConfig, Field(discriminator="kind")]
     size: Literal["full", "small"] = "full"
     mode: Literal["shape", "pose"]
-    scene: str | None
+    scene: Text | None
     seed: Seed
     replicate: Number
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from shift3d.wording import counted
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -74,8 +76,9 @@ def _audited(rows: pd.DataFrame) -> str:
     missed, false, wrong = (int(rows[name].sum()) for name in _ERRORS)
     depth = 1e3 * float(rows["depth_error_max_m"].max())
     return (
-        f"{beams} beams of {len(rows)} objects rendered again at reference accuracy: of {hits} true hits {missed} "
-        f"missed, {wrong} on another surface, {false} false; depth error at most {depth:.2g} mm."
+        f"{counted(beams, 'beam')} of {counted(len(rows), 'object')} rendered again at reference accuracy: "
+        f"of {hits} true hits {missed} missed, {wrong} on another surface, {false} false; "
+        f"depth error at most {depth:.2g} mm."
     )
 
 

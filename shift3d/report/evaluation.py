@@ -28,6 +28,7 @@ from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION, evaluatio
 from shift3d.store.tables import write_table
 from shift3d.training.detector_evaluation import SCORE_FLOOR, Answer, detect_scenes
 from shift3d.training.stored_answers import answers_of
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.detectors.base import Detector
@@ -130,10 +131,10 @@ def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out
     for name, table in evaluation_tables(detector, dataset, answers, metrics).items():
         write_table(out / f"{name}.parquet", table)
     picture = io.BytesIO()
-    draw_curves(metrics, f"{detector} on {dataset}, {len(answers)} scenes", picture)
+    draw_curves(metrics, f"{detector} on {dataset}, {counted(len(answers), 'scene')}", picture)
     write_atomic(out / "curves.png", picture.getvalue())
     took = np.median([answer.detect_ms for answer in answers])
-    title = f"{detector} on {dataset}: {len(answers)} scenes, {took:.0f} ms a detection (median, one thread)"
+    title = f"{detector} on {dataset}: {counted(len(answers), 'scene')}, {took:.0f} ms a detection (median, one thread)"
     return f"{metric_table(title, metrics)}\n{out}: every metric, curves, detections and truth as Parquet"
 
 

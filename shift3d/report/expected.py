@@ -21,6 +21,7 @@ from shift3d.sweep.folder import read_plan
 from shift3d.sweep.plan import Plan
 from shift3d.sweep.tasks import Tasks
 from shift3d.task.spec import TaskSpec
+from shift3d.wording import counted
 
 __all__ = ["Expected", "expected", "expected_lines", "finished_in"]
 
@@ -67,7 +68,9 @@ def expected(tasks: Tasks, folders: Sequence[Place]) -> Expected:
                 level, key = next((at, key) for at, key in enumerate(_keys(spec)) if key in found)
                 seconds += count * found[key].seconds * model.seconds(spec) / found[key].by_model
                 guessed += count * (level > 0)
-            return Expected(len(tasks), seconds, f"{found[()].tasks} tasks that ran in {as_location(folder)}", guessed)
+            return Expected(
+                len(tasks), seconds, f"{counted(found[()].tasks, 'task')} that ran in {as_location(folder)}", guessed
+            )
     seconds = sum(count * model.seconds(spec) for spec, count in _kinds(tasks))
     return Expected(len(tasks), seconds, model.source, len(tasks))
 
@@ -133,28 +136,30 @@ class _Model:
         return max(self._parts.of(spec) + renderings * more_ms, renderings) / 1e3
 
 
-def expected_lines(plan: Plan, out: Place, others: Sequence[Place], timings: Sequence[Place], workers: int) -> str:
+def expected_lines(
+    plan: Plan, out: Place | None, others: Sequence[Place], timings: Sequence[Place], workers: int
+) -> str:
     """What is left to run of a plan, in words: time with some workers, and core-hours.
 
     Args:
-        out: the folder that the sweep would write to; others: those whose results it would take over; timings: those
-            that say how long tasks take, asked before these.
+        out: the folder that the sweep would write to, where it is known; others: those whose results it would take
+            over; timings: those that say how long tasks take, asked before these.
 
     Raises:
         InputError: a folder of others or timings is no sweep's, or damaged.
     """
-    own = [out] if (as_location(out) / "spec.yaml").is_file() else []
+    own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
     done = finished_in(plan.tasks, [*own, *others])
     left = plan.tasks.select(np.flatnonzero(~done))
-    said = f"{int(done.sum())} of {len(plan.tasks)} tasks are done already\n" if done.any() else ""
+    said = f"{int(done.sum())} of {counted(len(plan.tasks), 'task')} are done already\n" if done.any() else ""
     if not len(left):
         return f"{said}nothing is left to run"
     found = expected(left, [*timings, *own, *others])
     mean = found.seconds / found.tasks
     wall = found.seconds / min(workers, found.tasks)
     text = (
-        f"{said}expected: {found.tasks} tasks of {_duration(mean)}: {_duration(wall)} with {workers} "
-        f"worker{'s' if workers > 1 else ''} (runner.workers=N), {found.seconds / 3600:.3g} core-hours\n"
+        f"{said}expected: {counted(found.tasks, 'task')} of {_duration(mean)}: {_duration(wall)} with "
+        f"{counted(workers, 'worker')} (runner.workers=N), {found.seconds / 3600:.3g} core-hours\n"
         f"  by {found.source}"
     )
     if found.guessed and not found.source.startswith("the figures"):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from shift3d.wording import counted
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -18,7 +20,7 @@ def diagnostics(scores: pd.DataFrame) -> str:
     unresolved = int(rows["unresolved_beams"].sum())
     text = (
         f"Numerics: {int(scores['non_finite'].sum())} non-finite values, {unresolved} unresolved beams, largest |g| at "
-        f"a hit {1e3 * float(rows['max_residual_m'].max()):.2g} mm over {len(rows)} objects"
+        f"a hit {1e3 * float(rows['max_residual_m'].max()):.2g} mm over {counted(len(rows), 'object')}"
     )
     searched = rows[rows["method"] == "adversarial"]
     if searched["grazing_gradient"].notna().any():

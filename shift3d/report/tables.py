@@ -9,6 +9,7 @@ from shift3d.report.accuracy_cost import accuracy_cost, measured_presets
 from shift3d.report.choices import candidate_tables, reasons
 from shift3d.report.numerics import diagnostics
 from shift3d.vehicles.outline import CAR_RULE
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,7 +132,7 @@ def _number(value: float | None) -> str:
 def coverage(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int) -> str:
     """How many tasks have a score, and, of the others, what each came to."""
     scored = scores.loc[scores["score"].notna(), "task_id"].nunique()
-    lines = [f"{scored} of {planned} tasks scored"]
+    lines = [f"{scored} of {counted(planned, 'task')} scored"]
     without = scores[~scores["task_id"].isin(scores.loc[scores["score"].notna(), "task_id"])]
     for status, count in without.groupby("status", sort=True)["task_id"].nunique().items():
         lines.append(f"  {count} without a score: {status}")

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from shift3d.errors import InputError
 from shift3d.report.html.sweep import read_sweep
 from shift3d.task.spec import TaskSpec
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -121,7 +122,7 @@ def _main(folders: Sequence[str]) -> None:
 
     sweeps = [read_sweep(folder) for folder in folders]
     scores = pd.concat([sweep.scored for sweep in sweeps])
-    tasks = [f"{sweep.scored['task_id'].nunique()} tasks of {sweep.plan.sweep}" for sweep in sweeps]
+    tasks = [f"{counted(sweep.scored['task_id'].nunique(), 'task')} of {sweep.plan.sweep}" for sweep in sweeps]
     parts = measured_parts(scores, pd.concat([sweep.timings for sweep in sweeps]), ", ".join(tasks))
     print(json.dumps(asdict(parts), indent=2))
 

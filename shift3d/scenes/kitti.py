@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d, points_in_boxes
+from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.kitti_files import (
     CLASSES,
     GROUND,
@@ -67,20 +68,25 @@ class KittiScenes:
         root: the folder that holds ``training/``, or ``training`` itself.
         names: frame numbers to use ("000134"); None takes every frame that has a point file, sorted.
         reflectance_max: what the files call full reflectance; None: 1, as KITTI's own.
+        keep_bad: list frames whose files are missing, too; loading one raises InputError.
 
     Scenes keep the point order of the files. Points at zero range stay in place and carry no beam
     (:attr:`~shift3d.scenes.scene.Scene.has_beam`). Labels cover camera 2's view only, 0.70 rad to either side of
     +x: objects are placed within 0.6 rad, so that most of the vehicle stays inside.
 
     Raises:
-        InputError: where folders or frames are missing, or a label file has no frame.
+        InputError: where folders are missing; without keep_bad, where frames are, or a label file has no frame.
     """
 
     dataset = "kitti"
     placement_sector_rad = (0.0, 0.6)
 
     def __init__(
-        self, root: str | Path, names: Sequence[str] | None = None, reflectance_max: float | None = None
+        self,
+        root: str | Path,
+        names: Sequence[str] | None = None,
+        reflectance_max: float | None = None,
+        keep_bad: bool = False,
     ) -> None:
         root = Path(root)
         self.reflectance_max = reflectance_max
@@ -94,6 +100,8 @@ class KittiScenes:
                 )
         self._has_labels = (self.folder / "label_2").is_dir()
         found = {path.stem for path in (self.folder / "velodyne").glob("*.bin")}
+        if keep_bad:
+            found |= self._labelled() if names is None else set(names)
         if names is None:
             self._refuse_orphans(found)
         for name in names or ():
@@ -131,6 +139,19 @@ class KittiScenes:
         scene.validate()
         return scene
 
+    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
+        """See `SceneSet`: nothing is known of a frame but by its files."""
+        return None
+
+    def source(self, name: str) -> tuple[str | int | float | None, ...]:
+        """See `SceneSet`: path, size and time of last change of each of the frame's files."""
+        values: list[str | int | float | None] = ["kitti", name, self.reflectance_max, self._has_labels]
+        for part, suffix in (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt"), (GROUND, "txt")):
+            path = self.folder / part / f"{name}.{suffix}"
+            state = path.stat() if path.is_file() else None
+            values += [str(path.absolute()), state and state.st_size, state and state.st_ctime_ns]
+        return tuple(values)
+
     def camera_view(self, name: str) -> CameraView:
         """What camera 2 sees of one frame."""
         return CameraView(read_calibration(self.folder / "calib" / f"{name}.txt"))
@@ -156,8 +177,11 @@ class KittiScenes:
             names=tuple(row.name for row in rows),
         )
 
+    def _labelled(self) -> set[str]:
+        return {path.stem for path in (self.folder / "label_2").glob("*.txt")}
+
     def _refuse_orphans(self, found: set[str]) -> None:
-        orphans = sorted({path.stem for path in (self.folder / "label_2").glob("*.txt")} - found)
+        orphans = sorted(self._labelled() - found)
         if orphans:
             raise InputError(
                 f"no frame velodyne/{orphans[0]}.bin",

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.scenes.reflectance import full_reflectance
+from shift3d.wording import counted
 
 Float = NDArray[np.float64]
 
@@ -110,7 +111,7 @@ def read_points(path: Path, reflectance_max: float | None = None) -> tuple[NDArr
         ) from error
     if not raw or len(raw) % 16:
         raise InputError(
-            f"{len(raw)} bytes is not a whole number of 16-byte points",
+            f"{counted(len(raw), 'byte')} is not a whole number of 16-byte points",
             str(path),
             "The file is truncated: copy it again.",
         )
@@ -119,13 +120,14 @@ def read_points(path: Path, reflectance_max: float | None = None) -> tuple[NDArr
     if bad.any():
         row = int(np.argmax(bad))
         raise InputError(
-            f"{int(bad.sum())} rows with NaN or infinity, first is row {row}",
+            f"{counted(int(bad.sum()), 'row')} with NaN or infinity, first is row {row}",
             str(path),
             "Repair or drop those rows.",
         )
     beyond = (np.abs(values[:, :3]) > FARTHEST_M).any(axis=1)
     if beyond.any():
-        what = f"row {int(np.argmax(beyond))} is more than {FARTHEST_M / 1000:g} km away ({int(beyond.sum())} rows)"
+        rows = counted(int(beyond.sum()), "row")
+        what = f"row {int(np.argmax(beyond))} is more than {FARTHEST_M / 1000:g} km away ({rows})"
         raise InputError(what, str(path), "Give float32 x, y, z, reflectance in metres.")
     if not values[:, :3].any():
         raise InputError("no point with a positive range", str(path), "Use another frame.")
@@ -150,7 +152,7 @@ def read_calibration(path: Path) -> Calibration:
         values = _numbers(rest.split(), f"{path}, line {number} ({key})")
         if len(values) != shape[0] * shape[1]:
             raise InputError(
-                f"{len(values)} numbers for {key}, {shape[0] * shape[1]} expected",
+                f"{counted(len(values), 'number')} for {key}, {shape[0] * shape[1]} expected",
                 f"{path}, line {number}",
                 "Copy the calibration file again.",
             )
@@ -194,7 +196,7 @@ def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
         if not columns or columns[0] == "DontCare":
             continue
         if len(columns) not in (_LABEL_COLUMNS, _LABEL_COLUMNS + 1):
-            raise InputError(f"{len(columns)} columns, 15 expected", where, "Repair or remove that line.")
+            raise InputError(f"{counted(len(columns), 'column')}, 15 expected", where, "Repair or remove that line.")
         if columns[0] not in CLASSES:
             raise InputError(
                 f"unknown class {columns[0][:40]!r}", where, f"Known are {', '.join(CLASSES)} and DontCare."
@@ -218,7 +220,9 @@ def read_ground_z(path: Path) -> float:
     words = " ".join(_read_lines(path, "ground")).split()
     values = _numbers(words, str(path))
     if len(values) != 1 or abs(values[0]) > FARTHEST_M:
-        raise InputError(f"{len(values)} numbers, one height in metres expected", str(path), "Export the frame again.")
+        raise InputError(
+            f"{counted(len(values), 'number')}, one height in metres expected", str(path), "Export the frame again."
+        )
     return values[0]
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.scenes.labels import Conditions, Labels
 from shift3d.scenes.sensor import SensorModel, SilentBeams
+from shift3d.wording import counted
 
 __all__ = ["Conditions", "Labels", "Scene"]
 
@@ -140,7 +141,7 @@ def _check_field(
         if bad.any():
             row = int(np.argmax(bad))
             raise InputError(
-                f"{int(bad.sum())} rows with NaN or infinity, first is row {row}",
+                f"{counted(int(bad.sum()), 'row')} with NaN or infinity, first is row {row}",
                 where,
                 "Repair or drop those rows in the file.",
             )

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from shift3d.errors import InputError
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.street.options import PLAIN, StreetOptions
+
+if TYPE_CHECKING:
+    from shift3d.scenes.facts import SceneFacts
 
 STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
 STREET_SPLITS = ("train", "val", "test")
@@ -40,6 +43,14 @@ class SceneSet(Protocol):
         Raises:
             InputError: for an unknown name or a bad frame.
         """
+        ...
+
+    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
+        """The data set and the facts of a scene, where its configuration alone gives them; None: it must be loaded."""
+        ...
+
+    def source(self, name: str) -> tuple[str | int | float | None, ...]:
+        """Plain values that change whenever the scene's content may: its configuration, or the state of its files."""
         ...
 
 
@@ -103,6 +114,17 @@ class StreetScenes:
         scene = street_scene(self.split, self.seed, index, self._sensor_of(index), self.options)
         scene.validate()
         return scene
+
+    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
+        """See `SceneSet`."""
+        from shift3d.scenes.street.facts import street_facts
+
+        sensor = self._sensor_of(int(name.split("-")[3]))
+        return f"street-{sensor}{self.options.tag}", street_facts(name, sensor, self.options)
+
+    def source(self, name: str) -> tuple[str | int | float | None, ...]:
+        """See `SceneSet`: the name says everything."""
+        return ("street", name)
 
     def _name(self, index: int) -> str:
         tail = self.options.tag + (f"-seed{self.seed}" if self.seed else "")

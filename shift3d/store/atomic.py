@@ -8,13 +8,14 @@ import os
 import re
 import secrets
 import socket
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["UncertainError", "leftovers", "put_if_absent", "remove_leftovers", "write_atomic"]
+__all__ = ["UncertainError", "check_writable", "leftovers", "put_if_absent", "remove_leftovers", "write_atomic"]
 
 _TEMPORARY = ".tmp-"
 # .tmp-<process>-<machine><one use>-<final name>; earlier programs left the middle part out.
@@ -70,6 +71,17 @@ def put_if_absent(path: Path, content: bytes) -> bool:
             return True
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def check_writable(folder: Path) -> None:
+    """Make sure that a folder can be written to, or made. It is tried in the nearest folder that there is.
+
+    Raises:
+        InputError: it cannot; the message says what to do.
+    """
+    with _clear_disk_errors(folder):
+        nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+        Path(tempfile.mkdtemp(prefix=_TEMPORARY, dir=nearest)).rmdir()
 
 
 def leftovers(folder: Path) -> list[Path]:
@@ -138,6 +150,7 @@ _REMEDIES = {
     ),
     errno.EROFS: ("the file system is read-only", "Choose another folder with out=DIR"),
     errno.EACCES: ("no permission to write here", "Choose another folder with out=DIR"),
+    errno.ENOTDIR: ("part of this path is a file, not a folder", "Choose another folder with out=DIR"),
 }
 
 
@@ -146,7 +159,6 @@ def _clear_disk_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in _REMEDIES:
-            raise
-        what, remedy = _REMEDIES[error.errno]
+        unknown = f"nothing can be written here ({error.strerror or error})", "Choose another folder with out=DIR"
+        what, remedy = _REMEDIES.get(error.errno or 0, unknown)
         raise InputError(what, where=str(path), remedy=remedy) from error

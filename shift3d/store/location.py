@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from shift3d.errors import InputError
 from shift3d.store import atomic
 
 __all__ = ["LocalLocation", "Location", "Place", "UncertainError", "as_location", "local_copy"]
@@ -163,7 +164,8 @@ class LocalLocation(Location):
         return [LocalLocation(path) for path in atomic.leftovers(self.path)]
 
     def check_writable(self) -> None:
-        """See `Location`: hard links have one winner on every file system that has them."""
+        """See `Location`: hard links have one winner on every file system that has them, so a folder is tried alone."""
+        atomic.check_writable(self.path)
 
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
         """See `Location`."""
@@ -178,10 +180,13 @@ def as_location(place: Place) -> Location:
     """A path, ``s3://bucket/prefix`` or ``gs://bucket/prefix`` as a location. Of text, ~ is the home folder.
 
     Raises:
-        InputError: the URL has no bucket or another scheme, or settings in the environment cannot be used.
+        InputError: the text is empty, the URL has no bucket or another scheme, or settings in the environment cannot be
+            used.
     """
     if isinstance(place, Location):
         return place
+    if place == "":
+        raise InputError("the name of a folder is empty", remedy="Give one; is a variable of the shell unset?")
     if isinstance(place, str) and "://" in place:
         from shift3d.store.object_store import object_location  # late: obstore is not needed for folders
 

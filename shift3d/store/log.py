@@ -23,6 +23,7 @@ from typing import Any
 import pyarrow as pa
 
 from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
 from shift3d.store.location import Location, Place, UncertainError, as_location
 from shift3d.store.migrations import steps
 from shift3d.store.schemas import SCHEMA_VERSION, SEGMENTS
@@ -39,7 +40,7 @@ _RESTORE = "Restore the file from a copy, or remove the output folder and run th
 class TakenOverError(InputError):
     """Another driver appended to the log: this one must stop, and has lost nothing that it committed."""
 
-    exit_code = 4
+    exit_code = ExitCode.TAKEN_OVER
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import Counter
 
 from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
 from shift3d.sweep.worker import BatchOutcome
+from shift3d.wording import counted
 
 __all__ = ["AbortRule", "AbortedError"]
 
@@ -18,7 +20,7 @@ _HEAD = 24
 class AbortedError(InputError):
     """Too much failed to go on. What was committed stays, and the same command goes on from there."""
 
-    exit_code = 5
+    exit_code = ExitCode.ABORTED
 
 
 class AbortRule:
@@ -49,7 +51,7 @@ class AbortRule:
             return None
         head, count = self._errors.most_common(1)[0]
         if self._after and not self._done and count == self._failed >= self._after:
-            return self._error(f"the first {count} tasks failed alike", head, "runner.abort_after=null")
+            return self._error(f"the first {counted(count, 'task')} failed alike", head, "runner.abort_after=null")
         ended = self._done + self._failed
         if self._share and ended >= _LEAST_TASKS and self._failed > self._share * ended:
             said = f"{self._failed} of {ended} tasks failed, more than {self._share:.0%}"

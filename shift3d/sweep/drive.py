@@ -87,20 +87,37 @@ def run_sweep(
     reused = sum(take_finished(log, plan, other) for other in reuse)
     given_up = log.quarantined() if retry_quarantined else set()
     left = plan.tasks.without(log.finished() - given_up)
+    teller = Teller(log, len(plan.tasks))
+    teller.tell([], 0, "starting" if len(left) else "finished")
     if len(left):
-        runner = make_runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up))
-        try:
-            with Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress:
-                rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
-                watchers = _Watchers(progress, Teller(log, len(plan.tasks)), rule)
-                _run(runner, left, Committer(log, runner_config.commit_seconds), watchers)
-        finally:
-            runner.close()
+        with (
+            _runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up), teller) as runner,
+            Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress,
+        ):
+            rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
+            watchers = _Watchers(progress, teller, rule)
+            _run(runner, left, Committer(log, runner_config.commit_seconds), watchers)
     done, quarantined = log.done(), log.quarantined()
     complete = len(done) + len(quarantined) == len(plan.tasks)
     final = finish(folder, plan, log.entries) if complete else None
     seconds = time.monotonic() - began
     return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), seconds, reused)
+
+
+@contextlib.contextmanager
+def _runner(
+    kind: TaskKind, plan: Plan, config: RunnerConfig, left: int, tried: dict[int, int], teller: Teller
+) -> Iterator[Runner]:
+    """The runner, closed at the end. One that cannot be made is told, too: nobody else would say that it stopped."""
+    try:
+        runner = make_runner(kind, plan, config, left, tried)
+    except BaseException:
+        teller.tell([], 0, "stopped")
+        raise
+    try:
+        yield runner
+    finally:
+        runner.close()
 
 
 def _tried(log: CommitLog, plan: Plan, given_up: set[str]) -> dict[int, int]:

@@ -14,13 +14,14 @@ import yaml  # type: ignore[import-untyped]
 import shift3d
 from shift3d.errors import InputError
 from shift3d.store.location import Location, Place, as_location
-from shift3d.store.migrations import steps
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.plan import Plan
 from shift3d.sweep.plan_file import plan_bytes, read_tasks
+from shift3d.sweep.spec_file import read_spec
 from shift3d.task.spec import AssetsSpec
+from shift3d.wording import counted
 
-__all__ = ["default_folder", "open_folder", "read_plan", "read_spec"]
+__all__ = ["check_folder", "default_folder", "open_folder", "read_plan", "read_spec"]
 
 _LIBRARIES = ("numpy", "torch", "trimesh", "embreex", "scipy", "pyarrow", "ray", "hydra-core", "pydantic")
 
@@ -30,15 +31,15 @@ def default_folder(plan: Plan) -> Location:
     return as_location("outputs") / f"{plan.sweep}-{plan.spec_hash}"
 
 
-def open_folder(folder: Place, plan: Plan) -> None:
-    """Create a sweep's folder, or check that an existing one is of the same plan.
+def check_folder(folder: Place, plan: Plan) -> bool:
+    """Make sure that a plan can run in a folder; whether it was begun there. Nothing is changed.
 
     Raises:
-        InputError: the folder holds another sweep or something else, or the disk is full. Nothing is changed.
+        InputError: the folder holds another sweep or something else, or cannot be written to.
     """
     folder = as_location(folder)
-    spec_path = folder / "spec.yaml"
-    begun = spec_path.is_file()
+    folder.check_writable()
+    begun = (folder / "spec.yaml").is_file()
     if begun:
         found = read_spec(folder)
         if found["spec_hash"] != plan.spec_hash:
@@ -53,12 +54,22 @@ def open_folder(folder: Place, plan: Plan) -> None:
             where=str(folder),
             remedy="Choose another folder with out=DIR",
         )
-    if not begun:
+    return begun
+
+
+def open_folder(folder: Place, plan: Plan) -> None:
+    """Create a sweep's folder, or check that an existing one is of the same plan.
+
+    Raises:
+        InputError: see `check_folder`; or the disk is full.
+    """
+    folder = as_location(folder)
+    if not check_folder(folder, plan):
         # spec.yaml last: a folder that has it has all three.
         (folder / "plan.parquet").write_atomic(plan_bytes(plan.tasks))
         environment = json.dumps(_environment(), indent=1, sort_keys=True)
         (folder / "env.json").write_atomic(environment.encode() + b"\n")
-        if not spec_path.put_if_absent(_spec_bytes(plan)):
+        if not (folder / "spec.yaml").put_if_absent(_spec_bytes(plan)):
             open_folder(folder, plan)  # another driver was quicker: it must be of the same plan
 
 
@@ -74,7 +85,7 @@ def _difference(found: dict[str, Any], plan: Plan) -> str:
     if found["sweep"] != plan.sweep:
         return f"{found['sweep']}, not {plan.sweep}"
     if found["tasks"] != len(plan.tasks):
-        return f"{found['tasks']} tasks, not {len(plan.tasks)}"
+        return f"{counted(found['tasks'], 'task')}, not {len(plan.tasks)}"
     old, new = _flat(found["settings"]), _flat(plan.settings)
     changed = [f"{key} {old.get(key)}, not {new.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key)]
     return changed[0] if changed else "made from other scenes, vehicles, weights or axes"
@@ -99,6 +110,7 @@ def _spec_bytes(plan: Plan) -> bytes:
         "overrides": list(plan.overrides),
         "axes": plan.axes,
         "settings": plan.settings,
+        "skipped": dict(plan.skipped),
         "assets": [_plain(dataclasses.asdict(assets)) for assets in plan.assets],
     }
     text: str = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
@@ -127,28 +139,6 @@ def _environment() -> dict[str, Any]:
     }
 
 
-def read_spec(folder: Place) -> dict[str, Any]:
-    """``spec.yaml`` of a sweep.
-
-    Raises:
-        InputError: there is none, it cannot be read, or it is of another schema version.
-    """
-    path = as_location(folder) / "spec.yaml"
-    try:
-        values = yaml.safe_load(path.read_text())
-        for step in steps(values["schema_version"], str(path)):
-            values = step.spec(values)
-        return {**values, "schema_version": SCHEMA_VERSION}
-    except FileNotFoundError as error:
-        raise InputError(
-            "is not the output folder of a sweep (it has no spec.yaml)",
-            where=str(folder),
-            remedy="Check the path",
-        ) from error
-    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
-        raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error
-
-
 def read_plan(folder: Place) -> Plan:
     """The plan of a sweep's folder, with every task's spec: what an export or a report starts from.
 
@@ -171,6 +161,7 @@ def read_plan(folder: Place) -> Plan:
             axes=dict(spec["axes"]),
             tasks=tasks,
             assets=tuple(AssetsSpec(**assets) for assets in spec["assets"]),
+            skipped={str(name): str(why) for name, why in dict(spec.get("skipped", {})).items()},
         )
         # One number that depends on every task: what was changed in either file does not give it.
         complete = plan.spec_hash == spec["spec_hash"]

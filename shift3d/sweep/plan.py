@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from shift3d.config import messages
@@ -34,6 +34,8 @@ class Plan:
 
     settings: of the first task, for the reader. axes: key to values as they were written.
     effects: what was decided about each effect for each scene, see `sweep.effects`.
+    skipped: scenes that cannot be read and are left out, name to why.
+    preview: the content of some scenes is not known, and ids are not those that the sweep will have.
     runner, tracking: how it runs; they are no part of the hash.
     """
 
@@ -44,11 +46,15 @@ class Plan:
     tasks: Tasks
     assets: tuple[AssetsSpec, ...]
     effects: tuple[EffectLine, ...] = ()
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    preview: bool = False
 
     @functools.cached_property
     def spec_hash(self) -> str:
         """64-bit BLAKE2b of the sweep's name and its task ids, hex: what makes two output folders the
-        same."""
+        same. Raises ValueError for a preview, which has no hash yet."""
+        if self.preview:
+            raise ValueError("a preview has no hash")
         state = hashlib.blake2b(json.dumps([_IDENTITY, self.sweep]).encode()[:-1] + b", [", digest_size=8)
         # The JSON of the list of ids, from their column: ids have one length and nothing to be escaped.
         for start in range(0, len(self.tasks), _HASHED):
@@ -104,6 +110,8 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
         tasks,
         tuple(assets),
         decided.lines(),
+        skipped={name: why for catalogue, _ in catalogues.values() for name, why in catalogue.skipped.items()},
+        preview=not all(entry.content_hash for catalogue, _ in catalogues.values() for entry in catalogue.scenes),
     )
     return plan, first
 

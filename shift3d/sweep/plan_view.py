@@ -7,8 +7,11 @@ from collections.abc import Iterator
 
 from shift3d.sweep.effects import effect_table
 from shift3d.sweep.plan import Plan
+from shift3d.wording import counted
 
-__all__ = ["plan_lines", "plan_summary"]
+__all__ = ["plan_lines", "plan_summary", "skipped_lines"]
+
+_SHOWN = 20
 
 
 def plan_summary(plan: Plan) -> str:
@@ -21,8 +24,18 @@ def plan_summary(plan: Plan) -> str:
         modes[group.ground.mode] += group.tasks
     by_mode = ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items(), reverse=True))
     size = ", its small size" if plan.settings.get("size") == "small" else ""
-    counts = f"sweep {plan.sweep}{size}: {len(plan.tasks)} tasks ({by_mode}) of {vehicles} vehicles in {scenes} scenes"
-    return f"{counts}\n{effect_table(plan.effects, scenes)}"
+    counts = f"sweep {plan.sweep}{size}: {counted(len(plan.tasks), 'task')} ({by_mode}) of "
+    counts += f"{counted(vehicles, 'vehicle')} in {counted(scenes, 'scene')}"
+    return "\n".join([counts, effect_table(plan.effects, scenes), *skipped_lines(plan)])
+
+
+def skipped_lines(plan: Plan) -> list[str]:
+    """Which scenes are left out because they cannot be read, and why."""
+    if not plan.skipped:
+        return []
+    lines = [f"{counted(len(plan.skipped), 'scene')} left out that cannot be read (scenes.skip_bad):"]
+    lines += [f"  {name}: {why}" for name, why in list(plan.skipped.items())[:_SHOWN]]
+    return lines if len(plan.skipped) <= _SHOWN else [*lines, f"  and {len(plan.skipped) - _SHOWN} more, in spec.yaml"]
 
 
 def plan_lines(plan: Plan) -> Iterator[str]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from types import TracebackType
 
 from shift3d.sweep.running import Running
+from shift3d.wording import counted
 
 __all__ = ["Progress"]
 
@@ -65,4 +66,4 @@ class Progress:
 
 
 def _workers(count: int) -> str:
-    return f"{count} worker{'' if count == 1 else 's'}"
+    return counted(count, "worker")

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
 from shift3d.sweep.ray_token import require_token
 
 __all__ = ["submit_sweep"]
@@ -43,7 +44,7 @@ def submit_sweep(words: Sequence[str], address: str, runtime_env: dict[str, Any]
         asyncio.run(_show(client, job))
     except KeyboardInterrupt:
         print(f"\nthe sweep goes on; to end it as Ctrl-C would: ray job stop {job} --address {address}")
-        return 130
+        return int(ExitCode.INTERRUPTED)
     details = client.get_job_info(job)
     if details.status == "SUCCEEDED":
         return 0

@@ -17,8 +17,8 @@ from shift3d.store.location import Place
 from shift3d.store.log import CommitLog, read_log
 from shift3d.store.schemas import SEGMENTS
 from shift3d.sweep.final import committed_rows
-from shift3d.sweep.folder import read_spec
 from shift3d.sweep.plan import Plan
+from shift3d.sweep.spec_file import read_spec
 
 __all__ = ["take_finished"]
 

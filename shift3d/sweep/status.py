@@ -15,13 +15,17 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location, Place, as_location
-from shift3d.store.log import CommitLog, read_log
-from shift3d.sweep.folder import read_spec
-from shift3d.sweep.running import Running
+from shift3d.store.log import read_log
+from shift3d.sweep.spec_file import read_spec
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from shift3d.store.log import CommitLog
+    from shift3d.sweep.running import Running
 
 __all__ = ["State", "SweepStatus", "Teller", "read_status", "status_lines"]
 
@@ -31,7 +35,7 @@ _EVERY_S = 3.0
 _SILENT_S = 60.0
 _SHOWN = 8
 
-State = Literal["running", "finished", "interrupted", "stopped"]
+State = Literal["starting", "running", "finished", "interrupted", "stopped"]
 
 
 class Teller:
@@ -59,7 +63,8 @@ class Teller:
         now = time.monotonic()
         if state == "running" and now - self._told < _EVERY_S:
             return
-        self._told = now
+        if state == "running":
+            self._told = now
         values = {
             "driver": self._log.driver,
             "host": socket.gethostname(),
@@ -84,7 +89,8 @@ class Teller:
 class SweepStatus:
     """How far a sweep is, by its log, and what its driver last said (None where it said nothing readable).
 
-    driver: of the last log entry.
+    commits: since the log was compacted, where it was. driver: of the last log entry; None where that is a compaction,
+    whose process ended with it.
     """
 
     sweep: str
@@ -92,6 +98,7 @@ class SweepStatus:
     done: int
     quarantined: int
     commits: int
+    compacted: bool
     driver: str | None
     said: dict[str, Any] | None
 
@@ -113,8 +120,11 @@ def read_status(folder: Place) -> SweepStatus:
     done = {task for entry in entries for task in entry.done}
     given_up = {task for entry in entries for task in entry.quarantined} - done
     commits = sum(entry.kind == "commit" for entry in entries)
-    driver = entries[-1].driver if entries else None
-    return SweepStatus(spec["sweep"], int(spec["tasks"]), len(done), len(given_up), commits, driver, _said(folder))
+    compacted = any(entry.kind == "compact" for entry in entries)
+    driver = entries[-1].driver if entries and entries[-1].kind != "compact" else None
+    return SweepStatus(
+        spec["sweep"], int(spec["tasks"]), len(done), len(given_up), commits, compacted, driver, _said(folder)
+    )
 
 
 def _said(folder: Location) -> dict[str, Any] | None:
@@ -133,8 +143,8 @@ def status_lines(status: SweepStatus) -> str:
     """What ``shift3d sweep status`` prints."""
     share = (status.done + status.quarantined) / max(status.planned, 1)
     lines = [
-        f"{status.sweep}: {status.done} of {status.planned} tasks done ({share:.0%}), "
-        f"{status.quarantined} quarantined, {status.left} left, {status.commits} commits"
+        f"{status.sweep}: {status.done} of {counted(status.planned, 'task')} done ({share:.0%}), "
+        f"{status.quarantined} quarantined, {status.left} left, {_commits(status)}"
     ]
     said = status.said
     if said is None:
@@ -146,21 +156,30 @@ def status_lines(status: SweepStatus) -> str:
     if alive == "running":
         rate = said["per_s"]
         eta = f", about {_ago(status.left / rate)} left" if rate > 0 else ""
-        lines.append(f"{rate:.3g} tasks a second on {said['workers']} workers{eta}")
+        lines.append(f"{rate:.3g} tasks a second on {counted(said['workers'], 'worker')}{eta}")
         if said.get("worker_peak_mb"):
             lines.append(f"a worker takes up to {said['worker_peak_mb']:.0f} MB")
         since = time.time() - said["written_unix_s"]
         lines += [f"  runs now: {what}, for {_ago(seconds + since)}" for what, seconds in said["running"]]
         if (more := said["running_calls"] - len(said["running"])) > 0:
-            lines.append(f"  and {more} calls more")
+            lines.append(f"  and {counted(more, 'call')} more")
     return "\n".join(lines)
+
+
+def _commits(status: SweepStatus) -> str:
+    if not status.compacted:
+        return counted(status.commits, "commit")
+    return f"log compacted, {counted(status.commits, 'commit')} since" if status.commits else "log compacted"
 
 
 def _alive(status: SweepStatus, said: dict[str, Any]) -> str:
     """running, or why not. A driver on this machine is looked for; of one elsewhere only its silence tells."""
+    awake = said["state"] in ("starting", "running")
+    if not status.left and (not awake or status.driver != said["driver"]):
+        return "finished"
     if status.driver not in (None, said["driver"]):
         return f"taken over by driver {status.driver}"
-    if said["state"] != "running":
+    if not awake:
         return str(said["state"])
     here = said["host"] == socket.gethostname() and Path("/proc/self").exists()
     if here and not Path(f"/proc/{said['pid']:d}").exists():
@@ -168,7 +187,7 @@ def _alive(status: SweepStatus, said: dict[str, Any]) -> str:
     silent = time.time() - said["written_unix_s"]
     if not here and silent > _SILENT_S:
         return f"silent for {_ago(silent)}; if it is dead, the same command resumes"
-    return "running"
+    return str(said["state"])
 
 
 def _ago(seconds: float) -> str:

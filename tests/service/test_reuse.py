@@ -107,8 +107,8 @@ def test_the_plan_is_shown_with_what_is_left_and_nothing_runs(
     arguments = parse([*words, "default", "scenes.count=6", f"reuse={undisturbed_folder}", f"out={tmp_path / 'out'}"])
     assert (sweep.run_with(arguments, KIND) if words[0] == "sweep" else plan.show(arguments.words, KIND)) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == GROWN + 6 and lines[GROWN].startswith(f"sweep default: {GROWN} tasks (60 shape, 30 pose)")
-    assert lines[GROWN + 2] == f"{SMALL} of {GROWN} tasks are done already"
-    assert lines[GROWN + 3].startswith(f"expected: {GROWN - SMALL} tasks of ") and "core-hours" in lines[GROWN + 3]
-    assert f"{SMALL} tasks that ran in {undisturbed_folder}" in lines[GROWN + 4]
+    assert len(lines) == 7 and lines[0].startswith(f"sweep default: {GROWN} tasks (60 shape, 30 pose)")
+    assert lines[2] == f"{SMALL} of {GROWN} tasks are done already"
+    assert lines[3].startswith(f"expected: {GROWN - SMALL} tasks of ") and "core-hours" in lines[3]
+    assert f"{SMALL} tasks that ran in {undisturbed_folder}" in lines[4]
     assert not (tmp_path / "out").exists()

@@ -10,6 +10,7 @@ from shift3d.report.html.paper import PaperTable, paper_table
 from shift3d.report.html.statistics import Area, area, mean_area, ratio_interval
 from shift3d.report.html.sweep import METHODS, Variant
 from shift3d.vehicles.outline import CAR_RULE
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,10 +40,13 @@ def areas(found: list[Variant]) -> Section:
     return Section("auc", "Area under the curve", body)
 
 
-def in_short(found: list[Variant]) -> Section:
-    """How far the mean AUC falls, a line a variant, and how far it fell in the paper over the same vehicles."""
+def in_short(found: list[Variant], unplaced: str | None = None) -> Section:
+    """How far the mean AUC falls, a line a variant, and how far it fell in the paper over the same vehicles.
+
+    unplaced: what is said where no vehicle found a place.
+    """
     if not found:
-        return Section("short", "In short", [paragraph("No task has a score.", "missing")])
+        return Section("short", "In short", [paragraph(unplaced or "No task has a score.", "missing")])
     lines = [f"<li>{escape(_headline(variant))}</li>" for variant in found]
     return Section("short", "In short", [f"<ul>{''.join(lines)}</ul>"])
 
@@ -62,12 +66,11 @@ def _headline(variant: Variant) -> str:
         if known:
             old, new = (sum(paper.auc[key][vehicle] for vehicle in known) for key in ("baseline", "adversarial"))
             text += f" (paper: {new / old:.2f})"
-    return f"{text}; {after.scenes} scene{'s' if after.scenes != 1 else ''}, {_vehicles(variant)}."
+    return f"{text}; {counted(after.scenes, 'scene')}, {_vehicles(variant)}."
 
 
 def _vehicles(variant: Variant) -> str:
-    count = len(variant.vehicles)
-    return f"{count} vehicle{'s' if count != 1 else ''}"
+    return counted(len(variant.vehicles), "vehicle")
 
 
 def _table(variant: Variant) -> list[str]:

@@ -16,6 +16,7 @@ from shift3d.report.html.hardest import Case, Seen, hardest, see
 from shift3d.report.html.measures import DEFINITIONS, change_lines, in_words, measure_mesh
 from shift3d.report.html.paths import case_path
 from shift3d.report.html.sweep import Sweep
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import trimesh
@@ -58,7 +59,7 @@ def _about(broken: set[str], chosen: list[Case]) -> str:
     if not broken:
         return ""
     if not shown:
-        return f" Shapes that are no longer cars ({len(broken)} tasks) are left out: they are easy to miss."
+        return f" Shapes that are no longer cars ({counted(len(broken), 'task')}) are left out: they are easy to miss."
     return f" The last {shown} are no longer cars: there were not enough others."
 
 

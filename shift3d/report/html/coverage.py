@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from shift3d.report.html.document import Section, paragraph, table
 from shift3d.report.html.sweep import METHODS, Sweep
+from shift3d.sweep.plan_view import skipped_lines
 
 __all__ = ["coverage_section"]
 
@@ -28,6 +29,7 @@ def coverage_section(sweep: Sweep) -> Section:
     body += [paragraph(f"Quarantined: {row.task_id}: {row.error}"[:400]) for row in given_up.head(_SHOWN).itertuples()]
     if len(given_up) > _SHOWN:
         body.append(paragraph(f"And {len(given_up) - _SHOWN} more in final/attempts.parquet."))
+    body += [paragraph(line.strip()) for line in skipped_lines(sweep.plan)]
     if given_up.empty and failed.empty and len(scored) == planned:
         body.append(paragraph("Nothing failed and nothing is missing."))
     return Section("coverage", "Failures and coverage", body)

@@ -9,6 +9,7 @@ from typing import Any
 from shift3d.report.html.document import Section, aside, paragraph, table, terms
 from shift3d.report.html.sweep import Sweep
 from shift3d.sweep.tasks import TaskGroup
+from shift3d.wording import counted
 
 __all__ = ["overview"]
 
@@ -87,7 +88,8 @@ def _cost(sweep: Sweep) -> list[str]:
     if rest > 0:
         lines.append(["everything else", _seconds(rest), f"{rest / total:.1%}", ""])
     caption = (
-        f"Time by stage over {tasks} tasks, one thread each: {_seconds(total)} in all, {total / tasks:.1f} s a task"
+        f"Time by stage over {counted(tasks, 'task')}, one thread each: {_seconds(total)} in all, "
+        f"{total / tasks:.1f} s a task"
     )
     failed = sweep.attempts[sweep.attempts["outcome"] != "done"]
     wasted = f"Attempts that failed took {_seconds(float(failed['seconds'].sum()))} more." if len(failed) else ""

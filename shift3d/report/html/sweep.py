@@ -131,6 +131,8 @@ def _environment(path: Location) -> dict[str, Any]:
 def variants(sweep: Sweep) -> list[Variant]:
     """Shape before pose; of one mode, the attacked detector's own scores before those of others."""
     chosen = sweep.auc[sweep.auc["selected"] & sweep.auc["auc"].notna()][list(GROUP_COLUMNS)].drop_duplicates()
+    if chosen.empty:
+        return []
     rows = sweep.scored.merge(chosen, on=list(GROUP_COLUMNS), how="inner")
     several = [name for name in _VARIANT[1:] if rows[name].nunique() > 1]
     found = []

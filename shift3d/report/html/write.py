@@ -17,7 +17,9 @@ from shift3d.report.html.overview import overview
 from shift3d.report.html.paths import paths
 from shift3d.report.html.stability import stability
 from shift3d.report.html.sweep import Sweep, read_sweep, variants
+from shift3d.report.placement import nothing_placed
 from shift3d.store.location import Location, Place, as_location
+from shift3d.wording import counted
 
 __all__ = ["report_page", "write_report"]
 
@@ -26,7 +28,7 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     """The page of a sweep; the same sweep to the same text. cases: hard cases to show, fewer where fewer fell."""
     found = variants(sweep)
     sections = [
-        in_short(found),
+        in_short(found, nothing_placed(sweep.scores, sweep.plan.settings)),
         overview(sweep),
         areas(found),
         differences(found),
@@ -42,8 +44,8 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         coverage_section(sweep),
     ]
     lead = (
-        f"{len(sweep.plan.tasks)} attacks on a LiDAR vehicle detector: a vehicle is inserted into a scene, and its "
-        "shape or pose is changed, by the detector's gradient, until the detector misses it."
+        f"{counted(len(sweep.plan.tasks), 'attack')} on a LiDAR vehicle detector: a vehicle is inserted into a scene, "
+        "and its shape or pose is changed, by the detector's gradient, until the detector misses it."
     )
     return document(f"shift3d: {sweep.plan.sweep}", lead, sections, plotly_library())
 

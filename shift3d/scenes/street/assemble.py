@@ -59,7 +59,7 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
         return_number=second if options.returns > 1 else None,
         time_s=echoes.time_s,
         range_image_index=echoes.pixel if options.sensors == 1 else None,
-        conditions=_conditions(options),
+        conditions=conditions_of(options),
         sensor=sensor_model(sensor) if options.sensor_model else None,
         silent=silent_beams(sweeps, compensated) if options.range_image else None,
     )
@@ -103,7 +103,7 @@ def _sense(
     return joined, sweeps, is_second.astype(np.uint8)
 
 
-def _conditions(options: StreetOptions) -> Conditions:
+def conditions_of(options: StreetOptions) -> Conditions:
     """Weather is stated here and not in the points; dry streets that stand still state nothing."""
     velocity = (float(options.ego_speed_m_s), 0.0, 0.0) if options.ego_speed_m_s else None
     dry = Conditions()

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from shift3d.scenes.street.raycast import Intersector
 from shift3d.seeding import generator
+from shift3d.store.user_cache import user_cache
 
 POOL_SIZES = {"train": 270, "val": 90, "test": 90}
 RESOLUTION_M = 0.07
@@ -105,8 +106,7 @@ def cache_folder() -> Path:
     digest = hashlib.blake2b(str(RESOLUTION_M).encode(), digest_size=8)
     for module in sorted(_modules_behind(family, set()), key=lambda module: module.__name__):
         digest.update(module.__name__.encode() + Path(str(module.__file__)).read_bytes())
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return root / "shift3d" / f"street-pool-{digest.hexdigest()}"
+    return user_cache() / f"street-pool-{digest.hexdigest()}"
 
 
 def _modules_behind(module: ModuleType, found: set[ModuleType]) -> set[ModuleType]:

@@ -11,7 +11,7 @@ import pytest
 from shift3d.cli.command import key_values
 from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
-from shift3d.cli.sweep import split_words
+from shift3d.cli.words import split_words
 from shift3d.errors import InputError
 from shift3d.store.location import as_location
 

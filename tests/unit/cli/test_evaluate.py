@@ -63,7 +63,7 @@ def test_one_real_frame_and_the_same_command_again(
     words = ["evaluate", "detector=pointpillars", "scenes=kitti", f"root={tmp_path}", "count=1", f"out={out}"]
     assert main(words) == 0
     printed = capsys.readouterr().out
-    assert "pointpillars on kitti: 1 scenes" in printed and "moderate" in printed
+    assert "pointpillars on kitti: 1 scene," in printed and "moderate" in printed
     metrics = pd.read_parquet(out / "metrics.parquet")
     assert set(metrics["protocol"]) == {"waymo", "waymo_strict", "kitti", "shift3d"}
     assert metrics["value"].dropna().between(0.0, 1.0).all() and metrics["value"].notna().any()

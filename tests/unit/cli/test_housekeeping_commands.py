@@ -49,7 +49,7 @@ def test_gc_says_what_it_does(folder: Path, capsys: pytest.CaptureFixture[str]) 
     before = files(folder)
     assert main(["gc", str(folder), "--dry-run"]) == 0
     said = capsys.readouterr().out
-    assert "1 segments that no log entry names" in said and "would be removed" in said and str(orphan) in said
+    assert "1 segment that no log entry names" in said and "would be removed" in said and str(orphan) in said
     assert "left alone, not written by shift3d" in said and files(folder) == before
     assert main(["gc", str(folder)]) == 0
     assert before.keys() - files(folder).keys() == {str(orphan)}

@@ -40,7 +40,7 @@ def test_by_earlier_tasks_of_the_same_settings(tmp_path: Path) -> None:
     folder = ran(tmp_path / "earlier", plan_of("mode=shape", "scene=north"), 6.0)
     found = expected(plan_of("mode=shape").tasks, [folder])
     assert (found.tasks, found.guessed) == (2, 0) and found.seconds == pytest.approx(12.0)
-    assert f"1 tasks that ran in {folder}" in found.source
+    assert f"1 task that ran in {folder}" in found.source
 
 
 def test_other_settings_are_scaled_by_the_figures_that_ship(tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_what_is_done_is_not_counted(tmp_path: Path) -> None:
     folder = ran(tmp_path / "earlier", north, 36.0)
     lines = expected_lines(both, tmp_path / "out", [folder], [], 4).splitlines()
     assert lines[0] == "1 of 2 tasks are done already"
-    assert lines[1] == "expected: 1 tasks of 36 s: 36 s with 4 workers (runner.workers=N), 0.01 core-hours"
+    assert lines[1] == "expected: 1 task of 36 s: 36 s with 4 workers (runner.workers=N), 0.01 core-hours"
     assert expected_lines(north, folder, [], [], 1).endswith("nothing is left to run")
 
 

@@ -35,7 +35,7 @@ def test_fitted_mesh_is_a_vehicle_like_those_that_ship(
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
     out = tmp_path / "set"
     assert main(["fit", str(hatchback), "unit=mm", f"out={out}", "steps=60"]) == 0
-    assert "1 vehicles in" in capsys.readouterr().out
+    assert "1 vehicle in" in capsys.readouterr().out
     (vehicle,) = baseline_vehicles(out / "vehicles.safetensors").values()
     assert (vehicle.name, vehicle.body_type) == ("hatchback_of_mine", "hatchback")
     mesh = build_mesh(sample_spec("hatchback", generator("fit test")), resolution_m=0.05)

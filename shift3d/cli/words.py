@@ -1,0 +1,107 @@
+"""The words after ``shift3d sweep`` and ``shift3d plan``: a sweep or its folder, overrides, and where it runs."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from shift3d.cli.completion import sweep_words
+from shift3d.errors import InputError
+
+if TYPE_CHECKING:
+    from shift3d.cli.jobs import JobSpec
+    from shift3d.store.location import Location
+
+__all__ = ["Request", "add_words", "read_words", "split_words", "take_folders"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a command line asks for.
+
+    out: the folder to write to; None: the usual one. reuse: folders of other sweeps. job: the launch spec, whose
+    runner is part of the overrides.
+    """
+
+    name: str
+    overrides: list[str]
+    out: Location | None
+    reuse: list[Location]
+    job: JobSpec | None
+
+
+def add_words(parser: argparse.ArgumentParser) -> None:
+    """The words, as argparse and tab completion see them."""
+    words = parser.add_argument(
+        "words",
+        nargs="*",
+        metavar="NAME | key=value",
+        help="the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs",
+    )
+    words.completer = sweep_words  # type: ignore[attr-defined]
+
+
+def read_words(words: Sequence[str]) -> Request:
+    """Words to what they ask for.
+
+    Raises:
+        InputError: a folder that cannot be used, a job that there is not, or a sweep's folder that is damaged.
+    """
+    from shift3d.cli.jobs import take_job
+
+    reuse, rest = take_folders("reuse", words)
+    job, typed = take_job(rest)
+    name, overrides, out = split_words(_words_of_folder(typed))
+    if job:
+        # Not the runner that the folder was begun with.
+        overrides = [word for word in overrides if word in typed or not word.startswith("runner")]
+        overrides = [*job.overrides(overrides), *overrides]
+    return Request(name, overrides, out, reuse, job)
+
+
+def split_words(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
+    """Words to (name, overrides, out).
+
+    Raises:
+        InputError: out= is empty, or a URL that cannot be used.
+    """
+    name = "default"
+    if words and "=" not in words[0] and not words[0].startswith(("+", "~")):
+        name, words = words[0], words[1:]
+    out, rest = take_folders("out", words)
+    return name, rest, out[-1] if out else None
+
+
+def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[str]]:
+    """The folders that words name as ``key=FOLDER``, and the other words.
+
+    Raises:
+        InputError: one is empty, or a URL that cannot be used.
+    """
+    from shift3d.store.location import as_location
+
+    named = [word.removeprefix(f"{key}=") for word in words if word.startswith(f"{key}=")]
+    if not all(named):
+        # An unset variable of the shell leaves nothing; a path of no parts would be the current folder.
+        raise InputError(
+            f"{key}= is empty", remedy=f"Give {key}=FOLDER, or no {key}= at all; is a variable of the shell unset?"
+        )
+    return [as_location(folder) for folder in named], [word for word in words if not word.startswith(f"{key}=")]
+
+
+def _words_of_folder(words: list[str]) -> list[str]:
+    """The words that a sweep was begun with where its output folder stands for them; words after it are added."""
+    if not words or "=" in words[0]:
+        return words
+    from shift3d.store.location import as_location
+    from shift3d.sweep.spec_file import read_spec
+
+    folder = as_location(words[0])
+    if not (folder / "spec.yaml").is_file():
+        return words
+    spec = read_spec(folder)
+    changed = {word.partition("=")[0] for word in words[1:]}
+    kept = [word for word in spec["overrides"] if word.partition("=")[0] not in changed]
+    return [spec["sweep"], *kept, *words[1:], f"out={folder}"]

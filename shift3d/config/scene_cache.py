@@ -1,0 +1,79 @@
+"""What was found out about scenes by making or reading them, kept in the user's cache folder.
+
+A file a scene, under a name that changes with everything its content depends on: its configuration or the state of its
+files, the source of this program that makes scenes, the libraries under it and the machine. A cache that cannot be
+written is done without.
+
+Source: our choice.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import importlib.metadata
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from shift3d.errors import InputError
+from shift3d.scenes.facts import SceneFacts
+from shift3d.store.atomic import write_atomic
+from shift3d.store.user_cache import user_cache
+
+__all__ = ["SceneEntry", "keep_entry", "kept_entry"]
+
+# Layers that scenes are made by, and libraries that their last bits may depend on.
+_SOURCES = ("scenes", "vehicles", "sdf", "geometry", "seeding.py")
+_LIBRARIES = ("numpy", "scipy", "embreex", "trimesh", "scikit-image", "libigl", "fast-simplification")
+
+
+@dataclass(frozen=True)
+class SceneEntry:
+    """One scene: its name in the set, its data set, the hash of its content, and what it may call for.
+
+    content_hash: empty where the scene has not been made yet and its configuration says the rest.
+    """
+
+    name: str
+    dataset: str
+    content_hash: str
+    facts: SceneFacts
+
+
+def kept_entry(source: Sequence[object]) -> SceneEntry | None:
+    """The entry that was kept for a scene. source: as `SceneSet.source` has it."""
+    try:
+        return TypeAdapter(SceneEntry).validate_python(json.loads(_file(source).read_bytes()))
+    except (OSError, ValueError, ValidationError, RecursionError):
+        return None
+
+
+def keep_entry(source: Sequence[object], entry: SceneEntry) -> None:
+    """Keep an entry for `kept_entry`."""
+    with contextlib.suppress(InputError, OSError):
+        write_atomic(_file(source), json.dumps(asdict(entry)).encode())
+
+
+def _file(source: Sequence[object]) -> Path:
+    key = hashlib.blake2b(json.dumps([_program(), *source]).encode(), digest_size=16).hexdigest()
+    return user_cache() / "scenes" / f"{key}.json"
+
+
+@functools.cache
+def _program() -> str:
+    """A hash of what makes scenes on this machine."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.blake2b(platform.node().encode(), digest_size=16)
+    for library in _LIBRARIES:
+        digest.update(f"{library} {importlib.metadata.version(library)}\n".encode())
+    for name in _SOURCES:
+        path = package / name
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,35 @@
+"""The exit codes of the commands: one list, which the code takes them from and the help shows."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+__all__ = ["ExitCode", "exit_codes"]
+
+
+class ExitCode(IntEnum):
+    """What a command's exit code says; argparse has 2 for its own errors, too."""
+
+    DONE = 0
+    UNUSABLE = 2
+    INCOMPLETE = 3
+    TAKEN_OVER = 4
+    ABORTED = 5
+    INTERRUPTED = 130
+    NO_READER = 141
+
+
+_MEANINGS = {
+    ExitCode.DONE: "done",
+    ExitCode.UNUSABLE: "something you gave cannot be used",
+    ExitCode.INCOMPLETE: "done, but tasks were quarantined or no vehicle found a place",
+    ExitCode.TAKEN_OVER: "another driver took the sweep over",
+    ExitCode.ABORTED: "too many tasks failed to go on",
+    ExitCode.INTERRUPTED: "interrupted",
+    ExitCode.NO_READER: "the reader of the output left",
+}
+
+
+def exit_codes() -> str:
+    """All of them in one sentence."""
+    return "exit codes: " + "; ".join(f"{int(code)} {meaning}" for code, meaning in _MEANINGS.items())

@@ -1,0 +1,30 @@
+"""``make sweep``: what make would run, without running it."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+
+pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="no make")
+
+
+def command(*words: str) -> list[str]:
+    """The words of the last command that make would run."""
+    done = subprocess.run(["make", "-n", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+    return shlex.split(done.stdout.splitlines()[-1])[1:]
+
+
+def test_words_that_make_takes_for_variables_reach_the_command() -> None:
+    assert command("sweep") == ["sweep", "default"]
+    assert command("sweep", "SWEEP=kitti", "ARGS=scenes.root=a out=b") == ["sweep", "kitti", "scenes.root=a", "out=b"]
+    given = command("sweep", "out=/proc/x", "effects=[fog,rain]", "scenes.count=3")
+    assert given[:2] == ["sweep", "default"]
+    assert sorted(given[2:]) == ["effects=[fog,rain]", "out=/proc/x", "scenes.count=3"]
+    assert command("sweep", "out=") == ["sweep", "default", "out="]
+    assert command("verify", "OUT=here", "runner=local") == ["verify", "here", "runner=local"]

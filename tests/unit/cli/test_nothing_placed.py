@@ -1,0 +1,47 @@
+"""A sweep in which no vehicle found a place says so first, and ends with a code of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from shift3d.cli.main import main
+from shift3d.exit_codes import ExitCode
+from shift3d.report.placement import nothing_placed
+
+PLACEMENT = {
+    "attempts": 2,
+    "min_object_points": 300,
+    "min_range_m": 15.0,
+    "max_range_m": 50.0,
+    "contact_m": 0.02,
+    "overlap_m": 0.02,
+}
+SETTINGS = {"attack": {"placement": PLACEMENT}}
+
+
+def test_only_a_sweep_without_any_place_is_one() -> None:
+    def scores(*status: str) -> pd.DataFrame:
+        return pd.DataFrame({"task_id": list("abc")[: len(status)], "status": list(status)})
+
+    assert nothing_placed(scores(), SETTINGS) is None, "every task was quarantined"
+    assert nothing_placed(scores("ok", "no_placement"), SETTINGS) is None
+    assert "all 2 tasks" in str(nothing_placed(scores("no_placement", "no_placement"), SETTINGS))
+
+
+def test_nothing_fitted_is_said_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    one = ["smoke", "scenes.count=1", "vehicle=suv", "mode=shape", "attack.lambda=1", "runner=local", "tracking=none"]
+    nowhere = ["attack.placement.min_object_points=100000", "attack.placement.attempts=1", "out=out"]
+    assert main(["sweep", *one, *nowhere]) == ExitCode.INCOMPLETE == 3
+    _, said = capsys.readouterr().out.split("writing to out\n")
+    first = said.strip().splitlines()[0]
+    assert first.startswith("no vehicle found a place") and "attack.placement.min_object_points" in first
+    assert "verify" not in said and "AUC" not in said and "0 of 1 task scored" in said
+    assert main(["report", "out"]) == 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.index("no vehicle found a place") < page.index("<table")

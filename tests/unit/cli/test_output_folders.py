@@ -1,0 +1,85 @@
+"""Folders that a command is to write to: one that it cannot is one line, before the work begins."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from shift3d.cli.main import main
+
+ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1"]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(arguments) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+RUNS = (["sweep"], ["sweep", "--dry-run"], ["sweep", "plan"], ["plan"])
+
+
+@pytest.mark.parametrize("command", RUNS, ids=" ".join)
+def test_a_folder_that_cannot_be_written_is_one_line(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("text")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("text")
+    smoke = [*command, "smoke", "scenes.count=1", *ONE, "runner=local", "tracking=none"]
+    places = {
+        "file/below": "part of this path is a file",
+        "file": "part of this path is a file",
+        "/proc/x": "nothing can be written here",
+        "/sys/x/y": "nothing can be written here",
+        "full": "not empty",
+    }
+    for place, why in places.items():
+        line = refused([*smoke, f"out={place}"], capsys)
+        assert why in line and place in line and "out=DIR" in line
+    if os.geteuid():
+        (tmp_path / "locked").mkdir(mode=0o500)
+        assert "no permission" in refused([*smoke, "out=locked/x"], capsys)
+    assert sorted(path.name for path in tmp_path.iterdir() if path.name != "locked") == ["file", "full"]
+
+
+@pytest.mark.parametrize("command", RUNS, ids=" ".join)
+@pytest.mark.parametrize("key", ["out", "reuse"])
+def test_an_empty_folder_is_an_unset_variable(command: list[str], key: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert f"{key}= is empty" in refused([*command, "smoke", f"{key}="], capsys)
+
+
+@pytest.mark.parametrize("command", ["verify", "report", "gc", "compact", "effects"])
+def test_an_empty_word_is_no_folder(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "is empty" in refused([command, ""], capsys)
+
+
+def test_no_key_is_empty(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["train", "model=sdf", "out="], ["evaluate", "detector=sst", "out="]):
+        assert "out= is empty" in refused(words, capsys)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["train", "model=pointpillars", "count=1", "inserted=0", "steps=2", "mlflow=none"],
+        ["evaluate", "detector=pointpillars", "count=1"],
+        ["fit", "car.glb", "unit=m"],
+        ["frontier", "--quick"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_other_commands_say_it_before_they_work(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("text")
+    for place in ("file/below", "/proc/x"):
+        assert place in refused([*words, f"out={place}"], capsys)

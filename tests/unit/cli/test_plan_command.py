@@ -1,0 +1,51 @@
+"""``shift3d plan``: the summary first, the list where it is asked for, and what the sweep itself would refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from shift3d.cli.main import main
+from shift3d.config import scene_cache
+from shift3d.scenes.sets import StreetScenes
+
+ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1"]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_the_summary_comes_first_and_the_list_is_folded(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "plan", "default", "scenes.count=2", *ONE]) == 0
+    folded = capsys.readouterr().out.splitlines()
+    assert folded[0].startswith("sweep default: 2 tasks") and folded[-1] == "every task with its id: --tasks"
+    assert main(["plan", "default", "scenes.count=2", *ONE, "--tasks"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert listed[: len(folded) - 1] == folded[:-1]
+    assert [line.split()[2] for line in listed[-2:]] == StreetScenes("mixed", count=2).names()
+
+
+def test_a_plan_of_many_streets_makes_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(scene_cache, "user_cache", lambda: tmp_path / "cache")
+    monkeypatch.setattr(StreetScenes, "load", lambda self, name: pytest.fail(f"{name} was made"))
+    words = ["scenes.count=500", "scenes.sensor_model=true", "effects.rain_mm_h=10", *ONE]
+    assert main(["sweep", "plan", "default", *words]) == 0
+    said = capsys.readouterr().out
+    assert "500 tasks" in said and "500 of 500" in said and "outputs/default-HASH" in said
+
+
+def test_a_dry_run_is_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "default", "scenes.count=1", *ONE, "--dry-run"]) == 0
+    dry = capsys.readouterr().out
+    assert main(["sweep", "plan", "default", "scenes.count=1", *ONE]) == 0
+    assert capsys.readouterr().out == dry
+
+
+def test_tasks_are_listed_of_plans_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sweep", "default", "--tasks"]) == 2
+    assert "sweep plan NAME --tasks" in capsys.readouterr().err

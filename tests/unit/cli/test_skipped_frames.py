@@ -1,0 +1,87 @@
+"""Frames that cannot be read: one refuses a sweep, or is left out and listed where that is asked for."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+import valid_frames
+
+from shift3d.cli.main import main
+from shift3d.sweep.folder import read_plan
+
+ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1", "attack.placement.attempts=1", "runner=local", "tracking=none"]
+BAD = {
+    "000008": "5 bytes is not a whole number",
+    "000009": "cannot read the frame",
+    "000010": "cannot read the calibration file",
+    "000011": "unknown class 'Unicorn'",
+}
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """One frame that is as it should be, and four that are not."""
+    monkeypatch.chdir(tmp_path)
+    valid_frames.write_frame(tmp_path)
+    folder = tmp_path / "training"
+    for name in BAD:
+        for path in [folder / "velodyne" / "000007.bin", *folder.glob("*/000007.txt")]:
+            shutil.copy(path, path.with_stem(name))
+    (folder / "velodyne" / "000008.bin").write_bytes(b"short")
+    (folder / "velodyne" / "000009.bin").unlink()
+    (folder / "calib" / "000010.txt").unlink()
+    (folder / "label_2" / "000011.txt").write_text("Unicorn" + valid_frames.LABELS.splitlines()[0].removeprefix("Car"))
+    return tmp_path
+
+
+def words(root: Path, *more: str) -> list[str]:
+    return ["kitti", f"scenes.root={root}", "scenes.count=null", *ONE, *more]
+
+
+def all_listed(text: str) -> bool:
+    return "4 scenes left out" in text and all(name in text and why in text for name, why in BAD.items())
+
+
+def test_a_bad_frame_refuses_the_sweep(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", *words(root)]) == 2
+    assert "000009.bin" in capsys.readouterr().err
+    assert main(["plan", *words(root, "scenes.names=[000007,000008]")]) == 2
+    said = capsys.readouterr().err
+    assert "5 bytes" in said and "scenes.skip_bad=true" in said
+
+
+def test_bad_frames_are_left_out_and_listed(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    skip = words(root, "scenes.skip_bad=true")
+    assert main(["plan", *skip]) == 0
+    said = capsys.readouterr().out
+    assert "1 task (1 shape) of 1 vehicle in 1 scene" in said and all_listed(said)
+    assert main(["sweep", *skip, "out=out"]) == 3, "nothing fits into so small a frame"
+    before, after = capsys.readouterr().out.split("writing to out")
+    assert all_listed(before) and all_listed(after)
+    plan = read_plan("out")
+    assert [name for _, name in plan.tasks.scenes()] == ["000007"] and plan.skipped.keys() == BAD.keys()
+    assert main(["report", "out"]) == 0
+    page = (root / "out" / "report.html").read_text()
+    assert all(name in page for name in BAD) and "4 scenes left out" in page
+    assert main(["sweep", *skip, "out=out"]) == 3, "the same command again is the same sweep"
+
+
+def test_ids_do_not_depend_on_it(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ids = []
+    for skip in ("false", "true"):
+        assert main(["plan", *words(root, "scenes.names=[000007]", f"scenes.skip_bad={skip}"), "--tasks"]) == 0
+        ids.append(capsys.readouterr().out.splitlines()[-1].split()[0])
+    assert ids[0] == ids[1]
+
+
+def test_a_name_that_is_no_frame_is_left_out_too(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", *words(root, "scenes.names=[000007,999999]", "scenes.skip_bad=true")]) == 0
+    assert "1 scene left out" in capsys.readouterr().out
+
+
+def test_without_one_good_frame_the_first_reason_is_the_error(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", *words(root, "scenes.names=[000008,000010]", "scenes.skip_bad=true")]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and "5 bytes" in lines[0]

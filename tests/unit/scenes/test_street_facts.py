@@ -1,0 +1,59 @@
+"""What a street's configuration says of its scenes, beside what the made scene says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from shift3d.render.called_for import NEEDS, DetectorFacts, choose
+from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.sets import StreetScenes
+from shift3d.scenes.street.options import StreetOptions
+
+READER = DetectorFacts("a reader", reads_reflectance=True)
+SAID = (
+    EffectSettings(),
+    EffectSettings(object_speed_m_s=8.0),
+    EffectSettings(visibility_m=60.0, range_noise_m=0.02),
+    EffectSettings(rain_mm_h=20.0, limit_range_m=60.0, divergence_rad=3e-3),
+)
+OPTIONS: tuple[dict[str, Any], ...] = (
+    {},
+    {"weather": "rain", "sensor_model": True},
+    {"weather": "fog", "visibility_m": 50.0},
+    {"range_image": True, "returns": 2},
+    {"sensors": 5, "sensor_model": True},
+    {"ego_speed_m_s": 15.0},
+    {"ego_speed_m_s": 15.0, "motion_compensated": True},
+)
+
+
+class AnyVehicle:
+    """Effects ask nothing of it."""
+
+
+def decided(facts: SceneFacts, said: EffectSettings) -> list[tuple[str, bool]]:
+    choices = choose("auto", facts.described(said), AnyVehicle(), READER)  # type: ignore[arg-type]
+    return [(choice.effect, choice.used) for choice in choices]
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=lambda options: StreetOptions(**options).tag or "plain")
+@pytest.mark.parametrize("seed", [0, 7])
+def test_the_configuration_decides_as_the_made_scene_does(seed: int, options: dict[str, Any]) -> None:
+    scenes = StreetScenes("mixed", seed, count=2, start=seed, options=StreetOptions(**options))
+    for name in scenes.names():
+        made = scenes.load(name)
+        dataset, facts = scenes.configured(name)
+        seen = SceneFacts.of(made)
+        assert (dataset, facts.scene_id) == (made.dataset, made.scene_id)
+        assert bool(facts.silent_beams) == bool(seen.silent_beams) and facts.silent_beams <= seen.silent_beams
+        assert facts.scan_s == pytest.approx(seen.scan_s, rel=1e-2)
+        assert replace(facts, silent_beams=0, scan_s=0.0) == replace(seen, silent_beams=0, scan_s=0.0)
+        for name, need in NEEDS.items():
+            assert need.present(facts) == need.present(seen), name
+        for said in SAID:
+            if said.given().keys() & {"visibility_m", "rain_mm_h"} and made.conditions.weather != "dry":
+                continue
+            assert decided(facts, said) == decided(seen, said)

@@ -1,0 +1,103 @@
+"""What is said of a sweep to another shell: also after it was resumed or compacted, and at once."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import valid_sweeps
+
+from shift3d.config.schema import LocalRunnerConfig
+from shift3d.errors import InputError
+from shift3d.store.housekeeping import compact
+from shift3d.store.log import CommitLog
+from shift3d.sweep.drive import run_sweep
+from shift3d.sweep.kind import TaskKind
+from shift3d.sweep.status import Teller, read_status, status_lines
+
+LOCAL = LocalRunnerConfig(kind="local", commit_seconds=0.0, abort_after=None, abort_share=None)
+HASH = valid_sweeps.plan().spec_hash
+
+
+def not_wanted(*_: object) -> object:
+    raise AssertionError("nothing is left to run")
+
+
+def unloadable(*_: object) -> object:
+    raise InputError("no weights")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A finished sweep whose driver said so."""
+    valid_sweeps.write_sweep(tmp_path / "sweep")
+    Teller(CommitLog(tmp_path / "sweep", HASH), 2).tell([], 1, "finished")
+    return tmp_path / "sweep"
+
+
+def said(folder: Path) -> str:
+    return status_lines(read_status(folder))
+
+
+def test_a_finished_sweep(folder: Path) -> None:
+    assert "2 of 2 tasks done (100%), 0 quarantined, 0 left, 2 commits" in said(folder) and ": finished" in said(folder)
+
+
+def test_a_finished_sweep_that_is_run_again_is_finished(folder: Path) -> None:
+    run_sweep(valid_sweeps.plan(), LOCAL, TaskKind(not_wanted, not_wanted, not_wanted), folder)  # type: ignore[arg-type]
+    assert ": finished" in said(folder) and "2 commits" in said(folder)
+    assert f"driver {CommitLog(folder, HASH).entries[-2].driver}" in said(folder), "the last one says it"
+
+
+def test_a_finished_sweep_whose_last_driver_said_nothing_is_finished(folder: Path) -> None:
+    CommitLog(folder, HASH)
+    assert ": finished" in said(folder) and "taken over" not in said(folder)
+
+
+def test_a_compacted_sweep_is_finished_and_says_what_became_of_its_commits(folder: Path) -> None:
+    compact(folder)
+    assert ": finished" in said(folder) and said(folder).splitlines()[0].endswith("0 left, log compacted")
+
+
+def unfinished(folder: Path, state: str) -> CommitLog:
+    """A sweep of which one task is done, by a driver that said so and is not there any more."""
+    valid_sweeps.write_sweep(folder)
+    last = max((folder / "_log").glob("*.json"))
+    last.unlink()
+    log = CommitLog(folder, HASH)
+    Teller(log, 2).tell([], 1, state)  # type: ignore[arg-type]
+    return log
+
+
+def test_an_unfinished_sweep_that_was_compacted_is_what_its_driver_said(tmp_path: Path) -> None:
+    unfinished(tmp_path, "interrupted")
+    compact(tmp_path)
+    assert "1 left, log compacted" in said(tmp_path) and ": interrupted" in said(tmp_path)
+
+
+def test_another_driver_takes_an_unfinished_sweep_over(tmp_path: Path) -> None:
+    unfinished(tmp_path, "running")
+    other = CommitLog(tmp_path, HASH)
+    assert f"taken over by driver {other.driver}" in said(tmp_path)
+
+
+def test_a_driver_speaks_before_its_first_task(tmp_path: Path) -> None:
+    unfinished(tmp_path, "interrupted")
+    with pytest.raises(InputError, match="no weights"):
+        run_sweep(valid_sweeps.plan(), LOCAL, TaskKind(not_wanted, unloadable, not_wanted), tmp_path)  # type: ignore[arg-type]
+    assert ": stopped" in said(tmp_path)
+
+
+def test_it_is_polled_and_imports_nothing_heavy(folder: Path) -> None:
+    heavy = "('torch', 'ray', 'mlflow', 'hydra', 'pandas', 'trimesh', 'scipy', 'pydantic')"
+    code = (
+        f"import sys, shift3d.cli.main as m\nm.main(['sweep', 'status', {str(folder)!r}])\n"
+        f"sys.exit(str([name for name in {heavy} if name in sys.modules] or ''))"
+    )
+    began = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "2 of 2 tasks done" in done.stdout and done.stderr.strip() == "", done.stderr
+    assert time.monotonic() - began < 5.0, "well under a second on a machine that does nothing else"
