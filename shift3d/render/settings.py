@@ -88,7 +88,7 @@ class RenderSettings:
     tolerance_m: float = 3e-6
     final_newton_m: float = 1e-3
     max_iterations: int = 60
-    box_margin_m: float = 0.05
+    box_margin_m: float = 0.1
     sphere_chord_only: bool = False
     warm_start: bool = True
     warm_refresh: int = 40
