@@ -17,7 +17,7 @@ from shift3d.tracking.sweep_groups import MOST_GROUPS, Recall, groups, metric_na
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["SweepRecord", "mirror", "patience", "serve_command"]
+__all__ = ["SweepRecord", "mirror", "patience"]
 
 # An MLflow that is away must not hold a finished sweep up for MLflow's own default of minutes.
 _PATIENCE = {
@@ -196,21 +196,6 @@ def _params(record: SweepRecord) -> dict[str, str]:
 
     walk(record.settings, "")
     return flat
-
-
-def serve_command(uri: str, port: int, workers: int = 1) -> list[str]:
-    """Arguments of ``mlflow ui`` on loopback."""
-    return [
-        "ui",
-        "--backend-store-uri",
-        uri,
-        "--host",
-        "127.0.0.1",
-        "--port",
-        str(port),
-        "--workers",
-        str(workers),
-    ]
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ import pytest
 
 from shift3d.evaluation.recall_curve import recall_curve
 from shift3d.tracking import sweep_groups
-from shift3d.tracking.mlflow import SweepRecord, mirror, serve_command
+from shift3d.tracking.mlflow import SweepRecord, mirror
 
 SAME = {"sweep": "default", "dataset": "street", "mode": "shape", "alpha": 0.01, "detector": "p", "scored_by": "p"}
 SAME |= {"accuracy": "standard", "effects": "auto"}
@@ -174,8 +174,3 @@ def test_an_mlflow_that_is_away_is_a_reason_and_soon(tmp_path: Path) -> None:
     assert problem and "\n" not in problem
     assert time.monotonic() - began < 30
     assert mirror(record(tmp_path / "out"), f"sqlite:///{tmp_path}/out/spec.yaml/mlflow.db", "shift3d")
-
-
-def test_the_server_is_on_loopback() -> None:
-    arguments = serve_command("sqlite:///mlflow.db", 5000)
-    assert arguments[arguments.index("--host") + 1] == "127.0.0.1"
