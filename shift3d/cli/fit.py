@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command, key_values
 from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
+
+if TYPE_CHECKING:
+    from shift3d.vehicles.fit import MeshFit
+    from shift3d.vehicles.mesh_frame import MeshFrame
 
 __all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
 Finds the latent code that draws each mesh best, with the shipped decoder or decoder=FILE, and writes a vehicle
 set to out=: vehicles.safetensors, its decoder sdf.safetensors, sdf.json (what was repaired, and how many
-centimetres each code is off) and pictures/, each mesh beside what the decoder makes of it."""
+centimetres each code is off) and pictures/, each mesh beside what the decoder makes of it. Warns where another
+orientation of the mesh fits better, and where a vehicle is far from its mesh (exit code 3)."""
 
 _EPILOG = f"""\
 examples:
@@ -39,12 +46,28 @@ def _run(arguments: argparse.Namespace) -> int:
 
     out = Path(values["out"]).expanduser()
     steps = whole_number(values, "steps", STEPS, "fit")
-    vehicles = fit_meshes(arguments.path, frame, out, values.get("decoder"), steps)
-    for vehicle in vehicles:
-        size = " x ".join(f"{metres:.2f}" for metres in vehicle.facts()["size_m"])
-        print(f"{vehicle.name}: {size} m, {100 * vehicle.chamfer_m:.1f} cm from its mesh")
-    print(f"{len(vehicles)} vehicles in {out}/")
-    return 0
+    fits = fit_meshes(arguments.path, frame, out, values.get("decoder"), steps)
+    for fit in fits:
+        size = " x ".join(f"{metres:.2f}" for metres in fit.vehicle.facts()["size_m"])
+        print(f"{fit.vehicle.name}: {size} m, {100 * fit.vehicle.chamfer_m:.1f} cm from its mesh")
+        for doubt in _doubts(fit, frame):
+            print(f"warning: {fit.vehicle.name}: {doubt}", file=sys.stderr)
+    print(f"{len(fits)} vehicles in {out}/")
+    return 3 if any(fit.far for fit in fits) else 0
+
+
+def _doubts(fit: MeshFit, frame: MeshFrame) -> list[str]:
+    """What a user should look at before a sweep inserts the vehicle."""
+    doubts = []
+    if fit.better:
+        other, chamfer_m = fit.better
+        keys = [key for key in ("forward", "up") if getattr(other, key) != getattr(frame, key)]
+        words = " ".join(f"{key}={getattr(other, key)}" for key in keys)
+        doubts.append(f"fits better with {words}: {100 * chamfer_m:.1f} cm")
+    if fit.far:
+        usual = f"{100 * fit.usual_m:.1f} cm is usual for a car of this length"
+        doubts.append(f"far from its mesh ({usual}): the decoder cannot draw it; see {fit.picture}")
+    return doubts
 
 
 COMMAND = Command("fit", "vehicles from your own meshes", _DESCRIPTION, _EPILOG, _add_arguments, _run)
