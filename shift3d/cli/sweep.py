@@ -197,11 +197,14 @@ def _status(words: list[str]) -> int:
 
 
 def _show(plan: Plan, config: Config, result: SweepResult) -> None:
+    from shift3d.report.caveats import trial_caveat
     from shift3d.report.tables import sweep_report
 
     final = result.final
     assert final is not None
     frames = {name: final.frame(name) for name in final.tables}
+    if caveat := trial_caveat(plan.tasks):
+        print(f"\n{caveat}")
     print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
     _show_effects(plan, result.folder, frames)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
