@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from shift3d.store.location import Place, local_copy
+from shift3d.tracking.auc_view import share_view
 from shift3d.tracking.sweep_groups import MOST_GROUPS, Recall, groups, metric_name, overall
 
 if TYPE_CHECKING:
@@ -89,6 +90,7 @@ def _write(record: SweepRecord, uri: str, experiment: str) -> None:
         run_id = _run_of(client, experiment_id, record, digest)
         children = _write_children(client, experiment_id, run_id, record)
         _write_parent(client, run_id, record, children)
+        share_view(client, experiment_id, overall(record.auc, record.curves)[0])
         _write_dataset(client, run_id, record, digest)
         client.log_artifacts(run_id, str(folder / "final"), "final")
         for name in _FILES:

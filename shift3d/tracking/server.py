@@ -7,6 +7,7 @@ import socket
 import warnings
 
 from shift3d.errors import InputError
+from shift3d.tracking.auc_view import shared_views
 from shift3d.tracking.mlflow import patience
 
 __all__ = ["HOST", "open_port", "serve"]
@@ -45,6 +46,7 @@ def serve(uri: str, listening: socket.socket) -> None:
 
     with patience(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # MLflow's imports say what MLflow should do about its own libraries
+        from mlflow import MlflowClient
         from mlflow.server import constants
         from mlflow.server.fastapi_app import app
         from mlflow.server.handlers import initialize_backend_stores
@@ -61,5 +63,8 @@ def serve(uri: str, listening: socket.socket) -> None:
         except Exception as error:  # whatever the store's driver raises
             reason = " ".join(str(error).split())[:200]
             raise InputError(f"the store cannot be opened ({reason})", where=uri, remedy="Give --uri") from error
+        address = f"http://{HOST}:{listening.getsockname()[1]}"
+        for name, path in shared_views(MlflowClient(uri)):
+            print(f"runs of {name} with their AUCs: {address}/{path}", flush=True)
         config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=_SHUTDOWN_S)
         uvicorn.Server(config).run(sockets=[listening])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -15,11 +16,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import sync_playwright
 
 from shift3d.cli.main import main
 from shift3d.errors import InputError
+from shift3d.tracking.auc_view import share_view
 from shift3d.tracking.server import HOST, open_port
 
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 UI = [sys.executable, "-m", "shift3d", "ui", "--port", "0"]
 
 
@@ -29,8 +33,11 @@ def store(tmp_path: Path) -> str:
 
     uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
     client = MlflowClient(uri)
-    run = client.create_run(client.create_experiment("shift3d", artifact_location=str(tmp_path / "files")))
+    experiment = client.create_experiment("shift3d", artifact_location=str(tmp_path / "files"))
+    run = client.create_run(experiment)
     client.log_text(run.info.run_id, "mode,auc\n", "auc.csv")
+    client.log_metric(run.info.run_id, "auc/shape/mean/adversarial", 0.375)
+    share_view(client, experiment, ["auc/shape/mean/adversarial"])
     return f"{uri} {run.info.run_id}"
 
 
@@ -89,6 +96,21 @@ def test_it_is_one_process_that_serves_the_page_and_files_of_runs(
     foreign = urllib.request.Request(f"{address}/ajax-api/2.0/mlflow/experiments/search", headers={"Host": "evil.org"})
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(foreign, timeout=30)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)")
+def test_the_list_of_runs_that_it_names_has_auc_columns(server: tuple[subprocess.Popen[str], str]) -> None:
+    process, address = server
+    assert process.stdout
+    (link,) = re.findall(r"http://\S+", process.stdout.readline())
+    assert link.startswith(address)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1600, "height": 900})
+        page.goto(link)
+        page.get_by_text("auc/shape/mean/adversarial").first.wait_for(timeout=60_000)
+        page.get_by_text("0.375").first.wait_for(timeout=60_000)
+        browser.close()
 
 
 def test_a_port_that_is_taken_is_said_and_not_announced(
