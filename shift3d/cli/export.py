@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, key_values
+from shift3d.cli.completion import folder_words, key_words
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND"]
 
 _KEYS = ("task", "method", "replicate", "to", "overwrite")
+_VALUES = {"method": ("baseline", "random", "adversarial", "adversarial_noise"), "overwrite": ("true",)}
 
 _DESCRIPTION = """\
 Writes the edited scene of a solution as KITTI scene.bin (same point order as the scene) and scene.ply, which beams
@@ -32,10 +34,11 @@ scenes=kitti scenes.root=DIR/kitti, ground height included; its calibration is t
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    parser.add_argument(
-        "words", nargs="*", metavar="key=value", help="task=ID method=M to=DIR [replicate=N] [overwrite=true]"
-    )
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    text = "task=ID method=M to=DIR [replicate=N] [overwrite=true]"
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:

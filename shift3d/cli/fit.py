@@ -8,13 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command, key_values
-from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
+from shift3d.cli.completion import key_words
+from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame, whole_number
 
 if TYPE_CHECKING:
     from shift3d.vehicles.fit import MeshFit
     from shift3d.vehicles.mesh_frame import MeshFrame
 
 __all__ = ["COMMAND"]
+
+_KEYS = ("out", "decoder", "steps", *FRAME_KEYS)
 
 _DESCRIPTION = """\
 Finds the latent code that draws each mesh best, with the shipped decoder or decoder=FILE, and writes a vehicle
@@ -36,11 +39,12 @@ A decoder draws what it was trained on: shift3d train model=sdf vehicles=PATH tr
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("path", metavar="PATH", help="a mesh, or a folder of meshes")
     text = f"out=DIR decoder=FILE steps=N {'= '.join(FRAME_KEYS)}="
-    parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = key_words(_KEYS, FRAME_VALUES)  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    values = key_values(arguments.words, ("out", "decoder", "steps", *FRAME_KEYS), ("out",), "fit")
+    values = key_values(arguments.words, _KEYS, ("out",), "fit")
     frame = mesh_frame(values, "fit")
     from shift3d.vehicles.fit import STEPS, fit_meshes
 

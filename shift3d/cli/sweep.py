@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
-from shift3d.cli.completion import sweep_words
+from shift3d.cli.completion import plan_words, sweep_words
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ examples:
   shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also what it gave up on"""
 
 
-def add_words(parser: argparse.ArgumentParser) -> None:
+def add_words(parser: argparse.ArgumentParser, completer: Callable[..., list[str]] = plan_words) -> None:
     """The words after ``sweep`` and ``plan``."""
     words = parser.add_argument(
         "words",
@@ -57,11 +57,11 @@ def add_words(parser: argparse.ArgumentParser) -> None:
         metavar="NAME | key=value",
         help="the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs",
     )
-    words.completer = sweep_words  # type: ignore[attr-defined]
+    words.completer = completer  # type: ignore[attr-defined]
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_words(parser)
+    add_words(parser, sweep_words)
     parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing")
     parser.add_argument(
         "--retry-quarantined", action="store_true", help="run the tasks again that earlier runs gave up on"

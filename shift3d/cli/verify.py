@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,7 +34,8 @@ A solution takes about as long as twenty steps of its attack, more than half of 
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
     parser.add_argument("words", nargs="*", metavar="runner=...", help="where it runs: settings of conf/runner")
 
 
