@@ -118,7 +118,7 @@ def place(
             rejected[outcome] += 1
             continue
         with torch.no_grad():
-            rendering = render(beams, sdf, outcome, vehicle, settings, space=space)
+            rendering = render(beams, sdf, outcome, vehicle, settings, grid=space)
         near = points_near(beams, outcome, float(size.norm()) / 2 + 0.6)
         held = check(metric, near, outcome, size, rendering.object_points, constraints)
         if held.valid:
