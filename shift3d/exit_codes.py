@@ -22,7 +22,7 @@ class ExitCode(IntEnum):
 _MEANINGS = {
     ExitCode.DONE: "done",
     ExitCode.UNUSABLE: "something you gave cannot be used",
-    ExitCode.INCOMPLETE: "done, but tasks were quarantined or no vehicle found a place",
+    ExitCode.INCOMPLETE: "done, but tasks were quarantined, no vehicle found a place or a fit is far worse than usual",
     ExitCode.TAKEN_OVER: "another driver took the sweep over",
     ExitCode.ABORTED: "too many tasks failed to go on",
     ExitCode.INTERRUPTED: "interrupted",

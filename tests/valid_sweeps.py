@@ -24,13 +24,14 @@ from shift3d.sweep.plan import Plan, make_plan
 
 METHODS = ("baseline", "random", "adversarial")
 FRONTIER = "frontier.parquet"
+SCENES = ("north", "south")
 DRIVER = "1-0a1b2c3d"
 _BY_TYPE: dict[Any, Any] = {pa.string(): "text", pa.float64(): 0.5, pa.int32(): 1, pa.int64(): 1, pa.bool_(): True}
 
 
-def _catalogue(config: Config) -> Catalogue:
+def catalogue(config: Config) -> Catalogue:
     return Catalogue(
-        scenes=tuple(SceneEntry(name, "street-hdl64", name[0], SceneFacts(name)) for name in ("north", "south")),
+        scenes=tuple(SceneEntry(name, "street-hdl64", name[0], SceneFacts(name)) for name in SCENES),
         frame_of=lambda _: None,  # no effect that asks for it
         scene_arguments={"kind": "street"},
         sector_rad=(0.5, 1.0),
@@ -44,7 +45,7 @@ def _catalogue(config: Config) -> Catalogue:
 @functools.cache
 def plan() -> Plan:
     """suv in two scenes, shape alone."""
-    return make_plan(compose_sweep("smoke", ["vehicle=suv", "mode=shape"]), _catalogue)[0]
+    return make_plan(compose_sweep("smoke", ["vehicle=suv", "mode=shape"]), catalogue)[0]
 
 
 def rows(name: str, task: Any) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
 from shift3d.cli.gc import sweeps_in
 from shift3d.wording import counted
 
@@ -23,7 +24,8 @@ examples:
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
+    out.completer = folder_words  # type: ignore[attr-defined]
     parser.add_argument("--dry-run", action="store_true", help="say what would be merged, and merge nothing")
 
 

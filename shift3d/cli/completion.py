@@ -1,23 +1,65 @@
-"""What the shell is offered for a sweep's name and its overrides: read from the folders, nothing imported."""
+"""What the shell is offered for a word: read from the folders, nothing imported."""
 
 from __future__ import annotations
 
+import argparse
 import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["overrides", "sweep_words"]
+__all__ = ["folder_words", "key_words", "overrides", "plan_words", "sweep_words"]
 
 _ROOT = Path(__file__).resolve().parents[2]
+_OUTPUTS = Path("outputs")
+_FOLDERS = ("out", "reuse")
 
 
-def sweep_words(prefix: str, **_: Any) -> list[str]:
-    """Completions of a word after ``shift3d sweep``: a sweep's name, a job, or an override."""
+def sweep_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_: Any) -> list[str]:
+    """Completions of a word after ``shift3d sweep``: plan, status, a sweep's folder, or as :func:`plan_words`."""
+    before = list(getattr(parsed_args, "words", None) or [])
+    if before[:1] == ["status"]:
+        return folder_words(prefix)
+    if before:
+        return plan_words(prefix)
+    return [word for word in ("plan", "status") if word.startswith(prefix)] + plan_words(prefix) + folder_words(prefix)
+
+
+def plan_words(prefix: str, **_: Any) -> list[str]:
+    """Completions of a sweep's name, a job, or an override."""
+    key, equals, value = prefix.partition("=")
+    if equals and key in _FOLDERS:
+        return [f"{key}={folder}" for folder in folder_words(value)]
     if prefix.startswith("job="):
         specs = (path for path in (_ROOT / "jobs").glob("*.yaml") if "\nrunner:" in path.read_text())
         return sorted(f"job={path.stem}" for path in specs)
     names = sorted(path.stem for path in (_ROOT / "sweeps").glob("*.yaml"))
     return [name for name in [*names, "job="] if name.startswith(prefix)] + overrides(prefix)
+
+
+def folder_words(prefix: str, **_: Any) -> list[str]:
+    """Completions of a sweep's folder: those in outputs/, and folders on the way to others."""
+    head, slash, _name = prefix.rpartition("/")
+    places = [Path(f"{head}{slash}").expanduser()] if slash else [Path(), _OUTPUTS]
+    found = []
+    for place in places:
+        for folder in sorted(place.glob("*/")):
+            word = f"{head}{slash}{folder.name}" if slash else str(folder)
+            is_sweep = (folder / "spec.yaml").is_file()
+            if word.startswith(prefix) and (is_sweep or slash) and not folder.name.startswith("."):
+                found.append(word if is_sweep else f"{word}/")
+    return found
+
+
+def key_words(keys: Sequence[str], values: Mapping[str, Sequence[str]] = {}) -> Callable[..., list[str]]:
+    """A completer of ``key=`` and of the values that a key is known to take."""
+
+    def complete(prefix: str, **_: Any) -> list[str]:
+        key, equals, _value = prefix.partition("=")
+        words = [f"{key}={value}" for value in values.get(key, ())] if equals else [f"{name}=" for name in keys]
+        return [word for word in words if word.startswith(prefix)]
+
+    return complete
 
 
 def overrides(prefix: str) -> list[str]:

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, key_values, writable_folder
+from shift3d.cli.completion import folder_words, key_words
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -13,7 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMAND"]
 
-_KEYS = ("task", "method", "replicate", "to")
+_KEYS = ("task", "method", "replicate", "to", "overwrite")
+_VALUES = {"method": ("baseline", "random", "adversarial", "adversarial_noise"), "overwrite": ("true",)}
 
 _DESCRIPTION = """\
 Writes the edited scene of a solution as KITTI scene.bin (same point order as the scene) and scene.ply, which beams
@@ -25,13 +27,17 @@ example:
   shift3d export outputs/default-1a2b3c4d5e6f7a8b task=0f3a method=adversarial to=hard_case
 
 task= is a task's id or its beginning; method= is baseline, random, adversarial or adversarial_noise
-(replicate= picks one of several, default 0). Both are in final/scores.parquet. The KITTI folder is read by
+(replicate= picks one of several, default 0). Both are in final/scores.parquet. A folder that has such files is
+refused without overwrite=true. The KITTI folder is read by
 scenes=kitti scenes.root=DIR/kitti, ground height included; its calibration is that of a camera in the LiDAR's place."""
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    parser.add_argument("words", nargs="*", metavar="key=value", help="task=ID method=M to=DIR [replicate=N]")
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    text = "task=ID method=M to=DIR [replicate=N] [overwrite=true]"
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -39,6 +45,9 @@ def _run(arguments: argparse.Namespace) -> int:
     replicate = values.get("replicate", "0")
     if not replicate.isdigit():
         raise InputError(f"replicate={replicate!r} is not a number", where="export", remedy="Give replicate=0")
+    overwrite = values.get("overwrite", "false")
+    if overwrite not in ("true", "false"):
+        raise InputError(f"overwrite={overwrite!r} is neither true nor false", "export", "Give overwrite=true")
     from shift3d.store.location import as_location
     from shift3d.sweep.folder import read_plan
 
@@ -46,10 +55,12 @@ def _run(arguments: argparse.Namespace) -> int:
     plan = read_plan(out)
     task = _one_task(plan.tasks, values["task"], out)
     row = _solution(out, task.spec.task_id, values["method"], int(replicate))
-    from shift3d.task.export import export_solution
+    from shift3d.task.export import check_no_export, export_solution
     from shift3d.task.run import load_assets
 
     target = writable_folder(values["to"])
+    if overwrite == "false":
+        check_no_export(target)
     export_solution(task.spec, row, load_assets(plan.assets[task.assets]), target)
     print(f"{task.spec.vehicle} in {task.spec.scene}, {values['method']}: {target}")
     return 0

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command, key_values, writable_folder
-from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
+from shift3d.cli.completion import key_words
+from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame, whole_number
+from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
+if TYPE_CHECKING:
+    from shift3d.vehicles.fit import MeshFit
+    from shift3d.vehicles.mesh_frame import MeshFrame
+
 __all__ = ["COMMAND"]
+
+_KEYS = ("out", "decoder", "steps", *FRAME_KEYS)
 
 _DESCRIPTION = """\
 Finds the latent code that draws each mesh best, with the shipped decoder or decoder=FILE, and writes a vehicle
 set to out=: vehicles.safetensors, its decoder sdf.safetensors, sdf.json (what was repaired, and how many
-centimetres each code is off) and pictures/, each mesh beside what the decoder makes of it."""
+centimetres each code is off) and pictures/, each mesh beside what the decoder makes of it. Warns where another
+orientation of the mesh fits better, and where a vehicle is far from its mesh (exit code 3)."""
 
 _EPILOG = f"""\
 examples:
@@ -29,22 +40,39 @@ A decoder draws what it was trained on: shift3d train model=sdf vehicles=PATH tr
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("path", metavar="PATH", help="a mesh, or a folder of meshes")
     text = f"out=DIR decoder=FILE steps=N {'= '.join(FRAME_KEYS)}="
-    parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = key_words(_KEYS, FRAME_VALUES)  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    values = key_values(arguments.words, ("out", "decoder", "steps", *FRAME_KEYS), ("out",), "fit")
+    values = key_values(arguments.words, _KEYS, ("out",), "fit")
     frame = mesh_frame(values, "fit")
     from shift3d.vehicles.fit import STEPS, fit_meshes
 
     out = writable_folder(values["out"])
     steps = whole_number(values, "steps", STEPS, "fit")
-    vehicles = fit_meshes(arguments.path, frame, out, values.get("decoder"), steps)
-    for vehicle in vehicles:
-        size = " x ".join(f"{metres:.2f}" for metres in vehicle.facts()["size_m"])
-        print(f"{vehicle.name}: {size} m, {100 * vehicle.chamfer_m:.1f} cm from its mesh")
-    print(f"{counted(len(vehicles), 'vehicle')} in {out}/")
-    return 0
+    fits = fit_meshes(arguments.path, frame, out, values.get("decoder"), steps)
+    for fit in fits:
+        size = " x ".join(f"{metres:.2f}" for metres in fit.vehicle.facts()["size_m"])
+        print(f"{fit.vehicle.name}: {size} m, {100 * fit.vehicle.chamfer_m:.1f} cm from its mesh")
+        for doubt in _doubts(fit, frame):
+            print(f"warning: {fit.vehicle.name}: {doubt}", file=sys.stderr)
+    print(f"{counted(len(fits), 'vehicle')} in {out}/")
+    return int(ExitCode.INCOMPLETE if any(fit.far for fit in fits) else ExitCode.DONE)
+
+
+def _doubts(fit: MeshFit, frame: MeshFrame) -> list[str]:
+    """What a user should look at before a sweep inserts the vehicle."""
+    doubts = []
+    if fit.better:
+        other, chamfer_m = fit.better
+        keys = [key for key in ("forward", "up") if getattr(other, key) != getattr(frame, key)]
+        words = " ".join(f"{key}={getattr(other, key)}" for key in keys)
+        doubts.append(f"fits better with {words}: {100 * chamfer_m:.1f} cm")
+    if fit.far:
+        usual = f"{100 * fit.usual_m:.1f} cm is usual for a car of this length"
+        doubts.append(f"far from its mesh ({usual}): the decoder cannot draw it; see {fit.picture}")
+    return doubts
 
 
 COMMAND = Command("fit", "vehicles from your own meshes", _DESCRIPTION, _EPILOG, _add_arguments, _run)

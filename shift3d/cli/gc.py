@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -27,7 +28,8 @@ _SHOWN = 20
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
+    out.completer = folder_words  # type: ignore[attr-defined]
     parser.add_argument("--dry-run", action="store_true", help="say what would be removed, and remove nothing")
 
 

@@ -9,9 +9,12 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     from shift3d.vehicles.mesh_frame import MeshFrame
 
-__all__ = ["FRAME_KEYS", "FRAME_TEXT", "mesh_frame", "whole_number"]
+__all__ = ["FRAME_KEYS", "FRAME_TEXT", "FRAME_VALUES", "mesh_frame", "whole_number"]
 
 FRAME_KEYS = ("forward", "up", "unit", "length_m")
+_AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+FRAME_VALUES = {"forward": _AXES, "up": _AXES, "unit": ("m", "cm", "mm", "in")}
+"""What the shell offers for them."""
 FRAME_TEXT = """\
 meshes: a PLY, OBJ, GLB or STL file, a folder of them, or a folder in ShapeNet's layout
 ({synset}/{id}/models/model_normalized.obj). forward= and up= are axes of the files, by default ShapeNet's

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
 
 __all__ = ["COMMAND"]
 
@@ -22,7 +23,8 @@ Each hard case is rendered again, which takes some seconds. Run shift3d verify b
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
     parser.add_argument("--cases", metavar="N", type=_count, default=4, help="hard cases to show (default 4)")
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
+from shift3d.cli.completion import sweep_words
 from shift3d.cli.plan import add_tasks, show
 from shift3d.cli.words import Request, add_words, read_words
 from shift3d.errors import InputError
@@ -54,7 +55,7 @@ examples:
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_words(parser)
+    add_words(parser, sweep_words)
     parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing, as: sweep plan")
     add_tasks(parser, "with plan or --dry-run: list every task, with its id")
     parser.add_argument(
@@ -152,6 +153,7 @@ def _status(words: list[str]) -> int:
 
 def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
+    from shift3d.report.caveats import trial_caveat
     from shift3d.report.placement import nothing_placed
     from shift3d.report.tables import coverage, sweep_report
     from shift3d.sweep.plan_view import skipped_lines
@@ -163,6 +165,8 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     if unplaced:
         print(f"\n{unplaced}\n\n{coverage(frames['scores'], frames['attempts'], result.planned)}\n", flush=True)
     else:
+        if caveat := trial_caveat(plan.tasks):
+            print(f"\n{caveat}")
         print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
         _show_effects(plan, result.folder, frames)
     for line in skipped_lines(plan):

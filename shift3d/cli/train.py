@@ -9,7 +9,8 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, key_values, writable_folder
-from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, mesh_frame, whole_number
+from shift3d.cli.completion import key_words
+from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame, whole_number
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
@@ -53,6 +54,14 @@ mixed precision: bfloat16 on CUDA and on processors that multiply it; elsewhere 
 
 _SCENE_KEYS = ("scenes", "root", "count", "inserted", "start_from")
 _KEYS = ("model", "out", "threads", "device", "mlflow", "steps", *_SCENE_KEYS, "vehicles", *FRAME_KEYS)
+_VALUES = {
+    "model": ("sdf", "pointpillars", "sst", "sst_small"),
+    "device": ("auto", "cpu", "cuda"),
+    "scenes": ("street", "kitti"),
+    "start_from": ("shipped",),
+    "mlflow": ("none",),
+    **FRAME_VALUES,
+}
 _STORE, _EXPERIMENT = "sqlite:///mlflow.db", "shift3d-training"
 
 
@@ -62,7 +71,8 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped]; "
         f"sdf: vehicles=PATH [{'=] ['.join(FRAME_KEYS)}=]"
     )
-    parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:

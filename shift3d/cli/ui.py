@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 from pathlib import Path
 
 from shift3d.cli.command import Command
@@ -17,21 +15,24 @@ _DEFAULT_URI = "sqlite:///mlflow.db"
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--uri", default=_DEFAULT_URI, help="the store that sweeps write to (%(default)s)")
-    parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (%(default)s)")
+    parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (%(default)s); 0: any free one")
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.tracking.mlflow import serve_command
+    from shift3d.tracking.server import HOST, open_port, serve
     from shift3d.tracking.store_uri import check_store
 
     check_store(arguments.uri, "--uri")
     if arguments.uri.startswith("sqlite:///") and not Path(arguments.uri.removeprefix("sqlite:///")).exists():
         raise InputError("there is no run yet", where=arguments.uri, remedy="Run a sweep first: make sweep")
-    print(f"MLflow on http://127.0.0.1:{arguments.port} (Ctrl-C ends it)", flush=True)
-    try:
-        return subprocess.call([sys.executable, "-m", "mlflow", *serve_command(arguments.uri, arguments.port)])
-    except KeyboardInterrupt:
-        return 0
+    with open_port(arguments.port) as listening:
+        port = listening.getsockname()[1]
+        print(f"MLflow on http://{HOST}:{port}, in some seconds (Ctrl-C ends it)", flush=True)
+        try:
+            serve(arguments.uri, listening)
+        except KeyboardInterrupt:
+            return 0
+    return 0
 
 
 COMMAND = Command(

@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
@@ -35,7 +36,8 @@ A solution takes about as long as twenty steps of its attack, more than half of 
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
     parser.add_argument("words", nargs="*", metavar="runner=...", help="where it runs: settings of conf/runner")
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from shift3d.cli.completion import sweep_words
+from shift3d.cli.completion import plan_words
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Request:
     job: JobSpec | None
 
 
-def add_words(parser: argparse.ArgumentParser) -> None:
+def add_words(parser: argparse.ArgumentParser, completer: Callable[..., list[str]] = plan_words) -> None:
     """The words, as argparse and tab completion see them."""
     words = parser.add_argument(
         "words",
@@ -40,7 +40,7 @@ def add_words(parser: argparse.ArgumentParser) -> None:
         metavar="NAME | key=value",
         help="the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs",
     )
-    words.completer = sweep_words  # type: ignore[attr-defined]
+    words.completer = completer  # type: ignore[attr-defined]
 
 
 def read_words(words: Sequence[str]) -> Request:

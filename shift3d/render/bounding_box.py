@@ -11,8 +11,10 @@ from shift3d.render.object_field import ObjectField
 
 SDF_RADIUS = 1.05
 """Radius of the ball, sdf units, in which a DeepSDF decoder has been trained: shapes lie in the unit ball."""
-_FACE_SPACING_M = 0.2
-_BALL_SPACING_M = 0.45
+_CELL_M = 0.45
+_LEVELS = 3
+_STEEPEST = 1.11
+_GROWS_M = 0.2
 _ROUNDS = 6
 _LOOK_AGAIN_M = 0.005
 _LEAST_SHARE = 0.5
@@ -45,11 +47,10 @@ def sdf_ball_box(field: ObjectField) -> Box:
 def verified_box(field: ObjectField, size_m: Tensor, margin_m: float) -> VerifiedBox:
     """The vehicle's box grown by a margin and, where the field is inside at a check point, further.
 
-    A shape under attack can outgrow the box of its baseline. Checked are the faces of the grown box, every
-    0.2 m: a connected surface cannot leave the box without crossing a face, so only a part that crosses in
-    a spot smaller than that can hide; and a lattice of 0.45 m in the rest of the decoder's ball, for parts
-    that float free. A field that is inside all over ends at the ball's own box. A NaN counts as inside, so that the
-    beams that meet it are looked at and counted.
+    A shape under attack can outgrow the box of its baseline. Checked is what of the decoder's ball lies outside the
+    box: cells of 0.45 m; a cell whose centre has less free space than its corners are away is divided, down to 0.11 m.
+    A part with a radius of 0.1 m or more is found, whether it floats free or sticks out. A field that is inside all
+    over ends at the ball's own box. A NaN counts as inside, so that the beams that meet it are looked at and counted.
 
     Args:
         field: metric distance in the object frame.
@@ -67,11 +68,8 @@ def verified_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Verifie
 def _verified(field: ObjectField, box: Box, margin_m: float) -> VerifiedBox:
     """The box, grown until the field is outside at every check point."""
     ball = sdf_ball_box(field)
-    outside = _ball_lattice(ball)
     for _ in range(_ROUNDS):
-        beyond = outside[((outside < box.lower) | (outside > box.upper)).any(-1)]
-        check = torch.cat((_face_lattice(box), beyond))
-        g = field.estimate(check).double()
+        check, g = _check_points(field, box, ball)
         inside = check[~(g > 0)]
         if len(inside) == 0:
             return VerifiedBox(box, check, g, torch.zeros_like(g), torch.ones_like(g))
@@ -80,9 +78,41 @@ def _verified(field: ObjectField, box: Box, margin_m: float) -> VerifiedBox:
     return VerifiedBox(ball, nothing.reshape(0, 3), nothing, nothing, nothing)
 
 
+def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tensor]:
+    """Centres (P, 3) of the cells outside a box that were looked at, and g (P,) there: an octree of three levels."""
+    centre, radius = (ball.lower + ball.upper) / 2, (ball.upper - ball.lower)[0] / 2
+    axes = [
+        torch.arange(float(a), float(b) + _CELL_M, _CELL_M, dtype=torch.float64) for a, b in zip(ball.lower, ball.upper)
+    ]
+    points, size_m = torch.cartesian_prod(*axes), _CELL_M
+    found = []
+    for _ in range(_LEVELS):
+        outside = ((points - size_m / 2 < box.lower) | (points + size_m / 2 > box.upper)).any(-1)
+        points = points[outside & ((points - centre).norm(dim=-1) <= radius + size_m / 2)]
+        # Of a cell on a face the part outside is what is asked about.
+        beyond = (points < box.lower) | (points > box.upper)
+        points = torch.where(beyond.any(-1, keepdim=True), points, _onto_faces(points, box))
+        g = field.estimate(points).double()
+        found.append((points, g))
+        near = ~(g > _STEEPEST * size_m * 3**0.5 / 2) & (g > 0)
+        octants = torch.cartesian_prod(*[torch.tensor([-0.25, 0.25], dtype=torch.float64)] * 3) * size_m
+        points, size_m = (points[near][:, None] + octants).reshape(-1, 3), size_m / 2
+    check, g = (torch.cat(parts) for parts in zip(*found))
+    return check, g
+
+
+def _onto_faces(points: Tensor, box: Box) -> Tensor:
+    """Points (P, 3) inside a box, each moved to the nearest place on its faces."""
+    below, above = points - box.lower, box.upper - points
+    _, axis = torch.minimum(below, above).min(-1)
+    rows = torch.arange(len(points))
+    end = torch.where(below[rows, axis] < above[rows, axis], box.lower[axis], box.upper[axis])
+    return points.index_put((rows, axis), end)
+
+
 def _around(box: Box, inside: Tensor, ball: Box, margin_m: float) -> Box:
     """The box grown to hold check points (n, 3) that lie inside the object, and what may lie around them."""
-    reach = _FACE_SPACING_M + margin_m
+    reach = _GROWS_M + margin_m
     return Box(
         torch.maximum(torch.minimum(box.lower, inside.amin(0) - reach), ball.lower),
         torch.minimum(torch.maximum(box.upper, inside.amax(0) + reach), ball.upper),
@@ -109,7 +139,7 @@ class VerifiedBox:
         return bool((self.g > 0).all())
 
     def after(self, field: ObjectField, moved_m: float) -> VerifiedBox:
-        """The guard after the surface moved by up to `moved_m`.
+        """The box after the surface moved by up to `moved_m`.
 
         Only places that the surface can have come near are looked at again.
         """
@@ -127,30 +157,3 @@ class VerifiedBox:
         """A verified box that holds what has left this one."""
         inside = self.points[~(self.g > 0)]
         return _verified(field, _around(self.box, inside, sdf_ball_box(field), margin_m), margin_m)
-
-
-def _ball_lattice(ball: Box) -> Tensor:
-    count = int(((ball.upper - ball.lower)[0] / _BALL_SPACING_M).ceil()) + 1
-    axes = [torch.linspace(float(a), float(b), count, dtype=torch.float64) for a, b in zip(ball.lower, ball.upper)]
-    points = torch.cartesian_prod(*axes)
-    centre, radius = (ball.lower + ball.upper) / 2, (ball.upper - ball.lower)[0] / 2
-    return points[(points - centre).norm(dim=-1) <= radius]
-
-
-def _face_lattice(box: Box) -> Tensor:
-    size = box.upper - box.lower
-    faces = []
-    for axis in range(3):
-        u, v = (a for a in range(3) if a != axis)
-        grid = torch.cartesian_prod(_cells(float(size[u])), _cells(float(size[v])))
-        for end in (0.0, 1.0):
-            face = torch.empty(len(grid), 3, dtype=torch.float64)
-            face[:, u], face[:, v], face[:, axis] = grid[:, 0], grid[:, 1], end
-            faces.append(face)
-    return box.lower + torch.cat(faces) * size
-
-
-def _cells(length_m: float) -> Tensor:
-    """Positions 0..1 at most `_FACE_SPACING_M` apart, half a cell from the edges."""
-    count = max(1, int(-(-length_m // _FACE_SPACING_M)))
-    return (torch.arange(count, dtype=torch.float64) + 0.5) / count

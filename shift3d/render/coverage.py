@@ -28,9 +28,11 @@ from shift3d.render.settings import RenderSettings
 
 _ROUNDS = 40
 _STEEPEST = 10.0
-# A predicted sample this near the surface is measured, and so is one below `_WATCHED_M` at a local minimum.
+# A predicted sample this near the surface is measured, and so is one below `_WATCHED_M` that is the
+# lowest around, or the lowest of its ray so many steps before its hit.
 _LOW_M = 0.003
 _WATCHED_M = 0.05
+_WATCHED_STEPS = 3
 # On a plain approach the mean fall to the hit is at least this share of the fall before.
 _SLACKENS = 0.7
 # Next to a local minimum g may fall this much faster than it was seen to, and at least so fast.
@@ -78,7 +80,7 @@ def cover(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, se
     end_m = torch.where(torch.isnan(hit_m), torch.inf, hit_m)
     samples = samples.before(end_m)
     if settings.local_minima:
-        samples = _watched(samples)
+        samples = _watched(samples, end_m - _WATCHED_STEPS * settings.step_m)
     samples = _thinned(samples, end_m, settings)
     nodes, done = _Nodes.of(samples, rays, hit_m).up_to_first_inside(len(rays)), []
     undecided = torch.zeros(len(rays), dtype=torch.bool)
@@ -136,16 +138,20 @@ def _thinned(samples: RaySamples, end_m: Tensor, settings: RenderSettings) -> Ra
     return samples.select(((samples.k <= first[samples.rows]) & useful) | (samples.error == 0))
 
 
-def _watched(samples: RaySamples) -> RaySamples:
-    """The samples with low local minima along their rays to be measured.
+def _watched(samples: RaySamples, until_m: Tensor) -> RaySamples:
+    """The samples with low local minima along their rays, and the lowest up to a range (M,), to be measured.
 
     What is small changes between the nodes of a grid, and comes up where there is little room.
     """
     same = samples.rows[1:] == samples.rows[:-1]
     inf = samples.g.new_full((1,), torch.inf)
-    before = torch.cat((inf, torch.where(same, samples.g[:-1], torch.inf)))
-    after = torch.cat((torch.where(same, samples.g[1:], -torch.inf), -inf))
-    low = (samples.g <= before) & (samples.g <= after) & (samples.g < _WATCHED_M) & (samples.error > 0)
+    before = torch.cat((inf, torch.where(same, samples.g[:-1], torch.inf)))[: len(samples)]
+    after = torch.cat((torch.where(same, samples.g[1:], -torch.inf), -inf))[: len(samples)]
+    early = samples.k < until_m[samples.rows]
+    least = torch.full_like(until_m, torch.inf)
+    least = least.scatter_reduce(0, samples.rows[early], samples.g[early], "amin")[samples.rows]
+    low = (samples.g <= before) & (samples.g <= after) | early & (samples.g == least)
+    low &= (samples.g < _WATCHED_M) & (samples.error > 0)
     return replace(samples, error=torch.where(low, torch.maximum(samples.error, samples.g), samples.error))
 
 
@@ -201,12 +207,11 @@ class _Nodes:
         """(K,) which nodes must be measured, and the places to sample. A NaN covers nothing."""
         sample = self.kind == _SAMPLE
         predicted = sample & (self.error > 0)
-        lower = self._certain(self.error)
+        lower = self._certain(self.error, settings.max_step_m)
         left, right = self.kind[:-1], self.kind[1:]
         width = self.k[1:] - self.k[:-1]
         fall = (self.g[:-1] - self.g[1:]) / width.clamp_min(1e-12)
-        seen = torch.where((left == _SAMPLE) & (right != _FAR), fall.abs(), 1.0)
-        slope = seen.clamp(1.0, _STEEPEST) / settings.step_safety
+        slope = self._steepness(fall, count) / settings.step_safety
         between = width - (lower[:-1] + lower[1:]) / slope
         # The return itself is a sample, as the paper has it.
         is_open = ~(between <= torch.where(right == _FAR, 0.0, settings.step_m))
@@ -225,9 +230,8 @@ class _Nodes:
         measured = predicted & ~(self.g - self.error > _LOW_M)
         # An interval that even exact ends would leave open is sampled, else its predicted ends are measured.
         ends = is_open & (predicted[:-1] | predicted[1:])
-        ends &= (width - (self._certain(0.0)[:-1] + self._certain(0.0)[1:]) / slope <= settings.step_m) | (
-            left != _SAMPLE
-        )
+        exact = self._certain(torch.zeros_like(self.g), settings.max_step_m)
+        ends &= (width - (exact[:-1] + exact[1:]) / slope <= settings.step_m) | (left != _SAMPLE)
         ends |= is_open & (right == _INSIDE)
         measured[:-1] |= ends & predicted[:-1]
         measured[1:] |= ends & predicted[1:]
@@ -238,6 +242,14 @@ class _Nodes:
         measured &= ~behind
         at = torch.nonzero(is_open & ~measured[:-1] & ~measured[1:] & ~behind[1:]).squeeze(1)
         return measured, self._places(at, slope, lower)
+
+    def _steepness(self, fall: Tensor, count: int) -> Tensor:
+        """(K - 1,) how much steeper than a distance g was measured to be anywhere on the ray of each interval."""
+        known = (self.error == 0) & ((self.kind == _SAMPLE) | (self.kind == _INSIDE))
+        both = known[:-1] & known[1:] & (self.rows[1:] == self.rows[:-1])
+        steepest = torch.ones(count, dtype=torch.float64)
+        steepest = steepest.scatter_reduce(0, self.rows[:-1][both], fall[both].abs(), "amax")
+        return steepest.clamp_max(_STEEPEST)[self.rows[:-1]]
 
     def _local_slope(self, fall: Tensor) -> Tensor:
         """(K - 1,) the slope that intervals between samples may have: by their neighbours' next to a local minimum."""
@@ -252,10 +264,13 @@ class _Nodes:
         steep = torch.where(lowest, steep, 2.0 * _FLATTEST).clamp(_FLATTEST, 1.0)
         return torch.where(joined, torch.maximum(steep[:-1], steep[1:]), 0.0)
 
-    def _certain(self, error: Tensor | float) -> Tensor:
-        """(K,) how much of |g| is certain where it may be off by `error`, metres; 0 at the ends of rays."""
-        certain = torch.where(self.kind == _SAMPLE, self.g - error, 0.0).clamp_min(0.0)
-        return torch.where(self.kind == _INSIDE, self.g.abs(), certain)
+    def _certain(self, error: Tensor, most_m: float) -> Tensor:
+        """(K,) how much of |g| is certain where it may be off by `error` (K,), metres; 0 at the ends of rays.
+
+        most_m: no more counts, as a learned field says little about far distances.
+        """
+        certain = torch.where(self.kind == _SAMPLE, self.g - error, 0.0).clamp(0.0, most_m)
+        return torch.where(self.kind == _INSIDE, self.g.abs().clamp_max(most_m), certain)
 
     def _places(self, at: Tensor, slope: Tensor, lower: Tensor) -> _Nodes:
         """Where intervals (their left nodes) are sampled: at the least lower bound, or at an end of a ray."""

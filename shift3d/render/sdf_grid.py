@@ -154,8 +154,8 @@ class GridReadings:
         return rows, self.near_m[rows] + at * SAMPLE_M, g[rows, at].double()
 
     def clearance(self) -> Tensor:
-        """(M,) least distance along each ray, less the error bound."""
-        return (self.distance_m.min(1).values.double() - self.error_m).clamp_min(0.0)
+        """(M,) least distance along each ray, less the error bound and what may lie between two readings."""
+        return (self.distance_m.min(1).values.double() - self.error_m - 0.5 * SAMPLE_M).clamp_min(0.0)
 
 
 @dataclass(frozen=True)

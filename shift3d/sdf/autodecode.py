@@ -35,19 +35,43 @@ def autodecode(
         seed: of the first code, N(0, 0.01^2), and of the batches.
     Differentiable w.r.t.: nothing. Source: Park et al. 2019, section 4.2 (auto-decoder inference).
     """
+    points, distances = torch.from_numpy(samples.points)[None], torch.from_numpy(samples.distances)
+    return autodecode_each(decoder, points, distances, steps, batch, rate, clamp, code_penalty, seed, compute_dtype)[0]
+
+
+def autodecode_each(
+    decoder: Decoder,
+    points: Tensor,
+    distances: Tensor,
+    steps: int = 400,
+    batch: int = 2048,
+    rate: float = 1.5e-2,
+    clamp: float = 0.1,
+    code_penalty: float = 1e-5,
+    seed: int = 0,
+    compute_dtype: torch.dtype | None = None,
+) -> Tensor:
+    """Latent codes (shapes, code) float32 of several shapes at once, whose samples have the same distances.
+
+    Args:
+        points: (shapes, N, 3) float32, sdf frame, such as one shape's samples turned in several ways.
+        distances: (N,) float32, sdf units, negative inside.
+        the others: see :func:`autodecode`; each shape gets the same first code and the same batches.
+    Differentiable w.r.t.: nothing.
+    """
     if compute_dtype is None:
         compute_dtype = torch.bfloat16 if has_fast_bfloat16() else torch.float32
     source = torch.Generator().manual_seed(derive_seed("autodecode", seed) % 2**63)
-    points, distances = torch.from_numpy(samples.points), torch.from_numpy(samples.distances)
-    z = (0.01 * torch.randn(decoder.architecture.code_length, generator=source)).requires_grad_(True)
+    first = 0.01 * torch.randn(decoder.architecture.code_length, generator=source)
+    z = first.repeat(len(points), 1).requires_grad_(True)
     optimizer = torch.optim.Adam([z], lr=rate)
     for step in range(steps):
         if step == steps // 2:
             optimizer.param_groups[0]["lr"] = rate / 10.0
-        chosen = torch.randint(len(points), (batch,), generator=source)
-        predicted = decoder.grouped(z[None], points[chosen][None], compute_dtype)[0].clamp(-clamp, clamp)
-        data = (predicted - distances[chosen].clamp(-clamp, clamp)).abs().mean()
-        loss = data + code_penalty * z.square().sum()
+        chosen = torch.randint(len(distances), (batch,), generator=source)
+        predicted = decoder.grouped(z, points[:, chosen], compute_dtype).clamp(-clamp, clamp)
+        data = (predicted - distances[chosen].clamp(-clamp, clamp)).abs().mean(dim=1)
+        loss = data.sum() + code_penalty * z.square().sum()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()

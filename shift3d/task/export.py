@@ -14,6 +14,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from shift3d.attack.objective import object_box
+from shift3d.errors import InputError
 from shift3d.geometry.se3 import object_from_scene, scene_from_object
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.kitti_writing import frame_files, velodyne_bytes
@@ -30,6 +31,18 @@ _BOX = ("x", "y", "z", "dx", "dy", "dz", "heading")
 _UNITS = "metres, radians; geometric centre; heading counter-clockwise from +x"
 _OBJECT_RGBA, _SCENE_RGBA = (213, 94, 0, 255), (140, 140, 140, 255)
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+
+
+_FILES = ("scene.bin", "scene.ply", "hit_mask.npy", "object.ply", "object.glb", "box.json", "boxes.json")
+_KITTI = "kitti"
+
+
+def check_no_export(folder: Path) -> None:
+    """Raise InputError where an export would replace files of the folder."""
+    taken = [name for name in (*_FILES, _KITTI) if (folder / name).exists()]
+    if taken:
+        what = f"{taken[0]} is there already, and an export would replace it"
+        raise InputError(what, where=str(folder), remedy="Give another to=DIR, or overwrite=true")
 
 
 def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, folder: Path) -> list[Path]:
@@ -76,7 +89,7 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
         "object.glb": _exported(_in_gltf_axes(mesh, theta), "glb"),
         "box.json": _box_json(spec, solution, theta, vehicle.size_m, int(hits.sum())),
         "boxes.json": _boxes_json(boxes, classes, scene.ground_z_m),
-        **{f"kitti/{path}": content for path, content in frame.items()},
+        **{f"{_KITTI}/{path}": content for path, content in frame.items()},
     }
     for name, content in files.items():
         write_atomic(folder / name, content)

@@ -12,12 +12,13 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from shift3d.store.location import Place, local_copy
+from shift3d.tracking.auc_view import share_view
 from shift3d.tracking.sweep_groups import MOST_GROUPS, Recall, groups, metric_name, overall
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["SweepRecord", "mirror", "patience", "serve_command"]
+__all__ = ["SweepRecord", "mirror", "patience"]
 
 # An MLflow that is away must not hold a finished sweep up for MLflow's own default of minutes.
 _PATIENCE = {
@@ -89,6 +90,7 @@ def _write(record: SweepRecord, uri: str, experiment: str) -> None:
         run_id = _run_of(client, experiment_id, record, digest)
         children = _write_children(client, experiment_id, run_id, record)
         _write_parent(client, run_id, record, children)
+        share_view(client, experiment_id, overall(record.auc, record.curves)[0])
         _write_dataset(client, run_id, record, digest)
         client.log_artifacts(run_id, str(folder / "final"), "final")
         for name in _FILES:
@@ -196,21 +198,6 @@ def _params(record: SweepRecord) -> dict[str, str]:
 
     walk(record.settings, "")
     return flat
-
-
-def serve_command(uri: str, port: int, workers: int = 1) -> list[str]:
-    """Arguments of ``mlflow ui`` on loopback."""
-    return [
-        "ui",
-        "--backend-store-uri",
-        uri,
-        "--host",
-        "127.0.0.1",
-        "--port",
-        str(port),
-        "--workers",
-        str(workers),
-    ]
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from shift3d.attack.pose import attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import StepRecord
 from shift3d.attack.shape import attack_shape
-from shift3d.render import SdfGrid, Rendering, render
+from shift3d.render import Rendering, SdfGrid, render
 
 __all__ = ["MODES", "AttackLoops", "Loop", "cold_rendering", "published_step"]
 

@@ -18,7 +18,7 @@ from shift3d.render.object_field import ObjectField
 
 AREA = "constraints"
 FRAME = Frame((4.0, 1.8, 1.4))
-SETTINGS = preset("standard").with_(dtype=torch.float64, empty_space=False)
+SETTINGS = preset("standard").with_(dtype=torch.float64, sdf_grid=False)
 CODE = torch.zeros(6, dtype=torch.float64)
 EXACT = Constraints(overlap_m=2.0**-6, contact_m=2.0**-6)  # distances to such limits are exact in floating point
 

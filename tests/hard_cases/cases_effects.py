@@ -22,8 +22,8 @@ from hard_echoes import (
     without_tables,
 )
 
-from shift3d.render.effects.applicability import effect_named
 from shift3d.render.effects import fog, power, rain, snow
+from shift3d.render.effects.applicability import effect_named
 from shift3d.render.effects.chain import NO_RETURN_M
 from shift3d.render.effects.power import PowerLimit
 from shift3d.render.effects.wet_ground import reflected

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from analytic_fields import Field, box, sphere, union
 from catalogue import hard_case
-from hard_scenes import FEW, MANY, PLAIN, PRESETS, at_most, beams_along_x, draw, hit_at, unmoved
+from hard_scenes import FAST, FEW, MANY, PLAIN, PRESETS, at_most, beams_along_x, draw, hit_at, unmoved
 from torch import Tensor
 
 from shift3d.render import Beams
@@ -74,7 +74,7 @@ def chords_shorter_than_a_step() -> None:
     beams, entry = _limb()
     found = draw(beams, sphere(1.0), frame=PLAIN)
     assert found.hit_mask.double().mean() >= 0.95
-    assert float((found.range_m - entry)[found.hit_mask].abs().max()) < 1e-3
+    assert float((found.range_m - entry)[found.hit_mask].abs().max()) <= FAST.grazing_m
 
 
 @hard_case(
@@ -87,7 +87,7 @@ def a_short_chord_in_front_of_a_wall() -> None:
     beams, entry = _limb()
     found = draw(beams, union(sphere(1.0), box((0.2, 2.0, 0.5), (2.0, 0.0, 0.0))), frame=PLAIN)
     assert found.hit_mask.all()
-    assert float(((found.range_m - entry).abs() < 1e-3).double().mean()) >= 0.95
+    assert float(((found.range_m - entry).abs() <= FAST.grazing_m).double().mean()) >= 0.95
 
 
 @hard_case(

@@ -159,7 +159,7 @@ def an_intensity_beyond_half_precision() -> None:
 def a_label_with_a_column_missing_or_too_many() -> None:
     for columns in (CAR.split()[:-1], [*CAR.split(), "0.9", "1"], CAR.split()[:1]):
         text = f"{CAR}\n{' '.join(columns)}\n"
-        refused(lambda text=text: load(with_labels(text)), f"{TXT}, line 2", f"{len(columns)} columns")
+        refused(lambda text=text: load(with_labels(text)), f"{TXT}, line 2", f"{len(columns)} column")
 
 
 @hard_case(

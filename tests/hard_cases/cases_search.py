@@ -22,7 +22,7 @@ from shift3d.render import Beams, preset
 
 AREA = "constraints"
 FRAME = Frame((4.0, 1.8, 1.4))
-SETTINGS = preset("standard").with_(dtype=torch.float64, empty_space=False)
+SETTINGS = preset("standard").with_(dtype=torch.float64, sdf_grid=False)
 CODE = torch.zeros(6, dtype=torch.float64)
 THETA = torch.tensor([10.0, 0.0, -1.04, 0.3, 0.0, 0.0], dtype=torch.float64)
 

@@ -12,8 +12,8 @@ from hard_scenes import FAST
 from torch import Tensor
 
 from shift3d.render import Beams
-from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects import fog, rain
+from shift3d.render.effects.applicability import DetectorFacts
 from shift3d.render.effects.base import Returns, Situation
 from shift3d.render.effects.chain import EffectChain
 from shift3d.render.rendering import Rendering

@@ -38,6 +38,7 @@ _CONTAINER = record(
     image=TEXT,
     imagePullPolicy={"enum": ["Always", "IfNotPresent", "Never"]},
     env=listed(record(("name", "value"), name=TEXT, value=TEXT)),
+    envFrom=listed(record(secretRef=record(("name",), name=TEXT, optional=FLAG))),
     resources=_RESOURCES,
     securityContext=_SECURITY,
     volumeMounts=listed(record(("name", "mountPath"), name=TEXT, mountPath=TEXT, readOnly=FLAG)),

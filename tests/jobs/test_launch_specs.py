@@ -75,13 +75,16 @@ def test_the_autoscalers_file_fits_rays_own_schema() -> None:
     assert spec["head_node_type"] in spec["available_node_types"]
     starts = " ".join(spec["head_start_ray_commands"] + spec["worker_start_ray_commands"])
     assert starts.count("RAY_AUTH_MODE=token") == 2 and "--dashboard-host=127.0.0.1" in starts
+    assert all("ImageId" in node["node_config"] for node in spec["available_node_types"].values())
+    assert any("--python 3.11" in command for command in spec["setup_commands"])
     for command in [*spec["setup_commands"], *spec["head_start_ray_commands"], *spec["worker_start_ray_commands"]]:
         subprocess.run(["bash", "-n", "-c", command], check=True)
 
 
 def kuberay() -> Any:
     text = string.Template((JOBS / "kuberay.yaml").read_text())
-    return yaml.safe_load(text.substitute(IMAGE="shift3d", SWEEP="default", OUT="s3://b/f", ARGS="runner.workers=64"))
+    words = {"OUT": "s3://b/f", "TRACKING": "tracking.uri=https://MLFLOW", "ARGS": "runner.workers=64"}
+    return yaml.safe_load(text.substitute(IMAGE="shift3d", SWEEP="default", **words))
 
 
 def test_kuberays_file_fits_its_published_fields_and_asks_for_a_token() -> None:
@@ -91,6 +94,21 @@ def test_kuberays_file_fits_its_published_fields_and_asks_for_a_token() -> None:
     assert cluster["authOptions"] == {"mode": "token"}
     assert f"ray=={cluster['rayVersion']}\n" in (JOBS.parent / "constraints.txt").read_text()
     assert cluster["headGroupSpec"]["serviceType"] == "ClusterIP", "nothing of it outside its Kubernetes"
+
+
+def test_credentials_are_a_secret_of_the_driver_alone() -> None:
+    cluster = kuberay()["spec"]["rayClusterSpec"]
+    (head,) = cluster["headGroupSpec"]["template"]["spec"]["containers"]
+    assert [source["secretRef"]["name"] for source in head["envFrom"]] == ["shift3d-bucket"]
+    for group in cluster["workerGroupSpecs"]:
+        assert all("envFrom" not in worker for worker in group["template"]["spec"]["containers"])
+    assert not re.search(r"(KEY|SECRET|PASSWORD)\w*, value", (JOBS / "kuberay.yaml").read_text())
+
+
+@pytest.mark.parametrize("name", ["autoscaler.yaml", "kuberay.yaml", "ray_job.yaml", "slurm.sbatch"])
+def test_no_command_leaves_mlflow_in_a_file_of_a_machine_that_goes_away(name: str) -> None:
+    text = (JOBS / name).read_text()
+    assert "tracking.uri=https://MLFLOW" in text and "tracking=none" in text
 
 
 @pytest.mark.parametrize("path", [("spec", "entryPoint"), ("spec", "rayClusterSpec", "authOption"), ("spec", "sweep")])
@@ -114,6 +132,29 @@ def test_slurms_script_parses_and_its_directives_are_slurms() -> None:
     assert re.fullmatch(r"\d+:\d\d:\d\d", directives["time"])
 
 
+def test_slurms_python_is_that_of_the_folder_or_the_one_given(tmp_path: Path) -> None:
+    def run(**environment: str) -> subprocess.CompletedProcess[str]:
+        path = {"PATH": f"{tmp_path / 'slurm'}:/usr/bin:/bin", "SLURM_JOB_NODELIST": "n", "SLURM_JOB_NUM_NODES": "1"}
+        command = ["bash", str(JOBS / "slurm.sbatch"), "default"]
+        known = path | {"SLURM_CPUS_ON_NODE": "1", **environment}
+        return subprocess.run(command, cwd=tmp_path, env=known, capture_output=True, text=True, check=False)
+
+    tools = {"slurm/scontrol": "echo n", "slurm/srun": "command -v shift3d"}
+    for name in (*tools, "repo/.venv/bin/shift3d", "repo/.venv/bin/ray", "mine/bin/shift3d", "mine/bin/ray"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"#!/bin/bash\n{tools.get(name, 'true')}\n")
+        (tmp_path / name).chmod(0o755)
+    absent = run()
+    assert absent.returncode == 2 and "make setup" in absent.stderr
+    assert run(SLURM_SUBMIT_DIR=str(tmp_path / "repo")).stdout.strip() == str(tmp_path / "repo/.venv/bin/shift3d")
+    assert run(VENV=str(tmp_path / "mine")).stdout.strip() == str(tmp_path / "mine/bin/shift3d")
+
+
+def _uncommented(path: Path) -> str:
+    """A file's text with commands of its comments as a shell reads them."""
+    return path.read_text().replace("\n#", "\n").replace("\\\n", "")
+
+
 def _directives(path: Path) -> list[str]:
     lines = path.read_text().splitlines()
     assert lines[0] == "#!/bin/bash"
@@ -124,7 +165,7 @@ def _directives(path: Path) -> list[str]:
 
 
 def test_a_command_on_a_cluster_is_the_same_whoever_made_the_cluster() -> None:
-    (launched,) = re.findall(r"ray exec jobs/autoscaler.yaml '(.*)'", (JOBS / "autoscaler.yaml").read_text())
+    (launched,) = re.findall(r"ray exec jobs/autoscaler.yaml '([^']*)'", _uncommented(JOBS / "autoscaler.yaml"))
     submitted = kuberay()["spec"]["entrypoint"].replace("s3://b/f", "s3://BUCKET/FOLDER")
     assert sorted(shlex.split(submitted)) == sorted(shlex.split(launched))
     assert shlex.split(launched)[:4] == ["shift3d", "sweep", "default", "job=ray_cluster"]

@@ -73,8 +73,8 @@ def _box(insertion: Insertion, field: ObjectField) -> Box:
     warm, settings = insertion.rendering.warm, insertion.settings
     if insertion.space is not None and settings.sdf_grid:
         return insertion.space.box
-    if warm is not None and warm.guard is not None:
-        return warm.guard.box
+    if warm is not None and warm.box is not None:
+        return warm.box.box
     size = torch.as_tensor(np.asarray(insertion.vehicle.size_m, dtype=np.float64))
     return verified_box(field, size, settings.box_margin_m).box
 

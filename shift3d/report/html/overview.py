@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from shift3d.report.caveats import trial_caveat
 from shift3d.report.html.document import Section, aside, paragraph, table, terms
 from shift3d.report.html.sweep import Sweep
 from shift3d.sweep.tasks import TaskGroup
@@ -19,7 +20,14 @@ _SETTINGS = ("steps", "alpha", "lambda", "random_replicates", "noise_replicates"
 def overview(sweep: Sweep) -> Section:
     """The section."""
     plan = sweep.plan
-    body = [terms(_facts(sweep)), _axes(plan.axes), *_cost(sweep), _versions(sweep)]
+    caveat = trial_caveat(plan.tasks)
+    body = [
+        *([paragraph(caveat)] if caveat else []),
+        terms(_facts(sweep)),
+        _axes(plan.axes),
+        *_cost(sweep),
+        _versions(sweep),
+    ]
     return Section("run", "What was run", body)
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from shift3d.cli import train
 from shift3d.cli.command import key_values
 from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
+from shift3d.cli.mesh_words import FRAME_VALUES
 from shift3d.cli.words import split_words
 from shift3d.errors import InputError
 from shift3d.store.location import as_location
@@ -83,6 +87,59 @@ def test_key_values() -> None:
     assert key_values(["a=1", "b=x=y"], ["a", "b"], ["a"], "here") == {"a": "1", "b": "x=y"}
     with pytest.raises(InputError, match="given twice"):
         key_values(["a=1", "a=2"], ["a"], [], "here")
+
+
+def completed(line: str, folder: Path) -> set[str]:
+    """What a shell that asks as argcomplete's hook does is offered for the end of a line."""
+    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
+    # Without '=' and ':' among the breaks of words, as in zsh: whole words come back.
+    asked |= {"_ARGCOMPLETE_COMP_WORDBREAKS": " \t\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(folder / "answer")}
+    subprocess.run([sys.executable, "-m", "shift3d"], env={**os.environ, **asked}, cwd=folder, check=True)
+    return {word.strip() for word in (folder / "answer").read_text().splitlines() if not word.startswith("-")}
+
+
+@pytest.fixture
+def sweeps(tmp_path: Path) -> Path:
+    for name in ("outputs/smoke-0123", "outputs/default-4567", "runs/a"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "spec.yaml").touch()
+    (tmp_path / "outputs" / "frontier").mkdir()
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("sweep pl", {"plan"}),
+        ("sweep st", {"status", "stability"}),
+        ("sweep status ", {"outputs/smoke-0123", "outputs/default-4567"}),
+        ("sweep status runs/", {"runs/a"}),
+        ("sweep outputs/", {"outputs/smoke-0123", "outputs/default-4567", "outputs/frontier/"}),
+        ("sweep plan smo", {"smoke"}),
+        ("sweep smoke vehicle=su", {"vehicle=suv"}),
+        ("sweep smoke reuse=outputs/d", {"reuse=outputs/default-4567"}),
+        ("plan smo", {"smoke"}),
+        ("plan pl", set()),
+        ("verify o", {"outputs/smoke-0123", "outputs/default-4567"}),
+        ("report outputs/s", {"outputs/smoke-0123"}),
+        ("export outputs/smoke-0123 ", {"task=", "method=", "replicate=", "to=", "overwrite="}),
+        ("export outputs/smoke-0123 method=adv", {"method=adversarial", "method=adversarial_noise"}),
+        ("fit car.glb u", {"up=", "unit="}),
+        ("fit car.glb up=+", {"up=+x", "up=+y", "up=+z"}),
+        ("train mo", {"model="}),
+        ("train model=s", {"model=sdf", "model=sst", "model=sst_small"}),
+    ],
+)
+def test_the_shell_is_offered(line: str, offered: set[str], sweeps: Path) -> None:
+    assert completed(f"shift3d {line}", sweeps) == offered
+
+
+def test_what_is_offered_for_a_mesh_and_a_model_is_what_they_take() -> None:
+    from shift3d.training.command import MODELS
+    from shift3d.vehicles.mesh_frame import AXES, UNITS_M
+
+    assert set(train._VALUES["model"]) == set(MODELS)
+    assert {"forward": AXES, "up": AXES, "unit": tuple(UNITS_M)} == FRAME_VALUES
 
 
 def test_completion_offers_sweeps_groups_options_and_settings() -> None:

@@ -7,16 +7,16 @@ import torch
 from analytic_fields import Field, Frame, box, sphere, union
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shift3d.render.bracket import first_brackets
+from shift3d.render.seen import Seen
 from torch import Tensor
 
 from shift3d.render.bounding_box import Box
-from shift3d.render.bracket import first_brackets
 from shift3d.render.coverage import Covered, cover
 from shift3d.render.culling import Rays
-from shift3d.render.sdf_grid import FieldLattice
 from shift3d.render.object_field import ObjectField
 from shift3d.render.ray_samples import Profile
-from shift3d.render.seen import Seen
+from shift3d.render.sdf_grid import FieldLattice
 from shift3d.render.settings import STANDARD, RenderSettings
 
 FLOAT64 = STANDARD.with_(dtype=torch.float64)

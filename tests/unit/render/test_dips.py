@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import torch
 from analytic_fields import Field, Frame
+from shift3d.render.bracket import Brackets, first_brackets
+from shift3d.render.dips import look_into_dips
+from shift3d.render.seen import Seen
 from torch import Tensor
 
-from shift3d.render.bracket import Brackets, first_brackets
 from shift3d.render.culling import Rays
-from shift3d.render.dips import look_into_dips
 from shift3d.render.object_field import ObjectField
-from shift3d.render.seen import Seen
 from shift3d.render.settings import STANDARD
 
 END = 10.0

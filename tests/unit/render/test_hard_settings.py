@@ -11,7 +11,7 @@ import torch
 from analytic_fields import SHAPENET_FRAME, Field, box, car, ground_scan, in_frame, sector_scan, sphere, union
 from torch import Tensor
 
-from shift3d.render import Beams, SdfGrid, Rendering, RenderSettings, preset, render
+from shift3d.render import Beams, Rendering, RenderSettings, SdfGrid, preset, render
 
 FAST = preset("standard").with_(dtype=torch.float64)
 REFERENCE = preset("reference").with_(step_m=0.01)

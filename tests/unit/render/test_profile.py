@@ -1,13 +1,13 @@
 """What is carried along rays from one field to the next: expected where the lattice tells, no more sure than that."""
 
 import torch
+from shift3d.render.seen import Seen
 from torch import Tensor
 
 from shift3d.render.bounding_box import Box
 from shift3d.render.culling import Rays
-from shift3d.render.sdf_grid import FieldLattice
 from shift3d.render.ray_samples import Profile
-from shift3d.render.seen import Seen
+from shift3d.render.sdf_grid import FieldLattice
 
 BOX = Box(torch.tensor([-3.0, -1.5, -1.5], dtype=torch.float64), torch.tensor([3.0, 1.5, 1.5], dtype=torch.float64))
 

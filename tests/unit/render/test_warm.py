@@ -3,7 +3,7 @@
 import torch
 from analytic_fields import SHAPENET_FRAME, box, car, ground_scan, in_frame, rounded, sphere, union
 
-from shift3d.render import Beams, SdfGrid, Rendering, preset, render
+from shift3d.render import Beams, Rendering, SdfGrid, preset, render
 from shift3d.render.culling import rays_in_box
 from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.vehicle import baseline_vehicles

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from valid_sweeps import _catalogue, plan, write_sweep
+from valid_sweeps import catalogue, plan, write_sweep
 
 from shift3d.config.compose import compose_sweep
 from shift3d.errors import InputError
@@ -23,7 +23,7 @@ from shift3d.task.spec import AttackSpec, TransferScene
 
 
 def plan_of(*words: str) -> Plan:
-    return make_plan(compose_sweep("smoke", ["vehicle=suv", *words]), _catalogue)[0]
+    return make_plan(compose_sweep("smoke", ["vehicle=suv", *words]), catalogue)[0]
 
 
 def ran(folder: Path, done: Plan, seconds: float) -> Path:

@@ -76,6 +76,10 @@ def text(finished: Path) -> str:
     return write_report(finished).read_text()
 
 
+def test_a_trial_says_that_its_numbers_mean_nothing(text: str) -> None:
+    assert "A trial: these AUCs mean nothing, with a search of 5 steps" in text
+
+
 def variant(scores: dict[tuple[str, str], list[float]], mode: str = "shape") -> Variant:
     """Scores by (method, vehicle), one a scene, as the sections take them."""
     rows = [

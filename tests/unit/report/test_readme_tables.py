@@ -7,6 +7,7 @@ import math
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -55,3 +56,11 @@ def test_three_lines_reproduce_the_table(library: str, finished: tuple[Path, Fin
     for row in found:
         assert (row["mode"], row["scored_by"]) == ("shape", "pointpillars")
         assert math.isclose(row["suv"], expected[row["method"], "suv"], abs_tol=1e-12)
+
+
+def test_the_extra_that_the_readme_names_brings_what_its_lines_import() -> None:
+    text = README.read_text()
+    (extra,) = re.findall(r"pip install -c constraints\.txt -e '\.\[(\w+)\]'", text)
+    project = tomllib.loads((README.parent / "pyproject.toml").read_text())["project"]
+    brought = {re.split(r"\W", name)[0] for name in project["dependencies"] + project["optional-dependencies"][extra]}
+    assert set(snippets()) <= brought

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+import valid_sweeps
 
 from shift3d.attack.objective import SCORE_RADIUS_M, detection_score, object_box, to_network_frame, window_around
+from shift3d.cli.main import main
 from shift3d.config.catalogue import accuracy_settings
 from shift3d.config.schema import AccuracyConfig
 from shift3d.detectors.nms import suppress
@@ -21,8 +23,11 @@ from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.kitti_files import lidar_box
 from shift3d.scenes.kitti_writing import CALIBRATION, label_line
+from shift3d.store.log import read_log
+from shift3d.sweep.final import write_final
+from shift3d.sweep.folder import read_plan
 from shift3d.task.assets import Assets, load_assets
-from shift3d.task.export import FRAME, export_solution
+from shift3d.task.export import FRAME, check_no_export, export_solution
 from shift3d.task.run import run_task
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
 from shift3d.task.spec import AssetsSpec, AttackSpec, Row, TaskSpec
@@ -146,3 +151,30 @@ def test_a_pose_is_exported_where_it_stands(assets: Assets, tmp_path: Path) -> N
     stated = json.loads((tmp_path / "box.json").read_text())
     assert stated["pose"] == {name: solution[name] for name in POSE}
     assert stated["box"]["x"] == solution["x_m"] and stated["box"]["heading"] == solution["yaw_rad"]
+
+
+def test_an_export_is_not_replaced_without_a_word(
+    exported: tuple[Path, Row, Row], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = exported[0]
+    valid_sweeps.write_sweep(tmp_path)
+    write_final(tmp_path, read_plan(tmp_path), read_log(tmp_path))
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    words = ["export", str(tmp_path), f"task={valid_sweeps.plan().tasks[0].spec.task_id}", "method=adversarial"]
+    assert main([*words, f"to={folder}"]) == 2
+    assert "scene.bin is there already" in (said := capsys.readouterr().err) and "overwrite=true" in said
+    assert main([*words, f"to={folder}", "overwrite=yes"]) == 2
+    assert "neither true nor false" in capsys.readouterr().err
+    assert before == {path: path.read_bytes() for path in before}
+
+
+def test_every_file_of_an_export_is_looked_for_and_others_are_not(
+    exported: tuple[Path, Row, Row], tmp_path: Path
+) -> None:
+    (tmp_path / "notes.txt").touch()
+    check_no_export(tmp_path)
+    for index, name in enumerate(sorted({path.relative_to(exported[0]).parts[0] for path in exported[0].rglob("*")})):
+        (tmp_path / str(index)).mkdir()
+        (tmp_path / str(index) / name).touch()
+        with pytest.raises(InputError, match=name):
+            check_no_export(tmp_path / str(index))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ import pytest
 
 from shift3d.evaluation.recall_curve import recall_curve
 from shift3d.tracking import sweep_groups
-from shift3d.tracking.mlflow import SweepRecord, mirror, serve_command
+from shift3d.tracking.auc_view import share_view, shared_views
+from shift3d.tracking.mlflow import SweepRecord, mirror
 
 SAME = {"sweep": "default", "dataset": "street", "mode": "shape", "alpha": 0.01, "detector": "p", "scored_by": "p"}
 SAME |= {"accuracy": "standard", "effects": "auto"}
@@ -176,6 +178,19 @@ def test_an_mlflow_that_is_away_is_a_reason_and_soon(tmp_path: Path) -> None:
     assert mirror(record(tmp_path / "out"), f"sqlite:///{tmp_path}/out/spec.yaml/mlflow.db", "shift3d")
 
 
-def test_the_server_is_on_loopback() -> None:
-    arguments = serve_command("sqlite:///mlflow.db", 5000)
-    assert arguments[arguments.index("--host") + 1] == "127.0.0.1"
+def test_mean_aucs_are_columns_of_a_view_that_later_sweeps_widen(tmp_path: Path, uri: str) -> None:
+    assert mirror(record(tmp_path / "out"), uri, "shift3d") is None
+    client, run, _ = runs_in(uri)
+    ((name, path),) = shared_views(client)
+    assert name == "shift3d" and path == f"#/experiments/{run.info.experiment_id}/runs?viewStateShareKey=auc"
+    shape = ["metrics.`auc/shape/mean/baseline`", "metrics.`auc/shape/mean/adversarial`"]
+    assert sorted(columns(client)) == sorted([*shape, "metrics.`auc`"])
+    share_view(client, run.info.experiment_id, ["auc/pose/mean/adversarial", "auc/pose/suv/adversarial"])
+    assert columns(client)[0] == "metrics.`auc/pose/mean/adversarial`" and set(shape) < set(columns(client))
+    assert len(columns(client)) == 4
+
+
+def columns(client: Any) -> list[str]:
+    tags = client.get_experiment_by_name("shift3d").tags
+    found: list[str] = json.loads(tags["mlflow.sharedViewState.auc"])["selectedColumns"]
+    return found

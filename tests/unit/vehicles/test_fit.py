@@ -16,6 +16,8 @@ from shift3d.sdf.decoder import load_decoder
 from shift3d.seeding import generator
 from shift3d.vehicles import vehicle_set
 from shift3d.vehicles.family import build_mesh, sample_spec
+from shift3d.vehicles.mesh_frame import MeshFrame
+from shift3d.vehicles.orientation import frames_along, turned
 from shift3d.vehicles.vehicle import baseline_vehicles, family_vehicles, vehicle_mesh
 
 
@@ -35,7 +37,8 @@ def test_fitted_mesh_is_a_vehicle_like_those_that_ship(
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
     out = tmp_path / "set"
     assert main(["fit", str(hatchback), "unit=mm", f"out={out}", "steps=60"]) == 0
-    assert "1 vehicle in" in capsys.readouterr().out
+    captured = capsys.readouterr()
+    assert "1 vehicle in" in captured.out and captured.err == "", "no doubts"
     (vehicle,) = baseline_vehicles(out / "vehicles.safetensors").values()
     assert (vehicle.name, vehicle.body_type) == ("hatchback_of_mine", "hatchback")
     mesh = build_mesh(sample_spec("hatchback", generator("fit test")), resolution_m=0.05)
@@ -49,6 +52,39 @@ def test_fitted_mesh_is_a_vehicle_like_those_that_ship(
     assert (out / "pictures" / "hatchback_of_mine.png").stat().st_size > 1000
     (trained,) = family_vehicles(out / "vehicles.safetensors")
     assert np.array_equal(trained.latent_code, vehicle.latent_code)
+
+
+def test_an_upside_down_mesh_is_said_to_fit_better_the_right_way_up(
+    hatchback: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
+    out = tmp_path / "set"
+    main(["fit", str(hatchback), "unit=mm", "up=-y", "steps=60", f"out={out}"])
+    assert "hatchback_of_mine: fits better with up=+y: " in capsys.readouterr().err
+    (facts,) = json.loads((out / "sdf.json").read_text())["vehicles"]
+    assert facts["better_orientation"]["chamfer_cm"] < 0.8 * facts["chamfer_cm"]
+
+
+def test_what_the_decoder_cannot_draw_is_said_with_its_picture_and_an_exit_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
+    trimesh.creation.box((4.0, 4.0, 4.0)).export(tmp_path / "cube.ply")
+    assert main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=20", f"out={tmp_path / 'set'}"]) == 3
+    said = capsys.readouterr().err
+    assert "cube: far from its mesh" in said and "is usual for a car of this length" in said
+    assert str(tmp_path / "set" / "pictures" / "cube.png") in said
+    assert (tmp_path / "set" / "pictures" / "cube.png").stat().st_size > 1000
+
+
+def test_orientations_along_an_axis_are_all_eight_and_turn_points_as_their_frames_do() -> None:
+    given = MeshFrame("-z", "+y", unit="m")
+    frames = frames_along(given)
+    assert frames[0] == given and len(set(frames)) == 8 and {frame.forward[1] for frame in frames} == {"z"}
+    in_file = np.array([[0.3, -0.2, 1.7]])
+    for frame in frames:
+        moved = turned(in_file @ given.object_R_file().T, given, frame)
+        assert np.allclose(moved, in_file @ frame.object_R_file().T)
 
 
 def test_metres_where_the_file_has_millimetres_are_one_line_with_the_remedy(

@@ -1,0 +1,60 @@
+"""Which way a mesh points: the orientation that a decoder of vehicles draws best, among those along its long axis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from shift3d.sdf.autodecode import autodecode_each
+from shift3d.sdf.decoder import Decoder
+from shift3d.sdf.samples import SdfSamples
+from shift3d.vehicles.mesh_frame import AXES, MeshFrame
+
+__all__ = ["better_frame", "frames_along", "turned"]
+
+STEPS, POINTS_A_STEP, SAMPLES = 40, 256, 2_000
+CLEARLY = 0.9
+"""Share of the given orientation's error below which another is better. Of ten cars that the shipped decoder does not
+know, none has another below 1.15 as they are; the right one has at most 0.78 of ten upside down and 0.9 of nine turned
+back to front."""
+_CLAMP = 0.1
+
+
+def frames_along(frame: MeshFrame) -> list[MeshFrame]:
+    """The eight orientations with the nose or the tail where `frame` has the nose, itself first."""
+    forwards = [frame.forward, *(axis for axis in AXES if axis[1] == frame.forward[1] and axis != frame.forward)]
+    ups = [frame.up, *(axis for axis in AXES if axis[1] != frame.forward[1] and axis != frame.up)]
+    return [replace(frame, forward=forward, up=up) for forward in forwards for up in ups]
+
+
+def better_frame(decoder: Decoder, samples: SdfSamples, frame: MeshFrame) -> MeshFrame | None:
+    """The orientation that a few steps of auto-decoding draw clearly better than the given one, or None.
+
+    Args: samples: of the mesh in the orientation `frame`.
+    Source: our choice: eight short searches together cost a third of the one that finds the code.
+    """
+    frames = frames_along(frame)
+    points = torch.from_numpy(np.stack([turned(samples.points, frame, other) for other in frames]))
+    distances = torch.from_numpy(samples.distances)
+    codes = autodecode_each(decoder, points, distances, steps=STEPS, batch=POINTS_A_STEP, clamp=_CLAMP)
+    stride = max(1, len(distances) // SAMPLES)
+    errors = _errors(decoder, codes, points[:, ::stride], distances[::stride])
+    best = int(errors.argmin())
+    return frames[best] if errors[best] < CLEARLY * errors[0] else None
+
+
+def turned(points: NDArray[Any], frame: MeshFrame, other: MeshFrame) -> NDArray[np.float32]:
+    """Points (N, 3) about the origin of the object frame that `frame` makes, in the one that `other` makes."""
+    return np.asarray(points @ (other.object_R_file() @ frame.object_R_file().T).T, np.float32)
+
+
+def _errors(decoder: Decoder, codes: Tensor, points: Tensor, distances: Tensor) -> Tensor:
+    """(shapes,) mean absolute errors of the clamped distances."""
+    with torch.no_grad():
+        predicted = decoder.grouped(codes, points.contiguous(), torch.float32).clamp(-_CLAMP, _CLAMP)
+    return (predicted - distances.clamp(-_CLAMP, _CLAMP)).abs().mean(dim=1)
