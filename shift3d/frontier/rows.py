@@ -38,8 +38,9 @@ def frontier_rows(settings: Sequence[Setting], cases: Sequence[MeasuredCase]) ->
     """A row for every setting and scene set, in this order, ready for `store.frontier_table`.
 
     Counts and depths are pooled over the set's renderings. Times are means over its cases of what each case's repeats
-    have as quartiles and median: the spread is that of repeating, not that of near and far vehicles. Ratios to
-    paper's are null where the preset `paper`, or the same on the sphere's chord alone, was not measured. Of gradients the worst case stands in the row.
+    have as quartiles and median: the spread is that of repeating, not that of near and far vehicles. Ratios are
+    null where the preset `paper`, or the same on the sphere's chord alone, was not measured. Of gradients the worst
+    case stands in the row.
     """
     rows: list[Row] = []
     for scenes in dict.fromkeys(case.scenes for case in cases):

@@ -42,8 +42,8 @@ class Repeats:
 class CaseResult:
     """What one setting came to on one case; see `measure.CaseInstrument` for the outcomes.
 
-    displaced: None where the setting leaves that shape out. attack: None where it makes no attacks. steps: times of attack steps, the first look's among
-    them. samples_ms: of renderings, at least one.
+    displaced: None where the setting leaves that shape out. attack: None where it makes no attacks. steps: times of
+    attack steps, the first look's among them. samples_ms: of renderings, at least one.
     """
 
     look: Outcome

@@ -13,11 +13,11 @@ __all__ = [
     "MISPLACED_M",
     "ZERO_BELOW",
     "dominators",
+    "dominators_of",
     "drawable",
     "effective_error_m",
     "knee",
     "misplaced",
-    "dominators_of",
     "pareto_flags",
     "warm_starts",
 ]

@@ -31,8 +31,8 @@ _COLUMNS: list[tuple[str, pa.DataType, str]] = [
     ("knob", pa.float64(), "any?"),
     ("knob_name", pa.string(), "text?"),
     ("preset", pa.string(), "preset?"),
-    # Under which conditions: cold or warm, whether an SDF grid of the shape was at hand, and of what (no, shape, pose) it
-    # was timed ready to take the gradient.
+    # Under which conditions: cold or warm, whether an SDF grid of the shape was at hand, and of what (no, shape, pose)
+    # it was timed ready to take the gradient.
     ("start", pa.string(), "start?"),
     ("grid", pa.bool_(), "any?"),
     ("gradient", pa.string(), "gradient?"),
