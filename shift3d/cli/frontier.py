@@ -124,7 +124,7 @@ def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[Front
     cases, repeats, steps = section.cases, section.repeats, section.descent_steps
     if quick:
         cases = sorted(cases, key=lambda case: -case.range_m)[: section.quick_cases]
-        settings = tuple(replace(setting, displaced=False, steps=1) for setting in settings)
+        settings = tuple(replace(setting, displaced=False, steps=1, attack_steps=0) for setting in settings)
         repeats, steps = min(repeats, _QUICK_REPEATS), 0
     plan = FrontierPlan(
         settings=settings,
@@ -161,10 +161,12 @@ def _setting(setting: Any, accuracy: Any) -> Setting:
         preset=setting.preset if setting.name == setting.preset else None,
         crop_m=setting.crop_m,
         warm=setting.warm,
-        space=setting.space,
+        gradient=setting.gradient,
+        grid=setting.grid,
         follow=setting.follow,
         displaced=setting.displaced,
         steps=setting.steps,
+        attack_steps=setting.attack_steps,
     )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.config import messages
+from shift3d.config.renamed import renamed_error
 from shift3d.config.scene_cache import SceneEntry
 from shift3d.config.scene_entries import scene_entries
 from shift3d.config.schema import (
@@ -137,6 +138,9 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
     """Every setting behind a preset, with its changes, as plain values (dtypes by name).
 
     ``detector`` is the precision of the detector inside the search, the others are the renderer's.
+
+    Raises:
+        InputError: a setting that the renderer does not have, by its older name or at all, or a value it cannot take.
     """
     from dataclasses import asdict
 
@@ -149,6 +153,8 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
         for name, value in asdict(preset(config.name)).items()
     }
     for name, value in config.render.items():
+        if (renamed := renamed_error(name, value)) is not None:
+            raise renamed
         if name not in settings:
             raise messages.choice_error("setting", name, settings, "accuracy.render")
         if value is None:

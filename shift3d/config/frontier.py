@@ -30,10 +30,12 @@ class MeasuredSetting(_Record):
     starts from; a setting called like its preset is that preset as it ships. render: overrides of
     ``accuracy.render``. over: one of these settings, or crop_m, and its values. detector: precision in the search;
     null: the preset's. crop_m: how far around the vehicle the detector looks at proposals; null: the whole scene.
-    warm: start from the previous rendering of an attack on the shape or the pose. space: with a map of the shape's
-    empty space, as tasks have one of each vehicle. follow: where it is warm, let the detector reuse what it computed
-    for the previous rendering. displaced: render the adversarially displaced shape too. steps: attack steps that are
-    timed on a case. bfloat16: left out where the processor has no instructions for it.
+    warm: start from the previous rendering of an attack on the shape or the pose; it is timed with all that the
+    gradient of that attack needs. gradient: a cold one is timed with what the gradient of the shape or the pose needs.
+    grid: with an SDF grid of the shape, as tasks have one of each vehicle. follow: where it is warm, let the detector
+    reuse what it computed for the previous rendering. displaced: render the adversarially displaced shape too. steps:
+    attack steps that are timed on a case. attack_steps: length of attacks, one on the shape and one on the pose, whose
+    scores the table has; 0: none. bfloat16: left out where the processor has no instructions for it.
     """
 
     name: str
@@ -44,10 +46,12 @@ class MeasuredSetting(_Record):
     detector: Literal["bfloat16", "float32", "float64"] | None = None
     crop_m: Positive | None = 8.0
     warm: Literal["no", "shape", "pose"] = "no"
-    space: bool = False
+    gradient: Literal["no", "shape", "pose"] = "no"
+    grid: bool = False
     follow: bool = True
     displaced: bool = True
     steps: Count = 1
+    attack_steps: Annotated[int, Field(ge=0)] = 0
     bfloat16: bool = False
 
 
@@ -123,7 +127,8 @@ def expand_settings(config: FrontierConfig) -> list[tuple[MeasuredSetting, Accur
 
 def _written_out(setting: MeasuredSetting, where: str) -> list[MeasuredSetting]:
     if not setting.over:
-        if setting.name == setting.preset and (setting.render or setting.detector or setting.warm != "no"):
+        changed = setting.render or setting.detector or (setting.warm, setting.gradient) != ("no", "no")
+        if setting.name == setting.preset and changed:
             what = f"{setting.name!r} is a preset's name, with other settings than the preset's"
             raise InputError(what, where=where, remedy="Give it another name")
         return [setting]

@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from shift3d.config.renamed import renamed_error
 from shift3d.errors import InputError
 
 __all__ = ["choice_error", "from_hydra", "from_validation", "one_of", "unreadable"]
@@ -71,6 +72,9 @@ def from_hydra(
         return choice_error(group or "sweep", name, options(group), where)
     if match := re.search(r"Could not override '([^']+)'", text):
         key, siblings = match.group(1), _siblings(match.group(1), config or {})
+        renamed = renamed_error(key.removeprefix("accuracy.render.")) if key.startswith("accuracy.render.") else None
+        if renamed is not None:
+            return renamed
         if key in siblings:
             return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
         return choice_error("setting", key, siblings, where)

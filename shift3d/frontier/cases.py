@@ -66,14 +66,13 @@ def place_case(scenes: str, number: int, spec: TaskSpec, assets: Assets) -> Case
 
 
 def problem_of(
-    case: Case, assets: Assets, accuracy: Mapping[str, Any], code: Tensor | None = None, space: bool = False
+    case: Case, assets: Assets, accuracy: Mapping[str, Any], code: Tensor | None = None, grid: bool = False
 ) -> AttackProblem:
     """The attack on a case as a task of this accuracy sets it up, the detector at the precision of the search.
 
-    code: (d,) that stands for the vehicle's own. space: with a map of that code's empty space, if the accuracy uses
-    one; without, there is none, so none is made.
+    code: (d,) that stands for the vehicle's own. grid: with an SDF grid of that code, if the accuracy uses one.
     """
-    settings = dict(accuracy) if space else {**accuracy, "sdf_grid": False}
+    settings = dict(accuracy) if grid else {**accuracy, "sdf_grid": False}
     spec = dataclasses.replace(case.spec, accuracy_settings=settings)
     problem = build_problem(spec, assets, case.theta)
     problem = dataclasses.replace(problem, detector=assets.detector_of(spec.detector, str(accuracy["detector"])))

@@ -12,6 +12,7 @@ from torch import Tensor
 from shift3d.attack.objective import SCORE_RADIUS_M, to_network_frame, window_around
 from shift3d.attack.problem import AttackProblem
 from shift3d.detectors.incremental import Follower
+from shift3d.frontier.attacks import attack_scores
 from shift3d.frontier.cases import Case, problem_of
 from shift3d.frontier.errors import compare
 from shift3d.frontier.gradient import AttackStep, attack_step, cosine, norm_ratio
@@ -70,9 +71,9 @@ class CaseInstrument:
         step = self._step(setting, prepared)
         slow = step.render_ms > 1e3 * self.slow_s
         # Without gradients a rendering may be checked more closely: its errors are those of what is timed.
-        rendering = step.rendering if slow or setting.warm != "no" else self._render(setting, prepared)
-        gradients = [(step.dz, self.truth.dz)] if setting.warm != "pose" else []
-        gradients += [(step.dtheta, self.truth.dtheta)] if setting.warm != "shape" else []
+        rendering = step.rendering if slow or setting.variable != "no" else self._render(setting, prepared)
+        gradients = [(step.dz, self.truth.dz)] if setting.variable != "pose" else []
+        gradients += [(step.dtheta, self.truth.dtheta)] if setting.variable != "shape" else []
         return {
             **self._times(step),
             "cosines": [cosine(found, true) for found, true in gradients],
@@ -89,6 +90,10 @@ class CaseInstrument:
         prepared = self._ready(setting, "displaced")
         return self._outcome(setting, prepared, self._render(setting, prepared), "displaced")
 
+    def attack(self, setting: Setting) -> Outcome:
+        """Final scores of attacks on the shape and on the pose."""
+        return {"scores": attack_scores(self.case, self.assets, setting)}
+
     def sample(self, setting: Setting) -> float:
         """Milliseconds of one rendering."""
         prepared = self._ready(setting, "start")
@@ -97,7 +102,7 @@ class CaseInstrument:
     def _ready(self, setting: Setting, shape: str) -> _Prepared:
         key = setting.step_key, shape
         if key not in self._prepared:
-            problem = problem_of(self.case, self.assets, setting.accuracy, self.truth.codes[shape], setting.space)
+            problem = problem_of(self.case, self.assets, setting.accuracy, self.truth.codes[shape], setting.grid)
             before = None if setting.warm == "no" else self._approach(setting, problem)
             follower = problem.follower() if before is not None and setting.follow else None
             self._prepared[key] = _Prepared(problem, before, follower)
@@ -137,8 +142,8 @@ class CaseInstrument:
             problem.theta0,
             setting.crop_m,
             prepared.warm,
-            of_code=setting.warm != "pose",
-            of_pose=setting.warm != "shape",
+            of_code=setting.variable != "pose",
+            of_pose=setting.variable != "shape",
             follower=follower,
         )
 
@@ -181,11 +186,10 @@ class CaseInstrument:
 def _rendered(
     problem: AttackProblem, setting: Setting, code: Tensor, theta: Tensor, warm: WarmStart | None
 ) -> Rendering:
-    """A rendering as an attack makes it where the setting is warm, ready for a gradient; else without one."""
-    in_attack = setting.warm != "no"
-    code = code.detach().clone().requires_grad_(setting.warm == "shape")
-    theta = theta.detach().clone().requires_grad_(setting.warm == "pose")
-    with torch.set_grad_enabled(in_attack):
+    """A rendering with all that the gradient of the setting's variable needs, or without a gradient."""
+    code = code.detach().clone().requires_grad_(setting.variable == "shape")
+    theta = theta.detach().clone().requires_grad_(setting.variable == "pose")
+    with torch.set_grad_enabled(setting.variable != "no"):
         sdf = problem.field_of(code)
-        space = problem.space_for(code)
-        return render(problem.beams, sdf, theta, problem.vehicle, problem.settings, warm, space)
+        grid = problem.space_for(code)
+        return render(problem.beams, sdf, theta, problem.vehicle, problem.settings, warm, grid)

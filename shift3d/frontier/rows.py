@@ -38,16 +38,19 @@ def frontier_rows(settings: Sequence[Setting], cases: Sequence[MeasuredCase]) ->
     """A row for every setting and scene set, in this order, ready for `store.frontier_table`.
 
     Counts and depths are pooled over the set's renderings. Times are means over its cases of what each case's repeats
-    have as quartiles and median: the spread is that of repeating, not that of near and far vehicles. Ratios to
-    paper's are null where the preset `paper` was not measured. Of gradients the worst case stands in the row.
+    have as quartiles and median: the spread is that of repeating, not that of near and far vehicles. Ratios are
+    null where the preset `paper`, or the same on the sphere's chord alone, was not measured. Of gradients the worst
+    case stands in the row.
     """
     rows: list[Row] = []
     for scenes in dict.fromkeys(case.scenes for case in cases):
         members = [case for case in cases if case.scenes == scenes]
         found = [_row(setting, scenes, members) for setting in settings]
         paper = next((row for row in found if row["preset"] == "paper"), None)
+        chord = next((row for row, setting in zip(found, settings) if _is_chord_only(setting)), None)
         for row in found:
             row["ratio_to_paper"] = paper and paper["ms_median"] / row["ms_median"]
+            row["ratio_to_paper_chord"] = chord and chord["ms_median"] / row["ms_median"]
             row["step_ratio_to_paper"] = paper and paper["step_ms_median"] / row["step_ms_median"]
         for row, flag in zip(found, pareto_flags(found)):
             row["pareto"] = flag
@@ -55,10 +58,15 @@ def frontier_rows(settings: Sequence[Setting], cases: Sequence[MeasuredCase]) ->
     return rows
 
 
+def _is_chord_only(setting: Setting) -> bool:
+    return setting.accuracy.get("solver") == "paper" and bool(setting.accuracy.get("sphere_chord_only"))
+
+
 def _row(setting: Setting, scenes: str, cases: Sequence[MeasuredCase]) -> Row:
     results = [case.results[setting.name] for case in cases]
     looks = [result.look for result in results]
     outcomes = looks + [result.displaced for result in results if result.displaced is not None]
+    attacked = [score for result in results if result.attack is not None for score in result.attack["scores"]]
     times = np.array([quartiles(result.samples_ms) for result in results]).mean(0)
     return {
         "setting": setting.name,
@@ -66,6 +74,9 @@ def _row(setting: Setting, scenes: str, cases: Sequence[MeasuredCase]) -> Row:
         "knob": setting.knob,
         "knob_name": setting.knob_name,
         "preset": setting.preset,
+        "start": "cold" if setting.warm == "no" else "warm",
+        "grid": setting.grid,
+        "gradient": setting.variable,
         "scenes": scenes,
         "renders": len(outcomes),
         "beams": sum(case.beams for case in cases),
@@ -78,6 +89,7 @@ def _row(setting: Setting, scenes: str, cases: Sequence[MeasuredCase]) -> Row:
         **_scores(outcomes),
         "detector_ms_median": fmean(_median(result.steps, "detector_ms") for result in results),
         "step_ms_median": fmean(_median(result.steps, "step_ms") for result in results),
+        "attack_score": fmean(attacked) if attacked else None,
     }
 
 

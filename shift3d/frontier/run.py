@@ -24,6 +24,7 @@ class Instrument(Protocol):
     def look(self, setting: Setting) -> Outcome: ...
     def step(self, setting: Setting) -> Outcome: ...
     def displaced(self, setting: Setting) -> Outcome: ...
+    def attack(self, setting: Setting) -> Outcome: ...
     def sample(self, setting: Setting) -> float: ...
 
 
@@ -41,14 +42,15 @@ class Repeats:
 class CaseResult:
     """What one setting came to on one case; see `measure.CaseInstrument` for the outcomes.
 
-    displaced: None where the setting leaves that shape out. steps: times of attack steps, the first look's among
-    them. samples_ms: of renderings, at least one.
+    displaced: None where the setting leaves that shape out. attack: None where it makes no attacks. steps: times of
+    attack steps, the first look's among them. samples_ms: of renderings, at least one.
     """
 
     look: Outcome
     displaced: Outcome | None
     steps: tuple[Outcome, ...]
     samples_ms: tuple[float, ...]
+    attack: Outcome | None = None
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,8 @@ def measure_case(
         samples = [journal[f"sample/{setting.rendering_key}/{i}"] for i in range(count)]
         if not samples:
             samples = [journal[f"look/{_first_alike(setting, settings).step_key}"]["render_ms"]]
-        results[setting.name] = CaseResult(look, displaced, tuple(steps), tuple(samples))
+        attack = journal[f"attack/{setting.attack_key}"] if setting.attack_steps else None
+        results[setting.name] = CaseResult(look, displaced, tuple(steps), tuple(samples), attack)
     return results
 
 
@@ -109,6 +112,9 @@ def _looks(settings: Sequence[Setting], instrument: Instrument) -> Iterator[_Pie
         if setting.displaced:
             name = f"displaced/{setting.displaced_key}"
             yield _Piece(name, setting, once + window, partial(instrument.displaced, setting))
+        if setting.attack_steps:
+            name = f"attack/{setting.attack_key}"
+            yield _Piece(name, setting, _attack_seconds(setting), partial(instrument.attack, setting))
 
 
 def _more_steps(
@@ -151,11 +157,15 @@ def _sample_count(setting: Setting, settings: Sequence[Setting], journal: Journa
 
 # Guesses for the progress bar alone, from a core without bfloat16: what it says is left soon follows what was measured.
 def _rendering_seconds(setting: Setting) -> float:
-    return {"paper": 130.0, "exact": 10.0}.get(str(setting.accuracy["solver"]), 1.0)
+    return {"paper": 130.0, "piecewise_linear": 10.0}.get(str(setting.accuracy["solver"]), 1.0)
 
 
 def _window_seconds(setting: Setting) -> float:
     return 8.0 if setting.crop_m is None else 0.5
+
+
+def _attack_seconds(setting: Setting) -> float:
+    return 2.0 * setting.attack_steps * (_rendering_seconds(setting) + _window_seconds(setting))
 
 
 def _timing_seconds(setting: Setting) -> float:
@@ -167,6 +177,8 @@ def expected_seconds(settings: Sequence[Setting], cases: int) -> float:
     total = 0.0
     for setting in settings:
         total += _rendering_seconds(setting) * (1 + setting.displaced) + 4 * _window_seconds(setting)
-        total += (setting.steps - 1) * (_rendering_seconds(setting) + 2 * _window_seconds(setting))
+        total += _attack_seconds(setting) + (setting.steps - 1) * (
+            _rendering_seconds(setting) + 2 * _window_seconds(setting)
+        )
     total += sum(_timing_seconds(s) for s in {s.rendering_key: s for s in settings}.values())
     return cases * total

@@ -20,12 +20,13 @@ class Setting:
         accuracy: every setting of the renderer as plain values, and "detector", the precision in the search, as
             `config.catalogue.accuracy_settings` gives them.
         crop_m: how far around the vehicle the detector looks at proposals; None: the whole scene.
-        warm: from which attack's previous rendering it starts, if any; it is then timed as that attack makes it,
-            ready for a gradient, and else without one.
-        space: whether a map of the shape's empty space is at hand, as tasks make one of each vehicle.
+        warm: from which attack's previous rendering it starts, if any.
+        gradient: of what a cold rendering prepares the gradient, if of anything.
+        grid: whether an SDF grid of the shape is at hand, as tasks make one of each vehicle.
         follow: whether, where it is warm, the detector reuses what it computed for the previous rendering.
         displaced: whether the displaced shape is rendered too.
         steps: how many attack steps are timed on a case.
+        attack_steps: length of the attacks whose scores are looked at; 0: none is made.
     """
 
     name: str
@@ -36,10 +37,17 @@ class Setting:
     preset: str | None = None
     crop_m: float | None = 8.0
     warm: Literal["no", "shape", "pose"] = "no"
-    space: bool = False
+    gradient: Literal["no", "shape", "pose"] = "no"
+    grid: bool = False
     follow: bool = True
     displaced: bool = True
     steps: int = 1
+    attack_steps: int = 0
+
+    @property
+    def variable(self) -> Literal["no", "shape", "pose"]:
+        """What a rendering is timed ready to take the gradient of; a warm one that of its attack's variable."""
+        return self.gradient if self.warm == "no" else self.warm
 
     @property
     def precision(self) -> str:
@@ -55,7 +63,7 @@ class Setting:
     def rendering_key(self) -> str:
         """Settings with the same one render the same: they share one measured time, so that none beats another."""
         renderer = {name: value for name, value in self.accuracy.items() if name != "detector"}
-        return _digest(renderer, self.warm, self.space)
+        return _digest(renderer, self.warm, self.variable, self.grid)
 
     @property
     def displaced_key(self) -> str:
@@ -66,6 +74,11 @@ class Setting:
     def step_key(self) -> str:
         """Settings with the same one take the same attack step."""
         return _digest(self.rendering_key, self.precision, self.crop_m, self.follow)
+
+    @property
+    def attack_key(self) -> str:
+        """Settings with the same one make the same attacks."""
+        return _digest(dict(self.accuracy), self.attack_steps)
 
 
 def _digest(*parts: object) -> str:

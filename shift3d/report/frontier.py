@@ -35,10 +35,14 @@ class _Column:
 
 
 _COLUMNS = (
+    _Column(
+        "conditions", "conditions", str, "cold or warm, with an SDF grid of the shape, ready for a gradient", False
+    ),
     _Column("time", "ms_median", milliseconds, "of one rendering, median"),
     _Column("from", "ms_low", milliseconds, "lower quartile of the time", False),
     _Column("to", "ms_high", milliseconds, "upper quartile of the time", False),
-    _Column("x paper", "ratio_to_paper", factor, "times as fast as paper, the published algorithm"),
+    _Column("x paper", "ratio_to_paper", factor, "times as fast as paper as published"),
+    _Column("x chord", "ratio_to_paper_chord", factor, "times as fast as paper, sphere chord only"),
     _Column("evals", "evaluations_per_beam", factor, "decoder evaluations a beam through the object's ball"),
     _Column("missed", "missed_hits", share, "hits that were not found"),
     _Column("2 cm", "missed_hits_2cm", share, "the same, of the hits whose chord is at least 2 cm"),
@@ -53,6 +57,7 @@ _COLUMNS = (
     _Column("norm", "gradient_norm_ratio", "{:.4f}".format, "length of that gradient over that of reference", False),
     _Column("score", "score_delta", "{:.1e}".format, "mean change of the final score, without sign", False),
     _Column("AUC", "auc_delta", "{:+.1e}".format, "change of the AUC"),
+    _Column("attack", "attack_score", "{:.4f}".format, "mean score that short attacks on shape and pose reach"),
     _Column("detector", "detector_ms_median", milliseconds, "forward and backward, median", False),
     _Column("step", "step_ms_median", milliseconds, "a whole attack step, median"),
     _Column("step x", "step_ratio_to_paper", factor, "times as fast as the published step"),
@@ -61,7 +66,8 @@ _COLUMNS = (
 )
 _RULE = (
     "A setting is dominated, and grey, where another one on the same scenes takes no more time, has no larger error, "
-    "and is better in one of the two. A warm setting needs a previous rendering, so it dominates warm ones only. "
+    "and is better in one of the two. A setting that needs a previous rendering (warm) or an SDF grid dominates only "
+    "such as have it, too, and what is ready for a gradient is dominated only by what is ready for the same. "
     f"The error is a bound on the mean error of a beam's depth: half of the median, 0.49 of the 99th percentile, 0.01 "
     f"of the maximum, and {MISPLACED_M:g} m for every beam that missed, hit a wrong surface, or hit nothing that is "
     "there. On the diagrams an error of zero has its place left of the dashed line."
@@ -87,12 +93,20 @@ def frontier_lines(frame: pd.DataFrame) -> str:
 
 
 def _sets(frame: pd.DataFrame) -> list[tuple[str, pd.DataFrame, list[_Column]]]:
-    frame = frame.assign(error_m=effective_error_m(frame))
+    frame = frame.assign(error_m=effective_error_m(frame), conditions=[_conditions(row) for row in frame.iloc])
     columns = [column for column in _COLUMNS if frame[column.source].notna().any()]
     return [
         (str(scenes), frame[frame["scenes"] == scenes].sort_values("ms_median", kind="stable"), columns)
         for scenes in dict.fromkeys(frame["scenes"])
     ]
+
+
+def _conditions(row: pd.Series) -> str | None:
+    """ "warm, grid, pose gradient"; None where they were not recorded, as in a frontier of version 1."""
+    if pd.isna(row["start"]):
+        return None
+    grid = ["grid"] if row["grid"] else []
+    return ", ".join([row["start"], *grid, *([] if row["gradient"] == "no" else [f"{row['gradient']} gradient"])])
 
 
 def _cells(row: pd.Series, columns: list[_Column]) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shift3d.report.numbers import factor, length, milliseconds, share
-from shift3d.report.pareto import MISPLACED_M, dominators, effective_error_m, knee, misplaced, warm_starts
+from shift3d.report.pareto import MISPLACED_M, dominators_of, effective_error_m, knee, misplaced, warm_starts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,6 +43,7 @@ def advice(frame: pd.DataFrame) -> str:
             *_steps(presets),
             _warm(rows, presets),
             _loop(presets),
+            _attacks(rows),
             _knee(rows),
             *_dominated(rows),
         ]
@@ -68,8 +69,10 @@ def _against_paper(presets: dict[str, Any]) -> str:
         return ""
     ours, paper = presets[_DEFAULT], presets["paper"]
     ratio = float(ours["ratio_to_paper"])
+    clipped = ours.get("ratio_to_paper_chord")
+    chord = "" if clipped is None or np.isnan(clipped) else f" ({factor(clipped)} times on the sphere's chord alone)"
     return (
-        f"The default, {_DEFAULT}, is {factor(ratio)} times as fast as paper, the published algorithm, and misses or "
+        f"The default, {_DEFAULT}, is {factor(ratio)} times as fast as paper as published{chord}, and misses or "
         f"misplaces {_share(ours['misplaced'])} of the hits where paper does {_share(paper['misplaced'])}."
     )
 
@@ -113,14 +116,14 @@ def _warm(rows: pd.DataFrame, presets: dict[str, Any]) -> str:
     found = rows[rows["setting"] == f"{_DEFAULT}, warm"]
     if found.empty or _DEFAULT not in presets:
         return ""
-    plain = rows[rows["setting"] == f"{_DEFAULT} without a map"]
+    plain = rows[rows["setting"] == f"{_DEFAULT}, shape gradient"]
     warm, cold, how = found.iloc[0], presets[_DEFAULT], "cold"
-    if len(plain):  # a map is of one shape: one that changes has none
-        cold, how = plain.iloc[0], "cold without a map of the shape"
+    if len(plain):  # an SDF grid is of one shape: one that changes has none
+        cold, how = plain.iloc[0], "cold under the same conditions, without an SDF grid and with the gradient"
     told = f"Warm, that is from the previous rendering on as in the attack loop, {_DEFAULT} takes "
     told += f"{milliseconds(warm['ms_median'])}: {factor(cold['ms_median'] / warm['ms_median'])} times as fast as {how}"
     if not np.isnan(warm["ratio_to_paper"]):
-        told += f" and {factor(warm['ratio_to_paper'])} times as fast as paper"
+        told += f" and {factor(warm['ratio_to_paper'])} times as fast as paper as published"
     return told + "."
 
 
@@ -132,6 +135,15 @@ def _loop(presets: dict[str, Any]) -> str:
     if not np.isnan(row["step_ratio_to_paper"]):
         told += f", {factor(row['step_ratio_to_paper'])} times as fast as the published way"
     return told + "."
+
+
+def _attacks(rows: pd.DataFrame) -> str:
+    """What attacks reach with each minimum |n.d|."""
+    made = rows[rows["attack_score"].notna()]
+    if made.empty:
+        return ""
+    parts = [f"{row['attack_score']:.3f} with {row['setting']}" for row in made.iloc]
+    return f"Short attacks reach a mean score of {_and(parts)}."
 
 
 def _knee(rows: pd.DataFrame) -> str:
@@ -160,7 +172,7 @@ def _knee(rows: pd.DataFrame) -> str:
 
 def _dominated(rows: pd.DataFrame) -> list[str]:
     """Who is dominated by whom, under the dominator that has most below it first."""
-    by = dominators(rows["ms_median"], rows["error_m"], rows["warm"])
+    by = dominators_of(rows)
     losers = np.flatnonzero(by >= 0)
     if not len(losers):
         return ["No setting is dominated."]

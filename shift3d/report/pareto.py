@@ -13,6 +13,7 @@ __all__ = [
     "MISPLACED_M",
     "ZERO_BELOW",
     "dominators",
+    "dominators_of",
     "drawable",
     "effective_error_m",
     "knee",
@@ -38,7 +39,7 @@ ZERO_BELOW = 30.0
 
 _READ = (
     *("setting", "ms_median", "missed_hits", "wrong_surface", "false_hits"),
-    *("depth_p50_m", "depth_p99_m", "depth_max_m"),
+    *("depth_p50_m", "depth_p99_m", "depth_max_m", "grid", "gradient"),
 )
 
 
@@ -70,7 +71,13 @@ def warm_starts(settings: Iterable[str]) -> BoolArray:
     return np.array([re.search(r"\bwarm\b", setting) is not None for setting in settings], dtype=bool)
 
 
-def dominators(time: npt.ArrayLike, error: npt.ArrayLike, warm: npt.ArrayLike | None = None) -> npt.NDArray[np.int64]:
+def dominators(
+    time: npt.ArrayLike,
+    error: npt.ArrayLike,
+    warm: npt.ArrayLike | None = None,
+    grid: npt.ArrayLike | None = None,
+    gradient: Sequence[str] | None = None,
+) -> npt.NDArray[np.int64]:
     """For each row the row that makes it pointless, or -1 where it is on the front.
 
     A row is dominated by one that takes no more time and has no larger error, and is better in at least one of the
@@ -82,6 +89,9 @@ def dominators(time: npt.ArrayLike, error: npt.ArrayLike, warm: npt.ArrayLike | 
         time, error: (N,), finite, in any unit; smaller is better.
         warm: (N,) bool, rows that need a previous rendering to start from. They cannot stand in for a row that needs
             none, so they dominate one another only; a row that needs none can dominate any. None: no row needs one.
+        grid: (N,) bool, likewise rows that need an SDF grid of the shape.
+        gradient: (N,) of what rows are ready to take the gradient, "no" for nothing. Only a row that is ready for the
+            same can dominate one that is ready. None: no row is.
 
     Returns:
         (N,) int64 row numbers.
@@ -90,14 +100,19 @@ def dominators(time: npt.ArrayLike, error: npt.ArrayLike, warm: npt.ArrayLike | 
         ValueError: a time or an error is not finite, or the lengths differ.
     """
     times, errors = _floats(time), _floats(error)
-    needs = np.zeros(times.shape, dtype=bool) if warm is None else np.asarray(warm, dtype=bool)
-    if times.ndim != 1 or times.shape != errors.shape or times.shape != needs.shape:
-        raise ValueError(f"times {times.shape}, errors {errors.shape} and warm {needs.shape} must be (N,) each")
+    nothing = np.zeros(times.shape, dtype=bool)
+    needs = [nothing if each is None else np.asarray(each, dtype=bool) for each in (warm, grid)]
+    ready = np.asarray(["no"] * len(nothing) if gradient is None else list(gradient), dtype=str)
+    shapes = {times.shape, errors.shape, ready.shape, *(each.shape for each in needs)}
+    if times.ndim != 1 or len(shapes) != 1:
+        raise ValueError(f"times {times.shape}, errors {errors.shape} and warm {needs[0].shape} must be (N,) each")
     if not (np.isfinite(times).all() and np.isfinite(errors).all()):
         raise ValueError("a time or an error is not finite")
     no_worse = (times[:, None] <= times) & (errors[:, None] <= errors)
     better = (times[:, None] < times) | (errors[:, None] < errors)
-    beats = no_worse & better & (~needs[:, None] | needs)
+    beats = no_worse & better & ((ready[:, None] == ready) | (ready == "no"))
+    for each in needs:
+        beats &= ~each[:, None] | each
     found = np.full(len(times), -1, dtype=np.int64)
     best_first = np.lexsort((np.arange(len(times)), errors, times))
     for row in np.flatnonzero(beats.any(axis=0)):
@@ -105,18 +120,29 @@ def dominators(time: npt.ArrayLike, error: npt.ArrayLike, warm: npt.ArrayLike | 
     return found
 
 
+def dominators_of(columns: Mapping[str, Any]) -> npt.NDArray[np.int64]:
+    """`dominators` of rows of one scene set, whose columns (N,) are the frontier's, or a frame of it.
+
+    Where `grid` and `gradient` are null, as in a frontier of version 1, nothing is known to need or to do more.
+    """
+    grid = [each is True or each is np.True_ for each in columns["grid"]]
+    gradient = [each if isinstance(each, str) else "no" for each in columns["gradient"]]
+    warm = warm_starts(columns["setting"])
+    return dominators(columns["ms_median"], effective_error_m(columns), warm, grid, gradient)
+
+
 def pareto_flags(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
     """The column `pareto` of the frontier: for each row whether no other of the same scenes dominates it.
 
     Args:
-        rows: of the frontier, with setting, scenes, ms_median and what ``effective_error_m`` reads.
+        rows: of the frontier, with setting, scenes, ms_median, perhaps grid and gradient, and what
+            ``effective_error_m`` reads.
     """
     flags = np.zeros(len(rows), dtype=bool)
     for scenes in {row["scenes"] for row in rows}:
         members = [number for number, row in enumerate(rows) if row["scenes"] == scenes]
-        columns = {name: [rows[number][name] for number in members] for name in _READ}
-        warm = warm_starts(columns["setting"])
-        flags[members] = dominators(columns["ms_median"], effective_error_m(columns), warm) < 0
+        columns = {name: [rows[number].get(name) for number in members] for name in _READ}
+        flags[members] = dominators_of(columns) < 0
     return [bool(flag) for flag in flags]
 
 

@@ -18,7 +18,9 @@ from shift3d.store.tables import check_table
 
 __all__ = ["FRONTIER_SCHEMA", "FRONTIER_SCHEMA_VERSION", "frontier_table", "machine_of", "read_frontier"]
 
-FRONTIER_SCHEMA_VERSION = 1
+FRONTIER_SCHEMA_VERSION = 2
+_WITHOUT = {1: ("start", "grid", "gradient", "ratio_to_paper_chord", "attack_score")}
+"""By older version: the columns that it did not have, all of which may be null."""
 
 _PRESETS = ("draft", "standard", "paper", "reference")
 # Column, type, what its values must satisfy; a question mark: may be null.
@@ -29,16 +31,23 @@ _COLUMNS: list[tuple[str, pa.DataType, str]] = [
     ("knob", pa.float64(), "any?"),
     ("knob_name", pa.string(), "text?"),
     ("preset", pa.string(), "preset?"),
+    # Under which conditions: cold or warm, whether an SDF grid of the shape was at hand, and of what (no, shape, pose)
+    # it was timed ready to take the gradient.
+    ("start", pa.string(), "start?"),
+    ("grid", pa.bool_(), "any?"),
+    ("gradient", pa.string(), "gradient?"),
     ("scenes", pa.string(), "text"),
     # On how much: true hits in all renderings.
     ("renders", pa.int64(), "not negative"),
     ("beams", pa.int64(), "not negative"),
     ("hits", pa.int64(), "not negative"),
-    # Of one rendering: median and quartiles. The ratio is the preset paper's median over this one, null without it.
+    # Of one rendering: median and quartiles. The ratios are a median over this one: that of the preset paper, as it was
+    # published, and that of the same on the sphere's chord alone; null without it.
     ("ms_median", pa.float64(), "positive"),
     ("ms_low", pa.float64(), "positive"),
     ("ms_high", pa.float64(), "positive"),
     ("ratio_to_paper", pa.float64(), "positive?"),
+    ("ratio_to_paper_chord", pa.float64(), "positive?"),
     # Decoder evaluations over beams through the object's ball.
     ("evaluations_per_beam", pa.float64(), "not negative"),
     # Fractions of true hits; 2cm: of those whose chord is at least 2 cm. There can be more false hits than true ones.
@@ -61,6 +70,8 @@ _COLUMNS: list[tuple[str, pa.DataType, str]] = [
     ("detector_ms_median", pa.float64(), "positive?"),
     ("step_ms_median", pa.float64(), "positive?"),
     ("step_ratio_to_paper", pa.float64(), "positive?"),
+    # Mean final score that short attacks on shape and pose reach: the AUC over them.
+    ("attack_score", pa.float64(), "fraction?"),
     ("unresolved_beams", pa.int64(), "not negative"),
     # In its scenes no setting that could be used instead is better; see shift3d.report.pareto.
     ("pareto", pa.bool_(), "any"),
@@ -70,6 +81,8 @@ _ALLOWED: dict[str, Callable[[Any], bool]] = {
     "any": lambda value: True,
     "text": lambda value: bool(value.strip()),
     "preset": lambda value: value in _PRESETS,
+    "start": lambda value: value in ("cold", "warm"),
+    "gradient": lambda value: value in ("no", "shape", "pose"),
     "positive": lambda value: value > 0,
     "not negative": lambda value: value >= 0,
     "fraction": lambda value: 0 <= value <= 1,
@@ -158,7 +171,7 @@ def _refused(what: str, number: int, row: Mapping[str, Any]) -> InputError:
 
 
 def read_frontier(path: Path) -> pa.Table:
-    """Read ``frontier.parquet`` and check that it holds a frontier of this schema version.
+    """Read ``frontier.parquet`` and check that it holds a frontier; columns that an older one lacks are null.
 
     Raises:
         InputError: the file is missing, torn, of another schema or version, or lacks a column.
@@ -174,13 +187,23 @@ def read_frontier(path: Path) -> pa.Table:
     metadata = table.schema.metadata or {}
     schema = metadata.get(b"shift3d.schema", b"none").decode(errors="replace")
     version = metadata.get(b"shift3d.schema_version", b"none").decode(errors="replace")
-    if (schema, version) != ("frontier", str(FRONTIER_SCHEMA_VERSION)):
+    table = _completed(table, version)
+    if schema != "frontier" or version not in map(str, (*_WITHOUT, FRONTIER_SCHEMA_VERSION)):
         what = f"is not a frontier of schema version {FRONTIER_SCHEMA_VERSION} (found {schema}, version {version})"
         raise InputError(what, str(path), "Read it with the version of shift3d that wrote it, or measure again")
     for field in FRONTIER_SCHEMA:
         if field.name not in table.column_names or table.schema.field(field.name).type != field.type:
             raise InputError(f"has no column {field.name} of type {field.type}", str(path), "Run make frontier again")
     check_table(table.select(FRONTIER_SCHEMA.names), FRONTIER_SCHEMA, path)
+    return table
+
+
+def _completed(table: pa.Table, version: str) -> pa.Table:
+    """A table of an older version with the columns that it lacks, all null."""
+    for name in _WITHOUT.get(int(version), ()) if version.isascii() and version.isdigit() else ():
+        if name not in table.column_names:
+            field = FRONTIER_SCHEMA.field(name)
+            table = table.append_column(field, pa.nulls(len(table), field.type))
     return table
 
 

@@ -10,13 +10,14 @@ from typing import Any
 import torch
 
 from shift3d.config.catalogue import file_hash, scene_set, vehicle_source, weights_file
+from shift3d.config.renamed import current_settings
 from shift3d.config.schema import DeepSdfVehicleConfig, KittiConfig, StreetConfig, VehicleSetConfig
 from shift3d.detectors.base import Detector
 from shift3d.detectors.weights import load_detector
 from shift3d.errors import InputError
 from shift3d.render.beams import Beams
 from shift3d.render.sdf_grid import SdfGrid
-from shift3d.render.settings import RenderSettings
+from shift3d.render.settings import PRESETS, STANDARD, RenderSettings
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.sdf.decoder import Decoder
@@ -161,14 +162,18 @@ def _vehicle_config(values: Mapping[str, Any]) -> VehicleSetConfig | DeepSdfVehi
 
 
 def render_settings(spec: TaskSpec) -> RenderSettings:
-    """The renderer's settings that a task states in plain values."""
-    values = {name: value for name, value in spec.accuracy_settings.items() if name != "detector"}
+    """The renderer's settings that a task states in plain values; what an older program did not state is the preset's.
+
+    Raises:
+        InputError: no dtype, or a solver that is gone.
+    """
+    where = f"task {spec.task_id}"
+    values = current_settings(spec.accuracy_settings, where)
+    values.pop("detector", None)
     if values.get("dtype") not in _DTYPES:
-        raise InputError(
-            f"accuracy.render.dtype is {values.get('dtype')!r}", f"task {spec.task_id}", "float32 or float64"
-        )
+        raise InputError(f"accuracy.render.dtype is {values.get('dtype')!r}", where, "float32 or float64")
     values["dtype"] = _DTYPES[values["dtype"]]
-    return RenderSettings(**values)
+    return PRESETS.get(spec.accuracy, STANDARD).with_(**values)
 
 
 def search_precision(spec: TaskSpec) -> str:

@@ -60,7 +60,8 @@ def test_rows_of_one_method_differ_in_their_knob_alone() -> None:
     for setting in plan.settings:
         if setting.knob is not None:
             lines.setdefault(setting.method, []).append(setting)
-    assert {"march in the box", "bisections", "sphere tracing", "ITP", "bisection", "Anderson-Bjorck"} <= lines.keys()
+    assert {"plain sphere tracing", "step", "tolerance", "grazing intersections", "minimum |n.d|"} <= lines.keys()
+    assert {"final Newton threshold", "warm start's change", "detector crop"} <= lines.keys()
     for members in lines.values():
         knob = members[0].knob_name
         rest = [{k: v for k, v in dict(s.accuracy).items() if k != knob} for s in members]
@@ -70,10 +71,37 @@ def test_rows_of_one_method_differ_in_their_knob_alone() -> None:
             assert [s.accuracy[knob] for s in members] == [s.knob for s in members]
 
 
-def test_steps_iterations_and_starts_that_the_project_claims_something_about_are_there() -> None:
+def test_steps_and_starts_that_the_project_claims_something_about_are_there() -> None:
     names = {setting.name for setting, _ in expand_settings(frontier().frontier)}
-    assert {f"march {step} m" for step in ("0.4", "0.2", "0.1", "0.05", "0.025", "0.0125")} <= names
+    assert {f"plain sphere tracing, step {step} m" for step in ("0.04", "0.02", "0.01", "0.005")} <= names
     assert {"standard, warm", "standard, warm pose", "standard in float64", "whole scene", "crop 8 m"} <= names
+
+
+def test_a_warm_row_has_a_cold_one_under_the_same_conditions_beside_it() -> None:
+    plan, _ = plan_of(frontier(), None, quick=False)
+    by_name = {setting.name: setting for setting in plan.settings}
+    pairs = [
+        ("standard, warm", "standard, shape gradient"),
+        ("standard, warm pose", "standard, pose gradient"),
+        ("standard, warm pose without grid", "standard without grid, pose gradient"),
+    ]
+    for warm, cold in pairs:
+        one, other = by_name[warm], by_name[cold]
+        assert (one.variable, one.grid, one.accuracy) == (other.variable, other.grid, other.accuracy)
+        assert one.warm != "no" and other.warm == "no"
+
+
+def test_paper_as_published_and_on_the_chord_differ_in_that_alone() -> None:
+    plan, _ = plan_of(frontier(), None, quick=False)
+    by_name = {setting.name: setting for setting in plan.settings}
+    paper, chord = by_name["paper"], by_name["paper, sphere chord only"]
+    assert dict(chord.accuracy) == {**paper.accuracy, "sphere_chord_only": True}
+    assert (chord.crop_m, chord.displaced, chord.grid) == (paper.crop_m, paper.displaced, paper.grid)
+
+
+def test_what_attacks_reach_is_measured_for_each_minimum_of_n_dot_d() -> None:
+    plan, _ = plan_of(frontier(), None, quick=False)
+    assert [s.accuracy["min_n_dot_d"] for s in plan.settings if s.attack_steps] == [0.0, 0.05, 0.2]
 
 
 def test_settings_that_render_alike_are_measured_once() -> None:
@@ -81,9 +109,9 @@ def test_settings_that_render_alike_are_measured_once() -> None:
     by_name = {setting.name: setting for setting in plan.settings}
     standard = by_name["standard"].rendering_key
     assert all(by_name[name].rendering_key == standard for name in ("crop 5 m", "whole scene", "detector in float64"))
-    without_map = ("standard without a map", "trace and march 0.02 m", "Anderson-Bjorck to 3e-06 m")
-    assert len({by_name[name].rendering_key for name in without_map}) == 1
-    others = ("standard, warm", "standard without a map", "standard in float64", "ITP to 1e-05 m")
+    without_grid = ("standard without grid", "step 0.02 m", "tolerance 3e-06 m", "grazing 0.003 m")
+    assert len({by_name[name].rendering_key for name in without_grid}) == 1
+    others = ("standard, warm", "standard without grid", "standard in float64", "standard, pose gradient")
     assert standard not in {by_name[name].rendering_key for name in others}
     assert len({by_name[name].step_key for name in ("crop 5 m", "crop 12 m", "whole scene", "standard")}) == 4
 
@@ -104,8 +132,8 @@ def test_quick_and_only_choose() -> None:
     plan, _ = plan_of(frontier(), None, quick=True)
     assert len(plan.cases) == 1 and plan.cases[0][1] == max(case.range_m for case in frontier().frontier.cases)
     assert {"paper", "standard", "reference", "draft"} <= {setting.name for setting in plan.settings}
-    plan, _ = plan_of(frontier(), "^march", quick=False)
-    assert all(setting.name.startswith("march") for setting in plan.settings)
+    plan, _ = plan_of(frontier(), "^plain", quick=False)
+    assert all(setting.name.startswith("plain") for setting in plan.settings)
     for pattern in ("no such setting", "("):
         with pytest.raises(InputError):
             plan_of(frontier(), pattern, quick=False)
@@ -136,6 +164,9 @@ def test_kitti_is_a_second_set_or_the_only_one(tmp_path: Any) -> None:
         ({"name": "{}", "over": {"step_m": []}}, "at least 1 item"),
         ({"name": "{}", "over": {"step_m": [0.1], "batch": [1]}}, "at most 1 item"),
         ({"warm": "yes"}, "One of: no, shape, pose"),
+        ({"gradient": "both"}, "One of: no, shape, pose"),
+        ({"render": {"grazing_floor": 0.0}}, "is called min_n_dot_d"),
+        ({"name": "draft", "preset": "draft", "gradient": "pose"}, "preset's name"),
         ({"preset": "standart"}, "Did you mean 'standard'"),
         ({"crop_m": 0.0}, "greater than 0"),
     ],

@@ -9,7 +9,7 @@ from typing import Any
 from shift3d.frontier.settings import Setting
 
 
-def setting(name: str, solver: str = "hybrid", **changes: Any) -> Setting:
+def setting(name: str, solver: str = "sphere_tracing", **changes: Any) -> Setting:
     """A setting whose renderings are told apart by `solver` and what else is in `renderer`."""
     renderer = {"solver": solver, **changes.pop("renderer", {})}
     accuracy = {**renderer, "detector": changes.pop("detector", "float32")}
@@ -64,6 +64,10 @@ class FakeInstrument:
     def displaced(self, setting: Setting) -> dict[str, Any]:
         self._called("displaced", setting.name)
         return outcome(score=0.8, wrong=1)
+
+    def attack(self, setting: Setting) -> dict[str, Any]:
+        self._called("attack", setting.name)
+        return {"scores": [0.25, 0.5]}
 
     def sample(self, setting: Setting) -> float:
         self._called("sample", setting.name)

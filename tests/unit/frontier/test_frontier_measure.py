@@ -132,7 +132,7 @@ def test_a_coarser_tolerance_has_larger_depth_errors_and_residuals(instrument: C
 
 
 def test_a_blind_step_misses_hits_and_its_gradient_points_elsewhere(instrument: CaseInstrument) -> None:
-    found = instrument.look(setting("standard", "march 2 m", {"solver": "march", "step_m": 2.0}))
+    found = instrument.look(setting("standard", "steps of 2 m", {"solver": "plain_sphere_tracing", "step_m": 2.0}))
     assert found["missed"] + found["wrong"] > 0
     assert min(found["cosines"]) < 0.9999
 
@@ -141,8 +141,8 @@ def test_a_blind_step_misses_hits_and_its_gradient_points_elsewhere(instrument: 
 def test_a_warm_rendering_finds_the_same_and_takes_the_gradient_of_its_attack(
     instrument: CaseInstrument, attack: str
 ) -> None:
-    # An attack on the pose keeps the shape, and so its map; one on the shape has the previous rendering alone.
-    chosen = setting("standard", f"warm {attack}", {"dtype": "float64"}, warm=attack, space=attack == "pose")
+    # An attack on the pose keeps the shape, and so its SDF grid; one on the shape has the previous rendering alone.
+    chosen = setting("standard", f"warm {attack}", {"dtype": "float64"}, warm=attack, grid=attack == "pose")
     found = instrument.look(chosen)
     cold = instrument.look(setting("standard", f"cold {attack}", {"dtype": "float64"}))
     assert found["missed"] + found["wrong"] + found["false"] <= 0.01 * found["hits"]
@@ -150,9 +150,9 @@ def test_a_warm_rendering_finds_the_same_and_takes_the_gradient_of_its_attack(
     assert found["evaluations"] < cold["evaluations"]
 
 
-def test_a_map_saves_evaluations_and_loses_nothing(instrument: CaseInstrument) -> None:
-    chosen = setting("standard", "no map", {"dtype": "float64"})
-    plain, mapped = (instrument.look(dataclasses.replace(chosen, space=space)) for space in (False, True))
+def test_an_sdf_grid_saves_evaluations_and_loses_nothing(instrument: CaseInstrument) -> None:
+    chosen = setting("standard", "no grid", {"dtype": "float64"})
+    plain, mapped = (instrument.look(dataclasses.replace(chosen, grid=grid)) for grid in (False, True))
     assert mapped["missed"] + mapped["wrong"] + mapped["false"] == 0
     assert mapped["evaluations"] < plain["evaluations"]
 
@@ -174,3 +174,19 @@ def test_a_distance_that_no_scene_has_room_at_is_said(assets: Any) -> None:
     far = dataclasses.replace(SPEC, placement=PlacementSpec(70.0, 71.0, 50, attempts=5))
     with pytest.raises(InputError, match="70 to 71 m"):
         place_case("flat", 0, far, assets)
+
+
+@pytest.mark.parametrize("variable", ["shape", "pose"])
+def test_a_cold_rendering_prepares_the_gradient_that_a_warm_one_prepares(
+    instrument: CaseInstrument, variable: str
+) -> None:
+    chosen = setting("standard", f"cold, {variable}", {"dtype": "float64"}, gradient=variable)
+    assert len(instrument.look(chosen)["cosines"]) == 1
+    plain = dataclasses.replace(chosen, gradient="no")
+    assert len(instrument.look(plain)["cosines"]) == 2
+    assert chosen.rendering_key != plain.rendering_key != dataclasses.replace(chosen, warm=variable).rendering_key
+
+
+def test_attacks_end_with_a_score_of_the_shape_and_one_of_the_pose(instrument: CaseInstrument) -> None:
+    scores = instrument.attack(setting("standard", "attacked", attack_steps=2))["scores"]
+    assert len(scores) == 2 and all(0.0 <= score <= 1.0 for score in scores)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from frontier_settings_by_hand import look, outcome, setting
 
@@ -70,6 +72,39 @@ def test_ratios_are_to_the_preset_paper_of_the_same_scenes_and_null_without_it()
     assert alone["ratio_to_paper"] is None and alone["step_ratio_to_paper"] is None
     frontier_table([*rows])
     frontier_table([alone])
+
+
+def test_ratios_name_their_paper_as_published_or_on_the_chord_alone() -> None:
+    chord = setting("chord", "paper", renderer={"sphere_chord_only": True}, displaced=False)
+    results = {"standard": result((10.0,)), "paper": result((4000.0,)), "chord": result((1000.0,))}
+    rows = frontier_rows([STANDARD, PAPER, chord], [MeasuredCase("street", 500, results)])
+    assert [row["ratio_to_paper"] for row in rows] == [400.0, 1.0, 4.0]
+    assert [row["ratio_to_paper_chord"] for row in rows] == [100.0, 0.25, 1.0]
+    assert row_of(result())["ratio_to_paper_chord"] is None
+
+
+def test_a_row_says_under_which_conditions_it_was_measured() -> None:
+    chosen = [
+        STANDARD,
+        setting("cold", gradient="pose", grid=True),
+        setting("warm", warm="shape"),
+    ]
+    results = {each.name: result() for each in chosen}
+    rows = frontier_rows(chosen, [MeasuredCase("street", 500, results)])
+    assert [(row["start"], row["grid"], row["gradient"]) for row in rows] == [
+        ("cold", False, "no"),
+        ("cold", True, "pose"),
+        ("warm", False, "shape"),
+    ]
+    frontier_table(rows)
+
+
+def test_the_score_that_attacks_reach_is_the_mean_over_cases_and_modes() -> None:
+    assert row_of(result())["attack_score"] is None
+    first, second = result(), result()
+    attacked = [dataclasses.replace(first, attack={"scores": [0.1, 0.3]})]
+    attacked.append(dataclasses.replace(second, attack={"scores": [0.5, 0.7]}))
+    assert row_of(*attacked)["attack_score"] == pytest.approx(0.4)
 
 
 def test_a_rendering_that_found_nothing_still_has_a_row() -> None:

@@ -18,7 +18,7 @@ SETTINGS = [
     setting("paper", "paper", preset="paper", crop_m=None, displaced=False),
     setting("crop 5 m", crop_m=5.0, steps=2),
     setting("detector in float64", detector="float64"),
-    setting("march", "march", method="march", knob=0.1, knob_name="step_m"),
+    setting("plain", "plain_sphere_tracing", method="plain", knob=0.1, knob_name="step_m", attack_steps=15),
 ]
 
 
@@ -54,7 +54,7 @@ def test_a_kill_in_the_middle_of_a_line_costs_that_measurement_alone(tmp_path: P
 def test_settings_that_render_the_same_share_their_times_and_tie(tmp_path: Path) -> None:
     instrument = FakeInstrument()
     rows = {row["setting"]: row for row in rows_of(tmp_path / "journal.jsonl", instrument)}
-    assert {name for what, name in instrument.calls if what == "sample"} == {"standard", "paper", "march"}
+    assert {name for what, name in instrument.calls if what == "sample"} == {"standard", "paper", "plain"}
     for name in ("crop 5 m", "detector in float64"):
         assert rows[name]["ms_median"] == rows["standard"]["ms_median"]
     # Its own attack step, but not its own displaced rendering: the score is float32's in both.
@@ -66,7 +66,7 @@ def test_timings_take_turns(tmp_path: Path) -> None:
     instrument = FakeInstrument()
     rows_of(tmp_path / "journal.jsonl", instrument)
     samples = [name for what, name in instrument.calls if what == "sample"]
-    assert samples == ["standard", "paper", "march", "march", "paper", "standard"] * 2
+    assert samples == ["standard", "paper", "plain", "plain", "paper", "standard"] * 2
 
 
 def test_what_is_slow_is_rendered_once(tmp_path: Path) -> None:

@@ -140,3 +140,15 @@ def test_an_error_of_zero_is_where_the_diagram_has_it() -> None:
     assert drawable([0.0, 3e-6, 1e-2], 1.0) == pytest.approx([1e-7, 3e-6, 1e-2])
     assert drawable([0.0, 0.0], 3e-9) == pytest.approx([1e-10, 1e-10])
     assert knee([1.0, 2.0, 1000.0], [1e-2, 3e-6, 0.0]) == 1
+
+
+def test_a_row_is_dominated_only_by_what_has_its_conditions_and_does_its_work() -> None:
+    time, error = [1.0, 2.0, 3.0], [1.0, 1.0, 1.0]
+    # A grid at hand: row 0 cannot stand in for row 1, which has none, but row 1 can for row 2.
+    assert dominators(time, error, grid=[True, False, True]).tolist() == [-1, -1, 0]
+    assert dominators(time, error, grid=[True, False, False]).tolist() == [-1, -1, 1]
+    # What is ready for a gradient takes longer than what is not, and can stand in for it.
+    assert dominators(time, error, gradient=["no", "shape", "shape"]).tolist() == [-1, -1, 1]
+    assert dominators(time, error, gradient=["pose", "shape", "no"]).tolist() == [-1, -1, 0]
+    rows = [frontier_row("cold", 1.0, grid=True), frontier_row("without grid", 2.0), frontier_row("slower", 3.0)]
+    assert pareto_flags(rows) == [True, True, False]

@@ -27,6 +27,7 @@ CONTRACT = {
 }
 MAY_BE_NULL = {
     *("knob", "knob_name", "preset", "gradient_cosine", "gradient_norm_ratio", "score_delta", "auc_delta"),
+    *("start", "grid", "gradient", "ratio_to_paper_chord", "attack_score"),
     *("ratio_to_paper", "detector_ms_median", "step_ms_median", "step_ratio_to_paper"),
 }
 MACHINE = {"processor": "some", "cores": 2, "torch": "2.13.0", "threads": 1}
@@ -47,7 +48,7 @@ def test_rows_come_back_as_they_were_with_the_machine(tmp_path: Path) -> None:
     assert table.to_pylist() == rows and rows[0]["hits"] == 12
     assert machine_of(table) == MACHINE
     metadata = pq.read_schema(path).metadata
-    assert (metadata[b"shift3d.schema"], metadata[b"shift3d.schema_version"]) == (b"frontier", b"1")
+    assert (metadata[b"shift3d.schema"], metadata[b"shift3d.schema_version"]) == (b"frontier", b"2")
     assert json.loads(metadata[b"shift3d.machine"]) == MACHINE
 
 
@@ -121,8 +122,8 @@ def test_what_is_no_frontier_is_named(tmp_path: Path) -> None:
     pq.write_table(table.replace_schema_metadata({"shift3d.schema": "scores"}), path)
     with pytest.raises(InputError, match="found scores, version none"):
         read_frontier(path)
-    pq.write_table(table.replace_schema_metadata({**table.schema.metadata, b"shift3d.schema_version": b"2"}), path)
-    with pytest.raises(InputError, match="version 2"):
+    pq.write_table(table.replace_schema_metadata({**table.schema.metadata, b"shift3d.schema_version": b"3"}), path)
+    with pytest.raises(InputError, match="version 3"):
         read_frontier(path)
     pq.write_table(table.drop_columns(["depth_p99_m"]), path)
     with pytest.raises(InputError, match="no column depth_p99_m"):
@@ -135,3 +136,13 @@ def test_metadata_that_is_no_machine_is_named(text: str) -> None:
     with pytest.raises(InputError, match=r"shift3d\.machine"):
         machine_of(table.replace_schema_metadata({"shift3d.machine": text}))
     assert machine_of(pa.table({"a": [1]})) == {}
+
+
+def test_a_frontier_of_version_1_is_read_with_nulls_for_what_it_lacks(tmp_path: Path) -> None:
+    lacking = ["start", "grid", "gradient", "ratio_to_paper_chord", "attack_score"]
+    older = frontier_table(realistic_rows()).drop_columns(lacking)
+    metadata = {**older.schema.metadata, b"shift3d.schema_version": b"1"}
+    pq.write_table(older.replace_schema_metadata(metadata), tmp_path / "frontier.parquet")
+    found = read_frontier(tmp_path / "frontier.parquet").to_pylist()
+    assert all(row[name] is None for row in found for name in lacking)
+    assert [row["setting"] for row in found] == [row["setting"] for row in realistic_rows()]
