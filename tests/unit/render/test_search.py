@@ -1,10 +1,9 @@
-"""Warm starts and the map of empty space: cheaper, and the same picture."""
+"""Warm starts and SDF grids: cheaper, and the same picture."""
 
 import torch
 from analytic_fields import SHAPENET_FRAME, box, car, ground_scan, in_frame, rounded, sphere, union
 
 from shift3d.render import Beams, Rendering, SdfGrid, preset, render
-from shift3d.render.culling import rays_in_box
 from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.vehicle import baseline_vehicles
 
@@ -46,15 +45,15 @@ def test_a_shape_that_changes_step_by_step() -> None:
     assert spent < 0.7 * fresh
 
 
-def test_a_pose_that_changes_step_by_step_with_and_without_a_map() -> None:
+def test_a_pose_that_changes_step_by_step_with_and_without_a_grid() -> None:
     beams, field = scan(), in_frame(car(), SHAPENET_FRAME)
-    space = SdfGrid.of(field, SHAPENET_FRAME, STANDARD)
+    grid = SdfGrid.of(field, SHAPENET_FRAME, STANDARD)
     warm = mapped = None
     for step in range(8):
         theta = THETA + step * torch.tensor([0.06, -0.03, 0.002, 0.04, 0.005, -0.004], dtype=torch.float64)
         cold = render(beams, field, theta, SHAPENET_FRAME, STANDARD)
         followed = render(beams, field, theta, SHAPENET_FRAME, STANDARD, warm)
-        leapt = render(beams, field, theta, SHAPENET_FRAME, STANDARD, mapped, space)
+        leapt = render(beams, field, theta, SHAPENET_FRAME, STANDARD, mapped, grid)
         same(followed, cold)
         same(leapt, cold)
         warm, mapped = followed.warm, leapt.warm
@@ -101,35 +100,6 @@ def test_warm_starts_from_nothing_hit() -> None:
     assert again.object_points == 0
     # A shape that comes back is seen at once: without a hit there is no measure of how far a surface moved.
     same(render(beams, field, THETA, SHAPENET_FRAME, STANDARD, again.warm), cold)
-
-
-def test_what_the_map_vouches_for_is_so() -> None:
-    metric, beams = car(), scan()
-    space = SdfGrid.of(in_frame(metric, SHAPENET_FRAME), SHAPENET_FRAME, STANDARD)
-    rays = rays_in_box(beams, THETA, space.box)
-    sight = space.sight(rays)
-    k = torch.arange(0.0, 6.0, 0.003, dtype=torch.float64)
-    x = rays.at(rays.near_m)[:, None] + k[:, None] * rays.directions[:, None]
-    g = torch.stack([metric(line) for line in x]).masked_fill(k > (rays.far_m - rays.near_m)[:, None], torch.inf)
-    first = torch.where((g < 0).any(1), k[(g < 0).byte().argmax(1)], torch.inf)
-    # No surface before the first place in doubt, and none at all on rays without one.
-    assert (sight.leaps().first() - rays.near_m <= first + 1e-6).all()
-    rows, guess, slope = sight.crossings()
-    assert len(rows) > 0.6 * torch.isfinite(first).sum()
-    assert torch.isfinite(first[rows]).all()
-    assert (guess - rays.near_m[rows] - first[rows]).abs().median() < 0.004
-    assert (slope < 0).all()
-    least, _ = sight.closest()
-    free = torch.isinf(first)
-    assert (least[free] <= g[free].amin(1) + 1e-6).all()
-
-
-def test_the_map_measures_its_own_error() -> None:
-    smooth = SdfGrid.of(in_frame(sphere(0.8), SHAPENET_FRAME), SHAPENET_FRAME, STANDARD)
-    creased = SdfGrid.of(in_frame(box((0.8, 0.5, 0.4)), SHAPENET_FRAME), SHAPENET_FRAME, STANDARD)
-    # Linear interpolation over h = 0.05 of a curvature 1 / 0.8: at most 3 h^2 / 8 times it, 1.2 mm; the floor is 5 mm.
-    assert smooth.error_m == 0.005
-    assert smooth.error_m < creased.error_m < 0.05
 
 
 def test_a_part_that_comes_up_where_no_beam_came_nearest() -> None:
