@@ -3,9 +3,9 @@
 import pytest
 import torch
 from analytic_fields import Frame, box, sphere, union
+from shift3d.render.bracket import Brackets, first_brackets
 from torch import Tensor
 
-from shift3d.render.bracket import Brackets, first_brackets
 from shift3d.render.culling import Rays
 from shift3d.render.object_field import ObjectField
 from shift3d.render.settings import REFERENCE, STANDARD

@@ -9,9 +9,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shift3d.render.itp import SLACK, find_roots_bisection, find_roots_itp
 from torch import Tensor
 
-from shift3d.render.itp import SLACK, find_roots_bisection, find_roots_itp
 from shift3d.render.roots import Roots
 
 METHODS = {"itp": (find_roots_itp, SLACK), "bisection": (find_roots_bisection, 0)}

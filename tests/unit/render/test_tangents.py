@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import torch
 from analytic_fields import SHAPENET_FRAME, Frame, in_frame, sector_scan, soft_car
+from shift3d.render.approach import predicted_hits
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering, preset, render
-from shift3d.render.approach import predicted_hits
 from shift3d.render.culling import object_rays
 from shift3d.render.object_field import Field as AnyField
 from shift3d.render.object_field import ObjectField
