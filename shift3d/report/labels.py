@@ -142,7 +142,7 @@ def _leaders(boxes: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _passed(point: FloatArray, ends: FloatArray, markers: FloatArray, scale: float) -> FloatArray:
-    """How many markers (M, 2) but those around the point lie on the straight line from a point to each of some ends (C, 2)."""
+    """(C,) how many of M markers, but those around the point, lie on the straight line to each of some ends (C, 2)."""
     others = markers[np.hypot(*(markers - point).T) > _CLEAR_PX * scale] - point
     line = ends - point
     along = np.clip(others @ line.T / np.maximum((line**2).sum(axis=1), 1e-9), 0.0, 1.0)
