@@ -201,7 +201,7 @@ def _legend(figure: Figure, frame: pd.DataFrame, styles: dict[str, Style], same:
         line = "-" if len(knobs) else "none"
         label = f"{method}{_swept(knobs)}"
         entries.append(Line2D([], [], color=style.colour, marker=style.marker, ms=size, ls=line, lw=1.3, label=label))
-    black = {"color": "black", "marker": "o", "mfc": "white", "ls": "none"}
+    black: dict[str, Any] = {"color": "black", "marker": "o", "mfc": "white", "ls": "none"}
     entries.append(Line2D([], [], ms=6, label="hollow: dominated", **black))
     entries.append(Line2D([], [], ms=10, mew=1.5, label="ring: renders the same as what it surrounds", **black))
     if same:

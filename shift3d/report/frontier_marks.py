@@ -68,7 +68,8 @@ def joined(rows: pd.DataFrame) -> list[Any]:
 
 def mark_settings(axes: Axes, rows: pd.DataFrame, x: FloatArray, styles: dict[str, Style]) -> None:
     """A marker a setting, presets first; where there is one already, a ring around it, one a method."""
-    front, there = rows["pareto"].to_numpy(dtype=bool), {}
+    front = rows["pareto"].to_numpy(dtype=bool)
+    there: dict[tuple[float, float], list[str]] = {}
     for row in np.argsort(rows["preset"].isna().to_numpy(), kind="stable"):
         place, method = (float(x[row]), float(rows["ms_median"].iloc[row])), str(rows["method"].iloc[row])
         style, drawn = styles[method], there.setdefault(place, [])
@@ -78,7 +79,14 @@ def mark_settings(axes: Axes, rows: pd.DataFrame, x: FloatArray, styles: dict[st
         if not drawn:
             face, edge = (style.colour, "white") if front[row] else ("white", style.colour)
             width, zorder = (0.6, 4) if front[row] else (1.2, 3)
-            marker = {"marker": style.marker, "ms": size, "mfc": face, "mec": edge, "mew": width, "zorder": zorder}
+            marker: dict[str, Any] = {
+                "marker": style.marker,
+                "ms": size,
+                "mfc": face,
+                "mec": edge,
+                "mew": width,
+                "zorder": zorder,
+            }
         else:
             size = _STAR + (len(drawn) - 1) * _RING
             marker = {
@@ -122,4 +130,5 @@ def _dark(colour: str) -> str:
     """A colour in which text can be read on white."""
     from matplotlib.colors import to_hex, to_rgb
 
-    return to_hex([0.7 * part for part in to_rgb(colour)])
+    red, green, blue = to_rgb(colour)
+    return to_hex((0.7 * red, 0.7 * green, 0.7 * blue))
