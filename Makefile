@@ -57,7 +57,7 @@ check: .venv/.dev  ## lint, format, types, layers
 bench: .venv/.dev  ## measure speed, write outputs/bench.json; ARGS="-k render", --quick, "--against FILE"
 	$(BIN)/python -m pytest tests/benchmarks -o python_files='bench_*.py' -o python_functions='bench_*' $(ARGS)
 
-frontier: .venv/.runtime  ## what accuracy costs in time, by sweeps/accuracy_time.yaml: 25 minutes; ARGS=--quick: 3
+frontier: .venv/.runtime  ## what accuracy costs in time, by sweeps/accuracy_time.yaml: 15 minutes; ARGS=--quick: 3
 	$(BIN)/shift3d frontier $(ARGS) $(WORDS)
 
 stress: .venv/.dev  ## 10,000 random extreme poses and codes, every unresolved beam accounted for

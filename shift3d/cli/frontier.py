@@ -32,7 +32,7 @@ Measures every setting of sweeps/accuracy_time.yaml on the same beams in one run
 errors, gradient and final score against the preset `reference`, and milliseconds beside them. Writes
 frontier.parquet, report.html, frontier.png and advice.txt to outputs/frontier/ or out=DIR, prints table and advice.
 
-The published way takes up to five minutes a rendering, the whole about 25 minutes on a core without bfloat16.
+The published way takes up to two minutes a rendering, the whole at most 15 minutes on two quiet cores.
 The same command again resumes: what is measured, by this code on this machine, is not measured again. One thread, and
 times are of this process: leave the machine to it."""
 
@@ -41,7 +41,7 @@ examples:
   shift3d frontier                                    everything, on procedural streets
   shift3d frontier kitti=PATH                         on real frames as well (twice the time); PATH holds training/
   shift3d frontier scenes=kitti scenes.root=PATH out=runs/frontier-kitti
-  shift3d frontier --quick                            three minutes: one far vehicle, ten settings, once each
+  shift3d frontier --quick                            three minutes: one far vehicle, eleven settings, once each
   shift3d frontier --only 'standard|draft'            these settings alone; no ratio to paper without paper
   shift3d frontier 'frontier.cases=[{vehicle:suv,range_m:20}]' frontier.repeats=15 --again
 
@@ -227,7 +227,7 @@ def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: boo
     groups = groups_of(config)
     cases = len(plan.cases) * len(groups)
     minutes = expected_minutes(plan, len(groups))
-    print(f"{len(plan.settings)} settings on {cases} cases, about {minutes} min on a core without bfloat16")
+    print(f"{len(plan.settings)} settings on {cases} cases, about {minutes} min on a quiet core without bfloat16")
     print(f"writing to {folder}", flush=True)
     with SecondsBar(plan.expected_seconds(len(groups))) as bar:
         measured = measure_frontier(groups, plan, folder, again, bar.tell)

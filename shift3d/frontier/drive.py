@@ -31,7 +31,7 @@ __all__ = ["FrontierPlan", "SceneGroup", "expected_minutes", "measure_frontier"]
 Tell = Callable[[str, float, bool], None]
 """Called with what is being measured, how many expected seconds are done with it, and whether it was known already."""
 
-_TRUTH_SECONDS = 40.0
+_TRUTH_SECONDS = 25.0
 # What the numbers depend on, and what only presents them.
 _CODE = ("attack", "detectors", "frontier", "geometry", "render", "scenes", "sdf", "task", "vehicles")
 

@@ -155,13 +155,17 @@ def _sample_count(setting: Setting, settings: Sequence[Setting], journal: Journa
     return wanted_samples(first_ms, repeats.most, repeats.seconds, repeats.slow_s)
 
 
-# Guesses for the progress bar alone, from a core without bfloat16: what it says is left soon follows what was measured.
+# Guesses for the progress bar alone, from a quiet core without bfloat16: what it says is left soon follows what was
+# measured.
 def _rendering_seconds(setting: Setting) -> float:
-    return {"paper": 130.0, "piecewise_linear": 10.0}.get(str(setting.accuracy["solver"]), 1.0)
+    solver = str(setting.accuracy["solver"])
+    if solver == "paper":
+        return 20.0 if setting.accuracy.get("sphere_chord_only") else 85.0
+    return {"piecewise_linear": 5.0, "plain_sphere_tracing": 0.7}.get(solver, 0.4)
 
 
 def _window_seconds(setting: Setting) -> float:
-    return 8.0 if setting.crop_m is None else 0.5
+    return 4.0 if setting.crop_m is None else 0.3
 
 
 def _attack_seconds(setting: Setting) -> float:
@@ -169,7 +173,8 @@ def _attack_seconds(setting: Setting) -> float:
 
 
 def _timing_seconds(setting: Setting) -> float:
-    return 0.0 if _rendering_seconds(setting) > 100 else 2.5
+    once = _rendering_seconds(setting)
+    return 0.0 if once >= 5.0 else 1.0 + once / 2
 
 
 def expected_seconds(settings: Sequence[Setting], cases: int) -> float:

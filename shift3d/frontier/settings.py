@@ -61,8 +61,12 @@ class Setting:
 
     @property
     def rendering_key(self) -> str:
-        """Settings with the same one render the same: they share one measured time, so that none beats another."""
-        renderer = {name: value for name, value in self.accuracy.items() if name != "detector"}
+        """Settings with the same one render the same: they share one measured time, so that none beats another.
+
+        What shapes a gradient alone changes no rendering that prepares none.
+        """
+        without = {"detector"} if self.variable != "no" else {"detector", "min_n_dot_d"}
+        renderer = {name: value for name, value in self.accuracy.items() if name not in without}
         return _digest(renderer, self.warm, self.variable, self.grid)
 
     @property
@@ -73,7 +77,7 @@ class Setting:
     @property
     def step_key(self) -> str:
         """Settings with the same one take the same attack step."""
-        return _digest(self.rendering_key, self.precision, self.crop_m, self.follow)
+        return _digest(self.rendering_key, dict(self.accuracy), self.crop_m, self.follow)
 
     @property
     def attack_key(self) -> str:

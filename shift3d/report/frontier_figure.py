@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from shift3d.report.labels import PointLabel, place_labels
+from shift3d.report.frontier_marks import Style, joined, labels_of, mark_settings, same_as_presets, styles_of
+from shift3d.report.labels import place_labels
 from shift3d.report.numbers import length, milliseconds, share
 from shift3d.report.pareto import ZERO_BELOW, drawable, effective_error_m, misplaced
 
@@ -22,19 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["work_precision_figure"]
 
 FloatArray = npt.NDArray[np.float64]
-
-# Okabe and Ito's palette without its yellow, which is lost on white. Each method has a marker of its own as well, so
-# that nobody needs colours to tell methods apart.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7A4B2A")
-_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "h", "p")
-_PRESETS = "#000000", "*"
-_FACE, _EDGE = "#d0d0d0", "#8c8c8c"  # of dominated settings
-
-
-@dataclass(frozen=True)
-class _Style:
-    colour: str
-    marker: str
 
 
 @dataclass(frozen=True)
@@ -56,14 +44,16 @@ _PANELS = (
 def work_precision_figure(frame: pd.DataFrame, scenes: str | Sequence[str] | None = None) -> Figure:
     """Time of a rendering against its error, both logarithmic; lower left is better.
 
-    A line with markers is a method swept over its knob, bars are the quartiles of the time. Settings that are
-    dominated are grey; presets and the other settings on the front are named. To the left the effective error, to
-    the right the share of hits that are missed or on a wrong surface. An error of zero has a place of its own, left
-    of the dashed line.
+    A line with markers is a method swept over its knob, bars are the quartiles of the time. Each method has a colour.
+    Settings that are dominated are hollow; presets and the other settings on the front are named. Settings in one
+    place, as those that render the same are, are rings around the first of them; a method that does nothing but render
+    as presets do is named in the legend alone. To the left the effective error, to the right the share of hits that
+    are missed or on a wrong surface. An error of zero has a place of its own, left of the dashed line.
 
     Args:
         frame: the frontier's table.
-        scenes: one set or several, a row of panels each; None: all sets of the frame.
+        scenes: one set or several, a row of panels each, and one more for what is ready for a gradient; None: all sets
+            of the frame.
 
     Returns:
         A figure whose layout is final, with an Agg canvas.
@@ -75,77 +65,51 @@ def work_precision_figure(frame: pd.DataFrame, scenes: str | Sequence[str] | Non
     from matplotlib.figure import Figure
 
     names = [scenes] if isinstance(scenes, str) else list(scenes or dict.fromkeys(frame["scenes"]))
-    groups = [frame[frame["scenes"] == name] for name in names]
-    for name, rows in zip(names, groups):
-        if rows.empty:
-            raise ValueError(f"no setting was measured on the scenes {name!r}")
-    styles = _styles(frame)
-    figure = Figure(figsize=(11, 0.9 + 4.6 * len(names)), dpi=140, layout="constrained")
+    same = same_as_presets(frame)
+    drawn = frame[~frame["method"].isin(same)]
+    groups = [group for name in names for group in _groups(drawn[drawn["scenes"] == name], name)]
+    styles = styles_of(drawn)
+    figure = Figure(figsize=(11, 1.2 + 4.8 * len(groups)), dpi=140, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(len(names), 2, squeeze=False, sharey="row")
-    for name, rows, pair in zip(names, groups, axes):
+    axes = figure.subplots(len(groups), 2, squeeze=False, sharey="row")
+    for (title, rows), pair in zip(groups, axes):
         for panel, part in zip(_PANELS, pair):
             _draw(part, rows, panel, styles)
-        _label_times(pair, rows, name)
-    _legend(figure, frame, styles)
+        _label_times(pair, rows, title)
+    _legend(figure, drawn, styles, same)
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # labels are placed between what has its place now
-    for rows, pair in zip(groups, axes):
+    for (_, rows), pair in zip(groups, axes):
         for panel, part in zip(_PANELS, pair):
-            _place_labels(part, rows, drawable(panel.values(rows), panel.least))
+            _place_labels(part, rows, drawable(panel.values(rows), panel.least), styles)
     return figure
 
 
-def _styles(frame: pd.DataFrame) -> dict[str, _Style]:
-    methods = list(dict.fromkeys(frame["method"]))
-    presets = set(frame.loc[frame["preset"].notna(), "method"])
-    styles, count = {}, 0
-    for method in methods:
-        if method in presets:
-            styles[method] = _Style(*_PRESETS)
-        else:
-            styles[method] = _Style(_COLOURS[count % len(_COLOURS)], _MARKERS[count % len(_MARKERS)])
-            count += 1
-    return styles
+def _groups(rows: pd.DataFrame, name: str) -> list[tuple[str, pd.DataFrame]]:
+    """A scene set's settings by what is timed, with a title each: renderings, and those ready for a gradient.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if rows.empty:
+        raise ValueError(f"no setting was measured on the scenes {name!r}")
+    ready = rows["gradient"].isin(["shape", "pose"])
+    parts = [(name, rows[~ready]), (f"{name}, ready for a gradient", rows[ready])]
+    return [(title, part) for title, part in parts if len(part)]
 
 
-def _joined(rows: pd.DataFrame) -> list[Any]:
-    """Row numbers of what one line joins: a method's settings by their knob; what has no knob stands alone."""
-    lines: list[Any] = []
-    knobs, methods = rows["knob"].to_numpy(dtype=np.float64), rows["method"].to_numpy()
-    for method in dict.fromkeys(methods):
-        swept = np.flatnonzero((methods == method) & ~np.isnan(knobs))
-        if len(swept):
-            lines.append(swept[np.argsort(knobs[swept], kind="stable")])
-        lines += [np.array([row]) for row in np.flatnonzero((methods == method) & np.isnan(knobs))]
-    return lines
-
-
-def _draw(axes: Axes, rows: pd.DataFrame, panel: _Panel, styles: dict[str, _Style]) -> None:
+def _draw(axes: Axes, rows: pd.DataFrame, panel: _Panel, styles: dict[str, Style]) -> None:
     values = panel.values(rows)
     x, times = drawable(values, panel.least), rows["ms_median"].to_numpy()
     spread = np.stack((times - rows["ms_low"], rows["ms_high"] - times))
-    front, methods = rows["pareto"].to_numpy(dtype=bool), rows["method"].to_numpy()
+    methods = rows["method"].to_numpy()
     axes.set_xscale("log")
     axes.set_yscale("log")
-    for line in _joined(rows):
+    for line in joined(rows):
         style = styles[methods[line[0]]]
         axes.plot(x[line], times[line], color=style.colour, lw=1.2, alpha=0.6, zorder=2)
         axes.errorbar(x[line], times[line], spread[:, line], fmt="none", ecolor=style.colour, elinewidth=0.7, zorder=2)
-        for row in line:
-            face, edge = (style.colour, "white") if front[row] else (_FACE, _EDGE)
-            size = 13 if style.marker == "*" else 7
-            axes.plot(
-                x[row],
-                times[row],
-                marker=style.marker,
-                ms=size,
-                mfc=face,
-                mec=edge,
-                mew=0.6,
-                ls="none",
-                zorder=4 if front[row] else 3,
-            )
+    mark_settings(axes, rows, x, styles)
     _mark_errors(axes, values, panel)
     axes.set_xlabel(panel.title, fontsize=9)
     axes.grid(which="major", color="#e4e4e4", lw=0.6)
@@ -182,7 +146,7 @@ def _ticks(low: float, high: float) -> list[float]:
     every = max(1, math.ceil(decades / 7))
     # Counted from one metre, one per cent or one millisecond, so that the ticks that are left are the roundest.
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
-    parts = (1, 2, 5) if decades < 2.5 else (1,)
+    parts = (1, 2, 5) if decades < 1.8 else (1,)
     ticks = [part * 10.0**decade for decade in range(first, last + 1) if decade % every == 0 for part in parts]
     return [tick for tick in ticks if low <= tick <= high]
 
@@ -217,28 +181,17 @@ def _label_ratios(right: Axes, paper_ms: float, low: float, high: float) -> None
     ratio.set_yticks(_ticks(paper_ms / high, paper_ms / low))
     ratio.yaxis.set_minor_locator(NullLocator())
     ratio.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}\N{MULTIPLICATION SIGN}"))
-    ratio.set_ylabel("times as fast as paper", fontsize=9)
+    ratio.set_ylabel("times as fast as paper as published", fontsize=9)
     ratio.tick_params(labelsize=8)
 
 
-def _place_labels(axes: Axes, rows: pd.DataFrame, x: FloatArray) -> None:
+def _place_labels(axes: Axes, rows: pd.DataFrame, x: FloatArray, styles: dict[str, Style]) -> None:
     places = np.stack((x, rows["ms_median"].to_numpy()), axis=1)
     bars = np.stack((np.stack((x, rows["ms_low"]), axis=1), np.stack((x, rows["ms_high"]), axis=1)), axis=1)
-    place_labels(axes, _labels(rows, x), places, [*(places[line] for line in _joined(rows)), *bars])
+    place_labels(axes, labels_of(rows, x, styles), places, [*(places[line] for line in joined(rows)), *bars])
 
 
-def _labels(rows: pd.DataFrame, x: FloatArray) -> list[PointLabel]:
-    """Presets, and what is on the front; of settings in one place, as those that render the same are, one names all."""
-    points = list(zip(rows["setting"], x, rows["ms_median"], rows["preset"].notna(), rows["pareto"]))
-    labels = [PointLabel(str(name), float(e), float(ms), True) for name, e, ms, preset, _ in points if preset]
-    for name, error, time, preset, front in points:
-        taken = any((label.x, label.y) == (float(error), float(time)) for label in labels)
-        if front and not preset and not taken:
-            labels.append(PointLabel(str(name), float(error), float(time)))
-    return labels
-
-
-def _legend(figure: Figure, frame: pd.DataFrame, styles: dict[str, _Style]) -> None:
+def _legend(figure: Figure, frame: pd.DataFrame, styles: dict[str, Style], same: Sequence[str]) -> None:
     from matplotlib.lines import Line2D
 
     entries = []
@@ -248,8 +201,12 @@ def _legend(figure: Figure, frame: pd.DataFrame, styles: dict[str, _Style]) -> N
         line = "-" if len(knobs) else "none"
         label = f"{method}{_swept(knobs)}"
         entries.append(Line2D([], [], color=style.colour, marker=style.marker, ms=size, ls=line, lw=1.3, label=label))
-    dominated = Line2D([], [], marker="o", ms=6, mfc=_FACE, mec=_EDGE, ls="none", label="dominated")
-    figure.legend(handles=[*entries, dominated], loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    black: dict[str, Any] = {"color": "black", "marker": "o", "mfc": "white", "ls": "none"}
+    entries.append(Line2D([], [], ms=6, label="hollow: dominated", **black))
+    entries.append(Line2D([], [], ms=10, mew=1.5, label="ring: renders the same as what it surrounds", **black))
+    if same:
+        entries.append(Line2D([], [], ls="none", label=f"render as the presets: {', '.join(same)}"))
+    figure.legend(handles=entries, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
 
 
 def _swept(rows: pd.DataFrame) -> str:
@@ -260,4 +217,6 @@ def _swept(rows: pd.DataFrame) -> str:
     if unit not in ("m", "ms", "rad"):
         name, unit = f"{name} {unit}".strip().replace("_", " "), ""
     first, last = rows["knob"].iloc[0], rows["knob"].iloc[-1]
+    if first == last:
+        return f" ({name.replace('_', ' ')} {first:.3g} {unit}".rstrip() + ")"
     return f" ({name.replace('_', ' ')} {first:.3g} to {last:.3g} {unit}".rstrip() + ")"

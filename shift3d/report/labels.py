@@ -23,25 +23,30 @@ LABEL = "point label"
 # Distances from the point and directions that are tried, the nearest and the plainest first; pixels at 100 dpi.
 _RADII_PX = (7.0, 12.0, 18.0, 26.0, 36.0, 50.0, 68.0, 90.0, 120.0, 150.0)
 _ANGLES_RAD = np.deg2rad([0, 180, 90, 270, 45, 135, 225, 315, 20, 160, 200, 340, 70, 110, 250, 290])
-# What it costs to cover a label or leave the axes, a marker, a piece of another label's leader, and 4 px of a line; and
-# what a pixel away from the point costs.
-_HARD, _MARKER, _LEADER, _LINE, _AWAY = 1e4, 60.0, 60.0, 3.0, 0.5
+# What it costs to cover a label or leave the axes, a marker by the leader, a marker by the label, a piece of another
+# label's leader, and 4 px of a line; and what a pixel away from the point costs.
+_HARD, _THROUGH, _MARKER, _LEADER, _LINE, _AWAY = 1e4, 1e3, 60.0, 60.0, 3.0, 0.5
+# How far from a marker's centre a leader passes it, but for markers this near its own point; pixels at 100 dpi.
+_CLEAR_PX = 7.0
 _PASSES = 3
 _GAP_PX = 3.0
 
 
 @dataclass(frozen=True)
 class PointLabel:
-    """A text for the point (x, y) in data coordinates. strong: drawn bold, and placed before the others."""
+    """A text for the point (x, y) in data coordinates. strong: drawn bold, and placed before the others. colour: of
+    the text."""
 
     text: str
     x: float
     y: float
     strong: bool = False
+    colour: str = "#000000"
 
 
 def place_labels(axes: Axes, labels: Sequence[PointLabel], markers: FloatArray, lines: Sequence[FloatArray]) -> None:
-    """Annotate points so that labels overlap neither one another nor, where that can be had, markers and lines.
+    """Annotate points so that labels overlap neither one another nor, where that can be had, markers and lines, and
+    that no leader runs through the marker of another point.
 
     Each label takes the cheapest of some positions around its point, given all the others; some passes over all
     labels let the first ones give way to the last. The figure's layout must be final.
@@ -87,6 +92,7 @@ def _note(axes: Axes, label: PointLabel) -> Any:
         ha="center",
         va="center",
         fontsize=7.5,
+        color=label.colour,
         fontweight="bold" if label.strong else "normal",
         arrowprops={"arrowstyle": "-", "color": "#404040", "lw": 0.5, "shrinkA": 0, "shrinkB": 3},
         gid=LABEL,
@@ -125,6 +131,7 @@ def _cost(
     grown = tried + np.array([-3.0, -3.0, 3.0, 3.0]) * scale
     cost = _HARD * (outside + overlap.all(axis=2).sum(axis=1)) + _LEADER * crossed
     cost = cost + _MARKER * _within(markers, grown).sum(axis=0) + _LINE * _within(along, tried).sum(axis=0)
+    cost = cost + _THROUGH * _passed(point, centres, markers, scale)
     return np.asarray(cost + _AWAY * np.hypot(*(centres - point).T) / scale, dtype=np.float64)
 
 
@@ -132,6 +139,15 @@ def _leaders(boxes: FloatArray, points: FloatArray) -> FloatArray:
     """Points (B, S, 2) on the lines from points (B, 2) to their labels (B, 4), but for the part within the label."""
     towards = (boxes[:, :2] + boxes[:, 2:]) / 2 - points
     return np.asarray(points[:, None, :] + towards[:, None, :] * np.linspace(0.0, 0.8, 17)[None, :, None])
+
+
+def _passed(point: FloatArray, ends: FloatArray, markers: FloatArray, scale: float) -> FloatArray:
+    """(C,) how many of M markers, but those around the point, lie on the straight line to each of some ends (C, 2)."""
+    others = markers[np.hypot(*(markers - point).T) > _CLEAR_PX * scale] - point
+    line = ends - point
+    along = np.clip(others @ line.T / np.maximum((line**2).sum(axis=1), 1e-9), 0.0, 1.0)
+    off = others[:, None, :] - along[:, :, None] * line[None, :, :]
+    return np.asarray((np.hypot(off[..., 0], off[..., 1]) < _CLEAR_PX * scale).sum(axis=0), dtype=np.float64)
 
 
 def _within(points: FloatArray, boxes: FloatArray) -> npt.NDArray[np.bool_]:

@@ -20,7 +20,7 @@ __all__ = ["frontier_metrics", "mirror_frontier"]
 
 _FILES = ("frontier.parquet", "frontier.png", "report.html", "advice.txt")
 # What names a row is no metric of it.
-_NAMES = ("setting", "method", "knob", "knob_name", "preset", "scenes")
+_NAMES = ("setting", "method", "knob", "knob_name", "preset", "start", "grid", "gradient", "scenes")
 _MOST_METRICS, _LONGEST_NAME = 1000, 250  # MLflow's own limits of one batch and of a metric's name
 
 

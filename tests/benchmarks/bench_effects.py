@@ -42,7 +42,7 @@ def bench_effects(bench: Results, quick: bool) -> None:
                 spent[effect].append(1e3 * (time.perf_counter() - start))
             hits = rendering.object_points if not effect else hits
     alone = Timing.of(spent[""])
-    bench.add("rendering_without_effects_ms", alone.median, "ms", f"a cold rendering with a map, {hits} hits")
+    bench.add("rendering_without_effects_ms", alone.median, "ms", f"a cold rendering with an SDF grid, {hits} hits")
     for effect in NEEDS:
         more = Timing.of([ours - none for ours, none in zip(spent[effect], spent[""], strict=True)])
         of = f"a rendering with {effect} over the same without"

@@ -17,10 +17,10 @@ RANGES_M = (15, 20, 25, 30, 35, 40, 45, 50)
 def bench_render_cold(bench: Results, world: World, quick: bool) -> None:
     standard = world.problem(world.twin_scene)
     paper = world.problem(world.twin_scene, accuracy="paper")
-    space = world.empty_space(standard)
-    found = cold_rendering(standard, space)  # also the warm-up
+    grid = world.sdf_grid(standard)
+    found = cold_rendering(standard, grid)  # also the warm-up
     twins = {
-        "mapped": (functools.partial(cold_rendering, standard, space), 2 if quick else 10),
+        "mapped": (functools.partial(cold_rendering, standard, grid), 2 if quick else 10),
         "paper": (functools.partial(cold_rendering, paper), 1),
         "plain": (functools.partial(cold_rendering, standard), 2 if quick else 10),
     }
@@ -28,24 +28,24 @@ def bench_render_cold(bench: Results, world: World, quick: bool) -> None:
     where = f"{len(standard.beams)} beams, vehicle at {world.range_m:.1f} m"
     note = f"{where}, {found.object_points} hits, {found.evaluations} evaluations"
     of = "one rendering, nothing to start from, no gradients, same beams: paper ms / standard ms"
-    bench.ratio("render_cold_ratio", times["paper"], times["mapped"], f"{of} with the vehicle's map", note)
-    bench.ratio("render_cold_without_map_ratio", times["paper"], times["plain"], f"{of} without a map", where)
-    made = repeat(lambda: world.empty_space(standard), budget_s=0.0 if quick else 3.0, least=1)
-    bench.time("empty_space_ms", made, "making the vehicle's map, once a task", f"{space.evaluations} evaluations")
+    bench.ratio("render_cold_ratio", times["paper"], times["mapped"], f"{of} with the vehicle's SDF grid", note)
+    bench.ratio("render_cold_without_map_ratio", times["paper"], times["plain"], f"{of} without an SDF grid", where)
+    made = repeat(lambda: world.sdf_grid(standard), budget_s=0.0 if quick else 3.0, least=1)
+    bench.time("empty_space_ms", made, "making the vehicle's SDF grid, once a task", f"{grid.evaluations} evaluations")
 
 
 @pytest.fixture(scope="module")
 def cold_by_range(bench: Results, world: World, quick: bool) -> list[tuple[int, float]]:
     """(hits, milliseconds) at every range that has a place for the vehicle, and their records."""
-    found, space = [], world.empty_space(world.problem())
+    found, grid = [], world.sdf_grid(world.problem())
     for range_m in RANGES_M[::4] if quick else RANGES_M:
         if (place := world.place_at(range_m)) is None:
             continue
         scene, placement = place
         problem = world.problem(scene, theta=placement.theta)
-        timing = repeat(functools.partial(cold_rendering, problem, space), budget_s=0.5 if quick else 4.0, least=2)
-        hits, evaluations = placement.rendering.object_points, cold_rendering(problem, space).evaluations
-        of = f"one standard rendering with the vehicle's map, vehicle at {range_m} m"
+        timing = repeat(functools.partial(cold_rendering, problem, grid), budget_s=0.5 if quick else 4.0, least=2)
+        hits, evaluations = placement.rendering.object_points, cold_rendering(problem, grid).evaluations
+        of = f"one standard rendering with the vehicle's SDF grid, vehicle at {range_m} m"
         bench.time(f"render_cold_ms_at_{range_m}m", timing, of, f"{hits} hits, {evaluations} evaluations, {scene}")
         found.append((hits, timing.median))
     return found

@@ -23,10 +23,10 @@ class Sized:
         self.attacks = AttackLoops(problem, steps, modes=("shape",))
         self.cold_ms: list[float] = []
 
-    def measure(self, space: SdfGrid, renderings: int) -> None:
+    def measure(self, grid: SdfGrid, renderings: int) -> None:
         """One more attack and some more renderings from nothing."""
         self.attacks.run()
-        cold = functools.partial(cold_rendering, self.attacks.problem, space)
+        cold = functools.partial(cold_rendering, self.attacks.problem, grid)
         self.cold_ms += [milliseconds(cold) for _ in range(renderings)]
 
     def timings(self) -> dict[str, Timing]:
@@ -43,10 +43,10 @@ def by_size(world: World, quick: bool) -> dict[int, Sized]:
     for factor in (1, 8) if quick else (1, 2, 4, 8):
         name = world.scenes.hold(with_beams_elsewhere(scene, world.theta, factor))
         sized[factor] = Sized(world.problem(name), steps=3 if quick else 5)
-    space = world.empty_space(sized[1].attacks.problem)
+    grid = world.sdf_grid(sized[1].attacks.problem)
     for turn in range(1 if quick else 2):
         for factor in list(sized)[:: 1 if turn % 2 == 0 else -1]:
-            sized[factor].measure(space, renderings=1 if quick else 3)
+            sized[factor].measure(grid, renderings=1 if quick else 3)
     return sized
 
 

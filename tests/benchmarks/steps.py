@@ -102,10 +102,10 @@ class AttackLoops:
 
 
 @torch.no_grad()
-def cold_rendering(problem: AttackProblem, space: SdfGrid | None = None) -> Rendering:
-    """One rendering of the start, with nothing to begin from but a map, and without gradients."""
+def cold_rendering(problem: AttackProblem, grid: SdfGrid | None = None) -> Rendering:
+    """One rendering of the start, with nothing to begin from but an SDF grid, and without gradients."""
     field = problem.field_of(problem.code0)
-    return render(problem.beams, field, problem.theta0, problem.vehicle, problem.settings, None, space)
+    return render(problem.beams, field, problem.theta0, problem.vehicle, problem.settings, None, grid)
 
 
 def published_step(problem: AttackProblem) -> dict[str, float]:

@@ -130,8 +130,8 @@ class World:
         precision = str(spec.accuracy_settings["detector"])
         return dataclasses.replace(problem, detector=self.assets.detector_of(spec.detector, precision))
 
-    def empty_space(self, problem: AttackProblem) -> SdfGrid:
-        """The map of the vehicle's empty space that tasks make once."""
+    def sdf_grid(self, problem: AttackProblem) -> SdfGrid:
+        """The vehicle's SDF grid, which tasks make once."""
         with torch.no_grad():
             return SdfGrid.of(problem.field_of(problem.code0), problem.vehicle, problem.settings)
 
