@@ -53,7 +53,10 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
     hit = torch.nonzero((g < 0) & ~undecided).squeeze(1)
     roots = find_roots(
         lambda along, at: field(rays.at(along, hit[at])),
-        *(part[hit] for part in (k_outer, k, g_outer, g)),
+        k_outer[hit],
+        k[hit],
+        g_outer[hit],
+        g[hit],
         settings.tolerance_m,
         settings.max_iterations,
     )

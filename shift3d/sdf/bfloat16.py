@@ -38,12 +38,16 @@ class Bfloat16Field:
         live: list[Tensor] = []
         return self._evaluate(x_sdf, live), live
 
+    @staticmethod
+    def _note(units: Tensor, live: list[Tensor] | None) -> None:
+        if live is not None:
+            live.append((units != 0).any(0))
+
     def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None) -> Tensor:
         # In round batches: this is only there where oneDNN takes the products.
         x = torch.nn.functional.pad(x_sdf.float(), (0, 0, 0, round_batch(len(x_sdf)) - len(x_sdf)))
         hidden = torch.relu(torch.addmm(self.biases[0], x, self.first)).to(torch.bfloat16)
-        note = (lambda units: live.append((units[: len(x_sdf)] != 0).any(0))) if live is not None else lambda _: None
-        note(hidden)
+        self._note(hidden[: len(x_sdf)], live)
         for layer in range(1, len(self.wide) - 1):
             if layer == self.skip:
                 entry = torch.addmm(self.biases[layer], x, self.at_skip).to(torch.bfloat16)
@@ -51,7 +55,7 @@ class Bfloat16Field:
             else:
                 hidden = torch.addmm(self.wide_biases[layer], hidden, self.wide[layer])
             hidden = torch.relu(hidden)
-            note(hidden)
+            self._note(hidden[: len(x_sdf)], live)
         return torch.tanh(torch.addmm(self.biases[-1], hidden.float(), self.last)[: len(x_sdf), 0])
 
 
