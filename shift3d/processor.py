@@ -65,11 +65,11 @@ def round_batch(rows: int) -> int:
 
     It makes code for every number of rows that it meets, at half a millisecond and up to half a megabyte a product: as
     long as a product of 300 rows by 512 x 512 takes. A search evaluates what is left of its beams, another number each
-    time, and of the time of a short attack 7 % went there. Eight numbers an octave are soon all known and add 4 % to
-    the rows; large batches, which do not come round, are filled up to 128.
+    time, and of the time of a short attack 7 % went there. Two numbers an octave are soon all known; from 256 rows on,
+    multiples of 128.
     """
     if rows <= 16:
-        return 16
+        return 16 if rows else 0
     octave = 1 << (rows - 1).bit_length() - 1
     step = max(octave // 2, 16) if rows <= 256 else 128
     return -(-rows // step) * step

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.beams import Beams
+from shift3d.render.bounding_box import Box
 from shift3d.render.object_field import ObjectField
 
 
@@ -19,7 +20,7 @@ class Constraints:
     overlap_m: deepest that an original scene point may lie inside the object. Paper: "we avoid object
         positions that would result in any point in the scene having an SDF value less than -eps_overlap",
         0.02.
-    contact_m: how near the object's surface some original scene point must lie. The paper's text asks that
+    contact_m: how near the object's surface some original scene point under it must lie. The paper's text asks that
         "at least one point in the original scene has SDF value greater than eps_float", 0.02, which any far
         point satisfies; its purpose, "to ensure that the SDF object is in contact with the ground", is what is
         checked here.
@@ -47,7 +48,7 @@ class ConstraintCheck:
     """Outcome for one object.
 
     deepest_m: smallest metric distance of an original point (negative inside); infinite if none is near.
-    nearest_m: smallest |metric distance|; infinite if none is near.
+    nearest_m: smallest |metric distance| of a point under the object; infinite if none is near.
     """
 
     deepest_m: float
@@ -71,19 +72,26 @@ def points_near(beams: Beams, theta: Tensor, radius_m: float) -> Tensor:
     return beams.points[near].double()
 
 
-def distances(field: ObjectField, points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3) -> Tensor:
-    """Metric distances (M',) of the points within reach_m of the object's box; the others are left out.
+def distances(
+    field: ObjectField, points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3, box: Box | None = None
+) -> tuple[Tensor, Tensor]:
+    """Metric distances (M',) of the points near the object, and their places (M', 3), object frame.
 
     Args:
         field: metric distance in the object frame.
         points: (M, 3) float64, scene frame.
         theta: (6,) pose.
-        size_m: (3,) size of the baseline's box; a shape under attack may outgrow it by reach_m.
+        size_m: (3,) size of the baseline's box. reach_m: how far from it points count.
+        box: that holds the object, where it is known: points near it count as well. A shape under attack may outgrow
+            its baseline's box.
     """
     x_object = object_from_scene(points, theta.detach().double())
-    inside = (x_object.abs() <= size_m / 2 + reach_m).all(-1)
+    near = (x_object.abs() <= size_m / 2 + reach_m).all(-1)
+    if box is not None:
+        around = box.grown(reach_m / 3)
+        near |= ((x_object >= around.lower) & (x_object <= around.upper)).all(-1)
     with torch.no_grad():
-        return field(x_object[inside]).double()
+        return field(x_object[near]).double(), x_object[near]
 
 
 def check(
@@ -94,6 +102,7 @@ def check(
     object_points: int,
     limits: Constraints,
     others: Tensor | None = None,
+    box: Box | None = None,
 ) -> ConstraintCheck:
     """Hold one object against the limits.
 
@@ -104,10 +113,15 @@ def check(
         size_m: (3,) size of the baseline's box.
         object_points: returns on the object after rendering.
         others: (M, 2) centres of other vehicles, scene frame, metres.
+        box: verified box of the object, object frame, where it is known.
+
+    Contact is asked of points under the object alone: below its centre, within its baseline's length and width. A wall
+    or a kerb beside it carries nothing.
     """
-    metric = distances(field, points, theta, size_m)
+    metric, places = distances(field, points, theta, size_m, box=box)
     deepest = float(metric.min()) if len(metric) else float("inf")
-    nearest = float(metric.abs().min()) if len(metric) else float("inf")
+    under = (places[:, :2].abs() <= size_m[:2] / 2).all(-1) & (places[:, 2] <= 0.0)
+    nearest = float(metric[under].abs().min()) if bool(under.any()) else float("inf")
     return ConstraintCheck(
         deepest,
         nearest,
@@ -147,7 +161,7 @@ def settle(
     """
     settled = theta.detach().double().clone()
     for _ in range(iterations):
-        metric = distances(field, points, settled, size_m, reach_m)
+        metric, _ = distances(field, points, settled, size_m, reach_m)
         if len(metric) == 0:
             return None
         clearance = float(metric.min())

@@ -181,7 +181,8 @@ def measure(
     # Whether the scene hides the object is asked of its first hits: fog is no reason to call a place impossible.
     seen = rendering.first_hits.object_points
     metric = problem.metric(code)
-    held = check(metric, problem.points_near(), theta, problem.size_m, seen, problem.limits, problem.others)
+    box = rendering.first_hits.box
+    held = check(metric, problem.points_near(), theta, problem.size_m, seen, problem.limits, problem.others, box)
     by_effect = {f"effect_{name}": spent for name, spent in rendering.milliseconds.items()}
     spent = {
         "render": 1e3 * (rendered - start) - sum(by_effect.values()),

@@ -8,6 +8,7 @@ in small steps, and most hits are found within half a millimetre of that (see `c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -59,7 +60,7 @@ class Linearization:
             self.gradient[rows],
             {layer: part[rows] for layer, part in self.at_bias.items()},
             self.biases,
-            None if self.graph is None else self.graph[rows],
+            self._graph_of(lambda graph: graph[rows]),
         )
 
     def joined(self, other: Linearization) -> Linearization:
@@ -71,6 +72,7 @@ class Linearization:
         def both(one: Tensor, another: Tensor) -> Tensor:
             return torch.cat((one, another))[order]
 
+        theirs = other.graph
         return Linearization(
             both(self.index, other.index),
             both(self.range_m, other.range_m),
@@ -79,8 +81,15 @@ class Linearization:
             both(self.gradient, other.gradient),
             {layer: both(part, other.at_bias[layer]) for layer, part in self.at_bias.items()},
             self.biases,
-            None if self.graph is None or other.graph is None else both(self.graph, other.graph),
+            None if theirs is None else self._graph_of(lambda graph: both(graph, theirs)),
         )
+
+    def _graph_of(self, part: Callable[[Tensor], Tensor]) -> Tensor | None:
+        """A part of the graph with its way back to the code, which a search without gradients would cut."""
+        if self.graph is None:
+            return None
+        with torch.enable_grad():
+            return part(self.graph)
 
     def without_graph(self) -> Linearization:
         """The same as constants: of a field that is no decoder's nothing then tells what its code does."""

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 if TYPE_CHECKING:
+    from shift3d.render.bounding_box import Box
     from shift3d.render.search import WarmStart
 
 
@@ -96,6 +97,11 @@ class Rendering:
     def first_hits(self) -> Rendering:
         """The rendering before effects."""
         return self.core or self
+
+    @property
+    def box(self) -> Box | None:
+        """Verified box of the object, object frame, where the search made one."""
+        return None if self.warm is None or self.warm.box is None else self.warm.box.box
 
     @property
     def object_points(self) -> int:

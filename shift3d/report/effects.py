@@ -199,7 +199,7 @@ def write_effects_page(path: Place, sweep: str, worths: list[EffectWorth]) -> Lo
 
 
 def write_worth(path: Path, sweep: str, worths: list[EffectWorth]) -> Path:
-    """What ``effects=auto`` reads, as JSON (`render.called_for.WORTH` is where it looks). Returns its path."""
+    """What ``effects=auto`` reads, as JSON (`render.effects.applicability.WORTH` tells where). Returns its path."""
     rows = {
         worth.effect: {
             "score_change": round(worth.score_change.mean, 5),

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import torch
-from analytic_fields import Field, Frame, box, soft_car
+from analytic_fields import Field, Frame, box, in_frame, soft_car, union
 from catalogue import hard_case
+from hard_scenes import PLAIN, beams_along_x, draw, pose
 from torch import Tensor
 
 from shift3d.attack.constraints import ConstraintCheck, Constraints, check, is_clear, settle
@@ -55,6 +56,37 @@ def overlap_at_exactly_the_tolerance() -> None:
     limit = -0.75 + EXACT.overlap_m
     assert held(CRATE, (0.0, 0.0, limit)).overlap_ok
     assert not held(CRATE, (0.0, 0.0, np.nextafter(limit, 0.0))).overlap_ok
+
+
+@hard_case(
+    area=AREA,
+    why="a wall a centimetre from the bumper is near the surface, and nothing is under the wheels",
+    must="no contact: a wall carries nothing",
+    guard="contact is asked of points under the object",
+)
+def contact_with_a_wall_is_none() -> None:
+    wall = [(2.01, y, z) for y in (-0.5, 0.0, 0.5) for z in (-0.7, -0.2, 0.4)]
+    assert not held(CRATE, *wall).contact_ok
+    assert not held(CRATE, *wall, (0.0, 0.0, -1.0)).contact_ok, "the ground is 25 cm below"
+    assert held(CRATE, *wall, (1.0, 0.5, -0.755)).contact_ok
+
+
+@hard_case(
+    area=AREA,
+    why="a shape under attack grows a boom over half a metre beyond its baseline's box, into a post",
+    must="overlap",
+    guard="points near the verified box of the shape count, not only those near its baseline's box",
+)
+def overlap_beyond_the_baselines_box() -> None:
+    grown = union(CRATE, box((0.35, 0.2, 0.2), (2.2, 0.0, 0.0)))
+    beams, theta = beams_along_x(y=0.0), pose(10.0)
+    rendering = draw(beams, grown, theta, frame=PLAIN)
+    metric = ObjectField.of(in_frame(grown, PLAIN), PLAIN, torch.float64, 4096)
+    post = torch.tensor([[12.45, 0.0, 0.0]], dtype=torch.float64)
+    size = torch.tensor([4.0, 1.8, 1.5], dtype=torch.float64)
+    assert rendering.box is not None and float(rendering.box.upper[0]) >= 2.55
+    assert not check(metric, post, theta, size, 300, EXACT, box=rendering.box).overlap_ok
+    assert check(metric, post, theta, size, 300, EXACT).overlap_ok, "the baseline's box alone does not reach it"
 
 
 @hard_case(

@@ -193,5 +193,18 @@ def every_beam_is_a_hit_a_miss_or_unresolved() -> None:
         assert torch.equal(rendering.points[~rendering.hit_mask], beams.points[~rendering.hit_mask])
 
 
+@hard_case(
+    area="renderer",
+    why="a part with a radius of 12 cm floats beside the box, between check points that are 45 cm apart",
+    must="it is hit",
+    guard="cells outside the box that the field does not show to be free are divided",
+)
+def a_small_part_that_floats_beside_the_box() -> None:
+    for y, z in ((1.35, 0.05), (1.2, 0.3), (-1.3, 0.45), (0.1, 1.3)):
+        both = union(box((2.0, 0.8, 0.7)), sphere(0.12, (0.1, y, z)))
+        found = draw(beams_along_x(y=y, z=z), both, frame=PLAIN)
+        hit_at(found, 9.98)
+
+
 # A nose 6 cm wide that leaves the checked box (x = -2.25 and on) between two of its check points.
 _NOSE = union(box((2.0, 0.8, 0.7)), box((0.6, 0.03, 0.03), (-2.0, 0.0, 0.0)))

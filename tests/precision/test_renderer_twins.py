@@ -1,4 +1,4 @@
-"""Root finders, solvers, gradients at the surface and constraints: float32 against float64 of the same.
+"""Roots, solvers, gradients at the surface and constraints: float32 against float64 of the same.
 
 Two runs whose roots are each good to |g| <= tol, in fields that differ by E (what rounding does to g, `rounding`), are
 at most (2 tol + E) / |dg/dk| apart, dg/dk being the smaller of the slopes at both: across a kink between them it is no
@@ -13,7 +13,6 @@ import pytest
 import torch
 from analytic_fields import SHAPENET_FRAME, in_frame, soft_car
 from rounding import EMPTY, LAMBDA, U32, decoder_rounding, gamma, input_rounding
-from shift3d.render.itp import find_roots_bisection, find_roots_itp
 from torch import Tensor
 
 from shift3d.attack.constraints import PAPER_CONSTRAINTS, check
@@ -30,11 +29,9 @@ SUV = baseline_vehicles()["suv"]
 CODE = torch.from_numpy(SUV.latent_code)
 SINGLE, DOUBLE = load_decoder().field(CODE), load_decoder().double().field(CODE.double())
 THETA = torch.tensor([14.0, 1.0, 0.0, 0.6, 0.02, -0.03], dtype=torch.float64)
-FINDERS = {"anderson_bjorck": find_roots, "itp": find_roots_itp, "bisection": find_roots_bisection}
 
 
-@pytest.mark.parametrize("name", list(FINDERS))
-def test_root_finders(name: str) -> None:
+def test_roots() -> None:
     """Roots of cubics whose three products and three sums float32 rounds: E = gamma(7) sum |c_i| |k|^i."""
     generator = torch.Generator().manual_seed(0)
     root = 0.2 * torch.rand(500, generator=generator) - 0.1
@@ -55,14 +52,12 @@ def test_root_finders(name: str) -> None:
     for coefficients in (powers, powers.double()):
         ends = torch.full((500,), -0.3, dtype=torch.float64), torch.full((500,), 0.3, dtype=torch.float64)
         g = cubic(coefficients)
-        found.append(FINDERS[name](g, *ends, g(ends[0], every).double(), g(ends[1], every).double(), tolerance, 60))
+        found.append(find_roots(g, *ends, g(ends[0], every).double(), g(ends[1], every).double(), tolerance, 60))
     single, double = found
     assert single.settled.all() and double.settled.all()
     k = double.k.abs()
     size = (powers.double().abs() * torch.stack((k**0, k, k**2, k**3), 1)).sum(1)
-    # ITP and bisection also end where the bracket is as short as the tolerance.
-    known = tolerance if name != "anderson_bjorck" else 0.0
-    bound = 2 * known + (2 * tolerance + gamma(7) * size) / 0.2
+    bound = (2 * tolerance + gamma(7) * size) / 0.2
     change = (single.k - double.k).abs()
     assert bool((change <= bound).all()) and float((change / bound).max()) > EMPTY
 
@@ -78,11 +73,11 @@ class Solver:
 
 _PLAIN = preset("standard").with_(final_newton_m=0.0)
 SOLVERS = {
-    "hybrid": Solver(_PLAIN, _PLAIN.tolerance_m),
+    "sphere_tracing": Solver(_PLAIN, _PLAIN.tolerance_m),
     # A root is a quotient: as good as the two numbers.
-    "exact": Solver(preset("reference").with_(tolerance_m=1e-5, box_margin_m=0.05), 0.0),
+    "piecewise_linear": Solver(preset("reference").with_(tolerance_m=1e-5, box_margin_m=0.05), 0.0),
+    "plain_sphere_tracing": Solver(_PLAIN.with_(solver="plain_sphere_tracing"), _PLAIN.tolerance_m),
     # Thirty halvings of a step.
-    "march": Solver(_PLAIN.with_(solver="march", step_m=0.1, max_iterations=30), 0.0, 0.1 / 2**30),
     "paper": Solver(preset("paper").with_(sphere_chord_only=True), 0.0, 0.1 / 2**30),
 }
 

@@ -21,10 +21,10 @@ BEAMS = 160
 SETTINGS: dict[str, RenderSettings] = {
     "standard": preset("standard"),
     "draft": preset("draft"),
-    "itp": preset("standard").with_(root="itp"),
+    "plain": preset("standard").with_(solver="plain_sphere_tracing"),
     "float64": preset("standard").with_(dtype=torch.float64, tolerance_m=1e-9, final_newton_m=0.0),
 }
-_OFTEN = ("standard", "standard", "standard", "standard", "draft", "itp", "float64")
+_OFTEN = ("standard", "standard", "standard", "standard", "draft", "plain", "float64")
 _ANGLES = (math.pi, -math.pi, math.pi / 2, -math.pi / 2, 0.0, math.nextafter(math.pi, 0), 1e-12)
 _PLACES = {"anywhere": 0.3, "near": 0.3, "about the sensor": 0.2, "at the sensor": 0.1, "on an axis": 0.1}
 

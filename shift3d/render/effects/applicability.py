@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["NEEDS", "WORTH", "Choice", "DetectorFacts", "Worth", "choose", "effect_named"]
 
-WORTH = Path(__file__).resolve().parent / "measured" / "effects.json"
+WORTH = Path(__file__).resolve().parents[1] / "measured" / "effects.json"
 """What each effect was measured to be worth by `sweeps/effects.yaml`."""
 WORTH_BOUND = 0.01
 """`auto` leaves an effect out whose mean change of a score lies below this with 95 % confidence (our choice: half of

@@ -166,7 +166,7 @@ class Effect(Protocol):
     def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Why this scene calls for the effect, in a few words with figures; None where it does not.
 
-        Asked only where the scene has what the effect needs (`render.called_for.NEEDS`).
+        Asked only where the scene has what the effect needs (`render.effects.applicability.NEEDS`).
         """
         ...
 

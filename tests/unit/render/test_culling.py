@@ -5,7 +5,7 @@ import torch
 from analytic_fields import ground_scan
 
 from shift3d.render import Beams
-from shift3d.render.culling import Rays, beams_near, clip_to_box, clip_to_sphere, object_rays
+from shift3d.render.culling import Rays, beams_near, clip_to_box, object_rays
 
 LOWER, UPPER = torch.tensor([-1.0, -1.0, -1.0]).double(), torch.tensor([1.0, 1.0, 1.0]).double()
 
@@ -66,12 +66,6 @@ def test_beams_near_is_the_same_for_own_and_shared_origins() -> None:
     own = Beams.from_arrays(points, np.tile(origin, (len(points), 1)))
     centre = torch.tensor([12.0, 5.0, -1.0])
     assert torch.equal(beams_near(shared, centre, 7.0), beams_near(own, centre, 7.0))
-
-
-def test_sphere_chord() -> None:
-    cut = clip_to_sphere(rays([[-5, 0, 0], [-5, 3, 0]], [[1, 0, 0], [1, 0, 0]]), 2.0)
-    assert cut.index.tolist() == [0]
-    assert cut.near_m.tolist() == [3.0] and cut.far_m.tolist() == [7.0]
 
 
 def test_object_rays_by_hand() -> None:

@@ -1,4 +1,4 @@
-"""Hard situations that rest on no single line: what each preset is for, sunk objects, thin parts with a map.
+"""Hard situations that rest on no single line: what each preset is for, sunk objects, thin parts with a grid.
 
 Those that do rest on one are in the catalogue, tests/hard_cases.
 """
@@ -74,15 +74,15 @@ def test_no_beam_is_made_up_for_a_missing_return(settings: RenderSettings) -> No
     assert rendering.hit_mask.any() and torch.equal(rendering.points[::3], torch.zeros(len(points[::3]), 3).double())
 
 
-def test_a_map_of_empty_space_loses_no_hit_on_thin_parts() -> None:
+def test_an_sdf_grid_loses_no_hit_on_thin_parts() -> None:
     thin = union(car(), box((0.02, 0.12, 0.08), (0.9, 1.0, 0.25)))
     # The baseline's box holds its mirrors: a plate this thin that outgrew it could hide from the box's check.
     frame = replace(SHAPENET_FRAME, size_m=(4.4, 2.3, 1.5))
     field = in_frame(thin, frame)
-    space = SdfGrid.of(field, frame, FAST)
+    grid = SdfGrid.of(field, frame, FAST)
     beams = Beams.from_arrays(*sector_scan((8.0, 3.0, -1.0), half_angle_rad=0.3, rays=70))
     theta = torch.tensor([8.0, 3.0, -1.0, 0.4, 0.0, 0.0], dtype=torch.float64)
-    mapped = render(beams, field, theta, frame, FAST, space=space)
+    mapped = render(beams, field, theta, frame, FAST, grid=grid)
     exact = render(beams, field, theta, frame, REFERENCE)
     assert int((mapped.hit_mask ^ exact.hit_mask).sum()) <= 1
     assert mapped.object_points > 300

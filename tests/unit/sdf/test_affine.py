@@ -83,6 +83,7 @@ def test_a_round_batch_changes_no_value_and_holds_no_gradient_back(
 
 def test_round_batches_are_few_and_near() -> None:
     sizes = [round_batch(rows) for rows in range(1, 1025)]
-    assert all(0 <= size - rows < max(16, rows / 7.9) for rows, size in enumerate(sizes, start=1))
-    assert len(set(sizes)) == 32 and sizes == sorted(sizes)
+    spare = {rows: size - rows for rows, size in enumerate(sizes, start=1)}
+    assert all(0 <= more < (max(16, rows / 2) if rows <= 256 else 128) for rows, more in spare.items())
+    assert sorted(set(sizes)) == [16, 32, 48, 64, 96, 128, 192, *range(256, 1025, 128)] and sizes == sorted(sizes)
     assert [round_batch(rows) for rows in (0, 4097, 100_000)] == [0, 4224, 100_096]

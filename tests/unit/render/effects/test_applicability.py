@@ -10,7 +10,7 @@ import pytest
 from analytic_fields import Frame
 
 from shift3d.errors import InputError
-from shift3d.render import called_for
+from shift3d.render.effects import applicability
 from shift3d.render.effects.applicability import NEEDS, WORTH_BOUND, Choice, DetectorFacts, choose
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
@@ -85,10 +85,10 @@ def names(choices: list[Choice]) -> list[str]:
 def worth_file(monkeypatch, tmp_path):
     """No effect is measured but for what a test writes into this file."""
     file = tmp_path / "effects.json"
-    monkeypatch.setattr(called_for, "WORTH", file)
-    called_for.measured_worth.cache_clear()
+    monkeypatch.setattr(applicability, "WORTH", file)
+    applicability.measured_worth.cache_clear()
     yield file
-    called_for.measured_worth.cache_clear()
+    applicability.measured_worth.cache_clear()
 
 
 def measured(file, **high: float) -> None:
@@ -97,7 +97,7 @@ def measured(file, **high: float) -> None:
         for name, value in high.items()
     }
     file.write_text(json.dumps({"effects": rows}), encoding="utf-8")
-    called_for.measured_worth.cache_clear()
+    applicability.measured_worth.cache_clear()
 
 
 def test_a_dry_scene_calls_for_nothing():
@@ -127,7 +127,8 @@ def fresh(noise_m: float) -> tuple[list[str], list[str]]:
 
 
 def test_no_effect_is_imported_where_none_is_called_for():
-    assert fresh(0.0) == ([], [])
+    own = ["shift3d.render.effects", "shift3d.render.effects.applicability"]
+    assert fresh(0.0) == ([], own)
 
 
 def test_other_effects_are_not_imported_with_the_one_that_is_called_for():

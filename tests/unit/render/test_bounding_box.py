@@ -4,7 +4,7 @@ import pytest
 import torch
 from analytic_fields import SHAPENET_FRAME, Frame, box, car, in_frame, rounded, sphere, union
 
-from shift3d.render.bounding_box import Box, checked_box, guarded_box, sdf_ball_box
+from shift3d.render.bounding_box import Box, sdf_ball_box, verified_box
 from shift3d.render.object_field import ObjectField
 
 # The decoder's ball has radius 1.05 units: with 2.5 m a unit a car fits.
@@ -13,7 +13,7 @@ SIZE = torch.tensor(SHAPENET_FRAME.size_m).double()
 
 def box_of(metric, margin: float = 0.1) -> tuple[Box, ObjectField]:  # type: ignore[no-untyped-def]
     field = ObjectField.of(in_frame(metric, SHAPENET_FRAME), SHAPENET_FRAME, torch.float64, 4096)
-    return checked_box(field, SIZE, margin), field
+    return verified_box(field, SIZE, margin).box, field
 
 
 def test_a_shape_within_its_baseline_gets_the_grown_baseline_box() -> None:
@@ -73,24 +73,24 @@ def _roof(height_m: float) -> ObjectField:
 def test_a_roof_that_rests_and_then_rises_is_noticed_before_it_is_two_centimetres_out() -> None:
     """Other parts move by a centimetre a step all the time; a bound is half as much again."""
     height = -0.05
-    guard = guarded_box(_roof(height), SIZE, 0.05)
+    verified = verified_box(_roof(height), SIZE, 0.05)
     looks = []
     for step in range(40):
         height += 0.01 if step >= 12 else 0.0
         field = _roof(height)
-        after = guard.after(field, 0.015)
+        after = verified.after(field, 0.015)
         looks.append(field.count.evaluations)
         if not after.holds:
             break
-        guard = after
+        verified = after
     assert 0.05 < height < 0.07
     assert sum(looks[:12]) < 6 * max(looks), "a roof that rests is not looked at every time"
 
 
 def test_what_was_seen_to_move_fully_is_looked_at_as_if_it_did() -> None:
-    guard = guarded_box(_roof(-0.05), SIZE, 0.05)
+    verified = verified_box(_roof(-0.05), SIZE, 0.05)
     for step in range(1, 20):
-        guard = guard.after(_roof(-0.05 + 0.01 * step), 0.01)
-        if not guard.holds:
+        verified = verified.after(_roof(-0.05 + 0.01 * step), 0.01)
+        if not verified.holds:
             break
     assert -0.05 + 0.01 * step == pytest.approx(0.05, abs=0.0101), "at the very step that takes it through the face"

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import torch
 from analytic_fields import SHAPENET_FRAME, Frame, in_frame, sector_scan, soft_car
-from shift3d.render.approach import predicted_hits
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering, preset, render
+from shift3d.render.corrector import predict
 from shift3d.render.culling import object_rays
 from shift3d.render.object_field import Field as AnyField
 from shift3d.render.object_field import ObjectField
@@ -73,13 +73,13 @@ def test_small_steps_of_code_and_pose_are_predicted() -> None:
     first = insert(CODE.clone().requires_grad_())
     code = CODE + 0.001 * direction
     fresh = insert(code, theta)
-    tangents = first.warm.tangents
-    assert tangents is not None and len(tangents) == first.object_points
+    known = first.warm.linearization
+    assert known is not None and len(known) == first.object_points
     field = ObjectField.of(DECODER.field(code), SUV, torch.float64, 4096)
-    expected, _ = predicted_hits(tangents, object_rays(beams(), tangents.index, theta), field)
-    both = fresh.hit_mask[tangents.index]
-    found = fresh.range_m[tangents.index][both]
-    moved = (found - first.range_m.detach()[tangents.index][both]).abs()
+    expected, _ = predict(known, object_rays(beams(), known.index, theta), field)
+    both = fresh.hit_mask[known.index]
+    found = fresh.range_m[known.index][both]
+    moved = (found - first.range_m.detach()[known.index][both]).abs()
     off = (found - expected[both]).abs()
     assert float(moved.median()) > 3e-3
     assert float(off.median()) < 0.1 * float(moved.median())
@@ -106,15 +106,15 @@ def test_a_plate_is_predicted_exactly() -> None:
 
 
 def test_a_code_that_no_formula_knows_is_followed_all_the_same() -> None:
-    """Of a field that is no decoder's the code's part is not predicted; its gradient is kept."""
+    """Of a field that is no decoder's the code's part is not predicted; its gradient is that of a fresh rendering."""
     start = torch.tensor([0.3, -0.2, 0.1, 0.5, -0.4, 0.8], dtype=torch.float64)
-    first = None
+    warm = None
     for step in range(3):
         code = (start + 0.01 * step).requires_grad_()
         field = in_frame(soft_car(code), SHAPENET_FRAME)
-        found = render(beams(), field, THETA, SHAPENET_FRAME, STANDARD, None if first is None else first.warm)
-        assert found.object_points > 50
-        (gradient,) = toward(found, code)
-        assert float(gradient.norm()) > 0 and torch.isfinite(gradient).all()
-        assert found.warm is not None and found.warm.tangents is not None and found.warm.tangents.graph is None
-        first = found
+        followed, fresh = (render(beams(), field, THETA, SHAPENET_FRAME, STANDARD, known) for known in (warm, None))
+        assert followed.object_points == fresh.object_points > 50
+        ours, theirs = toward(followed, code)[0], toward(fresh, code)[0]
+        assert float((ours - theirs).norm()) < 1e-3 * float(theirs.norm())
+        warm = followed.warm
+        assert warm is not None and warm.linearization is not None and warm.linearization.graph is None
