@@ -9,8 +9,8 @@ from torch import Tensor
 
 from shift3d.render.bounding_box import Box
 from shift3d.render.culling import Rays
-from shift3d.render.sdf_grid import ChangeGrid
 from shift3d.render.ray_samples import RaySamples
+from shift3d.render.sdf_grid import ChangeGrid
 
 BOX = Box(torch.tensor([-3.0, -1.5, -1.5], dtype=torch.float64), torch.tensor([3.0, 1.5, 1.5], dtype=torch.float64))
 
@@ -91,9 +91,7 @@ def test_of_two_samples_at_one_place_the_new_one_stays() -> None:
     samples=st.lists(st.tuples(st.integers(0, 3), st.floats(0.0, 6.0), st.floats(0.0, 2.0)), max_size=60),
     spacing=st.sampled_from([0.01, 0.02, 0.1]),
 )
-def test_of_every_stretch_the_lowest_sample_is_kept(
-    samples: list[tuple[int, float, float]], spacing: float
-) -> None:
+def test_of_every_stretch_the_lowest_sample_is_kept(samples: list[tuple[int, float, float]], spacing: float) -> None:
     rows, k, g = zip(*samples, strict=True) if samples else ((), (), ())
     k, g = (torch.tensor(part, dtype=torch.float64) for part in (k, g))
     every = RaySamples.none().joined(RaySamples(torch.tensor(rows, dtype=torch.long), k, g, torch.zeros_like(g)))
