@@ -99,5 +99,5 @@ class RaySamples:
 
 
 def by_ray_and_range(rows: Tensor, k: Tensor) -> Tensor:
-    """(S,) the order of samples by ray, and by range on each ray, to a tenth of a micrometre; equal ones keep theirs."""
+    """(S,) the order of samples by ray, and by range on each ray (to 0.1 micrometre); equal ones keep theirs."""
     return torch.argsort(rows * _LONGEST_M + k, stable=True)

@@ -63,8 +63,8 @@ class RenderSettings:
             The sample positions are those of the whole beam.
         warm_start: start from the previous rendering where one is given.
         warm_refresh: warm renderings in a row before everything is searched afresh.
-        warm_change_m: everything is searched afresh where the field's change since the earlier rendering differs by more
-            than this within a cell of the change grid (0.45 m).
+        warm_change_m: everything is searched afresh where the field's change since the earlier rendering differs by
+            more than this within a cell of the change grid (0.45 m).
         local_minima: between samples that leave `step_m` uncovered, look next to local minima and where g hardly
             falls. False: a chord shorter than `step_m` may be missed.
         approach_slope, approach_m: a hit is approached plainly where g falls by this slope or more over at most this

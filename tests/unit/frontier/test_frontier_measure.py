@@ -19,7 +19,7 @@ from shift3d.frontier.cases import Case, place_case
 from shift3d.frontier.measure import CaseInstrument
 from shift3d.frontier.settings import Setting
 from shift3d.frontier.truth import Truth, make_truth
-from shift3d.render import Beams, RenderSettings, SdfGrid
+from shift3d.render import Beams, SdfGrid, RenderSettings
 from shift3d.scenes.scene import Scene
 from shift3d.task.spec import PlacementSpec, TaskSpec
 

@@ -1,5 +1,6 @@
 """Coverage against plain twins: dense samples every millimetre, and one ray refined interval by interval."""
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -155,5 +156,5 @@ def test_what_stays_uncovered_is_shorter_than_the_least_step(
             places.append((float(found.brackets.inner[at]), -float(found.brackets.g_inner[at])))
         else:
             assert 6.0 - places[-1][0] <= chosen.step_safety * max(places[-1][1], 0.0) + 1e-9
-        for (k_a, g_a), (k_b, g_b) in zip(places, places[1:], strict=False):
+        for (k_a, g_a), (k_b, g_b) in itertools.pairwise(places):
             assert k_b - k_a <= chosen.step_safety * (max(g_a, 0.0) + max(g_b, 0.0)) + chosen.step_m + 1e-9

@@ -72,7 +72,7 @@ def test_the_same_derivatives_by_the_point_and_by_the_code(seed: int) -> None:
     assert torch.allclose(a.at_point, b.at_point, rtol=0, atol=1e-13)
     for one, other in zip(a.at_bias, b.at_bias, strict=True):
         assert one.shape == other.shape and torch.allclose(one, other, rtol=0, atol=1e-13)
-    by_code = [torch.autograd.grad(each(x).sin().sum(), z)[0] for each in (whole, thin)]
+    by_code = [torch.autograd.grad(each(x).sin().sum(), z, retain_graph=True)[0] for each in (whole, thin)]
     assert float(by_code[0].norm()) > 0 and torch.allclose(*by_code, rtol=1e-11, atol=1e-13)
 
 
