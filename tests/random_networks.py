@@ -7,6 +7,7 @@ from shift3d.detectors.network import AnchorNet
 from shift3d.detectors.pointpillars import PointPillarsNet
 from shift3d.detectors.sst import SstNet, SstSpec
 from shift3d.detectors.window_transformer import TransformerSpec
+from shift3d.sdf.decoder import Architecture, Decoder
 
 SLIM = {
     "pointpillars": BackboneSpec(in_channels=8, channels=(8, 8, 8), up_channels=8),
@@ -36,3 +37,15 @@ def random_scene(count: int = 20000, seed: int = 0) -> torch.Tensor:
     generator = torch.Generator().manual_seed(seed)
     points = (torch.rand(count, 3, generator=generator) - 0.5) * torch.tensor([152.0, 152.0, 4.0])
     return points + torch.tensor([0.0, 0.0, 1.0])
+
+
+def random_decoder(seed: int = 0, idle: float = 0.6) -> Decoder:
+    """A small decoder, folded, of whose hidden units about a share is off in most of the unit ball."""
+    torch.manual_seed(seed)
+    decoder = Decoder(Architecture(code_length=5, width=128, hidden_layers=5, skip_layer=2)).folded()
+    with torch.no_grad():
+        for layer in decoder.layers[:-1]:
+            asleep = torch.rand(len(layer.bias)) < idle
+            layer.weight.mul_(1.5)
+            layer.bias.copy_(torch.where(asleep, -0.6 - 0.6 * torch.rand(len(layer.bias)), layer.bias))
+    return decoder.requires_grad_(False)

@@ -27,7 +27,7 @@ import torch
 from extreme_cases import SETTINGS, Case, along_beam, decoders, distance_m, make_case
 from torch import Tensor
 
-from shift3d.render import Beams, render
+from shift3d.render import Beams, render, sphere_tracing
 from shift3d.render.object_field import ObjectField
 from shift3d.render.rendering import FirstHits, Rendering
 from shift3d.render.search import cold_start, warm_start
@@ -186,6 +186,8 @@ def _hits_again(case: Case, beams: Beams, earlier: Rendering | None) -> FirstHit
     metric = ObjectField.of(sdf, case.frame, settings.dtype, settings.batch)
     theta, size = torch.from_numpy(case.theta), torch.tensor(case.frame.size_m, dtype=torch.float64)
     with torch.no_grad():
+        if settings.solver == "plain_sphere_tracing":
+            return sphere_tracing.first_hits(beams, metric, theta, size, settings)
         if earlier is None or earlier.warm is None:
             return cold_start(beams, metric, theta, size, settings)[0]
         return warm_start(beams, metric, theta, size, earlier.warm, settings)[0]
