@@ -9,6 +9,7 @@ from typing import Any
 from shift3d.report.caveats import trial_caveat
 from shift3d.report.html.document import Section, aside, paragraph, table, terms
 from shift3d.report.html.sweep import Sweep
+from shift3d.report.placement import nothing_placed
 from shift3d.sweep.tasks import TaskGroup
 from shift3d.wording import counted
 
@@ -20,7 +21,7 @@ _SETTINGS = ("steps", "alpha", "lambda", "random_replicates", "noise_replicates"
 def overview(sweep: Sweep) -> Section:
     """The section."""
     plan = sweep.plan
-    caveat = trial_caveat(plan.tasks)
+    caveat = None if nothing_placed(sweep.scores, plan.settings) else trial_caveat(plan.tasks)
     body = [
         *([paragraph(caveat)] if caveat else []),
         terms(_facts(sweep)),

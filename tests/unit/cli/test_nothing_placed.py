@@ -45,3 +45,4 @@ def test_nothing_fitted_is_said_first(
     assert main(["report", "out"]) == 0
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.index("no vehicle found a place") < page.index("<table")
+    assert "A trial: these AUCs" not in page, "there are none"
