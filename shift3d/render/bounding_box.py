@@ -89,9 +89,9 @@ def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tens
     for _ in range(_LEVELS):
         outside = ((points - size_m / 2 < box.lower) | (points + size_m / 2 > box.upper)).any(-1)
         points = points[outside & ((points - centre).norm(dim=-1) <= radius + size_m / 2)]
-        # Of a cell on a face the part outside is what is asked about.
-        beyond = (points < box.lower) | (points > box.upper)
-        points = torch.where(beyond.any(-1, keepdim=True), points, _onto_faces(points, box))
+        # A cell on a face is asked there, so that a panel is noticed in the step that takes it through the face.
+        on_face = ((points - size_m / 2 <= box.upper) & (points + size_m / 2 >= box.lower)).all(-1, keepdim=True)
+        points = torch.where(on_face, _onto_faces(points, box), points)
         g = field.estimate(points).double()
         found.append((points, g))
         near = ~(g > _STEEPEST * size_m * 3**0.5 / 2) & (g > 0)
@@ -102,12 +102,14 @@ def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tens
 
 
 def _onto_faces(points: Tensor, box: Box) -> Tensor:
-    """Points (P, 3) inside a box, each moved to the nearest place on its faces."""
+    """Points (P, 3), each moved to the nearest place on the box's faces."""
+    inside = ((points > box.lower) & (points < box.upper)).all(-1)
     below, above = points - box.lower, box.upper - points
     _, axis = torch.minimum(below, above).min(-1)
     rows = torch.arange(len(points))
     end = torch.where(below[rows, axis] < above[rows, axis], box.lower[axis], box.upper[axis])
-    return points.index_put((rows, axis), end)
+    moved = torch.minimum(torch.maximum(points, box.lower), box.upper)
+    return torch.where(inside[:, None], points.index_put((rows, axis), end), moved)
 
 
 def _around(box: Box, inside: Tensor, ball: Box, margin_m: float) -> Box:

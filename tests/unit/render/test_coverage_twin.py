@@ -97,7 +97,11 @@ def _gap(k_a: float, g_a: float, k_b: float, g_b: float, chosen: RenderSettings)
     """What of an interval the spheres around its ends leave open, L being what the ends show where that is more."""
     width = k_b - k_a
     steep = min(max(abs(g_a - g_b) / width, 1.0), 10.0)
-    return width - chosen.step_safety * (max(g_a, 0.0) + abs(g_b)) / steep
+    return width - chosen.step_safety * (_counts(g_a, chosen) + _counts(abs(g_b), chosen)) / steep
+
+
+def _counts(g: float, chosen: RenderSettings) -> float:
+    return min(max(g, 0.0), chosen.max_step_m)
 
 
 def _refined(
@@ -107,7 +111,7 @@ def _refined(
     g_a, g_b = g(k_a), g(k_b)
     if _gap(k_a, g_a, k_b, g_b, chosen) > (0.0 if is_end and g_b >= 0 else chosen.step_m):
         steep = min(max(abs(g_a - g_b) / (k_b - k_a), 1.0), 10.0) / chosen.step_safety
-        share = 0.5 + 0.5 * (g_a - abs(g_b)) / (steep * (k_b - k_a))
+        share = 0.5 + 0.5 * (_counts(g_a, chosen) - _counts(abs(g_b), chosen)) / (steep * (k_b - k_a))
         middle = k_a + min(max(share, 0.05), 0.95) * (k_b - k_a)
         front = _refined(g, k_a, middle, False, chosen)
         return front if front[-1][1] < 0 else front + _refined(g, middle, k_b, is_end, chosen)

@@ -181,10 +181,7 @@ def test_a_field_that_is_positive_everywhere_ends_without_hits() -> None:
     assert not is_found(found).any() and not found.undecided.any()
 
 
-_FEW_STEEP = pytest.mark.xfail(strict=True, reason="up to 32 rays are not traced, and `cover` knows no largest step")
-
-
-@pytest.mark.parametrize("rays", [pytest.param(31, marks=_FEW_STEEP), 62])
+@pytest.mark.parametrize("rays", [31, 62])
 def test_a_field_steeper_than_a_distance_is_not_jumped_through(rays: int) -> None:
     steep = march(lambda x: 3.0 * (x.norm(dim=-1) - 0.2), torch.linspace(-0.15, 0.15, rays))
     assert is_found(steep).all()
