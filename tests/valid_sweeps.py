@@ -90,5 +90,6 @@ def write_frontier(folder: Path) -> None:
     measured = []
     for name in ("standard", "paper"):
         row = {field.name: _BY_TYPE[field.type] for field in FRONTIER_SCHEMA}
-        measured.append({**row, "setting": name, "preset": name, "knob": None, "knob_name": None})
+        conditions = {"start": "cold", "gradient": "no"}
+        measured.append({**row, **conditions, "setting": name, "preset": name, "knob": None, "knob_name": None})
     write_table(folder / FRONTIER, frontier_table(measured, {"cores": 2}))
