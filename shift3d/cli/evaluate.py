@@ -14,11 +14,13 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMAND", "evaluate_words"]
 
-_KEYS = ("detector", "scenes", "count", "sensor", "split", "root", "weights", "score_threshold", "workers", "out")
+_STREET_KEYS = ("sensor", "split", "traffic")
+_KEYS = ("detector", "scenes", "count", *_STREET_KEYS, "root", "weights", "score_threshold", "workers", "out")
 _VALUES = {
     "scenes": ("street", "kitti"),
     "sensor": ("mixed", "hdl64", "waymo_top"),
     "split": ("test", "val", "train"),
+    "traffic": ("family", "wide", "held_out"),
     "model": ("sdf",),
 }
 
@@ -35,6 +37,7 @@ _EPILOG = """\
 examples:
   shift3d evaluate detector=pointpillars              200 held-out streets: 22 minutes of one core
   shift3d evaluate detector=sst scenes=street count=20 workers=2
+  shift3d evaluate detector=pointpillars traffic=held_out   every second vehicle of a kind that training never sees
   shift3d evaluate detector=pointpillars scenes=kitti root=PATH      PATH holds training/; cars in the image
   shift3d evaluate detector=pointpillars weights=FILE scenes=kitti root=PATH out=DIR
   shift3d evaluate model=sdf
@@ -55,7 +58,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         "words",
         nargs="*",
         metavar="key=value",
-        help="detector=NAME [scenes=street|kitti] [count=N] [sensor= split=] [root=PATH] [weights=FILE] "
+        help="detector=NAME [scenes=street|kitti] [count=N] [sensor= split= traffic=] [root=PATH] [weights=FILE] "
         "[score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
     )
     words.completer = evaluate_words  # type: ignore[attr-defined]
@@ -83,14 +86,15 @@ def _scenes(values: dict[str, str], count: int | None) -> StreetChoice | KittiCh
     from shift3d.report.evaluation import KittiChoice, StreetChoice
 
     kind = values.get("scenes", "street")
-    foreign = {"street": ("root",), "kitti": ("sensor", "split")}
+    foreign = {"street": ("root",), "kitti": _STREET_KEYS}
     if kind not in foreign:
         raise InputError(f"scenes={kind!r} is unknown", "evaluate", "Give scenes=street or scenes=kitti root=PATH")
     for key in foreign[kind]:
         if key in values:
             raise InputError(f"{key}= means nothing for scenes={kind}", "evaluate", f"Leave out {key}=")
     if kind == "street":
-        return StreetChoice(count or 200, values.get("sensor", "mixed"), values.get("split", "test"))
+        sensor, split = values.get("sensor", "mixed"), values.get("split", "test")
+        return StreetChoice(count or 200, sensor, split, traffic=values.get("traffic", "family"))
     if not values.get("root"):
         raise InputError("root= is missing", "evaluate", "Give root=PATH, the folder that holds KITTI's training/")
     return KittiChoice(values["root"], count)

@@ -46,8 +46,10 @@ examples:
   shift3d train model=sdf vehicles=PATH length_m=4.5 out=DIR
                                                    a decoder of your own meshes and their codes, into DIR
 
-detectors: half of the crops of the later steps hold vehicles that the shipped sdf weights draw, on ground that is
-free (inserted=0: none). Of frames that are labelled in part (KITTI: in the camera's view) only that part is trained on.
+detectors: vehicles are meshes of the wide family's seen kinds, each another one; none is made by the decoder, and what
+attacks draw on is held out (docs/family.md). Half of the crops of the later steps hold two to four more of them, cast
+into the scene on ground that is free (inserted=0: none). Of frames that are labelled in part (KITTI: in the camera's
+view) only that part is trained on.
 mixed precision: bfloat16 on CUDA and on processors that multiply it; elsewhere float32. mlflow=none writes no curves.
 
 {FRAME_TEXT}"""

@@ -58,6 +58,7 @@ class StreetOptionsConfig(_Record):
     sensors: Annotated[int, Field(ge=1, le=MOST_SENSORS)] = 1
     ego_speed_m_s: Annotated[float, Field(ge=0, le=LIMITS["ego_speed_m_s"])] = 0.0
     motion_compensated: bool = False
+    traffic: Literal["family", "wide", "held_out"] = "family"
 
     def options(self) -> StreetOptions:
         """The same for the generator. Raises InputError for settings that contradict each other."""

@@ -23,6 +23,7 @@ from shift3d.evaluation.metrics import Metric, evaluate
 from shift3d.report.evaluation_table import draw_curves, metric_table
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
+from shift3d.scenes.street.options import StreetOptions
 from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION, evaluation_table
 from shift3d.store.tables import write_table
@@ -44,20 +45,24 @@ class StreetChoice:
     sensor: str = "mixed"
     split: str = "test"
     seed: int = 0
+    traffic: str = "family"
 
     @property
     def dataset(self) -> str:
         """Name in the tables and in the folder's name."""
-        return f"street-{self.sensor}-{self.split}" + (f"-seed{self.seed}" if self.seed else "")
+        traffic = f"-{self.traffic}" if self.traffic != "family" else ""
+        return f"street-{self.sensor}-{self.split}{traffic}" + (f"-seed{self.seed}" if self.seed else "")
 
     @property
     def identity(self) -> dict[str, object]:
         """What decides which scene lies behind a name."""
-        return {"sensor": self.sensor, "split": self.split, "seed": self.seed}
+        traffic = {"traffic": self.traffic} if self.traffic != "family" else {}
+        return {"sensor": self.sensor, "split": self.split, "seed": self.seed, **traffic}
 
     def open(self) -> SceneSet:
-        """The scenes. Raises InputError for an unknown sensor or split."""
-        return StreetScenes(self.sensor, self.seed, self.count, self.split)
+        """The scenes. Raises InputError for an unknown sensor, split or traffic."""
+        options = StreetOptions(traffic=self.traffic)
+        return StreetScenes(self.sensor, self.seed, self.count, self.split, options=options)
 
 
 @dataclass(frozen=True)

@@ -58,28 +58,55 @@ def draw_vehicles(path: Path) -> None:
     figure.savefig(path)
 
 
-def draw_family(path: Path, columns: int = 5) -> None:
-    """One vehicle of every body type as built: from the side, and three quarters from the front.
+def draw_family(path: Path, columns: int = 6) -> None:
+    """One vehicle of every body type and attribute of the wide family as built: seen ones blue, held-out ones red."""
+    from shift3d.vehicles.family.split import SPLIT
 
-    The first vehicles of the family that the shipped decoder was trained on.
-    """
-    from shift3d.vehicles.family import BODY_TYPES, build_mesh, family
-    from shift3d.vehicles.picture import shaded
-    from shift3d.vehicles.vehicle import family_seed
-
-    bands = -(-len(BODY_TYPES) // columns)
-    figure = _figure(11, 2.9 * bands)
-    axes = figure.subplots(2 * bands, columns)
-    for panel in axes.flat:
-        panel.set_axis_off()
-    for index, spec in enumerate(family(len(BODY_TYPES), family_seed())):
-        band, column = divmod(index, columns)
-        mesh = build_mesh(spec)
-        for row, view in enumerate((_SIDE, _THREE_QUARTERS)):
-            axes[2 * band + row, column].imshow(shaded(mesh, *view, width_px=420, height_px=220, span_m=5.8))
-        size = f"{spec.length_m:.2f} x {spec.width_m:.2f} x {spec.height_m:.2f} m"
-        axes[2 * band, column].set_title(f"{spec.body_type.replace('_', ' ')}, {size}", fontsize=8)
+    sides = {"seen in training": SPLIT.seen, "held out": SPLIT.held_out}
+    bands = [-(-len(names) // columns) for names in sides.values()]
+    figure = _figure(12, 1.6 * sum(bands))
+    parts: list[Any] = list(np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=bands))))
+    for part, (title, names), rows in zip(parts, sides.items(), bands):
+        part.suptitle(title, fontsize=10, x=0.01, ha="left", weight="bold")
+        panels = part.subplots(rows, columns, squeeze=False).flat
+        for panel in panels:
+            panel.set_axis_off()
+        for panel, name in zip(part.axes, names):
+            _draw_kind(panel, name, None if names is SPLIT.seen else _RED)
     figure.savefig(path)
+
+
+_SHOWN_ON = {
+    "roof_box": "beach_wagon",
+    "tail_bicycles": "hatchback",
+    "open_tailgate": "suv",
+    "dented": "sedan",
+    "missing_panels": "sedan",
+}
+"""Body types that show an attribute well; of the others the first that carries it."""
+_FROM_BEHIND = ("spare_wheel", "canopy", "tail_bicycles", "open_tailgate")
+_DRAW = {"dented": 20, "missing_panels": 12}
+"""Which draw is shown; of the others the first. Of damage, one on the side that the picture shows."""
+_FROM_ABOVE = ("roof_rack", "ladder", "roof_rails", "roof_box")
+
+
+def _draw_kind(panel: Axes, name: str, rgb: tuple[float, float, float] | None) -> None:
+    """One vehicle of a body type, or one with an attribute."""
+    from shift3d.seeding import generator
+    from shift3d.vehicles.family.attributes import ATTRIBUTES
+    from shift3d.vehicles.family.wide import build_wide_mesh, draw_wide
+    from shift3d.vehicles.picture import BODY_RGB, shaded
+
+    attributes = (name,) if name in ATTRIBUTES else ()
+    body_type = _SHOWN_ON.get(name, ATTRIBUTES[name].carriers[0]) if attributes else name
+    spec = draw_wide(body_type, attributes, generator("family picture", name, _DRAW.get(name, 0)))
+    azimuth = np.pi - 0.7 if name in _FROM_BEHIND else 0.75
+    elevation = 0.42 if name in _FROM_ABOVE else 0.27
+    span_m = 6.0 if spec.size_m[0] < 6.0 else 8.9
+    picture = shaded(build_wide_mesh(spec), azimuth, elevation, 400, 230, span_m, rgb or BODY_RGB)
+    panel.imshow(picture)
+    size = " x ".join(f"{side:.2f}" for side in spec.size_m)
+    panel.set_title(f"{spec.kind.replace('_', ' ').replace('+', ' + ')}\n{size} m", fontsize=8)
 
 
 def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.DataFrame, path: Path) -> None:

@@ -31,12 +31,14 @@ class Labels:
         classes: M names of shift3d: "vehicle", "pedestrian", "cyclist", "other".
         num_points: (M,) int32, points of the scene inside each box.
         names: M names as the data set itself gives them ("Car", "Van", ...); empty where it gives none.
+        kinds: M body types with attributes ("sedan", "suv+roof_box"; "" for what is no vehicle); empty where unknown.
     """
 
     boxes: NDArray[np.float64] = field(default_factory=_no_boxes)
     classes: tuple[str, ...] = ()
     num_points: NDArray[np.int32] = field(default_factory=_no_counts)
     names: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
 
     def of_class(self, name: str) -> NDArray[np.float64]:
         """Boxes (K, 7) of one class, in label order."""
@@ -68,6 +70,12 @@ class Labels:
                 f"{len(self.names)} names for {count} boxes",
                 f"{where}, labels.names",
                 "Give one name a box, or none at all.",
+            )
+        if self.kinds and len(self.kinds) != count:
+            raise InputError(
+                f"{len(self.kinds)} kinds for {count} boxes",
+                f"{where}, labels.kinds",
+                "Give one kind a box, or none at all.",
             )
         if self.num_points.shape != (count,):
             raise InputError(

@@ -104,6 +104,8 @@ class Scene:
             "conditions": asdict(self.conditions),
             "sensor": None if self.sensor is None else asdict(self.sensor),
         }
+        if self.labels.kinds:  # scenes without them keep the digest that they have without this field
+            header["kinds"] = self.labels.kinds
         digest.update(json.dumps(header, sort_keys=True).encode())
         arrays = [(name, values) for name, values, _, _ in self._fields()]
         arrays += [("boxes", self.labels.boxes), ("num_points", self.labels.num_points)]

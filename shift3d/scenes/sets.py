@@ -9,7 +9,7 @@ import numpy as np
 
 from shift3d.errors import InputError
 from shift3d.scenes.scene import Scene
-from shift3d.scenes.street.options import PLAIN, StreetOptions
+from shift3d.scenes.street.options import PLAIN, StreetOptions, check_traffic
 
 if TYPE_CHECKING:
     from shift3d.scenes.facts import SceneFacts
@@ -66,7 +66,7 @@ class StreetScenes:
         options: what scenes state and show beyond that; off by default.
 
     Raises:
-        InputError: for an unknown sensor or split, or a count below 1.
+        InputError: for an unknown sensor or split, a count below 1, or held-out traffic on split train.
     """
 
     placement_sector_rad = (0.0, float(np.pi))
@@ -89,6 +89,7 @@ class StreetScenes:
                 "street scenes",
                 "Give count >= 1, start >= 0, seed >= 0.",
             )
+        check_traffic(options.traffic, split)
         self.sensor, self.seed, self.count, self.split, self.start = sensor, seed, count, split, start
         self.options = options
 
@@ -106,7 +107,7 @@ class StreetScenes:
         """The scene of a name: the same bytes every time."""
         from shift3d.scenes.street.assemble import street_scene
 
-        match = re.fullmatch(r"street-[a-z]+-[a-z0-9_]+-(\d{6,})(?:-[a-z0-9.-]+)?", name)
+        match = re.fullmatch(r"street-[a-z]+-[a-z0-9_]+-(\d{6,})(?:-[a-z0-9._-]+)?", name)
         index = int(match[1]) if match else -1
         if not self.start <= index < self.start + self.count or name != self._name(index):
             first, last = self._name(self.start), self._name(self.start + self.count - 1)

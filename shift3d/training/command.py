@@ -30,7 +30,7 @@ class TrainOptions:
 
     out: holds samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda.
     scenes: "street" or "kitti"; root: of KITTI; count: scenes, None for the recipe's (street) or every frame (kitti).
-    steps, inserted (scenes with rendered insertions): None for the recipe's.
+    steps, inserted (scenes with inserted vehicles): None for the recipe's.
     start_from: a weights file to start from, or "shipped".
     """
 
@@ -64,7 +64,7 @@ def train(model: str, options: TrainOptions, report: Report | None = None) -> Pa
     so everything that real frames went into, to ``options.out``.
 
     Args:
-        model: one of MODELS; the detectors insert vehicles that the weights of sdf draw.
+        model: one of MODELS. Detectors see meshes of the wide family's seen kinds, nothing that the decoder made.
         report: is given the curves' points after every checkpoint.
 
     Raises:
@@ -93,8 +93,7 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
         # A peak as high as from random weights would undo the start (our choice).
         recipe = replace(recipe, peak_rate=ADAPTING_SHARE * recipe.peak_rate)
     if options.inserted is not None:
-        vehicles = min(recipe.inserted_vehicles, max(1, options.inserted))
-        recipe = replace(recipe, inserted_scenes=options.inserted, inserted_vehicles=vehicles)
+        recipe = replace(recipe, inserted_scenes=options.inserted)
     return recipe
 
 

@@ -17,7 +17,8 @@ from shift3d.detectors.sst import SstNet, SstSpec
 from shift3d.detectors.weights import WEIGHTS_FOLDER, load_network
 from shift3d.errors import InputError
 from shift3d.scenes.sets import SceneSet, StreetScenes
-from shift3d.sdf.decoder import load_decoder
+from shift3d.scenes.street.fleet import fleet_of
+from shift3d.scenes.street.options import StreetOptions
 from shift3d.seeding import generator
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute
@@ -25,9 +26,10 @@ from shift3d.training.detector_loop import CHECKPOINT, SHIPPED_DATA, train_on_sc
 from shift3d.training.detector_recipe import RECIPES, Recipe, one_cycle, scaled_to_steps
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
 from shift3d.training.growing import grown
-from shift3d.training.inserted_vehicles import insertable_vehicles, with_inserted_vehicles
+from shift3d.training.inserted_vehicles import with_inserted_vehicles
 from shift3d.training.progress import Report, averaged
 from shift3d.training.provenance import write_provenance
+from shift3d.vehicles.family.split import SPLIT
 
 __all__ = [
     "RECIPES",
@@ -43,6 +45,8 @@ __all__ = [
 
 CURVE_POINTS = 30
 """About how many points of the curve stand in the provenance."""
+TRAFFIC = "wide"
+"""Whose vehicles training streets and insertions have: the wide family's seen kinds."""
 
 
 def train_detector(
@@ -50,8 +54,6 @@ def train_detector(
     recipe: Recipe,
     threads: int = 1,
     weights_file: Path | None = None,
-    vehicles_file: Path | None = None,
-    decoder_file: Path | None = None,
     scenes: SceneSet | None = None,
     start_from: Path | None = None,
     compute: Compute | None = None,
@@ -63,14 +65,13 @@ def train_detector(
         out_dir: scenes, checkpoint and weights; an interrupted training goes on from there.
         threads: may change from call to call; the weights then agree to rounding, not to the bit.
         weights_file: where the safetensors go, and their provenance as JSON (default out_dir/<detector>.safetensors).
-        vehicles_file, decoder_file: of the vehicles to insert, default the shipped ones.
         scenes: labelled scenes to train on, default the shipped recipe's procedural streets. Of each only the
             labelled sector is used, see :func:`~shift3d.training.detector_scenes.from_scene`.
         start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
         compute: default the CPU with `threads` threads. report: see :func:`train_on_scenes`.
     Returns: the trained network on the CPU, in evaluation mode.
-    Raises: InputError when the shape decoder's weights are missing, the scenes hold no vehicle, or the checkpoint is
-        of another recipe, other scenes or another start; KeyboardInterrupt when asked to stop.
+    Raises: InputError when the scenes hold no vehicle, or the checkpoint is of another recipe, other scenes or another
+        start; KeyboardInterrupt when asked to stop.
     """
     compute = compute or choose_compute("cpu", threads)
     data = _identity(scenes, start_from or _seedling(recipe))
@@ -81,7 +82,7 @@ def train_detector(
     train_on_scenes(out_dir, recipe, base, stop_after=recipe.mesh_only_steps, **shared)
     inserted: list[Path] = []
     if recipe.inserted_scenes and recipe.inserted_share > 0.0:
-        inserted = inserted_scene_files(out_dir, base, recipe, vehicles_file, decoder_file)
+        inserted = inserted_scene_files(out_dir, base, recipe)
     net = train_on_scenes(out_dir, recipe, base, inserted, **shared).to("cpu")
     weights_file = weights_file or out_dir / f"{recipe.detector}.safetensors"
     export_weights(net, weights_file, recipe)
@@ -110,7 +111,7 @@ def _start(recipe: Recipe, start_from: Path | None) -> Mapping[str, Tensor] | No
 
 def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
     """What stands in a checkpoint for scenes and start."""
-    parts = [SHIPPED_DATA if scenes is None else f"{scenes.dataset}-{_digest(scenes)}"]
+    parts = [f"{SHIPPED_DATA}-{TRAFFIC}" if scenes is None else f"{scenes.dataset}-{_digest(scenes)}"]
     if start_from is not None and start_from.is_file():
         parts.append(hashlib.blake2b(start_from.read_bytes(), digest_size=8).hexdigest())
     return " from ".join(parts)
@@ -128,12 +129,13 @@ def _facts(
     start_from = start_from or _seedling(recipe)
     names = [] if scenes is None else scenes.names()
     curve = averaged(state.get("curve", []), CURVE_POINTS)
-    street = {"dataset": "street-mixed", "split": "train", "count": recipe.mesh_scenes}
+    street = {"dataset": f"street-mixed-{TRAFFIC}", "split": "train", "count": recipe.mesh_scenes}
     return {
         "model": recipe.detector,
         "recipe": asdict(recipe),
         "steps": state["steps_done"],
         "scenes": street if scenes is None else {"dataset": scenes.dataset, "count": len(names), "names": names},
+        "vehicles": {"made_by": "meshes of the wide family, none by the decoder", **SPLIT.to_dict()},
         "started_from": None if start_from is None else start_from.name,
         "compute": compute.facts(recipe.bfloat16),
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
@@ -153,10 +155,10 @@ def export_weights(net: AnchorNet, file: Path, recipe: Recipe) -> None:
 
 
 def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:
-    """Cached procedural scenes of both sensors, split train."""
-    scenes = StreetScenes("mixed", count=count, split="train")
+    """Cached procedural scenes of both sensors, split train, with vehicles of the wide family's seen kinds."""
+    scenes = StreetScenes("mixed", count=count, split="train", options=StreetOptions(traffic=TRAFFIC))
     names = tqdm(scenes.names(), desc="street scenes", mininterval=5.0)
-    return cache_scenes(out_dir / "mesh-train", names, lambda name: from_scene(scenes.load(name)))
+    return cache_scenes(out_dir / f"{TRAFFIC}-train", names, lambda name: from_scene(scenes.load(name)))
 
 
 def scene_files(out_dir: Path, scenes: SceneSet) -> list[Path]:
@@ -174,25 +176,16 @@ def scene_files(out_dir: Path, scenes: SceneSet) -> list[Path]:
     return files
 
 
-def inserted_scene_files(
-    out_dir: Path, mesh: Sequence[Path], recipe: Recipe, vehicles_file: Path | None, decoder_file: Path | None
-) -> list[Path]:
-    """Cached scenes with vehicles that our renderer inserted into mesh scenes, in their order.
-
-    Raises: InputError when the shape decoder's weights are missing.
-    """
+def inserted_scene_files(out_dir: Path, base: Sequence[Path], recipe: Recipe) -> list[Path]:
+    """Cached scenes with more vehicles of the wide family's seen kinds in the base scenes, in their order."""
     # Scenes of another set must not be taken for those of the streets when both were made in one folder.
-    own = mesh[0].parent.name.removeprefix("mesh-train").removeprefix("scenes")
-    folder = out_dir / f"inserted{own or '-train'}"
+    folder = out_dir / f"inserted-{base[0].parent.name}"
     names = [f"inserted-{index:05d}" for index in range(recipe.inserted_scenes)]
-    if all((folder / f"{name}.npz").exists() for name in names):
-        return [folder / f"{name}.npz" for name in names]
-    decoder = load_decoder(decoder_file)
-    vehicles = insertable_vehicles(recipe.inserted_vehicles, recipe.seed, decoder, vehicles_file)
+    fleet = fleet_of(TRAFFIC, "train")
 
     def build(name: str) -> TrainingScene:
         rng = generator("inserted scene", recipe.seed, name)
-        scene = load_cached(mesh[int(name.rsplit("-", 1)[1]) % len(mesh)])
-        return with_inserted_vehicles(scene, vehicles, decoder, rng)
+        scene = load_cached(base[int(name.rsplit("-", 1)[1]) % len(base)])
+        return with_inserted_vehicles(scene, fleet, rng)
 
     return cache_scenes(folder, tqdm(names, desc="inserting vehicles", mininterval=5.0), build)

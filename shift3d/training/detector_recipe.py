@@ -18,7 +18,7 @@ class Recipe:
     """Everything that decides the trained weights, beside the scenes. Threads are not part of it.
 
     network: sizes of the detector, which say what it is. steps: optimiser steps; the first `mesh_only_steps`
-    use mesh scenes alone, after which each crop comes from a scene with rendered insertions with probability
+    use streets alone, after which each crop comes from a scene with inserted vehicles with probability
     `inserted_share`. crop_cells: side of the square crops; batch: crops a step; rim_cells: anchors so close to
     a crop's edge are not trained; jitter_m: how far a crop's centre lies from the vehicle it was chosen for.
     bfloat16: take large products in half the bytes, which pays where the processor has instructions for it.
@@ -40,7 +40,6 @@ class Recipe:
     inserted_share: float = 0.5
     mesh_scenes: int = 400
     inserted_scenes: int = 240
-    inserted_vehicles: int = 99
     crop_cells: int = 112
     batch: int = 2
     rim_cells: int = 6

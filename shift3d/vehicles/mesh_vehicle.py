@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from shift3d.vehicles.family.spec import BODY_TYPES
 from shift3d.vehicles.mesh_files import MeshFile, read_mesh
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.repair import RepairReport, repaired
-from shift3d.vehicles.spec import BODY_TYPES
 
 UNKNOWN_BODY_TYPE = "vehicle"
 

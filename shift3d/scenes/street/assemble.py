@@ -10,6 +10,7 @@ from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Conditions, Labels, Scene
 from shift3d.scenes.street.behind import second_returns
 from shift3d.scenes.street.echoes import Echoes, silent_beams
+from shift3d.scenes.street.fleet import fleet_of
 from shift3d.scenes.street.item import LABELLED
 from shift3d.scenes.street.layout import Layout, sample_layout
 from shift3d.scenes.street.options import PLAIN, StreetOptions
@@ -28,7 +29,7 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
         split: "train", "val" or "test": disjoint layouts and disjoint vehicles.
         seed, index: which scene.
         sensor_name: "hdl64" or "waymo_top".
-        options: what the scene states and shows beyond that; the street is the same.
+        options: what the scene states and shows beyond that, the street being the same; and whose vehicles it has.
 
     Returns:
         A scene with reflectance, firing times and, of one sensor, range-image indices. Rows: the main sensor's first
@@ -38,14 +39,15 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
         where points were at time 0: points given in the frame of the moving sensor lie beside them.
 
     Raises:
-        InputError: for an unknown split or sensor.
+        InputError: for an unknown split or sensor, or held-out traffic on streets to train on.
 
     Source: our choice.
     """
     sensor = _sensor(split, sensor_name)
     parts = ("street-scene", split, seed, index, sensor_name)
-    layout = sample_layout(generator(*parts, "layout"), sensor.mount_height_m)
-    world = World.of(layout, split, driven_m=options.ego_speed_m_s * sensor.turn_s)
+    fleet = fleet_of(options.traffic, split)
+    layout = sample_layout(generator(*parts, "layout"), sensor.mount_height_m, fleet)
+    world = World.of(layout, fleet, driven_m=options.ego_speed_m_s * sensor.turn_s)
     echoes, sweeps, second = _sense(world, layout, sensor, options, parts)
     compensated = options.motion_compensated
     return Scene(
@@ -54,7 +56,7 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
         points=echoes.points,
         origins=echoes.origins,
         ground_z_m=-sensor.mount_height_m,
-        labels=_labels(layout, world.boxes, _at_time_0(echoes, options)),
+        labels=_labels(layout, world, _at_time_0(echoes, options)),
         reflectance=echoes.reflectance,
         return_number=second if options.returns > 1 else None,
         time_s=echoes.time_s,
@@ -138,13 +140,20 @@ def _sample_paint(layout: Layout, rng: np.random.Generator) -> dict[int, Paint]:
     return paint
 
 
-def _labels(layout: Layout, boxes: dict[int, NDArray[np.float64]], points: NDArray[np.float32]) -> Labels:
+def _labels(layout: Layout, world: World, points: NDArray[np.float32]) -> Labels:
+    boxes = world.boxes
     numbers = sorted(boxes)
     stacked = np.stack([boxes[number] for number in numbers]) if numbers else np.zeros((0, 7))
     counts = _count_points(points, stacked)
     seen = np.flatnonzero(counts > 0)
     names = tuple(layout.items[numbers[i]].kind for i in seen)
-    return Labels(stacked[seen], tuple(LABELLED[name] for name in names), counts[seen])
+    kinds = {standing.number: standing.vehicle.kind for standing in world.vehicles if standing.vehicle.kind}
+    return Labels(
+        stacked[seen],
+        tuple(LABELLED[name] for name in names),
+        counts[seen],
+        kinds=tuple(kinds.get(numbers[i], "") for i in seen) if kinds else (),
+    )
 
 
 def _count_points(points: NDArray[np.float32], boxes: NDArray[np.float64]) -> NDArray[np.int32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from shift3d.geometry.boxes import corners_bev
 
 OWN_CAR_M = (-0.8, 0.0, 6.0, 2.4)  # x, y of its centre, length and width: the LiDAR stands ahead of its centre
+Size = tuple[float, float, float]
 LABELLED = {"vehicle": "vehicle", "pedestrian": "pedestrian", "cyclist": "cyclist"}
 
 
@@ -34,10 +36,14 @@ class Item:
 
 
 class FloorPlan:
-    """Which floor space is taken, by the rectangles of the items placed so far."""
+    """Which floor space is taken, by the rectangles of the items placed so far.
 
-    def __init__(self) -> None:
+    slot_m: length, width and height kept for the vehicle of a variant, metres.
+    """
+
+    def __init__(self, slot_m: Callable[[int], Size]) -> None:
         self.items: list[Item] = []
+        self.slot_m = slot_m
         self._corners = np.zeros((0, 4, 2))
 
     def place(self, item: Item, margin_m: float = 0.2) -> bool:

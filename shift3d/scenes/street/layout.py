@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shift3d.scenes.street.fleet import Fleet
 from shift3d.scenes.street.ground import Ground, sample_waves
 from shift3d.scenes.street.item import OWN_CAR_M, FloorPlan, Item
 from shift3d.scenes.street.roadside import furnish_roadside
@@ -27,18 +28,18 @@ class Layout:
     items: tuple[Item, ...]
 
 
-def sample_layout(rng: np.random.Generator, mount_height_m: float) -> Layout:
+def sample_layout(rng: np.random.Generator, mount_height_m: float, fleet: Fleet) -> Layout:
     """A random scene.
 
     street: a road with kerbside parking, buildings and gardens. intersection: the same with a side road and crossing
     traffic. lot: with a car park beside it. plaza: a car park all around. open: a country road, few things.
-    Every kind has 10 to 30 vehicles within 75 m, so that a detector sees all headings and all distances.
+    Every kind has 10 to 30 vehicles of the fleet within 75 m, so that a detector sees all headings and all distances.
 
     Source: our choice; the paper uses Waymo validation scenes.
     """
     kind = str(rng.choice(KINDS, p=_KIND_SHARES))
     ground = _sample_ground(kind, rng, mount_height_m)
-    plan = FloorPlan()
+    plan = FloorPlan(fleet.slot_m)
     x, y, length_m, width_m = OWN_CAR_M
     plan.reserve(x, y, 0.0, length_m, width_m)
     target = int(rng.integers(LEAST_VEHICLES + 2, MOST_VEHICLES - 1))

@@ -8,8 +8,9 @@ from decimal import Decimal
 
 from shift3d.errors import InputError
 
-__all__ = ["MOST_SENSORS", "PLAIN", "WEATHER_STRENGTHS", "StreetOptions"]
+__all__ = ["MOST_SENSORS", "PLAIN", "TRAFFIC", "WEATHER_STRENGTHS", "StreetOptions", "check_traffic"]
 
+TRAFFIC = ("family", "wide", "held_out")
 WEATHER_STRENGTHS = {"rain": ("rain_mm_h", 10.0), "fog": ("visibility_m", 100.0), "snow": ("snow_mm_h", 1.0)}
 """Of each weather: the field that says how strong it is, and what null stands for (our choice): heavy rain, thick
 fog, moderate snow."""
@@ -20,6 +21,7 @@ _WHERE = "street scenes"
 _TAG = re.compile(
     r"(?:-(?P<weather>rain|fog|snow)(?P<strength>[\d.]+))?(?P<sensor_model>-model)?(?P<range_image>-image)?"
     r"(?:-returns(?P<returns>\d+))?(?:-sensors(?P<sensors>\d+))?(?:-ego(?P<ego>[\d.]+)(?P<compensated>comp)?)?"
+    r"(?:-(?P<traffic>wide|held_out))?"
 )
 
 
@@ -39,6 +41,8 @@ class StreetOptions:
         ego_speed_m_s: along +x during the turn.
         motion_compensated: points as they were at time 0, with the origins that follow the sensor; otherwise in
             the frame of the sensor as it fires.
+        traffic: "family": vehicles of the embedded family; "wide": of the wide family's seen kinds, no two alike;
+            "held_out": every second one of a kind that training never sees, see `shift3d.vehicles.family.split`.
 
     Raises:
         InputError: for values out of range or settings that contradict each other, naming the field and the remedy.
@@ -54,11 +58,14 @@ class StreetOptions:
     sensors: int = 1
     ego_speed_m_s: float = 0.0
     motion_compensated: bool = False
+    traffic: str = "family"
 
     def __post_init__(self) -> None:
         if self.weather not in ("dry", *WEATHER_STRENGTHS):
             remedy = f"Choose from dry, {', '.join(WEATHER_STRENGTHS)}"
             raise InputError(f"unknown weather {self.weather!r}", _WHERE, remedy)
+        if self.traffic not in TRAFFIC:
+            raise InputError(f"unknown traffic {self.traffic!r}", _WHERE, f"Choose from {', '.join(TRAFFIC)}")
         for weather, (name, usual) in WEATHER_STRENGTHS.items():
             self._settle(weather, name, usual)
         if not 0.0 <= self.ego_speed_m_s <= LIMITS["ego_speed_m_s"]:
@@ -98,6 +105,7 @@ class StreetOptions:
         words += [f"{name}{count}" for name in ("returns", "sensors") if (count := getattr(self, name)) > 1]
         if self.ego_speed_m_s:
             words.append(f"ego{_digits(self.ego_speed_m_s)}" + ("comp" if self.motion_compensated else ""))
+        words += [self.traffic] if self.traffic != "family" else []
         return "".join(f"-{word}" for word in words)
 
     @staticmethod
@@ -117,6 +125,13 @@ class StreetOptions:
         return options
 
 
+def check_traffic(traffic: str, split: str) -> None:
+    """Raises InputError for held-out kinds on streets to train on."""
+    if traffic == "held_out" and split == "train":
+        what = "traffic=held_out with split=train: training must not see what attacks and evaluation hold out"
+        raise InputError(what, _WHERE, "Set traffic=wide, or split=val or test")
+
+
 def _from_groups(match: re.Match[str]) -> StreetOptions:
     weather = match["weather"] or "dry"
     strength = {WEATHER_STRENGTHS[weather][0]: float(match["strength"])} if match["weather"] else {}
@@ -131,6 +146,7 @@ def _from_groups(match: re.Match[str]) -> StreetOptions:
         sensors=int(match["sensors"] or 1),
         ego_speed_m_s=float(match["ego"] or 0.0),
         motion_compensated=match["compensated"] is not None,
+        traffic=match["traffic"] or "family",
     )
 
 

@@ -1,4 +1,4 @@
-"""The vehicles that drive and park on the street: a pool of meshes a split, built once and kept on disk."""
+"""Vehicles of the embedded family for streets: a pool of meshes a split, built once and kept on disk."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ from shift3d.store.user_cache import user_cache
 
 POOL_SIZES = {"train": 270, "val": 90, "test": 90}
 RESOLUTION_M = 0.07
+# Windows lie between these shares of a vehicle's height; some vehicles lose most of the returns from them.
+GLASS_FROM, GLASS_TO = 0.62, 0.92
 
 
 @dataclass(frozen=True)
@@ -32,12 +34,16 @@ class PoolVehicle:
         size_m: dx, dy, dz of its own axis-aligned box, in whose centre the object frame lies.
         radius_m: of the smallest sphere about the origin that holds it.
         intersector: of its mesh, object frame.
+        glass_band_m: heights of the object frame between which windows lie; equal where there are none.
+        kind: body type and attributes of the wide family, "" for others.
     """
 
     body_type: str
     size_m: NDArray[np.float64]
     radius_m: float
     intersector: Intersector
+    glass_band_m: tuple[float, float]
+    kind: str = ""
 
 
 @lru_cache(maxsize=512)
@@ -52,7 +58,13 @@ def pool_vehicle(split: str, number: int) -> PoolVehicle:
     stretch = _stretch(generator("street-stretch", split, number))
     vertices = ((vertices - (low + high) / 2) * stretch).astype(np.float32)
     radius_m = float(np.linalg.norm(vertices, axis=1).max()) + 0.01
-    return PoolVehicle(body_type, (high - low) * stretch, radius_m, Intersector(vertices, faces))
+    size_m = (high - low) * stretch
+    return PoolVehicle(body_type, size_m, radius_m, Intersector(vertices, faces), glass_band_m(float(size_m[2])))
+
+
+def glass_band_m(height_m: float) -> tuple[float, float]:
+    """Heights between which the windows of a car lie, from the middle of its height."""
+    return GLASS_FROM * height_m - height_m / 2, GLASS_TO * height_m - height_m / 2
 
 
 def _stretch(rng: np.random.Generator) -> NDArray[np.float64]:

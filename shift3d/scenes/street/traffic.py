@@ -7,7 +7,6 @@ import numpy as np
 from shift3d.scenes.street.ground import Ground
 from shift3d.scenes.street.item import FloorPlan, Item
 
-SLOT_M = (5.7, 2.1, 1.8)  # floor space kept for a vehicle of the family, and its usual height
 LANE_M = 3.4
 MOST_STEP_M = 0.6
 _VARIANTS = 1 << 20
@@ -27,7 +26,7 @@ def add_vehicle(
         return False
     heading = float(np.arctan2(np.sin(heading), np.cos(heading)))
     variant = int(rng.integers(_VARIANTS))
-    return plan.place(Item("vehicle", float(x), float(y), heading, SLOT_M, variant))
+    return plan.place(Item("vehicle", float(x), float(y), heading, plan.slot_m(variant), variant))
 
 
 def vehicles_in_lanes(plan: FloorPlan, ground: Ground, rng: np.random.Generator, mean_gap_m: float) -> None:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from shift3d.scenes.street.fleet import Fleet
 from shift3d.scenes.street.ground import Ground
 from shift3d.scenes.street.item import LABELLED, OWN_CAR_M, Item, stand_on
 from shift3d.scenes.street.layout import Layout
-from shift3d.scenes.street.pool import PoolVehicle, pool_vehicle
+from shift3d.scenes.street.pool import PoolVehicle
 from shift3d.scenes.street.raycast import (
     LEAVES_COSINE,
     Float,
@@ -26,24 +27,15 @@ from shift3d.scenes.street.shapes import Material, Mesh, Part, merge
 from shift3d.scenes.street.things import LOOKS, Leaves
 from shift3d.seeding import generator
 
-# Windows lie between these shares of a vehicle's height; some vehicles lose most of the returns from them.
-GLASS_FROM, GLASS_TO = 0.62, 0.92
-
 
 @dataclass(frozen=True)
 class Standing:
-    """A vehicle of the pool on its four wheels: its item number, and the pose of its object frame in the scene."""
+    """A vehicle of the fleet on its four wheels: its item number, and the pose of its object frame in the scene."""
 
     number: int
     vehicle: PoolVehicle
     scene_R_object: Float  # noqa: N815
     position: Float
-
-    @property
-    def glass_band_m(self) -> tuple[float, float]:
-        """Heights of the object frame between which windows lie."""
-        height = float(self.vehicle.size_m[2])
-        return GLASS_FROM * height - height / 2, GLASS_TO * height - height / 2
 
 
 @dataclass(frozen=True)
@@ -64,7 +56,7 @@ class World:
     boxes: dict[int, Float]
 
     @staticmethod
-    def of(layout: Layout, split: str, driven_m: float = 0.0) -> World:
+    def of(layout: Layout, fleet: Fleet, driven_m: float = 0.0) -> World:
         """The world of a layout. What stands where the own car drives during the turn is left out."""
         solid: list[tuple[int, Part]] = []
         foliage: list[tuple[int, Leaves]] = []
@@ -75,7 +67,7 @@ class World:
             if away[number]:
                 continue
             if item.kind == "vehicle":
-                standing = _stand(layout.ground, item, number, pool_vehicle(split, item.variant))
+                standing = _stand(layout.ground, item, number, fleet.vehicle(item.variant))
                 vehicles.append(standing)
                 boxes[number] = np.array([*standing.position, *standing.vehicle.size_m, item.heading_rad])
                 continue
@@ -97,7 +89,7 @@ class World:
         for standing in self.vehicles:
             vehicle, radius_m = standing.vehicle, standing.vehicle.radius_m
             pose = (standing.scene_R_object, standing.position)
-            sweep.cast_instance(vehicle.intersector, *pose, radius_m, standing.glass_band_m, standing.number)
+            sweep.cast_instance(vehicle.intersector, *pose, radius_m, standing.vehicle.glass_band_m, standing.number)
         for number, leaf in self.foliage:
             sweep.cast_foliage(leaf.centre, leaf.radii, leaf.free_path_m, number, rng)
 
@@ -128,7 +120,7 @@ class World:
                 continue
             pose = (standing.scene_R_object, standing.position)
             mesh = standing.vehicle.intersector
-            on_mesh = hit_instance(mesh, *pose, standing.glass_band_m, begins[near], aims[near])
+            on_mesh = hit_instance(mesh, *pose, standing.vehicle.glass_band_m, begins[near], aims[near])
             _nearer(hits, near, *on_mesh, standing.number)
         for number, leaf in self.foliage:
             near = _near(begins, directions, leaf.centre, float(leaf.radii.max()))

@@ -13,6 +13,7 @@ from shift3d.geometry.iou import iou_bev
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.assemble import street_scene
+from shift3d.scenes.street.fleet import fleet_of
 from shift3d.scenes.street.layout import LEAST_VEHICLES, MOST_VEHICLES, sample_layout
 from shift3d.scenes.street.pool import POOL_SIZES, pool_vehicle
 from shift3d.scenes.street.sensors import SENSORS
@@ -112,7 +113,7 @@ def test_points_lie_on_the_beams_they_name(scenes: list[Scene]) -> None:
 def test_every_layout_has_the_vehicles_a_detector_needs() -> None:
     headings = []
     for index in range(60):
-        layout = sample_layout(generator("layout-test", index), 1.73)
+        layout = sample_layout(generator("layout-test", index), 1.73, fleet_of("family", "test"))
         near = [item for item in layout.items if item.kind == "vehicle" and np.hypot(item.x, item.y) < 75.0]
         assert LEAST_VEHICLES <= len(near) <= MOST_VEHICLES + 5
         headings += [item.heading_rad for item in near]
@@ -123,7 +124,7 @@ def test_every_layout_has_the_vehicles_a_detector_needs() -> None:
 @pytest.mark.parametrize("height_m", [1.73, 2.18])
 def test_the_ground_under_the_sensor_is_at_its_mount_height(height_m: float) -> None:
     for index in range(5):
-        ground = sample_layout(generator("ground-test", index), height_m).ground
+        ground = sample_layout(generator("ground-test", index), height_m, fleet_of("family", "test")).ground
         assert float(ground.height(np.zeros(()), np.zeros(()))) == pytest.approx(-height_m)
         vertices, faces, material = ground.mesh()
         np.testing.assert_allclose(vertices[:, 2], ground.height(vertices[:, 0], vertices[:, 1]))

@@ -26,6 +26,8 @@ EVERY: list[tuple[dict[str, Any], str]] = [
     ({"returns": 2, "ego_speed_m_s": 15.0}, "-returns2-ego15"),
     ({"sensors": 3, "ego_speed_m_s": 1 / 3, "motion_compensated": True}, "-sensors3-ego0.3333333333333333comp"),
     ({"weather": "fog", "sensor_model": True, "range_image": True, "returns": 2}, "-fog100-model-image-returns2"),
+    ({"traffic": "wide"}, "-wide"),
+    ({"returns": 2, "traffic": "held_out"}, "-returns2-held_out"),
 ]
 WRONG: list[tuple[dict[str, Any], str, str]] = [
     ({"visibility_m": 50.0}, "visibility_m=50.0", "weather=fog"),
@@ -42,6 +44,7 @@ OUT_OF_RANGE: list[dict[str, Any]] = [
     {"returns": 3},
     {"sensors": 0},
     {"sensors": 6},
+    {"traffic": "rush hour"},
     {"ego_speed_m_s": -1.0},
     {"ego_speed_m_s": float("nan")},
 ]

@@ -1,37 +1,30 @@
-"""Rendered insertions: the label is the box of the surface, on the ground, and the points lie on it."""
+"""Inserted vehicles: the label is the box of the mesh, on the ground, and the points lie on its surface."""
 
 import numpy as np
-import torch
-from torch import Tensor
+import trimesh
 
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.geometry.iou import iou_bev
+from shift3d.scenes.street.fleet import fleet_of
+from shift3d.scenes.street.item import Size
+from shift3d.scenes.street.pool import PoolVehicle
+from shift3d.scenes.street.raycast import Intersector
 from shift3d.training.detector_scenes import TrainingScene
-from shift3d.training.inserted_vehicles import InsertableVehicle, with_inserted_vehicles
-from shift3d.vehicles.vehicle import Vehicle
+from shift3d.training.inserted_vehicles import with_inserted_vehicles
 
-HALF_M = torch.tensor([2.2, 0.9, 0.75])
-OFFSET_M = torch.tensor([0.2, -0.1, 0.15])  # the surface's centre, away from the object's origin
-SCALE_M = 2.5
+SIZE_M = (4.4, 1.8, 1.5)
 
 
-class _BoxShape:
-    """A shape decoder whose every code is the same box."""
+class _Boxes:
+    """A fleet whose every vehicle is the same box."""
 
-    def field(self, z: Tensor) -> "_BoxShape":
-        return self
+    def slot_m(self, variant: int) -> Size:
+        return SIZE_M
 
-    def __call__(self, x_sdf: Tensor) -> Tensor:
-        q = (x_sdf * SCALE_M - OFFSET_M.to(x_sdf.dtype)).abs() - HALF_M.to(x_sdf.dtype)
-        outside = q.clamp(min=0).norm(dim=1)
-        return (outside + q.amax(dim=1).clamp(max=0)) / SCALE_M
-
-
-def _vehicle() -> InsertableVehicle:
-    size = tuple(float(2 * half) for half in HALF_M)
-    extent = tuple(s + 1.0 for s in size)
-    vehicle = Vehicle("box", "van", np.zeros(256, np.float32), SCALE_M, np.eye(3), np.zeros(3), extent)
-    return InsertableVehicle(vehicle, OFFSET_M.double().numpy(), np.array(size))
+    def vehicle(self, variant: int) -> PoolVehicle:
+        mesh = trimesh.creation.box(SIZE_M)
+        radius = float(np.linalg.norm(SIZE_M)) / 2 + 0.01
+        return PoolVehicle("box", np.array(SIZE_M), radius, Intersector(mesh.vertices, mesh.faces), (0.0, 0.0))
 
 
 def _ground_sweep() -> TrainingScene:
@@ -43,25 +36,52 @@ def _ground_sweep() -> TrainingScene:
     return TrainingScene(points, np.array([[12, 0, 0.8, 4.5, 1.9, 1.6, 0.0]], dtype=np.float32), 1.8)
 
 
-def test_boxes_hold_their_points_and_touch_nothing() -> None:
+def _from_box(points: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Distance (N,) of points to a box's surface."""
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    local = np.abs((points - box[:3]) @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])) - box[3:6] / 2
+    outside = np.linalg.norm(np.maximum(local, 0.0), axis=1)
+    return np.abs(outside + np.minimum(local.max(axis=1), 0.0))
+
+
+def test_points_lie_on_the_surface_along_their_own_beams_and_nothing_is_touched() -> None:
     scene, added = _ground_sweep(), 0
+    origin = np.array((0.0, 0.0, scene.sensor_height_m))
     for seed in range(4):
-        result = with_inserted_vehicles(scene, [_vehicle()], _BoxShape(), np.random.default_rng(seed))
+        result = with_inserted_vehicles(scene, _Boxes(), np.random.default_rng(seed))
         assert np.array_equal(result.boxes[:1], scene.boxes) and 2 <= len(result.boxes) - 1 <= 4
         assert len(result.points) == len(scene.points)
-        new = result.boxes[1:]
+        new = result.boxes[1:].astype(np.float64)
         added += len(new)
         assert np.allclose(new[:, 2] - new[:, 5] / 2, 0.0, atol=0.05)
         overlap = iou_bev(result.boxes, result.boxes) - np.eye(len(result.boxes))
         assert overlap.max() < 1e-6
         moved = np.linalg.norm(result.points - scene.points, axis=1) > 1e-4
         assert moved.sum() > 30
-        assert points_in_boxes(result.points[moved], new, margin_m=0.02).any(axis=0).all()
+        distances = np.min([_from_box(result.points[moved], box) for box in new], axis=0)
+        assert distances.max() < 2e-3
+        before, after = scene.points[moved] - origin, result.points[moved] - origin
+        shorter = np.linalg.norm(after, axis=1) / np.linalg.norm(before, axis=1)
+        assert shorter.max() < 1.0
+        np.testing.assert_allclose(after, before * shorter[:, None], atol=1e-3)
+        # No beam is left that goes through a vehicle.
+        inside = points_in_boxes(result.points, new - np.array((0, 0, 0, 0.02, 0.02, 0.02, 0)))
+        assert not inside.any()
     assert added >= 8
 
 
+def test_what_stands_before_a_vehicle_keeps_its_points() -> None:
+    """A wall all around at 7 m: behind it nothing can be seen, and the scene stays as it is."""
+    scene = _ground_sweep()
+    offset = scene.points - np.array((0.0, 0.0, 1.8))
+    wall = np.array((0.0, 0.0, 1.8)) + offset * np.minimum(1.0, 7.0 / np.linalg.norm(offset, axis=1))[:, None]
+    # Ground seen through a fence: every second beam passes.
+    seen = np.where(np.arange(len(wall))[:, None] % 2 == 0, wall, scene.points).astype(np.float32)
+    result = with_inserted_vehicles(TrainingScene(seen, scene.boxes, 1.8), _Boxes(), np.random.default_rng(1))
+    assert np.array_equal(result.points[::2], seen[::2])
+
+
 def test_same_seed_same_scene() -> None:
-    one, two = (
-        with_inserted_vehicles(_ground_sweep(), [_vehicle()], _BoxShape(), np.random.default_rng(3)) for _ in range(2)
-    )
+    fleet = fleet_of("wide", "train")
+    one, two = (with_inserted_vehicles(_ground_sweep(), fleet, np.random.default_rng(3)) for _ in range(2))
     assert np.array_equal(one.points, two.points) and np.array_equal(one.boxes, two.boxes)

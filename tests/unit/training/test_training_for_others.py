@@ -123,6 +123,8 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
     assert not (tmp_path / "shipped").exists()
     facts = json.loads(weights.with_suffix(".json").read_text())
     assert facts["scenes"] == {"dataset": "kitti", "count": 2, "names": ["000003", "000008"]}
+    assert "sedan" in facts["vehicles"]["seen"]["body_types"]
+    assert "roof_box" in facts["vehicles"]["held_out"]["attributes"]
     assert (facts["recipe"]["steps"], facts["recipe"]["settle_steps"], facts["steps"]) == (2, 1, 3)
     assert facts["recipe"]["seed"] == 0
     assert [point["step"] for point in facts["curve"]] == [2, 3] and facts["curve"][0]["class"] > 0

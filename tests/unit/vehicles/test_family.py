@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.vehicles.family import BODY_TYPES, RANGES, build_mesh, family, sample_spec
+from shift3d.vehicles.vehicle import family_seed, family_vehicles
 
 
 @pytest.mark.parametrize("body_type", BODY_TYPES)
@@ -68,6 +70,24 @@ def test_family_is_deterministic_balanced_and_without_repeats() -> None:
     assert len({dataclasses.astuple(spec) for spec in specs}) == 54
     counts = {body_type: sum(spec.body_type == body_type for spec in specs) for body_type in BODY_TYPES}
     assert set(counts.values()) == {6}
+
+
+def test_the_embedded_family_is_what_the_shipped_decoder_was_trained_on() -> None:
+    """Numbers of the trained vehicles, to the bit, and of their meshes: other body types must leave them alone."""
+    specs = family(len(family_vehicles()), family_seed())
+    digest = hashlib.blake2b(repr(specs).encode(), digest_size=16).hexdigest()
+    assert digest == "4b26688cb1bb7b587e10026a87d5ff03"
+    meshes = {
+        "coupe": (27588, 7.338760821592056),
+        "convertible": (32336, 4.843472702880267),
+        "pickup": (36648, 8.189566070167306),
+    }
+    for spec in specs[: len(BODY_TYPES)]:
+        if spec.body_type in meshes:
+            faces, volume = meshes[spec.body_type]
+            mesh = build_mesh(spec, 0.05)
+            assert len(mesh.faces) == faces
+            assert mesh.volume == pytest.approx(volume, rel=1e-9)
 
 
 def test_simplified_mesh_stays_closed_and_near() -> None:

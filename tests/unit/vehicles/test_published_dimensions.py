@@ -10,8 +10,8 @@ from shift3d.errors import InputError
 from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.dimensions import Dimensions, measure
 from shift3d.vehicles.family import BODY_TYPES, RANGES, build_mesh, family
-from shift3d.vehicles.published import PUBLISHED, QUANTITIES, published_range, typical_range, tyre_diameter_m
-from shift3d.vehicles.spec import VehicleSpec
+from shift3d.vehicles.family.published import PUBLISHED, QUANTITIES, published_range, typical_range, tyre_diameter_m
+from shift3d.vehicles.family.spec import VehicleSpec
 from shift3d.vehicles.vehicle import baseline_vehicles, family_seed, family_vehicles, vehicle_mesh
 
 ROUNDING_M = 0.005  # published values are rounded to a centimetre

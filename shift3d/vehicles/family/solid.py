@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
-from shift3d.vehicles import profiles
-from shift3d.vehicles.spec import VehicleSpec
+from shift3d.vehicles.family import profiles
+from shift3d.vehicles.family.spec import VehicleSpec
 
 Array = NDArray[np.float32]
 # Not exactly zero: a grid point that lies on the surface would give triangles without area.
@@ -158,6 +158,11 @@ def vehicle_field(spec: VehicleSpec, resolution_m: float) -> tuple[Grid, Array]:
     Source: our choice: the paper takes its vehicles from ShapeNet.
     """
     grid = make_grid(spec, resolution_m)
+    return grid, car_field(grid, spec)
+
+
+def car_field(grid: Grid, spec: VehicleSpec) -> Array:
+    """The whole vehicle on a half grid that holds it: (A, B, C) float32, negative inside, about metres."""
     field = body_field(grid, spec)
     outer = spec.width_m / 2
     arch = spec.wheel_radius_m + spec.arch_gap_m
@@ -174,7 +179,7 @@ def vehicle_field(spec: VehicleSpec, resolution_m: float) -> tuple[Grid, Array]:
         wheel = cylinder(grid, axle_x, spec.wheel_radius_m, spec.wheel_radius_m, inner - 0.08, outer - 0.035, 0.05)
         dish = cylinder(grid, axle_x, spec.wheel_radius_m, 0.62 * spec.wheel_radius_m, outer - 0.065, outer + 1.0, 0.03)
         field = np.minimum(field, smooth_max(wheel, -dish, 0.02))
-    return grid, field
+    return field
 
 
 def build_mesh(spec: VehicleSpec, resolution_m: float = 0.025, faces: int | None = None) -> trimesh.Trimesh:
@@ -190,13 +195,23 @@ def build_mesh(spec: VehicleSpec, resolution_m: float = 0.025, faces: int | None
     """
     spec.validate()
     grid, half = vehicle_field(spec, resolution_m)
-    field = np.concatenate([half[:, :0:-1], half], axis=1)
-    mesh = _meshed(field, grid.step_m)
+    return sized_mesh(mirrored(half), grid.step_m, (spec.length_m, spec.width_m, spec.height_m), faces)
+
+
+def mirrored(half: Array) -> Array:
+    """The field on the whole grid (A, 2 B - 1, C) from that on the half grid (A, B, C)."""
+    return np.concatenate([half[:, :0:-1], half], axis=1)
+
+
+def sized_mesh(
+    field: Array, step_m: float, size_m: tuple[float, float, float], faces: int | None = None
+) -> trimesh.Trimesh:
+    """The surface of a field on a whole grid, scaled to its stated size, centred at the origin; see `build_mesh`."""
+    mesh = _meshed(field, step_m)
     if faces is not None and len(mesh.faces) > faces:
         mesh = _simplified(mesh, faces)
     low, high = mesh.bounds
-    size = np.array([spec.length_m, spec.width_m, spec.height_m])
-    mesh.vertices = (mesh.vertices - (low + high) / 2) * (size / (high - low))
+    mesh.vertices = (mesh.vertices - (low + high) / 2) * (np.array(size_m) / (high - low))
     return mesh
 
 

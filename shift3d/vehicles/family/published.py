@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shift3d.errors import InputError
+from shift3d.vehicles.family.more_models import MORE_MODELS
 
 __all__ = [
     "CLEARANCE_TOLERANCE_M",
@@ -223,6 +224,7 @@ PUBLISHED: dict[str, tuple[PublishedModel, ...]] = {
         ("Jeep Gladiator Rubicon", 5.54, 1.88, 1.88, 3.49, 0.28, "285/70 R17"),
     ),
 }  # fmt: skip
+PUBLISHED |= {body_type: _models(*rows) for body_type, rows in MORE_MODELS.items()}
 
 
 def _values(body_type: str, quantity: str) -> list[float]:

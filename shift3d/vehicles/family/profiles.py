@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.vehicles.spec import VehicleSpec
+from shift3d.vehicles.family.spec import VehicleSpec
 
 Array = NDArray[np.float32]
 Polygon = list[tuple[float, float]]

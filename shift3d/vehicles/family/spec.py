@@ -1,4 +1,4 @@
-"""What one vehicle of the procedural family is: body type and dimensions, all in metres."""
+"""What one procedural vehicle is: body type and dimensions, all in metres."""
 
 from __future__ import annotations
 
@@ -19,6 +19,19 @@ BODY_TYPES: tuple[str, ...] = (
     "van",
     "pickup",
 )
+"""Of the embedded family, in the order in which it takes turns."""
+MORE_BODY_TYPES: tuple[str, ...] = (
+    "city_car",
+    "minivan",
+    "kei_car",
+    "limousine",
+    "high_roof_van",
+    "box_van",
+    "camper",
+)
+"""Of the wide family alone; a trailer has no cab and is no `VehicleSpec`."""
+CAB_TYPES: tuple[str, ...] = ("pickup", "box_van", "camper")
+"""What ends behind the cab: a bed or a frame follows."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +71,11 @@ class VehicleSpec:
 
     def validate(self) -> None:
         """Raises InputError naming the field when the vehicle cannot be built."""
-        if self.body_type not in BODY_TYPES:
+        if self.body_type not in BODY_TYPES + MORE_BODY_TYPES:
             raise InputError(
                 f"unknown body type {self.body_type!r}",
                 where="VehicleSpec.body_type",
-                remedy=f"one of {', '.join(BODY_TYPES)}",
+                remedy=f"one of {', '.join(BODY_TYPES + MORE_BODY_TYPES)}",
             )
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)

@@ -1,4 +1,4 @@
-"""The procedural family: published ranges of real vehicles by body type, and instances drawn from them.
+"""The embedded family: published ranges of real vehicles by body type, and instances drawn from them.
 
 Ranges are those of vehicles on the market (makers' data sheets), body type by body type: outer size, ground
 clearance and wheelbase in metres; the roof line as shares of length and height.
@@ -12,10 +12,9 @@ import numpy as np
 
 from shift3d.errors import InputError
 from shift3d.seeding import generator
-from shift3d.vehicles.solid import build_mesh
-from shift3d.vehicles.spec import BODY_TYPES, VehicleSpec
+from shift3d.vehicles.family.spec import BODY_TYPES, CAB_TYPES, VehicleSpec
 
-__all__ = ["BODY_TYPES", "RANGES", "VehicleSpec", "build_mesh", "family", "sample_spec"]
+__all__ = ["RANGES", "Range", "TypeRanges", "draw_spec", "family", "sample_spec"]
 
 Range = tuple[float, float]
 
@@ -105,7 +104,11 @@ def sample_spec(body_type: str, rng: np.random.Generator) -> VehicleSpec:
         raise InputError(
             f"unknown body type {body_type!r}", where="body_type", remedy=f"one of {', '.join(BODY_TYPES)}"
         )
-    ranges = RANGES[body_type]
+    return draw_spec(body_type, RANGES[body_type], rng)
+
+
+def draw_spec(body_type: str, ranges: TypeRanges, rng: np.random.Generator) -> VehicleSpec:
+    """One vehicle drawn from the given ranges; see `sample_spec`."""
     size = rng.uniform()
 
     def draw(span: Range, tied: float = 0.0) -> float:
@@ -115,7 +118,7 @@ def sample_spec(body_type: str, rng: np.random.Generator) -> VehicleSpec:
     wheelbase = draw(ranges.wheelbase_m, 0.7)
     backlight = length * draw(ranges.backlight_of_length)
     roof_rear = length * draw(ranges.roof_rear_of_length)
-    if body_type == "pickup":
+    if body_type in CAB_TYPES:
         backlight = roof_rear + rng.uniform(0.08, 0.16)
     return VehicleSpec(
         body_type=body_type, length_m=length, width_m=width, height_m=height, wheelbase_m=wheelbase,

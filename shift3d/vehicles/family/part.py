@@ -1,0 +1,51 @@
+"""What a part of a wide vehicle is, and where on the vehicle parts stand."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.vehicles.family import profiles
+from shift3d.vehicles.family.csg import Bounds
+from shift3d.vehicles.family.solid import Grid
+from shift3d.vehicles.family.spec import VehicleSpec
+
+__all__ = ["Part", "roof_half_m", "roof_z_m", "side_half_m", "x_of"]
+
+
+class Part(Protocol):
+    """Something that is added to a vehicle or taken out of it; lengths in metres, frame as in `solid`."""
+
+    def bounds(self, car: VehicleSpec) -> Bounds:
+        """Low and high corner of what it adds; within the car where it only takes away."""
+        ...
+
+    def apply(self, grid: Grid, car: VehicleSpec, field: NDArray[np.float32]) -> None:
+        """Change the field (A, B, C) on the whole grid in place."""
+        ...
+
+
+def x_of(car: VehicleSpec, s_m: float) -> float:
+    """x of a place s metres behind the nose."""
+    return car.length_m / 2 - s_m
+
+
+def roof_z_m(car: VehicleSpec, s_m: float) -> float:
+    """Height of the roof at s, held at its ends beyond them."""
+    roof = profiles.glasshouse(car)[2:5]
+    return float(np.interp(s_m, [s for s, _ in roof], [z for _, z in roof]))
+
+
+def roof_half_m(car: VehicleSpec) -> float:
+    """Half width of the roof."""
+    return float(profiles.glasshouse_half_width(car, np.array([car.height_m], np.float32))[0])
+
+
+def side_half_m(car: VehicleSpec, z_m: float) -> float:
+    """Half width of the body at a height, half way along the vehicle."""
+    z = np.array([z_m], np.float32)
+    if z_m > car.cowl_z_m:
+        return float(profiles.glasshouse_half_width(car, z)[0])
+    return float(profiles.lower_half_width(car, z)[0])
