@@ -73,7 +73,7 @@ train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, sst_small or ss
 	$(BIN)/shift3d train $(ARGS) $(WORDS)
 
 pictures: .venv/.runtime  ## draw the README's pictures again
-	$(BIN)/python -m shift3d.report.pictures $(ARGS)
+	$(BIN)/python docs/scripts/pictures.py $(ARGS)
 
 clean:  ## remove .venv and caches (never outputs/)
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from shift3d.frontier.measure import Outcome
+from shift3d.frontier.pareto import pareto_flags
 from shift3d.frontier.run import CaseResult
 from shift3d.frontier.settings import Setting
 from shift3d.frontier.timing import quartiles
-from shift3d.report.pareto import pareto_flags
 
 __all__ = ["MeasuredCase", "frontier_rows"]
 
