@@ -19,11 +19,11 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     import pandas as pd
 
-    from shift3d.config.schema import Config
+    from shift3d.settings.schema import Config
     from shift3d.store.location import Location
     from shift3d.sweep.drive import SweepResult
-    from shift3d.sweep.kind import TaskKind
-    from shift3d.sweep.plan import Plan
+    from shift3d.sweep.planning.kind import TaskKind
+    from shift3d.sweep.planning.plan import Plan
 
 __all__ = ["COMMAND", "run_with"]
 
@@ -77,7 +77,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])  # before what a sweep imports: it is polled
     from shift3d.processor import settle_numerics
-    from shift3d.sweep.kind import shift3d_kind
+    from shift3d.sweep.planning.kind import shift3d_kind
 
     settle_numerics()
     return run_with(arguments, shift3d_kind())
@@ -85,11 +85,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     """Run the command with a kind of task."""
-    from shift3d.config.compose import compose_sweep
+    from shift3d.settings.compose import compose_sweep
     from shift3d.sweep.drive import run_sweep
-    from shift3d.sweep.folder import default_folder
-    from shift3d.sweep.plan import make_plan
-    from shift3d.sweep.plan_view import plan_summary
+    from shift3d.sweep.planning.folder import default_folder
+    from shift3d.sweep.planning.plan import make_plan
+    from shift3d.sweep.planning.plan_view import plan_summary
     from shift3d.tracking.store_uri import check_tracking
 
     if arguments.words[:1] == ["status"]:
@@ -132,7 +132,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
 
 def _submit(asked: Request, address: str, retry_quarantined: bool) -> int:
     """Hand the sweep to a cluster's Jobs API."""
-    from shift3d.sweep.ray_job import submit_sweep
+    from shift3d.sweep.execution.ray.job import submit_sweep
 
     folders = [f"out={asked.out}"] if asked.out else []
     folders += [f"reuse={other}" for other in asked.reuse]
@@ -156,7 +156,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     from shift3d.report.caveats import trial_caveat
     from shift3d.report.placement import nothing_placed
     from shift3d.report.tables import coverage, sweep_report
-    from shift3d.sweep.plan_view import skipped_lines
+    from shift3d.sweep.planning.plan_view import skipped_lines
 
     final = result.final
     assert final is not None
@@ -200,7 +200,7 @@ def _show_effects(plan: Plan, folder: Location, frames: Mapping[str, pd.DataFram
 
 
 def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
-    from shift3d.config.schema import MlflowConfig
+    from shift3d.settings.schema import MlflowConfig
 
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return
