@@ -165,7 +165,7 @@ def warm_start(
         live = either(live, more)
         thin = field.sliced(live)
     state = replace(_blank(beams, theta, rays, surveyed, live), box=box).with_hits(row_of[old], found)
-    samples = before.samples.predicted(before.rays, rays, row_of, before.grid, state.grid)
+    samples = before.samples.predicted(before.rays, rays, row_of, before.grid, state.grid, settings.prediction_error)
     state = replace(state, samples=samples, age=before.age + 1, linearization=linearization)
     known = torch.isfinite(state.range_m)
     known[samples.rows] = True
