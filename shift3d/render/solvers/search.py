@@ -250,7 +250,7 @@ def _refined(
         *(b.outer, b.inner, b.g_outer, b.g_inner, settings.tolerance_m, settings.max_iterations),
     )
     lost, left = torch.zeros_like(chosen), torch.zeros_like(chosen)
-    lost[rows[covered.undecided]], lost[rows[b.rows[~roots.settled]]] = True, True
+    lost[rows[covered.undecided]], lost[rows[b.rows[~roots.converged]]] = True, True
     left[rows[covered.open]] = True
     slope = (b.g_inner - b.g_outer) / (b.inner - b.outer).clamp_min(1e-12)
     state = state.with_hits(rows[b.rows], Corrected(roots.k, roots.residual, slope, b.g_outer))

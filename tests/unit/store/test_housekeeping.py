@@ -17,7 +17,7 @@ from shift3d.store.local_files import LocalLocation
 from shift3d.store.location import Location
 from shift3d.store.log import CommitLog, TakenOverError, read_log
 from shift3d.store.object_store import ObjectLocation
-from shift3d.store.places import as_location
+from shift3d.store.resolve import as_location
 from shift3d.store.segments import committed_rows
 from shift3d.store.tables import table_from_rows, write_table
 

@@ -85,7 +85,7 @@ def test_every_effect_at_once_and_again_after_another_task(rich: Assets, everyth
 
 
 def test_time_is_told_by_effect(everything: TaskResult) -> None:
-    acting = {name for name in NEEDS if name not in ("origins", "silent_beams", "rolling_shutter")}
+    acting = {name for name in NEEDS if name not in ("origins", "no_return_beams", "rolling_shutter")}
     stages = {row["stage"] for row in everything.timings if row["method"] == "baseline"}
     assert {f"effect_{name}" for name in acting} | {"effects_once", "render"} <= stages
     assert all(row["milliseconds"] >= 0.0 for row in everything.timings)
