@@ -13,7 +13,7 @@ from shift3d.config.catalogue import file_hash, scene_set, vehicle_source, weigh
 from shift3d.config.renamed import current_settings
 from shift3d.config.schema import DeepSdfVehicleConfig, KittiConfig, StreetConfig, VehicleSetConfig
 from shift3d.detectors.base import Detector
-from shift3d.detectors.weights import load_detector
+from shift3d.detectors.loading import load_detector
 from shift3d.errors import InputError
 from shift3d.render.beams import Beams
 from shift3d.render.sdf_grid import SdfGrid
