@@ -16,7 +16,8 @@ import numpy as np
 import pyarrow as pa
 
 import shift3d
-from shift3d.detectors.weights import WEIGHTS_FOLDER, load_detector
+from shift3d.detectors.loading import load_detector
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame
 from shift3d.evaluation.metrics import Metric, evaluate
@@ -26,8 +27,8 @@ from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION, evaluation_table
 from shift3d.store.tables import write_table
-from shift3d.training.detector_evaluation import SCORE_FLOOR, Answer, detect_scenes
-from shift3d.training.stored_answers import answers_of
+from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, detect_scenes
+from shift3d.training.detector.stored_answers import answers_of
 from shift3d.wording import counted
 
 if TYPE_CHECKING:

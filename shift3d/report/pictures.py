@@ -170,7 +170,7 @@ def draw_training(path: Path) -> None:
     """The losses of each detector whose training is on record beside its weights, over its steps."""
     import json
 
-    from shift3d.detectors.weights import DETECTOR_NAMES, WEIGHTS_FOLDER
+    from shift3d.detectors.models.weights import DETECTOR_NAMES, WEIGHTS_FOLDER
 
     figure = _figure(11, 2.8)
     panels = dict(zip(("class", "box", "direction"), figure.subplots(1, 3)))

@@ -18,9 +18,9 @@ from shift3d.sdf.decoder import Decoder
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute
 from shift3d.training.progress import Report
-from shift3d.training.sdf import SdfRecipe, train_sdf
-from shift3d.training.sdf_export import CODE_NORM
-from shift3d.training.sdf_meshes import MeshShapes, mesh_shapes
+from shift3d.training.sdf.export import CODE_NORM
+from shift3d.training.sdf.meshes import MeshShapes, mesh_shapes
+from shift3d.training.sdf.train import SdfRecipe, train_sdf
 from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile
 from shift3d.vehicles.mesh_frame import MeshFrame

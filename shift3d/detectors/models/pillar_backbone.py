@@ -1,21 +1,22 @@
-"""PointPillars as one module, for training and, with batch norms folded away, for inference."""
+"""Pillar encoder and backbone, which PointPillars and CenterPoint share, for training and, folded, for inference."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from typing import Self
 
 import torch
 from torch import Tensor, nn
 
-from shift3d.detectors.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec, Heads
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.folding import folded_linear, folded_sequence
 from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars, assign_pillars
-from shift3d.detectors.network import AnchorNet, Precision, arithmetic
-from shift3d.detectors.pillar_net import PillarNet, decorate
+from shift3d.detectors.models.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
+from shift3d.detectors.models.folding import folded_linear, folded_sequence
+from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
+from shift3d.detectors.models.pillar_net import PillarNet, decorate
 
-__all__ = ["PointPillarsNet"]
+__all__ = ["PillarBackboneNet"]
 
 # Memory layout of the backbone at inference, contiguous elsewhere. The gradient of a core comes back in contiguous
 # slices; in float32 with channels last that made the backward pass slower by 1.4 to 1.5 (415 to 460 ms against 296 to
@@ -23,14 +24,12 @@ __all__ = ["PointPillarsNet"]
 _LAYOUT = {torch.bfloat16: torch.channels_last}
 
 
-class PointPillarsNet(AnchorNet):
-    """Points -> logits, codes, direction logits of every anchor in the window's core.
+class PillarBackboneNet(DetectorNet):
+    """Points -> pillars -> one feature a cell of the window's core; a subclass adds the heads.
 
     Source: PointPillars (Lang et al. 2019) in the Waymo configuration that SHIFT3D follows; dynamic
     voxelisation instead of at most 20 points a pillar (our choice: see shift3d.detectors.grid).
     """
-
-    name = "pointpillars"
 
     def __init__(self, spec: BackboneSpec = WAYMO_BACKBONE, grid: Grid = WAYMO_GRID) -> None:
         super().__init__()
@@ -38,7 +37,6 @@ class PointPillarsNet(AnchorNet):
         self.grid = grid
         self.pillar_net = PillarNet(spec.in_channels)
         self.backbone = Backbone(spec)
-        self.heads = Heads(spec.up_channels * len(spec.strides), spec.anchors_per_cell)
 
     def canvas(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
         """Pillar features on the dense grid: (B, C, H, W), channels last in memory, zero where no point is.
@@ -99,7 +97,7 @@ class PointPillarsNet(AnchorNet):
         result: Tensor = self.backbone(canvas, core_in_window(windows[0]))
         return result
 
-    def inference(self, precision: Precision) -> PointPillarsNet:
+    def inference(self, precision: Precision) -> Self:
         """A copy in evaluation mode, batch norms and input gains folded in float64.
 
         The pillar network always runs in float32 or better.
@@ -116,7 +114,7 @@ class PointPillarsNet(AnchorNet):
                 assert isinstance(sequence, nn.Sequential)
                 group[index] = folded_sequence(sequence)
         folded = folded.eval().requires_grad_(False).to(exact)
-        for part in (folded.backbone, folded.heads):
+        for part in (folded.backbone, *folded.heads.layers):
             part.to(dense).to(memory_format=_LAYOUT.get(dense, torch.contiguous_format))  # type: ignore[call-overload]
         return folded
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from shift3d.detectors.sst import SstNet, SstSpec
+from shift3d.detectors.models.sst import SstNet, SstSpec
 
 __all__ = ["doubled", "grown"]
 
@@ -97,6 +97,7 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
     for head in ("classes", "boxes", "directions"):
         state[f"heads.{head}.weight"] = wide(f"heads.{head}.weight", None, columns)
         state[f"heads.{head}.bias"] = small[f"heads.{head}.bias"]
+    state["heads.anchor_size_m"] = small["heads.anchor_size_m"]
     return {name: tensor.clone() for name, tensor in state.items()}
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid
 
-__all__ = ["WAYMO_ANCHORS", "AnchorSpec", "anchor_boxes", "anchor_indices"]
+__all__ = ["WAYMO_ANCHORS", "AnchorSpec", "anchor_boxes"]
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,3 @@ def anchor_boxes(spec: AnchorSpec, grid: Grid, window: BevWindow) -> Tensor:
     y_all, x_all, heading_all = torch.meshgrid(y, x, headings, indexing="ij")
     z, dx, dy, dz = (torch.full_like(x_all, value) for value in (height / 2, length, width, height))
     return torch.stack((x_all, y_all, z, dx, dy, dz, heading_all), dim=-1).reshape(-1, 7).to(torch.float32)
-
-
-def anchor_indices(spec: AnchorSpec, grid: Grid, window: BevWindow) -> Tensor:
-    """Index of each of the core's anchors among those of the full grid: (A,) int64."""
-    per_cell = len(spec.headings_rad)
-    lines = torch.arange(window.core_y0, window.core_y0 + window.core_num_y)
-    columns = torch.arange(window.core_x0, window.core_x0 + window.core_num_x)
-    cells = lines[:, None] * grid.num_x + columns[None, :]
-    return (cells[..., None] * per_cell + torch.arange(per_cell)).reshape(-1)

@@ -12,19 +12,19 @@ from safetensors.torch import save_file
 from torch import Tensor
 from tqdm import tqdm
 
-from shift3d.detectors.network import AnchorNet
-from shift3d.detectors.sst import SstNet, SstSpec
-from shift3d.detectors.weights import WEIGHTS_FOLDER, load_network
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.sst import SstNet, SstSpec
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 from shift3d.errors import InputError
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.sdf.decoder import load_decoder
 from shift3d.seeding import generator
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute
-from shift3d.training.detector_loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
-from shift3d.training.detector_recipe import RECIPES, Recipe, one_cycle, scaled_to_steps
+from shift3d.training.detector.growing import grown
+from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
+from shift3d.training.detector.recipe import RECIPES, Recipe, one_cycle, scaled_to_steps
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
-from shift3d.training.growing import grown
 from shift3d.training.inserted_vehicles import insertable_vehicles, with_inserted_vehicles
 from shift3d.training.progress import Report, averaged
 from shift3d.training.provenance import write_provenance
@@ -56,7 +56,7 @@ def train_detector(
     start_from: Path | None = None,
     compute: Compute | None = None,
     report: Report | None = None,
-) -> AnchorNet:
+) -> DetectorNet:
     """The whole recipe: make scenes, train on them, then on those with inserted vehicles too, export.
 
     Args:
@@ -143,7 +143,7 @@ def _facts(
     }
 
 
-def export_weights(net: AnchorNet, file: Path, recipe: Recipe) -> None:
+def export_weights(net: DetectorNet, file: Path, recipe: Recipe) -> None:
     """Write the weights as safetensors, with the recipe in the metadata, replacing the file in one step."""
     file.parent.mkdir(parents=True, exist_ok=True)
     partial = file.with_name(file.name + ".partial")

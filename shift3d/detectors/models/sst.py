@@ -14,14 +14,15 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from shift3d.detectors.backbone import Heads
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.folding import folded_linear, folded_sequence
 from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars, assign_pillars
-from shift3d.detectors.network import AnchorNet, Precision, arithmetic
-from shift3d.detectors.token_windows import Tokens
-from shift3d.detectors.voxel_encoder import VoxelEncoder, decorate_with_height
-from shift3d.detectors.window_transformer import SST_TRANSFORMER, TransformerSpec, WindowTransformer
+from shift3d.detectors.models.anchor_heads import AnchorHeads
+from shift3d.detectors.models.anchors import WAYMO_ANCHORS, AnchorSpec
+from shift3d.detectors.models.folding import folded_linear, folded_sequence
+from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
+from shift3d.detectors.models.token_windows import Tokens
+from shift3d.detectors.models.voxel_encoder import VoxelEncoder, decorate_with_height
+from shift3d.detectors.models.window_transformer import SST_TRANSFORMER, TransformerSpec, WindowTransformer
 
 __all__ = ["SST_SMALL_SPEC", "SST_SPEC", "SstNet", "SstSpec"]
 
@@ -37,7 +38,6 @@ class SstSpec:
     encoder_hidden: int = 64
     dilations: tuple[int, ...] = (1, 1, 2)
     out_channels: int = 384
-    anchors_per_cell: int = 2
     name: str = "sst"
 
 
@@ -59,14 +59,14 @@ def _convolution(in_channels: int, channels: int, size: int, dilation: int = 1) 
     ]
 
 
-class SstNet(AnchorNet):
+class SstNet(DetectorNet):
     """Points -> logits, codes, direction logits of every anchor in the window's core.
 
     Every pillar is a token and every token attends: nothing is dropped, and nothing is shuffled, so that the
     result does not depend on the order of the points (the public code shuffles, and drops in training).
     """
 
-    def __init__(self, spec: SstSpec = SST_SPEC, grid: Grid = WAYMO_GRID) -> None:
+    def __init__(self, spec: SstSpec = SST_SPEC, grid: Grid = WAYMO_GRID, anchors: AnchorSpec = WAYMO_ANCHORS) -> None:
         super().__init__()
         self.name = spec.name
         self.spec = spec
@@ -76,7 +76,7 @@ class SstNet(AnchorNet):
         self.transformer = WindowTransformer(spec.transformer)
         layers = [module for dilation in spec.dilations for module in _convolution(width, width, 3, dilation)]
         self.dense = nn.Sequential(*layers, *_convolution(width, spec.out_channels, 1))
-        self.heads = Heads(spec.out_channels, spec.anchors_per_cell)
+        self.heads = AnchorHeads(spec.out_channels, anchors)
 
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
         """[low, high) itself: any cell can be asked for alone."""
@@ -194,5 +194,6 @@ class SstNet(AnchorNet):
             if isinstance(layer, nn.Linear):
                 layer.to(dense)
         folded.dense.to(dense).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        folded.heads.to(dense)
+        for head in folded.heads.layers:
+            head.to(dense)
         return folded

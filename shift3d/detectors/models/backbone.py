@@ -1,4 +1,4 @@
-"""The two-dimensional convolutional part of PointPillars and its 1x1 heads (Waymo configuration)."""
+"""The two-dimensional convolutional part of PointPillars and CenterPoint (Waymo configuration)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-__all__ = ["WAYMO_BACKBONE", "Backbone", "BackboneSpec", "HeadOutputs", "Heads"]
+__all__ = ["WAYMO_BACKBONE", "Backbone", "BackboneSpec"]
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,6 @@ class BackboneSpec:
     layers: tuple[int, ...] = (3, 5, 5)
     channels: tuple[int, ...] = (64, 128, 256)
     up_channels: int = 128
-    anchors_per_cell: int = 2
 
     @property
     def total_strides(self) -> tuple[int, ...]:
@@ -137,41 +136,3 @@ def _cut(features: Tensor, origin: tuple[int, int], lines: tuple[int, int], colu
     """The given lines and columns of a map whose first ones are `origin`."""
     y, x = origin
     return features[:, :, lines[0] - y : lines[1] - y, columns[0] - x : columns[1] - x]
-
-
-@dataclass(frozen=True)
-class HeadOutputs:
-    """logits (B, A), codes (B, A, 7) and direction logits (B, A, 2); A runs over y, then x, then rotation."""
-
-    logits: Tensor
-    codes: Tensor
-    directions: Tensor
-
-
-class Heads(nn.Module):
-    """1x1 convolutions for class, box and direction."""
-
-    def __init__(self, channels: int, anchors: int) -> None:
-        super().__init__()
-        self.classes = nn.Conv2d(channels, anchors, 1)
-        self.boxes = nn.Conv2d(channels, anchors * 7, 1)
-        self.directions = nn.Conv2d(channels, anchors * 2, 1)
-        # An empty scene starts at a score of 0.01: Source: focal loss (Lin et al. 2017), section 4.1.
-        nn.init.constant_(self.classes.bias, -4.595)  # type: ignore[arg-type]
-        nn.init.normal_(self.boxes.weight, std=0.001)
-
-    @staticmethod
-    def _flat(output: Tensor, width: int) -> Tensor:
-        return output.permute(0, 2, 3, 1).reshape(output.shape[0], -1, width)
-
-    def logits(self, features: Tensor) -> Tensor:
-        """(B, A) class logits alone, for a backward pass that needs nothing else."""
-        return self._flat(self.classes(features), 1).squeeze(2)
-
-    def codes_and_directions(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, A, 7) and (B, A, 2) alone."""
-        return self._flat(self.boxes(features), 7), self._flat(self.directions(features), 2)
-
-    def forward(self, features: Tensor) -> HeadOutputs:
-        """features: (B, 384, h, w). Differentiable w.r.t. features."""
-        return HeadOutputs(self.logits(features), *self.codes_and_directions(features))

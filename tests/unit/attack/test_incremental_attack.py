@@ -11,10 +11,10 @@ from shift3d.attack.pose import attack_pose
 from shift3d.attack.problem import AttackProblem, measure
 from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import attack_shape
-from shift3d.detectors.anchor_detector import AnchorDetector
-from shift3d.detectors.incremental import WindowFollower
-from shift3d.detectors.pillar_follower import PillarFollower
-from shift3d.detectors.token_follower import TokenFollower
+from shift3d.detectors.incremental.inference import WholeWindow
+from shift3d.detectors.incremental.pillars import IncrementalPillars
+from shift3d.detectors.incremental.tokens import IncrementalTokens
+from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.render import Beams, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
@@ -29,7 +29,7 @@ def field_of(code: Tensor) -> Field:
 @pytest.fixture(scope="module", params=["pointpillars", "sst"])
 def problem(request: pytest.FixtureRequest) -> AttackProblem:
     beams = Beams.from_arrays(*ground_scan(rings=48, columns=720))
-    detector = AnchorDetector(random_net(request.param), "float64")
+    detector = TrainedDetector(random_net(request.param), "float64")
     settings = preset("standard").with_(dtype=torch.float64)
     return AttackProblem(beams, -1.73, field_of, FRAME, detector, THETA, CODE, settings=settings)
 
@@ -44,9 +44,9 @@ def _attack(problem: AttackProblem, mode: str, alpha: float) -> AttackResult:
 def test_following_changes_no_trajectory(
     problem: AttackProblem, mode: str, alpha: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert isinstance(problem.follower(), PillarFollower | TokenFollower)
+    assert isinstance(problem.incremental_inference(), IncrementalPillars | IncrementalTokens)
     followed, again = _attack(problem, mode, alpha), _attack(problem, mode, alpha)
-    monkeypatch.setattr(problem_module, "follow", WindowFollower)
+    monkeypatch.setattr(problem_module, "incremental_inference", WholeWindow)
     plain = _attack(problem, mode, alpha)
     losses = [[record.loss for record in result.trace] for result in (followed, again, plain)]
     assert losses[0] == losses[1]
@@ -62,9 +62,9 @@ def test_following_changes_no_trajectory(
 
 def test_a_pose_beyond_the_travel_is_measured_all_the_same(problem: AttackProblem) -> None:
     away = THETA + torch.tensor([9.0, -6.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
-    follower = problem.follower()
+    follower = problem.incremental_inference()
     for theta in (THETA, away, THETA):
         expected = measure(problem, CODE, theta)
-        found = measure(problem, CODE, theta, follower=follower)
+        found = measure(problem, CODE, theta, incremental=follower)
         assert float(found.adversarial.detach()) == pytest.approx(float(expected.adversarial.detach()), rel=1e-9)
         assert torch.equal(found.proposals.anchor_index, expected.proposals.anchor_index)

@@ -1,4 +1,4 @@
-"""The points of a scene from edition to edition: which cells of a window held or hold one that is not where it was."""
+"""The points of a scene from frame to frame: which cells of a window held or hold one that is not where it was."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.cell_sets import CellNumbers, CellSet, MapShape, empty_set
 from shift3d.detectors.grid import Grid, Pillars, cells_of
+from shift3d.detectors.incremental.active_sites import ActiveSites, MapShape, SiteIndices, empty_set
 
-__all__ = ["FollowedPoints", "contains"]
+__all__ = ["PointSites", "contains"]
 
 
 def contains(outer: BevWindow, inner: BevWindow) -> bool:
@@ -23,8 +23,8 @@ def contains(outer: BevWindow, inner: BevWindow) -> bool:
     )
 
 
-class FollowedPoints:
-    """One edition's points and the cells of the followed window that they lie in.
+class PointSites:
+    """One frame's points and the cells of the cached window that they lie in.
 
     Cells are numbered as in `cell_sets`: lines first, with a ring of one cell around the window. A point that has no
     cell (outside, not finite) is given number 0, which belongs to the ring and never to a set.
@@ -33,11 +33,11 @@ class FollowedPoints:
     def __init__(self, grid: Grid, window: BevWindow, dtype: torch.dtype) -> None:
         self.grid, self.window = grid, window
         self.shape = MapShape(window.num_y, window.num_x)
-        self.cell_of_point: CellNumbers = np.empty(0, dtype=np.int64)
+        self.cell_of_point: SiteIndices = np.empty(0, dtype=np.int64)
         self._points = torch.empty(0, 3, dtype=dtype)
 
-    def changed(self, points: Tensor) -> CellSet:
-        """Take points (N, 3) for the next edition: the cells that held or hold a point that is not where it was."""
+    def changed(self, points: Tensor) -> ActiveSites:
+        """Take points (N, 3) for the next frame: the cells that held or hold a point that is not where it was."""
         changed = empty_set(self.shape)
         flat = changed.reshape(-1)
         if points.shape != self._points.shape:
@@ -53,23 +53,23 @@ class FollowedPoints:
         self._points = points.clone()
         return changed
 
-    def _cells_of(self, points: Tensor) -> CellNumbers:
+    def _cells_of(self, points: Tensor) -> SiteIndices:
         x, y, inside = cells_of(points, self.grid, self.window)
         numbers = (y - (self.window.y0 - 1)) * (self.shape.width + 2) + x - (self.window.x0 - 1)
         return np.where(inside, numbers, 0.0).astype(np.int64)
 
-    def cells(self, chosen: Tensor | None = None) -> CellSet:
+    def cells(self, chosen: Tensor | None = None) -> ActiveSites:
         """The cells that hold a point; chosen: (N,) bool, one of these points."""
         cells = empty_set(self.shape)
         cells.reshape(-1)[self.cell_of_point if chosen is None else self.cell_of_point[chosen.numpy()]] = True
         cells[0, 0] = False
         return cells
 
-    def rows(self, among: CellSet) -> Tensor:
+    def rows(self, among: ActiveSites) -> Tensor:
         """The points in these cells, int64."""
         return torch.from_numpy(np.flatnonzero(among.reshape(-1)[self.cell_of_point]))
 
-    def numbers(self, pillars: Pillars) -> CellNumbers:
+    def indices(self, pillars: Pillars) -> SiteIndices:
         """(P,) the cells of pillars of this window."""
         lines, columns = pillars.cell_y - (self.window.y0 - 1), pillars.cell_x - (self.window.x0 - 1)
         return np.asarray((lines * (self.shape.width + 2) + columns).numpy(), dtype=np.int64)

@@ -7,39 +7,37 @@ from math import ceil, floor, isfinite
 import torch
 from torch import Tensor
 
-from shift3d.detectors.anchors import WAYMO_ANCHORS, AnchorSpec, anchor_boxes, anchor_indices
 from shift3d.detectors.base import BevWindow, Detections, Proposals
-from shift3d.detectors.box_coding import decode_boxes
-from shift3d.detectors.cell_backbone import CellBackbone
 from shift3d.detectors.grid import full_window
-from shift3d.detectors.incremental import Follower, WindowFollower
-from shift3d.detectors.network import AnchorNet, Precision, arithmetic
+from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow
+from shift3d.detectors.incremental.pillars import IncrementalPillars
+from shift3d.detectors.incremental.sparse_backbone import SparseBackbone
+from shift3d.detectors.incremental.tokens import IncrementalTokens
+from shift3d.detectors.models.heads import proposal_indices
+from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
+from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
+from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.nms import suppress
-from shift3d.detectors.pillar_follower import PillarFollower
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SstNet
-from shift3d.detectors.token_follower import TokenFollower
 from shift3d.errors import InputError
 
-__all__ = ["AnchorDetector"]
+__all__ = ["TrainedDetector"]
 
 
-class AnchorDetector:
-    """A trained network (PointPillars, SST) for inference on CPU.
+class TrainedDetector:
+    """A trained network for inference on CPU.
 
     precision: "float32" (default); "bfloat16" takes the large products in half the bytes (an approximation: its
     error is measured where it is offered); "float64" is the reference. Points are (N, 3) in the network frame;
     their dtype follows the precision.
     """
 
-    def __init__(self, net: AnchorNet, precision: Precision = "float32", anchors: AnchorSpec = WAYMO_ANCHORS) -> None:
+    def __init__(self, net: DetectorNet, precision: Precision = "float32") -> None:
         self.name = net.name
         self.precision = precision
-        self.anchors = anchors
         self.grid = net.grid
         self._dtype = arithmetic(precision)[0]
         self._net = net.inference(precision)
-        self._cells: CellBackbone | None = None  # its matrices, made when first asked for
+        self._cells: SparseBackbone | None = None  # its matrices, made when first asked for
 
     def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
         """Smallest window whose proposals with anchor centres within radius_m equal the full scene's.
@@ -75,7 +73,7 @@ class AnchorDetector:
         return outer_low, outer_high - outer_low, core_low, core_high - core_low
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
-        """Every anchor of the window's core (of the whole grid when window is None), scored.
+        """Every proposal of the window's core (of the whole grid when window is None), scored.
 
         points: (N, 3), network frame, metres; those out of range are ignored, none at all is a valid scene.
         Differentiable w.r.t. points, through the logits; boxes are detached. Deterministic to the bit, also
@@ -90,25 +88,26 @@ class AnchorDetector:
         """Proposals from the features (1, C, h, w) of a window's core."""
         logits = self._net.heads.logits(features)[0].to(self._dtype)
         with torch.no_grad():
-            codes, directions = self._net.heads.codes_and_directions(features.detach())
-        return self._proposals(logits, codes[0].to(self._dtype), directions[0].to(self._dtype), window)
+            rows = self._net.heads.box_rows(features.detach())
+        return self._proposals(logits, rows[0].to(self._dtype), window)
 
-    def _proposals(self, logits: Tensor, codes: Tensor, directions: Tensor, window: BevWindow) -> Proposals:
+    def _proposals(self, logits: Tensor, rows: Tensor, window: BevWindow) -> Proposals:
+        """Proposals from class logits (A,) and the rows of the box layers (cells, R) of a window's core."""
+        heads = self._net.heads
         with torch.no_grad():
-            anchors = anchor_boxes(self.anchors, self.grid, window).to(self._dtype)
-            boxes = decode_boxes(codes, anchors, directions)
-        return Proposals(boxes.float(), logits, anchor_indices(self.anchors, self.grid, window))
+            boxes = heads.decode(rows, self.grid, window)
+        return Proposals(boxes.float(), logits, proposal_indices(heads.per_cell, self.grid, window))
 
-    def following(self, window: BevWindow) -> Follower:
-        """Proposals inside a window for many editions of one scene, at the cost of what differs between them."""
+    def incremental(self, window: BevWindow) -> IncrementalInference:
+        """Proposals inside a window for many frames of one scene, at the cost of what differs between them."""
         net = self._net
         if isinstance(net, SstNet):
-            return TokenFollower(net, window, self._dtype, self.proposals, self._answer)
-        if not (isinstance(net, PointPillarsNet) and PillarFollower.can_follow(net, window)):
-            return WindowFollower(self, window)
+            return IncrementalTokens(net, window, self._dtype, self.proposals, self._answer)
+        if not (isinstance(net, PillarBackboneNet) and IncrementalPillars.is_aligned(net, window)):
+            return WholeWindow(self, window)
         if self._cells is None:
-            self._cells = CellBackbone(net.backbone, net.heads, self._dtype)
-        return PillarFollower(net, self._cells, window, self.proposals, self._proposals)
+            self._cells = SparseBackbone(net.backbone, net.heads, self._dtype)
+        return IncrementalPillars(net, self._cells, window, self.proposals, self._proposals)
 
     def detect(
         self,
@@ -122,6 +121,8 @@ class AnchorDetector:
         In a window, suppression sees the core's proposals alone.
         Source: the public Waymo config (thresholds 0.1 and 0.25, 4096 and 500).
         """
+        window = window or full_window(self.grid)
         with torch.no_grad():
             found = self.proposals(points, window)
-        return suppress(found, score_threshold, iou_threshold)
+            candidates = self._net.heads.candidates(found.logits, window)
+        return suppress(found, score_threshold, iou_threshold, candidates)

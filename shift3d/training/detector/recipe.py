@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import cos, pi
 
-from shift3d.detectors.backbone import WAYMO_BACKBONE, BackboneSpec
-from shift3d.detectors.network import AnchorNet
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SST_SMALL_SPEC, SST_SPEC, SstNet, SstSpec
+from shift3d.detectors.models.backbone import WAYMO_BACKBONE, BackboneSpec
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.sst import SST_SMALL_SPEC, SST_SPEC, SstNet, SstSpec
 
 __all__ = ["RECIPES", "Recipe", "one_cycle", "scaled_to_steps"]
 
@@ -63,7 +63,7 @@ class Recipe:
         """Name of the detector that these sizes belong to."""
         return self.network.name if isinstance(self.network, SstSpec) else "pointpillars"
 
-    def new_network(self) -> AnchorNet:
+    def new_network(self) -> DetectorNet:
         """An untrained network, from torch's global random state."""
         return SstNet(self.network) if isinstance(self.network, SstSpec) else PointPillarsNet(self.network)
 

@@ -11,17 +11,17 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
-from shift3d.detectors.anchors import WAYMO_ANCHORS, anchor_boxes
-from shift3d.detectors.network import AnchorNet
+from shift3d.detectors.models.anchors import WAYMO_ANCHORS, anchor_boxes
+from shift3d.detectors.models.network import DetectorNet
 from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute, choose_compute
-from shift3d.training.detector_augmentation import Crop, random_crop
-from shift3d.training.detector_losses import detection_loss
-from shift3d.training.detector_recipe import Recipe, one_cycle
+from shift3d.training.detector.augmentation import Crop, random_crop
+from shift3d.training.detector.losses import detection_loss
+from shift3d.training.detector.recipe import Recipe, one_cycle
+from shift3d.training.detector.targets import Targets, assign_targets
 from shift3d.training.detector_scenes import load_cached
-from shift3d.training.detector_targets import Targets, assign_targets
 from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
 
 __all__ = ["CHECKPOINT", "SHIPPED_DATA", "train_on_scenes"]
@@ -101,7 +101,7 @@ def train_on_scenes(
     report: Report | None = None,
     data: str = SHIPPED_DATA,
     start: Mapping[str, Any] | None = None,
-) -> AnchorNet:
+) -> DetectorNet:
     """Train, or go on from out_dir's checkpoint, to recipe.all_steps (or stop_after, to be resumed).
 
     A resumed training gives the weights of an uninterrupted one: the crops of a step depend on the seed and
@@ -151,7 +151,7 @@ def _mean(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: sum(part[name] for part in parts) / len(parts) for name in parts[-1]}
 
 
-def _settle(net: AnchorNet) -> None:
+def _settle(net: DetectorNet) -> None:
     """From here on the network is as at inference but for the heads that draw boxes."""
     net.eval().requires_grad_(False)
     for head in (net.heads.boxes, net.heads.directions):
@@ -169,8 +169,7 @@ def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Targets])
     clouds, windows = [torch.from_numpy(crop.points).to(device) for crop in crops], [crop.window for crop in crops]
     with run.compute.autocast(recipe.bfloat16):
         outputs = run.net(clouds, windows)
-    outputs = type(outputs)(outputs.logits.float(), outputs.codes.float(), outputs.directions.float())
-    loss, parts = detection_loss(outputs, [target.to(device) for target in targets], recipe.direction_weight)
+    loss, parts = detection_loss(outputs.float(), [target.to(device) for target in targets], recipe.direction_weight)
     run.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), recipe.clip_norm)
@@ -179,7 +178,7 @@ def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Targets])
 
 
 def _batches(
-    net: AnchorNet, recipe: Recipe, steps: range, mesh: Sequence[Path], inserted: Sequence[Path], ahead: int
+    net: DetectorNet, recipe: Recipe, steps: range, mesh: Sequence[Path], inserted: Sequence[Path], ahead: int
 ) -> Iterator[Batch]:
     """Crops and targets of each step, the next ones made in threads while the network computes."""
 
@@ -196,7 +195,9 @@ def _batches(
             yield batch
 
 
-def _crop(net: AnchorNet, recipe: Recipe, step: int, slot: int, mesh: Sequence[Path], inserted: Sequence[Path]) -> Crop:
+def _crop(
+    net: DetectorNet, recipe: Recipe, step: int, slot: int, mesh: Sequence[Path], inserted: Sequence[Path]
+) -> Crop:
     rng = generator(f"{recipe.detector} crop", recipe.seed, step, slot)
     use_inserted = step >= recipe.mesh_only_steps and rng.random() < recipe.inserted_share
     files = inserted if use_inserted and len(inserted) else mesh
@@ -205,7 +206,7 @@ def _crop(net: AnchorNet, recipe: Recipe, step: int, slot: int, mesh: Sequence[P
     )
 
 
-def _targets(net: AnchorNet, crop: Crop, rim_cells: int) -> Targets:
+def _targets(net: DetectorNet, crop: Crop, rim_cells: int) -> Targets:
     anchors = anchor_boxes(WAYMO_ANCHORS, net.grid, crop.window)
     per_cell = len(WAYMO_ANCHORS.headings_rad)
     inner = torch.zeros(crop.window.num_y, crop.window.num_x, per_cell, dtype=torch.bool)

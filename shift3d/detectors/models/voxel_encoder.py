@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from shift3d.detectors.grid import Grid, Pillars
-from shift3d.detectors.pillar_net import FEATURE_SCALE, decorate
+from shift3d.detectors.models.pillar_net import FEATURE_SCALE, decorate
 
 __all__ = ["VoxelEncoder", "decorate_with_height"]
 

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
-    "CellNumbers",
-    "CellSet",
+    "ActiveSites",
     "MapShape",
+    "SiteIndices",
     "empty_set",
     "fine_cells",
     "pooled",
@@ -24,8 +24,8 @@ __all__ = [
     "whole_set",
 ]
 
-CellSet = npt.NDArray[np.bool_]
-CellNumbers = npt.NDArray[np.int64]
+ActiveSites = npt.NDArray[np.bool_]
+SiteIndices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,14 @@ class MapShape:
         """The map that a 3x3 convolution with padding 1 makes of this one."""
         return MapShape((self.height - 1) // stride + 1, (self.width - 1) // stride + 1)
 
-    def neighbours(self, cells: CellNumbers, stride: int) -> CellNumbers:
+    def neighbours(self, cells: SiteIndices, stride: int) -> SiteIndices:
         """(n, 9): the cells of this map that the given cells (n,) of the strided map read, by row, then column."""
         offsets = (np.arange(3)[:, None] * (self.width + 2) + np.arange(3)).reshape(-1)
         return np.asarray(_first_read(self, stride)[cells][:, None] + offsets, dtype=np.int64)
 
 
 @lru_cache(maxsize=64)
-def _first_read(shape: MapShape, stride: int) -> CellNumbers:
+def _first_read(shape: MapShape, stride: int) -> SiteIndices:
     """The first cell of a map that each cell of the strided map reads; meaningless for the ring."""
     strided = shape.strided(stride)
     y, x = np.arange(strided.height + 2) - 1, np.arange(strided.width + 2) - 1
@@ -60,19 +60,19 @@ def _first_read(shape: MapShape, stride: int) -> CellNumbers:
     return first
 
 
-def empty_set(shape: MapShape) -> CellSet:
+def empty_set(shape: MapShape) -> ActiveSites:
     """No cell of a map."""
     return np.zeros((shape.height + 2, shape.width + 2), dtype=bool)
 
 
-def whole_set(shape: MapShape) -> CellSet:
+def whole_set(shape: MapShape) -> ActiveSites:
     """Every cell of a map."""
     result = empty_set(shape)
     result[1:-1, 1:-1] = True
     return result
 
 
-def reached(cells: CellSet, stride: int) -> CellSet:
+def reached(cells: ActiveSites, stride: int) -> ActiveSites:
     """The cells of the strided map that read one of these."""
     shape = MapShape(cells.shape[0] - 2, cells.shape[1] - 2).strided(stride)
     result = empty_set(shape)
@@ -83,7 +83,7 @@ def reached(cells: CellSet, stride: int) -> CellSet:
     return result
 
 
-def sources(cells: CellSet, stride: int, shape: MapShape) -> CellSet:
+def sources(cells: ActiveSites, stride: int, shape: MapShape) -> ActiveSites:
     """The cells of a map of this shape that the given cells of the strided map read."""
     inner = cells[1:-1, 1:-1]
     lines = np.zeros((shape.height + 2, inner.shape[1]), dtype=bool)
@@ -97,7 +97,7 @@ def sources(cells: CellSet, stride: int, shape: MapShape) -> CellSet:
     return result
 
 
-def pooled(cells: CellSet, factor: int) -> CellSet:
+def pooled(cells: ActiveSites, factor: int) -> ActiveSites:
     """The cells of a map coarser by `factor`, a divisor of its sides, that hold one of these."""
     inner = cells[1:-1, 1:-1]
     result = empty_set(MapShape(inner.shape[0] // factor, inner.shape[1] // factor))
@@ -106,7 +106,7 @@ def pooled(cells: CellSet, factor: int) -> CellSet:
     return result
 
 
-def fine_cells(coarse: CellNumbers, factor: int, fine: MapShape) -> CellNumbers:
+def fine_cells(coarse: SiteIndices, factor: int, fine: MapShape) -> SiteIndices:
     """(n, factor²): the cells of the map `fine` inside the given cells (n,) of the map coarser by `factor`."""
     y, x = np.divmod(coarse, fine.width // factor + 2)
     first = ((y - 1) * factor + 1) * (fine.width + 2) + (x - 1) * factor + 1

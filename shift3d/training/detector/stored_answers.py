@@ -12,7 +12,7 @@ import numpy as np
 from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth
 from shift3d.store.atomic import write_atomic
-from shift3d.training.detector_evaluation import Answer
+from shift3d.training.detector.detect_scenes import Answer
 
 __all__ = ["answers_of", "read_answer", "write_answer"]
 

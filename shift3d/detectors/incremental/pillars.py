@@ -1,4 +1,4 @@
-"""PointPillars through the editions of one scene: only cells that changed and are needed are computed again.
+"""Pillar detectors through the frames of one scene: only cells that changed and are needed are computed again.
 
 Layer by layer, the cells that changed AND are needed; all other activations are those of earlier calls. Backward
 likewise: only through cells between a point whose gradient is asked for and a logit that carries one.
@@ -17,44 +17,48 @@ import torch
 from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Proposals
-from shift3d.detectors.cell_backbone import CellBackbone, CellCache, CellTape
-from shift3d.detectors.cell_sets import CellNumbers, CellSet, empty_set
-from shift3d.detectors.followed_points import FollowedPoints, contains
-from shift3d.detectors.pointpillars import PointPillarsNet
+from shift3d.detectors.incremental.activation_cache import ActivationCache
+from shift3d.detectors.incremental.active_sites import ActiveSites, SiteIndices, empty_set
+from shift3d.detectors.incremental.point_sites import PointSites, contains
+from shift3d.detectors.incremental.sparse_backbone import SparseBackbone
+from shift3d.detectors.incremental.sparse_backward import SparseBackward
+from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
 
-__all__ = ["PillarFollower"]
+__all__ = ["IncrementalPillars"]
 
 Plain = Callable[[Tensor, BevWindow], Proposals]
-Boxed = Callable[[Tensor, Tensor, Tensor, BevWindow], Proposals]
+Boxed = Callable[[Tensor, Tensor, BevWindow], Proposals]
 _Rectangle = tuple[int, int, int, int]
 
 
-class PillarFollower:
-    """Follows PointPillars. Not for use from several threads at once."""
+class IncrementalPillars:
+    """Incremental inference of a pillar detector. Not for use from several threads at once."""
 
     def __init__(
-        self, net: PointPillarsNet, cells: CellBackbone, window: BevWindow, plain: Plain, boxed: Boxed
+        self, net: PillarBackboneNet, cells: SparseBackbone, window: BevWindow, plain: Plain, boxed: Boxed
     ) -> None:
         """net: for inference. cells: its backbone.
 
-        plain: the detector's own proposals, for windows beyond the followed one. boxed: (logits, codes, direction
-        logits, window) -> proposals.
+        plain: the detector's own proposals, for windows beyond the cached one. boxed: (logits, rows of the
+        box layers, window) -> proposals.
         """
         self._net, self._cells, self._window, self._plain, self._boxed = net, cells, window, plain, boxed
-        self._points = FollowedPoints(net.grid, window, cells.exact)
+        self._points = PointSites(net.grid, window, cells.exact)
         self._shape = self._points.shape
-        self._cache = CellCache(cells, self._shape)
+        self._cache = ActivationCache(cells, self._shape)
         self._core: _Rectangle | None = None
-        self._outputs, self._needed = empty_set(self._shape), list[CellSet]()
+        self._outputs, self._needed = empty_set(self._shape), list[ActiveSites]()
 
     @staticmethod
-    def can_follow(net: PointPillarsNet, window: BevWindow) -> bool:
+    def is_aligned(net: PillarBackboneNet, window: BevWindow) -> bool:
         """Whether the window is a whole number of the coarsest map's cells."""
         stride = net.spec.total_strides[-1]
         return all(span % stride == 0 for span in (window.x0, window.y0, window.num_x, window.num_y))
 
-    def proposals(self, points: Tensor, window: BevWindow | None = None, live: Tensor | None = None) -> Proposals:
-        """See `Follower`. A window that reaches beyond the followed one is computed as a whole.
+    def proposals(
+        self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
+    ) -> Proposals:
+        """See `IncrementalInference`. A window that reaches beyond the cached one is computed as a whole.
 
         Deterministic to the bit for the same calls in the same order; the same points after other calls may
         differ by rounding. Not differentiable twice.
@@ -67,24 +71,22 @@ class PillarFollower:
         tracked = torch.is_grad_enabled() and points.requires_grad
         with torch.no_grad():
             due = self._cache.due(self._points.changed(points.detach()), self._needed[0])
-            live_cells = self._points.cells(live) & self._needed[0] if tracked else empty_set(self._shape)
-            self._write(points.detach(), due & ~live_cells, due)
-        features, cells = self._write(points, live_cells, due)
+            grad_cells = self._points.cells(requires_grad) & self._needed[0] if tracked else empty_set(self._shape)
+            self._write(points.detach(), due & ~grad_cells, due)
+        features, cells = self._write(points, grad_cells, due)
         with torch.no_grad():
             self._cache.advance(due, self._needed, self._outputs)
-            outputs, anchors = self._cache.heads(core), self._cells.anchors
-            logits = outputs[..., :anchors].reshape(-1)
-            codes = outputs[..., anchors : 8 * anchors].reshape(-1, 7)
-            directions = outputs[..., 8 * anchors :].reshape(-1, 2)
+            outputs, classes = self._cache.heads(core).flatten(0, 1), self._cells.per_cell
+            logits, rows = outputs[:, :classes].reshape(-1), outputs[:, classes:]
         if features.requires_grad:
-            tape = self._cache.tape(live_cells, self._needed, self._outputs)
-            logits = _Link.apply(features, logits, tape, cells, core)  # type: ignore[no-untyped-call]
-        return self._boxed(logits, codes, directions, window)
+            sparse = self._cache.backward(grad_cells, self._needed, self._outputs)
+            logits = _Link.apply(features, logits, sparse, cells, core)  # type: ignore[no-untyped-call]
+        return self._boxed(logits, rows, window)
 
     def _look_at(self, window: BevWindow) -> _Rectangle:
-        """The window's core (y0, x0, height, width) in the followed window; it is what the next steps compute."""
-        followed = self._window
-        core = (window.core_y0 - followed.y0, window.core_x0 - followed.x0, window.core_num_y, window.core_num_x)
+        """The window's core (y0, x0, height, width) in the cached window; it is what the next steps compute."""
+        cached = self._window
+        core = (window.core_y0 - cached.y0, window.core_x0 - cached.x0, window.core_num_y, window.core_num_x)
         if core != self._core:
             y0, x0, height, width = core
             outputs = empty_set(self._shape)
@@ -92,11 +94,11 @@ class PillarFollower:
             self._core, self._outputs, self._needed = core, outputs, self._cells.needed(outputs)
         return core
 
-    def _write(self, points: Tensor, among: CellSet, due: CellSet) -> tuple[Tensor, CellNumbers]:
+    def _write(self, points: Tensor, among: ActiveSites, due: ActiveSites) -> tuple[Tensor, SiteIndices]:
         """The features (P, C) of the pillars among these cells, and their cells; those due go into the canvas."""
         rows = self._points.rows(among)
         pillars, features = self._net.pillar_features(points.index_select(0, rows), self._window)
-        cells = self._points.numbers(pillars)
+        cells = self._points.indices(pillars)
         features = features.to(self._cache.canvas.dtype)
         to_write = due & among
         fresh = to_write.reshape(-1)[cells]
@@ -111,21 +113,21 @@ class _Link(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, features: Tensor, logits: Tensor, tape: CellTape, cells: CellNumbers, core: _Rectangle
+        ctx: Any, features: Tensor, logits: Tensor, sparse: SparseBackward, cells: SiteIndices, core: _Rectangle
     ) -> Tensor:
         """features (P, C) of the pillars in `cells`, ascending; logits (A,) of the core."""
-        ctx.tape, ctx.cells, ctx.core, ctx.dtype = tape, cells, core, features.dtype
+        ctx.sparse, ctx.cells, ctx.core, ctx.dtype = sparse, cells, core, features.dtype
         return logits.clone()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """The gradient at the features; None for the rest."""
-        tape: CellTape = ctx.tape
+        sparse: SparseBackward = ctx.sparse
         y0, x0, height, width = ctx.core
-        shape = tape.shapes[0]
-        everywhere = gradient.new_zeros(shape.height + 2, shape.width + 2, tape.net.anchors)
+        shape = sparse.shapes[0]
+        everywhere = gradient.new_zeros(shape.height + 2, shape.width + 2, sparse.net.per_cell)
         everywhere[1 + y0 : 1 + y0 + height, 1 + x0 : 1 + x0 + width] = gradient.view(height, width, -1)
-        at_cells = tape.gradient(everywhere.view(-1, tape.net.anchors))
-        rows = torch.from_numpy(np.searchsorted(tape.cells[0], ctx.cells))
+        at_cells = sparse.gradient(everywhere.view(-1, sparse.net.per_cell))
+        rows = torch.from_numpy(np.searchsorted(sparse.cells[0], ctx.cells))
         return at_cells.index_select(0, rows).to(ctx.dtype), None, None, None, None

@@ -8,7 +8,7 @@ from math import pi
 import torch
 from torch import Tensor
 
-from shift3d.detectors.box_coding import direction_bins, encode_boxes
+from shift3d.detectors.models.box_coding import direction_bins, encode_boxes
 
 __all__ = ["IGNORED", "NEGATIVE", "POSITIVE", "Targets", "assign_targets", "nearest_bev_iou"]
 

@@ -6,8 +6,8 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from shift3d.detectors.backbone import HeadOutputs
-from shift3d.training.detector_targets import IGNORED, POSITIVE, Targets
+from shift3d.detectors.models.anchor_heads import AnchorOutputs
+from shift3d.training.detector.targets import IGNORED, POSITIVE, Targets
 
 __all__ = ["detection_loss", "focal_loss", "sine_code_difference"]
 
@@ -40,7 +40,7 @@ def sine_code_difference(codes: Tensor, wanted: Tensor) -> Tensor:
 
 
 def detection_loss(
-    outputs: HeadOutputs, targets: list[Targets], direction_weight: float = DIRECTION_WEIGHT
+    outputs: AnchorOutputs, targets: list[Targets], direction_weight: float = DIRECTION_WEIGHT
 ) -> tuple[Tensor, dict[str, float]]:
     """Mean over the batch of class + 2 box + direction_weight * direction, each over the number of positive anchors.
 

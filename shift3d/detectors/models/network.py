@@ -1,19 +1,19 @@
-"""What an anchor detector's network offers: features of a window's core, and how far they reach."""
+"""What a detector's network offers: features of a window's core, how far they reach, and heads."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import torch
 from torch import Tensor, nn
 
-from shift3d.detectors.backbone import HeadOutputs, Heads
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid
+from shift3d.detectors.models.heads import BoxHeads
 
-__all__ = ["AnchorNet", "Precision", "arithmetic"]
+__all__ = ["DetectorNet", "Precision", "arithmetic"]
 
 Precision = Literal["float32", "bfloat16", "float64"]
 
@@ -24,12 +24,12 @@ def arithmetic(precision: Precision) -> tuple[torch.dtype, torch.dtype]:
     return exact, torch.bfloat16 if precision == "bfloat16" else exact
 
 
-class AnchorNet(nn.Module, ABC):
-    """Points -> one feature a cell -> logits, codes and direction logits of the cell's anchors."""
+class DetectorNet(nn.Module, ABC):
+    """Points -> one feature a cell -> class logits and boxes of the cell's proposals."""
 
     name: str
     grid: Grid
-    heads: Heads
+    heads: BoxHeads
 
     @abstractmethod
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
@@ -50,7 +50,6 @@ class AnchorNet(nn.Module, ABC):
     def inference(self, precision: Precision) -> Self:
         """The same function in evaluation mode, folded, in a precision; parameters need no gradient."""
 
-    def forward(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> HeadOutputs:
-        """One result for the batch. Differentiable w.r.t. points and weights."""
-        outputs: HeadOutputs = self.heads(self.features(clouds, windows))
-        return outputs
+    def forward(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Any:
+        """What the heads give for the batch, for training. Differentiable w.r.t. points and weights."""
+        return self.heads(self.features(clouds, windows))

@@ -5,7 +5,15 @@ import pytest
 import torch
 from torch.nn.functional import conv2d, conv_transpose2d, max_pool2d
 
-from shift3d.detectors.cell_sets import MapShape, empty_set, fine_cells, pooled, reached, sources, whole_set
+from shift3d.detectors.incremental.active_sites import (
+    MapShape,
+    empty_set,
+    fine_cells,
+    pooled,
+    reached,
+    sources,
+    whole_set,
+)
 
 KERNEL = torch.ones(1, 1, 3, 3)
 
