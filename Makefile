@@ -76,7 +76,7 @@ docs: .venv/.runtime  ## write docs/reference from the code and the configuratio
 	$(BIN)/python docs/scripts/reference_pages.py
 
 pictures: .venv/.runtime  ## draw the README's pictures again
-	$(BIN)/python -m shift3d.report.pictures $(ARGS)
+	$(BIN)/python docs/scripts/pictures.py $(ARGS)
 
 clean:  ## remove .venv and caches (never outputs/)
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache

@@ -71,8 +71,7 @@ def _measured(path: Path) -> dict[str, float]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.effects.applicability import MEASURED_IMPACT
-    from shift3d.report.effects import (
+    from shift3d.analysis.effects import (
         LEAST_SCENES,
         effect_lines,
         effect_milliseconds,
@@ -81,6 +80,7 @@ def _run(arguments: argparse.Namespace) -> int:
         write_effects_page,
         write_worth,
     )
+    from shift3d.effects.applicability import MEASURED_IMPACT
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.folder import read_plan
 

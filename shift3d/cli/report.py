@@ -36,8 +36,8 @@ def _count(text: str) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.html.report import write_report
     from shift3d.processor import configure_runtime
-    from shift3d.report.html.write import write_report
 
     configure_runtime()  # the same page on any machine
     path = write_report(arguments.out, arguments.cases)

@@ -85,12 +85,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     """Run the command with a kind of task."""
+    from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
     from shift3d.sweep.drive import run_sweep
     from shift3d.sweep.planning.folder import default_folder
     from shift3d.sweep.planning.plan import make_plan
     from shift3d.sweep.planning.plan_view import plan_summary
-    from shift3d.tracking.store_uri import check_tracking
 
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])
@@ -153,9 +153,9 @@ def _status(words: list[str]) -> int:
 
 def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
-    from shift3d.report.caveats import trial_caveat
-    from shift3d.report.placement import nothing_placed
-    from shift3d.report.tables import coverage, sweep_report
+    from shift3d.analysis.tables.caveats import trial_caveat
+    from shift3d.analysis.tables.placement import nothing_placed
+    from shift3d.analysis.tables.printed import coverage, sweep_report
     from shift3d.sweep.planning.plan_view import skipped_lines
 
     final = result.final
@@ -175,7 +175,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     if unplaced:
         pass  # there is nothing to verify
     elif "verification" in frames:
-        from shift3d.report.stability import stability_lines
+        from shift3d.analysis.stability import stability_lines
 
         print(f"\n{stability_lines(frames['verification'])}\n")
     else:
@@ -189,7 +189,7 @@ def _show_effects(plan: Plan, folder: Location, frames: Mapping[str, pd.DataFram
     variants = {asked for group in plan.tasks.groups() for asked in group.effects_requested}
     if "none" not in variants or len(variants) == 1:
         return
-    from shift3d.report.effects import effect_lines, effect_milliseconds, effect_worths, write_effects_page
+    from shift3d.analysis.effects import effect_lines, effect_milliseconds, effect_worths, write_effects_page
 
     try:
         worths = effect_worths(frames["scores"], effect_milliseconds(frames["scores"], frames["timings"]))
@@ -204,7 +204,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
 
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return
-    from shift3d.tracking.mlflow import SweepRecord, mirror
+    from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
 
     counts = {
         "tasks_done": result.done,

@@ -15,7 +15,7 @@ from shift3d.errors import InputError
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
-    from shift3d.tracking.training import TrainingCurves
+    from shift3d.analysis.mlflow.training import TrainingCurves
     from shift3d.training.command import TrainOptions
 
 __all__ = ["COMMAND"]
@@ -121,12 +121,12 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
     uri = values.get("mlflow", _STORE)
     if uri == "none":
         return None
-    from shift3d.tracking.store_uri import check_store
+    from shift3d.analysis.mlflow.store_uri import check_store
 
     check_store(uri, "mlflow")
     from dataclasses import asdict
 
-    from shift3d.tracking.training import TrainingCurves
+    from shift3d.analysis.mlflow.training import TrainingCurves
     from shift3d.training.command import MODELS, detector_recipe
 
     words = {key: value for key, value in values.items() if key not in ("mlflow", "threads", "out")}

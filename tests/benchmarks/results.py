@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.timing import Timing
 
-from shift3d.report.tables import aligned
+from shift3d.analysis.tables.printed import aligned
 from shift3d.store.atomic import write_atomic
 
 __all__ = ["GOALS", "Record", "Results", "comparison", "read_results", "summary"]

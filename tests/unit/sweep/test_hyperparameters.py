@@ -7,8 +7,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from shift3d.report.choices import candidate_tables, papers_choice
-from shift3d.report.tables import choice_tables
+from shift3d.analysis.tables.choices import candidate_tables, papers_choice
+from shift3d.analysis.tables.printed import choice_tables
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.results.hyperparameters import (
     NEARLY_EQUAL,
