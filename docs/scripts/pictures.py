@@ -172,7 +172,7 @@ def draw_training(path: Path) -> None:
     """The losses of each detector whose training is on record beside its weights, over its steps."""
     import json
 
-    from shift3d.detectors.weights import DETECTOR_NAMES, WEIGHTS_FOLDER
+    from shift3d.detectors.models.weights import DETECTOR_NAMES, WEIGHTS_FOLDER
 
     figure = _figure(11, 2.8)
     panels = dict(zip(("class", "box", "direction"), figure.subplots(1, 3)))
@@ -204,7 +204,7 @@ def main(arguments: list[str]) -> None:
     """Draw every picture from the sweeps in ``arguments``."""
     import pandas as pd
 
-    from shift3d.sweep.folder import read_plan
+    from shift3d.sweep.planning.folder import read_plan
     from shift3d.task.assets import load_assets
 
     given = dict(word.split("=", 1) for word in arguments if word.startswith(("task=", "folder=")))

@@ -18,7 +18,8 @@ from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.precision_recall import precision_recall_figure
 from shift3d.analysis.tables.detector_metrics import metric_table
 from shift3d.analysis.tables.detector_tables import evaluation_tables
-from shift3d.detectors.weights import WEIGHTS_FOLDER, load_detector
+from shift3d.detectors.loading import load_detector
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
 from shift3d.evaluation.metrics import evaluate
 from shift3d.scenes.kitti import KittiScenes
@@ -26,8 +27,8 @@ from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
-from shift3d.training.detector_evaluation import SCORE_FLOOR, Answer, detect_scenes
-from shift3d.training.stored_answers import answers_of
+from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, detect_scenes
+from shift3d.training.detector.stored_answers import answers_of
 from shift3d.wording import counted
 
 if TYPE_CHECKING:

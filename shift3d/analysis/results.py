@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from shift3d.errors import InputError
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMAS
-from shift3d.sweep.plan import Plan
+from shift3d.sweep.planning.plan import Plan
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,7 +51,7 @@ class Sweep:
         plausible: whether the task's adversarial shape is; None where that was not measured.
         """
         rows = self.scores[self.scores["score"].notna()]
-        rows = rows.assign(effects=self.plan.tasks.effects_asked_of(rows["task_id"])).explode("effects")
+        rows = rows.assign(effects=self.plan.tasks.effects_requested_of(rows["task_id"])).explode("effects")
         measured = dict(zip(self.shapes["task_id"], self.shapes["still_a_car"].astype(object)))
         plausible = rows["task_id"].map(measured).astype(object)
         place = rows["dataset"] + "/" + rows["scene"]
@@ -69,14 +70,14 @@ def sweep_of(plan: Plan, tables: Mapping[str, pd.DataFrame], environment: Mappin
     return Sweep(plan, environment, **own, **later, verification=tables.get("verification"))
 
 
-def read_sweep(folder: Place) -> Sweep:
+def read_sweep(folder: LocationLike) -> Sweep:
     """The sweep of an output folder.
 
     Raises:
         InputError: naming the folder or file, where it is no sweep's, has not finished, or is damaged.
     """
     from shift3d.store.tables import read_table
-    from shift3d.sweep.folder import read_plan
+    from shift3d.sweep.planning.folder import read_plan
 
     folder = as_location(folder)
     plan, final = read_plan(folder), folder / "final"

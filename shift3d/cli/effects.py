@@ -80,9 +80,9 @@ def _run(arguments: argparse.Namespace) -> int:
         effect_worths,
         write_worth,
     )
-    from shift3d.render.effects.applicability import WORTH
-    from shift3d.store.location import as_location
-    from shift3d.sweep.folder import read_plan
+    from shift3d.effects.applicability import MEASURED_IMPACT
+    from shift3d.store.resolve import as_location
+    from shift3d.sweep.planning.folder import read_plan
 
     folder = as_location(arguments.out)
     sweep = read_plan(folder).sweep
@@ -97,7 +97,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if (fewest := min(worth.scenes for worth in worths)) < LEAST_SCENES:
             what = f"{counted(fewest, 'scene')} behind an effect: intervals are too narrow below {LEAST_SCENES}"
             raise InputError(what, str(folder), f"Run the sweep with scenes.count={LEAST_SCENES} or more")
-        print(f"{write_worth(WORTH, sweep, worths)} written: effects=auto goes by it")
+        print(f"{write_worth(MEASURED_IMPACT, sweep, worths)} written: effects=auto goes by it")
     return 0
 
 

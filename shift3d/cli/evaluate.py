@@ -106,7 +106,7 @@ def _whole_number(values: dict[str, str], key: str) -> int | None:
 
 
 def _probability(values: dict[str, str]) -> float:
-    from shift3d.training.detector_evaluation import SCORE_FLOOR
+    from shift3d.training.detector.detect_scenes import SCORE_FLOOR
 
     text = values.get("score_threshold")
     try:

@@ -17,11 +17,11 @@ from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.analysis.results import Sweep
-    from shift3d.config.schema import Config
+    from shift3d.settings.schema import Config
     from shift3d.store.location import Location
     from shift3d.sweep.drive import SweepResult
-    from shift3d.sweep.kind import TaskKind
-    from shift3d.sweep.plan import Plan
+    from shift3d.sweep.planning.kind import TaskKind
+    from shift3d.sweep.planning.plan import Plan
 
 __all__ = ["COMMAND", "run_with"]
 
@@ -74,21 +74,21 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])  # before what a sweep imports: it is polled
-    from shift3d.processor import settle_numerics
-    from shift3d.sweep.kind import shift3d_kind
+    from shift3d.processor import configure_runtime
+    from shift3d.sweep.planning.kind import shift3d_kind
 
-    settle_numerics()
+    configure_runtime()
     return run_with(arguments, shift3d_kind())
 
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     """Run the command with a kind of task."""
     from shift3d.analysis.mlflow.store_uri import check_tracking
-    from shift3d.config.compose import compose_sweep
+    from shift3d.settings.compose import compose_sweep
     from shift3d.sweep.drive import run_sweep
-    from shift3d.sweep.folder import default_folder
-    from shift3d.sweep.plan import make_plan
-    from shift3d.sweep.plan_view import plan_summary
+    from shift3d.sweep.planning.folder import default_folder
+    from shift3d.sweep.planning.plan import make_plan
+    from shift3d.sweep.planning.plan_view import plan_summary
 
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])
@@ -130,7 +130,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
 
 def _submit(asked: Request, address: str, retry_quarantined: bool) -> int:
     """Hand the sweep to a cluster's Jobs API."""
-    from shift3d.sweep.ray_job import submit_sweep
+    from shift3d.sweep.execution.ray.job import submit_sweep
 
     folders = [f"out={asked.out}"] if asked.out else []
     folders += [f"reuse={other}" for other in asked.reuse]
@@ -156,7 +156,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     from shift3d.analysis.tables.coverage import coverage_lines
     from shift3d.analysis.tables.report import sweep_report
     from shift3d.analysis.tables.stability import stability_lines
-    from shift3d.sweep.plan_view import skipped_lines
+    from shift3d.sweep.planning.plan_view import skipped_lines
 
     final = result.final
     assert final is not None
@@ -185,7 +185,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
 
 def _show_effects(sweep: Sweep, folder: Location) -> None:
     """The impact of effects, where the sweep ran the same tasks with them and without."""
-    variants = {asked for group in sweep.plan.tasks.groups() for asked in group.effects_asked}
+    variants = {asked for group in sweep.plan.tasks.groups() for asked in group.effects_requested}
     if "none" not in variants or len(variants) == 1:
         return
     from shift3d.analysis.html.pages import write_effects_page
@@ -201,7 +201,7 @@ def _show_effects(sweep: Sweep, folder: Location) -> None:
 
 
 def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
-    from shift3d.config.schema import MlflowConfig
+    from shift3d.settings.schema import MlflowConfig
 
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return

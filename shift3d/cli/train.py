@@ -134,7 +134,7 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
     if model in MODELS and model != "sdf":
         params["recipe"] = asdict(detector_recipe(model, options))
     elif "vehicles" not in values and model == "sdf":
-        from shift3d.training.sdf import SdfRecipe
+        from shift3d.training.sdf.train import SdfRecipe
 
         params["recipe"] = asdict(SdfRecipe())
     # One run a folder and command: the same command again goes on with it.
@@ -144,12 +144,12 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
 
 def _warning(curves: TrainingCurves) -> Any:
     """The report of a training that says once that MLflow is away."""
-    said: list[bool] = []
+    warned: list[bool] = []
 
     def report(points: Any) -> None:
         curves(points)
-        if curves.problem and not said:
-            said.append(True)
+        if curves.problem and not warned:
+            warned.append(True)
             print(f"warning: no curves in MLflow ({curves.uri}): {curves.problem}", file=sys.stderr)
 
     return report
@@ -171,7 +171,7 @@ def _train_on_meshes(values: dict[str, str]) -> int:
         if key in values:
             raise InputError(f"{key}= is for detectors", where="train", remedy=f"Leave out {key}=")
     frame = mesh_frame(values, "train")
-    from shift3d.training.sdf_on_meshes import STEPS, train_on_meshes
+    from shift3d.training.sdf.on_meshes import STEPS, train_on_meshes
 
     options = _options({**values, "out": values.get("out", "outputs/train-vehicles")})
     curves = _curves(values, "sdf", options)

@@ -17,8 +17,8 @@ from jobs.kuberay_schema import RAY_JOB
 
 from shift3d.cli.jobs import JobSpec, job_names, read_job, take_job
 from shift3d.cli.main import main
-from shift3d.config.compose import compose_sweep, validate
 from shift3d.errors import InputError
+from shift3d.settings.compose import compose_sweep, validate
 
 JOBS = Path(__file__).resolve().parents[2] / "jobs"
 OWN = ("local", "ray_cluster", "ray_job")

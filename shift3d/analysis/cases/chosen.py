@@ -11,7 +11,7 @@ from shift3d.seeding import generator
 if TYPE_CHECKING:
     import pandas as pd
 
-    from shift3d.sweep.plan import Plan
+    from shift3d.sweep.planning.plan import Plan
 
 __all__ = ["Case", "falls", "hardest", "random_positions"]
 

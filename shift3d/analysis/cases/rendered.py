@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import trimesh
 
     from shift3d.detectors.base import Proposals
-    from shift3d.sweep.plan import Plan
-    from shift3d.sweep.tasks import PlannedTask
+    from shift3d.sweep.planning.plan import Plan
+    from shift3d.sweep.planning.tasks import PlannedTask
     from shift3d.task.assets import Assets
 
 __all__ = ["POSE", "VIEW_M", "Loaded", "Rendered", "render_again", "simplified", "standing"]

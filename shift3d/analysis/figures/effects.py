@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import log
 from typing import TYPE_CHECKING
 
-from shift3d.render.effects.applicability import WORTH_BOUND
+from shift3d.effects.applicability import IMPACT_BOUND
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,7 @@ def effects_figure(worths: Sequence[EffectWorth]) -> Figure:
         label = worth.effect.replace("_", " ")
         axes.annotate(label, (x, y), xytext=offset, textcoords="offset points", fontsize=8, ha=side)
         drawn.append((x, y))
-    axes.axhline(WORTH_BOUND, color="#202020", lw=0.8, ls="--")
+    axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel(f"milliseconds a rendering, more (less than {_LEAST_MS:g} drawn there)")

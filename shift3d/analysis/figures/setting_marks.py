@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from shift3d.accuracy_time.pareto import effective_error_m
 from shift3d.analysis.figures.labels import PointLabel
-from shift3d.frontier.pareto import effective_error_m
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -19,7 +19,8 @@ from shift3d.analysis.tables.numerics import diagnostics
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 from shift3d.store.frontier_table import machine_of, read_frontier
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,13 +68,13 @@ def write_frontier_report(folder: Path) -> str:
     return f"{frontier_lines(frame)}\n\n{text}"
 
 
-def write_effects_page(path: Place, sweep: str, worths: Sequence[EffectWorth]) -> Location:
+def write_effects_page(path: LocationLike, sweep: str, worths: Sequence[EffectWorth]) -> Location:
     """Write the page of the effects' impact, whole or not at all; returns its path."""
     section = Section("effects", "Impact and time", impact_blocks(worths))
     return _written(path, f"Measured impact of effects: {sweep}", [section])
 
 
-def write_stability_page(path: Place, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
+def write_stability_page(path: LocationLike, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
     """Write the page of one sweep's stability, every unstable solution named; the same tables to the same bytes.
 
     Raises:
@@ -83,7 +84,7 @@ def write_stability_page(path: Place, sweep: str, scores: pd.DataFrame, verifica
     return _written(path, f"Stability of {sweep}", [Section("stability", "Scored again", blocks)], diagnostics(scores))
 
 
-def _written(path: Place, title: str, sections: Sequence[Section], lead: str = "") -> Location:
+def _written(path: LocationLike, title: str, sections: Sequence[Section], lead: str = "") -> Location:
     location = as_location(path)
     location.write_atomic(document(title, sections, lead).encode())
     return location

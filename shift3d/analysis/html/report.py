@@ -22,7 +22,8 @@ from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
 from shift3d.analysis.variants import variants
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
 
 __all__ = ["report_page", "write_report"]
@@ -56,7 +57,7 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     return document(f"shift3d: {plan.sweep}", sections, lead, plotly_library())
 
 
-def write_report(folder: Place, cases: int = 4) -> Location:
+def write_report(folder: LocationLike, cases: int = 4) -> Location:
     """Write ``report.html`` into a finished sweep's folder, whole or not at all; returns its path.
 
     Raises:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from shift3d.analysis.mlflow.auc_view import share_view
 from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, rounded, runs_of
 from shift3d.analysis.mlflow.sweep_groups import MOST_GROUPS, Recall, groups, overall
-from shift3d.store.location import Place, local_copy
+from shift3d.store.resolve import LocationLike, local_copy
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +35,7 @@ class SweepRecord:
 
     sweep: str
     spec_hash: str
-    folder: Place
+    folder: LocationLike
     settings: Mapping[str, Any]
     auc: pd.DataFrame
     curves: pd.DataFrame

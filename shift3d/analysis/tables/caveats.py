@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from shift3d.sweep.tasks import Tasks
+from shift3d.sweep.planning.tasks import Tasks
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def trial_caveat(tasks: Tasks) -> str | None:
 
     tasks: of the whole plan; of several numbers of steps the largest counts.
     """
-    steps = max(group.ground.attack.steps for group in tasks.groups())
+    steps = max(group.template.attack.steps for group in tasks.groups())
     scenes = tasks.scenes()
     reasons = []
     if steps < _LEAST_STEPS:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from shift3d.evaluation.metrics import Metric
-    from shift3d.training.detector_evaluation import Answer
+    from shift3d.training.detector.detect_scenes import Answer
 
 __all__ = ["evaluation_tables"]
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table
+from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
 from shift3d.errors import InputError
-from shift3d.render.effects.applicability import NEEDS, WORTH_BOUND, Worth
 from shift3d.store.atomic import write_atomic
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ MEANINGS = {
     "|change|": "mean absolute change of the unchanged vehicle's score, with its 95 % interval (scenes resampled)",
     "AUC": "change of the mean score, baseline and adversarial (searched again under the effect), likewise",
     "ms": "what one rendering costs more; what is done once for a scene is not in it",
-    "auto": f"whether the change cannot be said to lie below {WORTH_BOUND:g}: only then does effects=auto take it",
+    "auto": f"whether the change cannot be said to lie below {IMPACT_BOUND:g}: only then does effects=auto take it",
 }
 
 
@@ -61,10 +61,10 @@ class EffectWorth:
     milliseconds: float
 
     @property
-    def worth(self) -> Worth:
+    def worth(self) -> MeasuredImpact:
         """As `effects=auto` reads it."""
         change = self.score_change
-        return Worth(change.mean, change.low, change.high, self.milliseconds)
+        return MeasuredImpact(change.mean, change.low, change.high, self.milliseconds)
 
 
 def effect_worths(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> list[EffectWorth]:
@@ -150,7 +150,7 @@ def _interval(interval: Interval, sign: str = "+") -> str:
 
 
 def write_worth(path: Path, sweep: str, worths: list[EffectWorth]) -> Path:
-    """What ``effects=auto`` reads, as JSON (`render.effects.applicability.WORTH` tells where). Returns its path."""
+    """What ``effects=auto`` reads, as JSON (`effects.applicability.MEASURED_IMPACT` tells where). Returns its path."""
     rows = {
         worth.effect: {
             "score_change": round(worth.score_change.mean, 5),
@@ -163,5 +163,5 @@ def write_worth(path: Path, sweep: str, worths: list[EffectWorth]) -> Path:
         for worth in worths
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, (json.dumps({"sweep": sweep, "bound": WORTH_BOUND, "effects": rows}, indent=2) + "\n").encode())
+    write_atomic(path, (json.dumps({"sweep": sweep, "bound": IMPACT_BOUND, "effects": rows}, indent=2) + "\n").encode())
     return path

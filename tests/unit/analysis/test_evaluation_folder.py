@@ -15,7 +15,7 @@ from shift3d.analysis.tables.detector_metrics import metric_table
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth
 from shift3d.evaluation.metrics import evaluate
 from shift3d.store.evaluation_tables import evaluation_table
-from shift3d.training.detector_evaluation import Answer
+from shift3d.training.detector.detect_scenes import Answer
 
 BOX = ["x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad"]
 

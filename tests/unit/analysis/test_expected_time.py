@@ -8,18 +8,18 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from scripts.shipped import measured_parts
+from shift3d.sweep.worker import attempt_row
 from valid_sweeps import catalogue, plan, write_sweep
 
 from shift3d.analysis.forecast.expected import expected, expected_lines
 from shift3d.analysis.forecast.task_parts import TaskParts, shipped_parts
-from shift3d.config.compose import compose_sweep
+from shift3d.effects.applicability import measured_impact
 from shift3d.errors import InputError
-from shift3d.render.effects.applicability import measured_worth
+from shift3d.settings.compose import compose_sweep
 from shift3d.store.log import CommitLog
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.folder import open_folder
-from shift3d.sweep.plan import Plan, make_plan
-from shift3d.sweep.worker import attempt_row
+from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.plan import Plan, make_plan
 from shift3d.task.spec import AttackSpec, TransferScene
 
 
@@ -65,7 +65,7 @@ def test_the_figures_that_ship() -> None:
     assert found.seconds == pytest.approx(2 * (parts.once_ms["pose"] + 41 * step + 3 * scored) / 1e3)
     assert found.guessed == 2 and parts.source in found.source
     foggy = expected(plan_of(*pose, "effects=fog", "effects.visibility_m=30").tasks, [])
-    more = 2 * (41 + 3) * measured_worth()["fog"].milliseconds / 1e3
+    more = 2 * (41 + 3) * measured_impact()["fog"].milliseconds / 1e3
     assert foggy.seconds - found.seconds == pytest.approx(more)
 
 

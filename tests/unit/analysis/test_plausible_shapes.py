@@ -22,8 +22,8 @@ from shift3d.analysis.tables.shapes import plausible_table
 from shift3d.analysis.variants import variants
 from shift3d.store.log import read_log
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
 
 
 def rows_of(scores: list[float], vehicle: str = "suv") -> pd.DataFrame:

@@ -36,8 +36,8 @@ from shift3d.analysis.variants import variants
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.store.log import read_log
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

@@ -9,7 +9,13 @@ import pytest
 
 from shift3d.analysis.tables.choices import choice_tables, papers_choice, reasons
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.hyperparameters import NEARLY_EQUAL, choice_rows, choose_alphas, choose_lambdas, select_lambda
+from shift3d.sweep.results.hyperparameters import (
+    NEARLY_EQUAL,
+    choice_rows,
+    choose_alphas,
+    choose_lambdas,
+    select_lambda,
+)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from shift3d.analysis.html.blocks import Fold, Items, Paragraph, Section
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.choices import choice_tables, reasons
-from shift3d.sweep.hyperparameters import NEARLY_EQUAL
+from shift3d.sweep.results.hyperparameters import NEARLY_EQUAL
 
 __all__ = ["choices"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from shift3d.analysis.html.blocks import Fold, Items, Paragraph, Section
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.coverage import coverage_lines, rows_by_status
-from shift3d.sweep.plan_view import skipped_lines
+from shift3d.sweep.planning.plan_view import skipped_lines
 
 __all__ = ["coverage"]
 

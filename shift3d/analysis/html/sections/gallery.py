@@ -11,7 +11,7 @@ from shift3d.analysis.figures.picture import pixels_png
 from shift3d.analysis.html.blocks import Panels, Paragraph, Picture, Section
 from shift3d.analysis.results import Sweep
 from shift3d.errors import InputError
-from shift3d.sweep.tasks import PlannedTask
+from shift3d.sweep.planning.tasks import PlannedTask
 
 __all__ = ["gallery"]
 

@@ -10,7 +10,7 @@ from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Section, Terms
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.coverage import stage_times
 from shift3d.analysis.tables.table import Table
-from shift3d.sweep.tasks import TaskGroup
+from shift3d.sweep.planning.tasks import TaskGroup
 from shift3d.wording import counted
 
 __all__ = ["overview"]
@@ -27,9 +27,9 @@ def overview(sweep: Sweep) -> Section:
 def _facts(sweep: Sweep) -> dict[str, str]:
     plan = sweep.plan
     groups = plan.tasks.groups()
-    specs = [group.ground for group in groups]
-    modes = _counts((group.tasks, (group.ground.mode,)) for group in groups)
-    asked = _counts((group.tasks, group.effects_asked) for group in groups)
+    specs = [group.template for group in groups]
+    modes = _counts((group.tasks, (group.template.mode,)) for group in groups)
+    asked = _counts((group.tasks, group.effects_requested) for group in groups)
     by_dataset = Counter(dataset for dataset, _ in sorted(plan.tasks.scenes()))
     attack = plan.settings.get("attack", {})
     return {
@@ -61,7 +61,7 @@ def _counts(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
 
 
 def _ran(groups: list[TaskGroup]) -> str:
-    ran = _counts((group.tasks, group.ground.effects) for group in groups)
+    ran = _counts((group.tasks, group.template.effects) for group in groups)
     return ", ".join(f"{name} ({count})" for name, count in ran.items()) or "none: occlusion alone, as the paper"
 
 
