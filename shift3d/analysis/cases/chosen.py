@@ -11,8 +11,6 @@ from shift3d.seeding import generator
 if TYPE_CHECKING:
     import pandas as pd
 
-    from shift3d.sweep.planning.plan import Plan
-
 __all__ = ["Case", "falls", "hardest", "random_positions"]
 
 
@@ -68,11 +66,10 @@ def _repeats(case: Case, chosen: list[Case]) -> int:
     return vehicles + sum(case.scene == other.scene for other in chosen)
 
 
-def random_positions(plan: Plan, count: int) -> list[int]:
-    """Positions in the plan of some tasks, every task as likely as any other, whatever became of it.
+def random_positions(tasks: int, count: int, seed: str) -> list[int]:
+    """Positions of some of so many tasks, every one as likely as any other, whatever became of it.
 
-    Ascending; the same plan gives the same ones. All tasks where there are not more than `count`.
+    Ascending; the same seed gives the same ones. All of them where there are not more than `count`.
     """
-    tasks = len(plan.tasks)
-    drawn = generator("gallery", plan.spec_hash).choice(tasks, size=min(count, tasks), replace=False)
+    drawn = generator("gallery", seed).choice(tasks, size=min(count, tasks), replace=False)
     return sorted(int(position) for position in drawn)

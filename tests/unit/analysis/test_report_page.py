@@ -153,14 +153,16 @@ def test_areas_are_the_mean_scores_with_the_papers_beside_them() -> None:
     for paper in ("0.755", "0.466", "0.469", "0.716", "0.728"):
         assert f"<td>{paper}</td>" in shown
     short = headline(variant(scores))
-    assert "from 0.750 to 0.375, to 0.50 [" in short and f"paper: {(0.466 + 0.469) / (0.755 + 0.755):.2f}" in short
+    assert (
+        "from 0.750 to 0.375, a ratio of 0.50 [" in short and f"paper: {(0.466 + 0.469) / (0.755 + 0.755):.2f}" in short
+    )
     assert short.count(".") - len(re.findall(r"\d\.\d", short)) == 1, "one sentence"
 
 
 def test_the_implausible_shapes_stand_in_the_sentence_of_the_ratio() -> None:
     scores = {("baseline", "suv"): [0.8, 0.8, 0.8], ("adversarial", "suv"): [0.6, 0.2, 0.1]}
     some = headline(variant(scores, plausible={"suv-0": True, "suv-1": False, "suv-2": False}))
-    assert "to 0.38" in some and "but 2 of 3 shapes are implausible (over the 1 plausible: 0.75)." in some
+    assert "a ratio of 0.37" in some and "but 2 of 3 shapes are implausible (ratio over the 1 plausible: 0.75)." in some
     every = {f"suv-{scene}": True for scene in range(3)}
     assert "all 3 shapes are plausible" in headline(variant(scores, plausible=every))
     assert "was not measured" in headline(variant(scores, plausible={}))
@@ -193,13 +195,12 @@ def test_the_gallery_draws_over_all_tasks_whatever_became_of_them(finished: Path
 
 
 def test_the_draw_is_seeded_and_every_task_is_as_likely() -> None:
-    plan = valid_sweeps.plan()
-    counts = np.zeros(len(plan.tasks))
+    counts = np.zeros(20)
     for number in range(400):
-        (position,) = random_positions(dataclasses.replace(plan, spec_hash=f"{number:x}"), 1)
-        counts[position] += 1
-    assert random_positions(plan, 1) == random_positions(plan, 1) and random_positions(plan, 9) == [0, 1]
-    assert abs(counts[0] - 200) < 3 * np.sqrt(100)
+        counts[random_positions(20, 5, f"{number:x}")] += 1
+    assert random_positions(20, 5, "a") == random_positions(20, 5, "a") != random_positions(20, 5, "b")
+    assert random_positions(3, 50, "a") == [0, 1, 2]
+    assert np.abs(counts - 100).max() < 4 * np.sqrt(400 * 0.25 * 0.75)
 
 
 def test_differences_are_paired_by_task_and_tested_by_scene() -> None:

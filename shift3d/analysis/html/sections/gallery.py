@@ -23,7 +23,7 @@ _RGB = {"baseline": (0.55, 0.57, 0.60), "adversarial": (0.86, 0.42, 0.12)}
 
 def gallery(sweep: Sweep, loaded: Loaded, count: int = _COUNT) -> Section:
     """The section: a tile a task, whatever became of it. What cannot be drawn is named, not raised."""
-    positions = random_positions(sweep.plan, count)
+    positions = random_positions(len(sweep.plan.tasks), count, sweep.plan.spec_hash)
     scored = {case.task_id: case for case in falls(sweep.scores)}
     implausible, measured = sweep.implausible, set(sweep.shapes["task_id"])
     tiles = []

@@ -45,7 +45,7 @@ def headline(variant: Variant) -> str:
     counts = f"{counted(len(vehicles), 'vehicle')} in {counted(rows['place'].nunique(), 'scene')}"
     return (
         f"{variant.title}: the mean AUC of {counts} {'falls' if after < before else 'goes'} from {before:.3f} to "
-        f"{after:.3f}, to {ratio} of the baseline's{f' (paper: {paper:.2f})' if paper else ''}{_plausibility(variant)}."
+        f"{after:.3f}, a ratio of {ratio}{f' (paper: {paper:.2f})' if paper else ''}{_plausibility(variant)}."
     )
 
 
@@ -68,4 +68,4 @@ def _plausibility(variant: Variant) -> str:
     if not implausible:
         return f", and all {counted(len(measured), 'shape')} are plausible"
     ratio = aucs_of_scores(plausible_rows(variant)).of_baseline("adversarial", variant.vehicles) if left else None
-    return text + (f" (over the {left} plausible: {ratio:.2f})" if ratio is not None else "")
+    return text + (f" (ratio over the {left} plausible: {ratio:.2f})" if ratio is not None else "")
