@@ -1,4 +1,4 @@
-"""``shift3d effects``: what each effect is worth, from a sweep that ran with and without it."""
+"""``shift3d effects``: the measured impact of each effect, from a sweep that ran with and without it."""
 
 from __future__ import annotations
 
@@ -75,10 +75,10 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.html.pages import write_effects_page
     from shift3d.analysis.tables.effects import (
         LEAST_SCENES,
+        effect_impacts,
         effect_milliseconds,
         effect_table,
-        effect_worths,
-        write_worth,
+        write_impact,
     )
     from shift3d.effects.applicability import MEASURED_IMPACT
     from shift3d.store.resolve import as_location
@@ -88,17 +88,17 @@ def _run(arguments: argparse.Namespace) -> int:
     sweep = read_plan(folder).sweep
     scores, timings = _tables(folder)
     milliseconds = _measured(arguments.times) if arguments.times else effect_milliseconds(scores, timings)
-    worths = effect_worths(scores, milliseconds)
-    print(f"{effect_table(worths)}\n")
-    print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, worths)} written")
+    impacts = effect_impacts(scores, milliseconds)
+    print(f"{effect_table(impacts)}\n")
+    print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, impacts)} written")
     if arguments.picture:
-        effects_figure(worths).savefig(arguments.picture, dpi=110, metadata={"Software": None})
+        effects_figure(impacts).savefig(arguments.picture, dpi=110, metadata={"Software": None})
     if arguments.adopt:
-        if (fewest := min(worth.scenes for worth in worths)) < LEAST_SCENES:
+        if (fewest := min(impact.scenes for impact in impacts)) < LEAST_SCENES:
             what = f"{counted(fewest, 'scene')} behind an effect: intervals are too narrow below {LEAST_SCENES}"
             raise InputError(what, str(folder), f"Run the sweep with scenes.count={LEAST_SCENES} or more")
-        print(f"{write_worth(MEASURED_IMPACT, sweep, worths)} written: effects=auto goes by it")
+        print(f"{write_impact(MEASURED_IMPACT, sweep, impacts)} written: effects=auto goes by it")
     return 0
 
 
-COMMAND = Command("effects", "what each effect is worth", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command("effects", "the measured impact of each effect", _DESCRIPTION, _EPILOG, _add_arguments, _run)

@@ -189,15 +189,15 @@ def _show_effects(sweep: Sweep, folder: Location) -> None:
     if "none" not in variants or len(variants) == 1:
         return
     from shift3d.analysis.html.pages import write_effects_page
-    from shift3d.analysis.tables.effects import effect_milliseconds, effect_table, effect_worths
+    from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds, effect_table
 
     try:
-        worths = effect_worths(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
+        impacts = effect_impacts(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
     except InputError as error:
         print(f"nothing to compare: {error}\n")
         return
-    page = write_effects_page(folder / "final" / "effects.html", sweep.plan.sweep, worths)
-    print(f"{effect_table(worths)}\n\n{page}")
+    page = write_effects_page(folder / "final" / "effects.html", sweep.plan.sweep, impacts)
+    print(f"{effect_table(impacts)}\n\n{page}")
 
 
 def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:

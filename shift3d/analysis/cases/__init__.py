@@ -1,1 +1,1 @@
-"""Single solutions looked at again: chosen, rendered, measured."""
+"""Single solutions: chosen, rendered again, measured."""

@@ -131,7 +131,7 @@ _NAMES = {
     "volume_m3": ("volume", "m³", 2),
     "pieces": ("pieces", "", 0),
 }
-# Sentences for less and more, and from which change on they are said: below it the mesh's own grid speaks.
+# Sentences for less and more, and from which change on a change is named: below it the mesh's own grid speaks.
 _WORDS = {
     "length_cm": ("{} cm shorter", "{} cm longer", 1.0),
     "height_cm": ("{} cm lower", "{} cm higher", 1.0),
@@ -163,16 +163,16 @@ def _said(value: float | None, unit: str, digits: int) -> str:
 
 def in_words(before: Measures, after: Measures) -> str:
     """What changed, in a sentence."""
-    said = []
+    parts = []
     for field, (less, more, least) in _WORDS.items():
         old, new = getattr(before, field), getattr(after, field)
         if old is None or new is None or abs(new - old) < least:
             continue
-        said.append((more if new > old else less).format(f"{abs(new - old):.0f}"))
+        parts.append((more if new > old else less).format(f"{abs(new - old):.0f}"))
     if before.volume_m3 and after.volume_m3:
         share = after.volume_m3 / before.volume_m3 - 1.0
         if abs(share) >= 0.01:
-            said.append(f"{abs(share):.0%} {'more' if share > 0 else 'less'} volume")
+            parts.append(f"{abs(share):.0%} {'more' if share > 0 else 'less'} volume")
     if after.pieces != before.pieces:
-        said.append(f"{after.pieces} pieces in place of {before.pieces}")
-    return f"{', '.join(said)}." if said else "No measure changes by 1 cm, 1° or 1 % of the volume."
+        parts.append(f"{after.pieces} pieces in place of {before.pieces}")
+    return f"{', '.join(parts)}." if parts else "No measure changes by 1 cm, 1° or 1 % of the volume."

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.tasks import PlannedTask
     from shift3d.task.assets import Assets
 
-__all__ = ["POSE", "VIEW_M", "Loaded", "Rendered", "render_again", "simplified", "standing"]
+__all__ = ["POSE", "VIEW_M", "Loaded", "Rendered", "oriented", "render_again", "simplified"]
 
 FloatArray = NDArray[np.float64]
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
@@ -139,7 +139,7 @@ def simplified(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float32], NDArray[np.i
     return np.round(vertices, 4).astype(np.float32), np.asarray(faces, np.int32)
 
 
-def standing(vertices: NDArray[np.floating[Any]], theta: FloatArray, yaw_rad: float = 0.0) -> FloatArray:
+def oriented(vertices: NDArray[np.floating[Any]], theta: FloatArray, yaw_rad: float = 0.0) -> FloatArray:
     """Vertices (V, 3) of the object frame as they stand in the scene, tilt and heading included, around the object.
 
     theta: (6,) pose. yaw_rad: by how much they are turned back.

@@ -124,12 +124,12 @@ class _Model:
         self._parts = shipped_parts()
         presets, whose = measured_presets()
         self._rendering_ms = presets["ms_median"].to_dict()
-        self._worth = measured_impact()
+        self._impact = measured_impact()
         self.source = f"the figures that ship: {self._parts.source}; presets by {whose}"
 
     def seconds(self, spec: TaskSpec) -> float:
         """Of one worker with one thread."""
-        more_ms = sum(max(self._worth[name].milliseconds, 0.0) for name in spec.effects if name in self._worth)
+        more_ms = sum(max(self._impact[name].milliseconds, 0.0) for name in spec.effects if name in self._impact)
         if spec.accuracy in self._rendering_ms:
             more_ms += self._rendering_ms[spec.accuracy] - self._rendering_ms[self._parts.accuracy]
         renderings = sum(searched(spec))

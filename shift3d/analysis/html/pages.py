@@ -14,7 +14,7 @@ from shift3d.analysis.html.sections.effects import impact_blocks
 from shift3d.analysis.html.sections.stability import stability_blocks
 from shift3d.analysis.tables.accuracy_time import RULE, frontier_lines, meanings, settings_tables
 from shift3d.analysis.tables.advice import advice
-from shift3d.analysis.tables.effects import EffectWorth
+from shift3d.analysis.tables.effects import EffectImpact
 from shift3d.analysis.tables.numerics import diagnostics
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
@@ -68,9 +68,9 @@ def write_frontier_report(folder: Path) -> str:
     return f"{frontier_lines(frame)}\n\n{text}"
 
 
-def write_effects_page(path: LocationLike, sweep: str, worths: Sequence[EffectWorth]) -> Location:
+def write_effects_page(path: LocationLike, sweep: str, impacts: Sequence[EffectImpact]) -> Location:
     """Write the page of the effects' impact, whole or not at all; returns its path."""
-    section = Section("effects", "Impact and time", impact_blocks(worths))
+    section = Section("effects", "Impact and time", impact_blocks(impacts))
     return _written(path, f"Measured impact of effects: {sweep}", [section])
 
 

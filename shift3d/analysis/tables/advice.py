@@ -82,16 +82,16 @@ def _accuracy(presets: dict[str, Any]) -> str:
         return ""
     row = presets[_DEFAULT]
     chords = f"of the chords of 2 cm or more it misses {_share(row['missed_hits_2cm'])}"
-    told = f"Its depths are within {length(row['depth_p50_m'])} for half of the hits, {length(row['depth_p99_m'])} for "
-    told += f"99 % and {length(row['depth_max_m'])} for all; {chords}"
+    text = f"Its depths are within {length(row['depth_p50_m'])} for half of the hits, {length(row['depth_p99_m'])} for "
+    text += f"99 % and {length(row['depth_max_m'])} for all; {chords}"
     if not np.isnan(row["gradient_cosine"]):
-        told += f"; the cosine of its gradient with reference's is {row['gradient_cosine']:.6g}"
+        text += f"; the cosine of its gradient with reference's is {row['gradient_cosine']:.6g}"
     if not np.isnan(row["auc_delta"]):
-        told += f", and the AUC moves by {row['auc_delta']:+.2g}"
-    told += (
+        text += f", and the AUC moves by {row['auc_delta']:+.2g}"
+    text += (
         f". All failures in one number, with {length(MISPLACED_M)} for a beam that is misplaced, its error is at most "
     )
-    return f"{told}{length(row['error_m'])} a beam."
+    return f"{text}{length(row['error_m'])} a beam."
 
 
 def _steps(presets: dict[str, Any]) -> list[str]:
@@ -120,21 +120,21 @@ def _warm(rows: pd.DataFrame, presets: dict[str, Any]) -> str:
     warm, cold, how = found.iloc[0], presets[_DEFAULT], "cold"
     if len(plain):  # an SDF grid is of one shape: one that changes has none
         cold, how = plain.iloc[0], "cold under the same conditions, without an SDF grid and with the gradient"
-    told = f"Warm, that is from the previous rendering on as in the attack loop, {_DEFAULT} takes "
-    told += f"{milliseconds(warm['ms_median'])}: {factor(cold['ms_median'] / warm['ms_median'])} times as fast as {how}"
+    text = f"Warm, that is from the previous rendering on as in the attack loop, {_DEFAULT} takes "
+    text += f"{milliseconds(warm['ms_median'])}: {factor(cold['ms_median'] / warm['ms_median'])} times as fast as {how}"
     if not np.isnan(warm["ratio_to_paper"]):
-        told += f" and {factor(warm['ratio_to_paper'])} times as fast as paper as published"
-    return told + "."
+        text += f" and {factor(warm['ratio_to_paper'])} times as fast as paper as published"
+    return text + "."
 
 
 def _loop(presets: dict[str, Any]) -> str:
     row = presets.get(_DEFAULT)
     if row is None or np.isnan(row["step_ms_median"]):
         return ""
-    told = f"A whole attack step in {_DEFAULT} takes {milliseconds(row['step_ms_median'])}"
+    text = f"A whole attack step in {_DEFAULT} takes {milliseconds(row['step_ms_median'])}"
     if not np.isnan(row["step_ratio_to_paper"]):
-        told += f", {factor(row['step_ratio_to_paper'])} times as fast as the published way"
-    return told + "."
+        text += f", {factor(row['step_ratio_to_paper'])} times as fast as the published way"
+    return text + "."
 
 
 def _attacks(rows: pd.DataFrame) -> str:
@@ -156,18 +156,18 @@ def _knee(rows: pd.DataFrame) -> str:
     if at is None:
         return ""
     row = front.iloc[at]
-    told = f"The front has its knee at {row['setting']} ({_priced(row)})"
+    text = f"The front has its knee at {row['setting']} ({_priced(row)})"
     if at > 0:
         faster = front.iloc[at - 1]
-        told += f": the next faster setting on it, {faster['setting']}, saves "
-        told += f"{share(1 - faster['ms_median'] / row['ms_median'])} of the time for "
-        told += f"{factor(faster['error_m'] / row['error_m'])} times the error"
+        text += f": the next faster setting on it, {faster['setting']}, saves "
+        text += f"{share(1 - faster['ms_median'] / row['ms_median'])} of the time for "
+        text += f"{factor(faster['error_m'] / row['error_m'])} times the error"
     if at + 1 < len(front):
         better = front.iloc[at + 1]
-        told += f"{',' if at > 0 else ':'} and the next more accurate, {better['setting']}, takes "
-        told += f"{factor(better['ms_median'] / row['ms_median'])} times the time for an error of "
-        told += f"{length(better['error_m'])}"
-    return told + "."
+        text += f"{',' if at > 0 else ':'} and the next more accurate, {better['setting']}, takes "
+        text += f"{factor(better['ms_median'] / row['ms_median'])} times the time for an error of "
+        text += f"{length(better['error_m'])}"
+    return text + "."
 
 
 def _dominated(rows: pd.DataFrame) -> list[str]:
@@ -181,8 +181,8 @@ def _dominated(rows: pd.DataFrame) -> list[str]:
         f"by {rows['setting'].iloc[winner]}: {', '.join(_runs(rows, by, int(winner)))}"
         for winner in winners[np.argsort(-counts, kind="stable")]
     ]
-    told = "Dominated are, with the time they take against that of the fastest setting that is at least as accurate, "
-    sentences = [told + "; ".join(parts) + "."]
+    text = "Dominated are, with the time they take against that of the fastest setting that is at least as accurate, "
+    sentences = [text + "; ".join(parts) + "."]
     low, high, names = rows["ms_low"].to_numpy(), rows["ms_high"].to_numpy(), rows["setting"].to_numpy()
     close = [str(names[row]) for row in losers if high[by[row]] >= low[row]]
     if close:

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 __all__ = [
     "LEAST_SCENES",
     "MEANINGS",
-    "EffectWorth",
+    "EffectImpact",
+    "effect_impacts",
     "effect_milliseconds",
     "effect_table",
-    "effect_worths",
-    "write_worth",
+    "write_impact",
 ]
 
 LEAST_SCENES = 8
@@ -45,7 +45,7 @@ MEANINGS = {
 
 
 @dataclass(frozen=True)
-class EffectWorth:
+class EffectImpact:
     """One effect against none, over the same objects.
 
     score_change: mean |change| of the baseline's score. auc_baseline, auc_adversarial: change of the mean score.
@@ -61,13 +61,13 @@ class EffectWorth:
     milliseconds: float
 
     @property
-    def worth(self) -> MeasuredImpact:
+    def measured(self) -> MeasuredImpact:
         """As `effects=auto` reads it."""
         change = self.score_change
         return MeasuredImpact(change.mean, change.low, change.high, self.milliseconds)
 
 
-def effect_worths(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> list[EffectWorth]:
+def effect_impacts(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> list[EffectImpact]:
     """Every effect that ran alone, in the order of the physics.
 
     Args:
@@ -82,14 +82,14 @@ def effect_worths(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> li
     if plain.empty or not found:
         remedy = "Run sweeps/effects.yaml: make sweep SWEEP=effects"
         raise InputError("no tasks with and without one effect", "the sweep", remedy)
-    return [_worth(name, scored[scored["effect"] == name], plain, milliseconds.get(name, nan)) for name in found]
+    return [_impact(name, scored[scored["effect"] == name], plain, milliseconds.get(name, nan)) for name in found]
 
 
 def _by_effect(scores: pd.DataFrame) -> pd.DataFrame:
     return scores.assign(effect=scores["effects"].map(lambda names: "+".join(names)))
 
 
-def _worth(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseconds: float) -> EffectWorth:
+def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseconds: float) -> EffectImpact:
     pairs = with_effect.merge(plain, on=[*_PAIR, "method", "replicate"], suffixes=("", "_plain"))
     if pairs.empty:
         raise InputError(
@@ -98,7 +98,7 @@ def _worth(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, millisecon
     change = pairs["score"] - pairs["score_plain"]
     scene = pairs["dataset"] + "/" + pairs["scene"]
     base, hard = pairs["method"] == "baseline", pairs["method"] == "adversarial"
-    return EffectWorth(
+    return EffectImpact(
         effect=name,
         scenes=scene[base].nunique(),
         objects=int(base.sum()),
@@ -122,24 +122,24 @@ def effect_milliseconds(scores: pd.DataFrame, timings: pd.DataFrame) -> dict[str
     return {str(name): float((of_object[name] - of_object[""]).median()) for name in of_object if name != ""}
 
 
-def effect_table(worths: Sequence[EffectWorth]) -> Table:
+def effect_table(impacts: Sequence[EffectImpact]) -> Table:
     """A line an effect."""
     lines = [
         [
-            worth.effect.replace("_", " "),
-            str(worth.scenes),
-            str(worth.objects),
-            _interval(worth.score_change, sign=""),
-            _interval(worth.auc_baseline),
-            "-" if worth.auc_adversarial is None else _interval(worth.auc_adversarial),
-            f"{worth.milliseconds:.0f}",
-            "yes" if worth.worth.matters else "left out",
+            impact.effect.replace("_", " "),
+            str(impact.scenes),
+            str(impact.objects),
+            _interval(impact.score_change, sign=""),
+            _interval(impact.auc_baseline),
+            "-" if impact.auc_adversarial is None else _interval(impact.auc_adversarial),
+            f"{impact.milliseconds:.0f}",
+            "yes" if impact.measured.matters else "left out",
         ]
-        for worth in worths
+        for impact in impacts
     ]
     header = ["effect", "scenes", "objects", "|change| of baseline score", "AUC baseline", "AUC adversarial", "ms",
               "auto"]  # fmt: skip
-    kinds = ["ours" if worth.worth.matters else "dominated" for worth in worths]
+    kinds = ["ours" if impact.measured.matters else "dominated" for impact in impacts]
     return Table("Measured impact of effects", header, lines, kinds)
 
 
@@ -149,18 +149,18 @@ def _interval(interval: Interval, sign: str = "+") -> str:
     return f"{interval.mean:{sign}.3f} [{interval.low:{sign}.3f}, {interval.high:{sign}.3f}]"
 
 
-def write_worth(path: Path, sweep: str, worths: list[EffectWorth]) -> Path:
+def write_impact(path: Path, sweep: str, impacts: list[EffectImpact]) -> Path:
     """What ``effects=auto`` reads, as JSON (`effects.applicability.MEASURED_IMPACT` tells where). Returns its path."""
     rows = {
-        worth.effect: {
-            "score_change": round(worth.score_change.mean, 5),
-            "low": round(worth.score_change.low, 5),
-            "high": round(worth.score_change.high, 5),
-            "milliseconds": round(worth.milliseconds, 1),
-            "scenes": worth.scenes,
-            "objects": worth.objects,
+        impact.effect: {
+            "score_change": round(impact.score_change.mean, 5),
+            "low": round(impact.score_change.low, 5),
+            "high": round(impact.score_change.high, 5),
+            "milliseconds": round(impact.milliseconds, 1),
+            "scenes": impact.scenes,
+            "objects": impact.objects,
         }
-        for worth in worths
+        for impact in impacts
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(path, (json.dumps({"sweep": sweep, "bound": IMPACT_BOUND, "effects": rows}, indent=2) + "\n").encode())

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.analysis.cases.chosen import Case
-from shift3d.analysis.cases.rendered import VIEW_M, Rendered, simplified, standing
+from shift3d.analysis.cases.rendered import VIEW_M, Rendered, oriented, simplified
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Panels, TurnButtons
 from shift3d.analysis.html.figure import LEGEND_BELOW, axis, plot
@@ -40,7 +40,7 @@ def turnable(key: str, case: Case, before: Rendered, after: Rendered) -> tuple[P
 def _mesh(rendered: Rendered, yaw_rad: float) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Vertices (V, 3) as they stand in the scene, turned back by the baseline's heading, and triangles (F, 3)."""
     vertices, faces = simplified(rendered.mesh)
-    return standing(vertices, rendered.theta, yaw_rad).round(4).astype(np.float32), faces
+    return oriented(vertices, rendered.theta, yaw_rad).round(4).astype(np.float32), faces
 
 
 def _trace(vertices: NDArray[np.float32], faces: NDArray[np.int32], colour: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.analysis.cases.chosen import Case, falls, random_positions
-from shift3d.analysis.cases.rendered import POSE, Loaded, standing
+from shift3d.analysis.cases.rendered import POSE, Loaded, oriented
 from shift3d.analysis.figures.picture import pixels_png
 from shift3d.analysis.html.blocks import Panels, Paragraph, Picture, Section
 from shift3d.analysis.results import Sweep
@@ -69,7 +69,7 @@ def _pixels(sweep: Sweep, task: PlannedTask, loaded: Loaded) -> NDArray[np.uint8
         row = rows[rows["method"] == method].iloc[0]
         theta = row[list(POSE)].to_numpy(dtype=np.float64)
         mesh = loaded.mesh(task, row["latent_code"], _RESOLUTION).copy()
-        mesh.vertices = standing(mesh.vertices, theta)
+        mesh.vertices = oriented(mesh.vertices, theta)
         towards_sensor = float(np.arctan2(-theta[1], -theta[0]))
         views.append(shaded(mesh, towards_sensor, 0.22, *_SIZE_PX, rgb=rgb))
     return np.concatenate(views, axis=1)

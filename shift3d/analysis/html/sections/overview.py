@@ -29,7 +29,7 @@ def _facts(sweep: Sweep) -> dict[str, str]:
     groups = plan.tasks.groups()
     specs = [group.template for group in groups]
     modes = _counts((group.tasks, (group.template.mode,)) for group in groups)
-    asked = _counts((group.tasks, group.effects_requested) for group in groups)
+    requested = _counts((group.tasks, group.effects_requested) for group in groups)
     by_dataset = Counter(dataset for dataset, _ in sorted(plan.tasks.scenes()))
     attack = plan.settings.get("attack", {})
     return {
@@ -40,7 +40,7 @@ def _facts(sweep: Sweep) -> dict[str, str]:
         "Vehicles": ", ".join(dict.fromkeys(spec.vehicle.replace("_", " ") for spec in specs)),
         "Detectors": "; ".join(_detectors(specs)),
         "Accuracy": ", ".join(dict.fromkeys(spec.accuracy for spec in specs)),
-        "Effects asked, by tasks": ", ".join(f"{name} ({count})" for name, count in asked.items()),
+        "Effects requested, by tasks": ", ".join(f"{name} ({count})" for name, count in requested.items()),
         "Effects that ran, by tasks": _ran(groups),
         "Attack": ", ".join(f"{name} {attack[name]}" for name in _SETTINGS if name in attack),
     }
