@@ -10,8 +10,9 @@ from by_hand import VEHICLES, catalogue
 
 from shift3d.cli.completion import overrides
 from shift3d.config.catalogue import Catalogue, SceneEntry
-from shift3d.config.compose import compose_sweep, sweep_names, sweeps_folder
+from shift3d.config.compose import compose_sweep, sweep_names
 from shift3d.config.expand import expand
+from shift3d.config.folders import shipped
 from shift3d.config.schema import Config, StreetConfig
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
@@ -60,12 +61,12 @@ def test_full_is_what_the_file_states(name: str) -> None:
 
 @pytest.mark.parametrize("name", PAPERS)
 def test_every_file_names_its_source_in_the_paper(name: str) -> None:
-    first = (sweeps_folder() / f"{name}.yaml").read_text().splitlines()[0]
+    first = (shipped("sweeps") / f"{name}.yaml").read_text().splitlines()[0]
     assert first.startswith("# Source: ")
 
 
 def test_the_size_itself_changes_no_task() -> None:
-    small = yaml.safe_load((sweeps_folder() / "table_shape.yaml").read_text())["small"]
+    small = yaml.safe_load((shipped("sweeps") / "table_shape.yaml").read_text())["small"]
     by_hand = make_plan(compose_sweep("table_shape", [f"{key}={value}" for key, value in small.items()]), counted)[0]
     named = make_plan(compose_sweep("table_shape", ["size=small"]), counted)[0]
     assert [task.spec.task_id for task in named.tasks] == [task.spec.task_id for task in by_hand.tasks]
