@@ -11,7 +11,7 @@ WORDS = $(strip $(foreach name,$(filter-out $(OWN),$(.VARIABLES)),$(if $(filter 
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train pictures clean
+.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train wheel pictures clean
 
 help:  ## what there is to run
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-18s %s\n", $$1, $$2}'
@@ -71,6 +71,12 @@ ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 
 train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, sst_small or sst; shift3d train --help says what else
 	$(BIN)/shift3d train $(ARGS) $(WORDS)
+
+# build/ goes first: setuptools would put what lies there and is gone from the tree into the wheel.
+wheel: .venv/.runtime  ## dist/: a wheel and its libraries' versions, for other machines (docs/service.md)
+	rm -rf build dist
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w dist .
+	cp constraints.txt dist/
 
 pictures: .venv/.runtime  ## draw the README's pictures again
 	$(BIN)/python -m shift3d.report.pictures $(ARGS)

@@ -14,8 +14,8 @@ from typing import Any
 
 import yaml
 
-from shift3d.config import compose
-from shift3d.config.compose import Composed, compose_sweep
+from shift3d.settings import compose
+from shift3d.settings.compose import Composed, compose_sweep
 
 HEAD = {"defaults": [{"/vehicle": "coupe"}, {"/attack": "paper"}, "_self_"]}
 AXES = {"hydra": {"sweeper": {"params": {"attack.lambda": "1,10"}}}}

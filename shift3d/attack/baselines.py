@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import ConstraintCheck, check
 from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, settled
 from shift3d.attack.problem import AttackProblem
+from shift3d.placement.constraints import ConstraintCheck, check
 
 
 def random_direction(dimension: int, rng: np.random.Generator) -> np.ndarray:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import settle
-from shift3d.attack.ground import fit_ground
 from shift3d.attack.loop import Search, descend
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
-from shift3d.render.object_field import ObjectField
+from shift3d.placement.constraints import settle
+from shift3d.placement.ground import fit_ground
+from shift3d.render.field.object_field import ObjectField
 
 
 @dataclass(frozen=True)

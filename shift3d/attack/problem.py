@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import PAPER_CONSTRAINTS, ConstraintCheck, Constraints, check, points_near
 from shift3d.attack.objective import (
     ATTACK_RADIUS_M,
     adversarial_loss,
@@ -23,16 +22,17 @@ from shift3d.attack.objective import (
 )
 from shift3d.detectors.base import Detector, Proposals
 from shift3d.detectors.incremental import Follower, follow
+from shift3d.placement.constraints import PAPER_CONSTRAINTS, ConstraintCheck, Constraints, check, points_near
 from shift3d.render.beams import Beams
-from shift3d.render.object_field import Field, ObjectField, VehicleFrame
+from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
+from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
-from shift3d.render.sdf_grid import SdfGrid
-from shift3d.render.search import WarmStart
 from shift3d.render.settings import STANDARD, RenderSettings
+from shift3d.render.solvers.search import WarmStart
 
 if TYPE_CHECKING:  # nothing of effects is imported unless a scene calls for one
-    from shift3d.render.effects.chain import EffectChain
+    from shift3d.effects.chain import EffectChain
 
 
 @dataclass(frozen=True)

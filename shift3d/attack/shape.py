@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-from shift3d.attack.constraints import settle
 from shift3d.attack.loop import Search, descend
 from shift3d.attack.objective import latent_penalty
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
+from shift3d.placement.constraints import settle
 
 SETTLE_M = 0.35
 """How far a shape's height may follow the ground, metres. Our choice, see `attack_shape`."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from shift3d.config.folders import files, places, shipped
+from shift3d.settings.folders import files, places, shipped
 
 __all__ = ["folder_words", "key_words", "overrides", "plan_words", "sweep_words"]
 

@@ -71,7 +71,7 @@ def _measured(path: Path) -> dict[str, float]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.render.effects.applicability import WORTH
+    from shift3d.effects.applicability import WORTH
     from shift3d.report.effects import (
         LEAST_SCENES,
         effect_lines,
@@ -81,8 +81,8 @@ def _run(arguments: argparse.Namespace) -> int:
         write_effects_page,
         write_worth,
     )
-    from shift3d.store.location import as_location
-    from shift3d.sweep.folder import read_plan
+    from shift3d.store.places import as_location
+    from shift3d.sweep.planning.folder import read_plan
 
     folder = as_location(arguments.out)
     sweep = read_plan(folder).sweep

@@ -48,8 +48,8 @@ def _run(arguments: argparse.Namespace) -> int:
     overwrite = values.get("overwrite", "false")
     if overwrite not in ("true", "false"):
         raise InputError(f"overwrite={overwrite!r} is neither true nor false", "export", "Give overwrite=true")
-    from shift3d.store.location import as_location
-    from shift3d.sweep.folder import read_plan
+    from shift3d.store.places import as_location
+    from shift3d.sweep.planning.folder import read_plan
 
     out = as_location(arguments.out)
     plan = read_plan(out)
@@ -78,7 +78,7 @@ def _solution(out: Location, task_id: str, method: str, replicate: int) -> dict[
     """The solution's row: latent_code, the six columns of its pose, and its keys."""
     import pyarrow.compute as pc
 
-    from shift3d.config.messages import choice_error
+    from shift3d.settings.messages import choice_error
     from shift3d.store.tables import read_table
 
     path = out / "final" / "solutions.parquet"

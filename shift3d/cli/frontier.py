@@ -16,9 +16,9 @@ from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from shift3d.config.frontier import FrontierSweep
-    from shift3d.frontier.drive import FrontierPlan, SceneGroup
-    from shift3d.frontier.settings import Setting
+    from shift3d.accuracy_time.drive import FrontierPlan, SceneGroup
+    from shift3d.accuracy_time.settings import Setting
+    from shift3d.settings.accuracy_time import FrontierSweep
 
 __all__ = ["COMMAND", "frontier_words", "groups_of", "plan_of"]
 
@@ -93,8 +93,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _config(words: list[str]) -> FrontierSweep:
-    from shift3d.config.compose import compose_sweep
-    from shift3d.config.frontier import validate_frontier
+    from shift3d.settings.accuracy_time import validate_frontier
+    from shift3d.settings.compose import compose_sweep
 
     composed = compose_sweep(_NAME, words)
     if composed.axes:
@@ -109,10 +109,10 @@ def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[Front
     Raises:
         InputError: a pattern that is none, or that no setting's name matches.
     """
-    from shift3d.config.frontier import expand_settings
-    from shift3d.frontier.drive import FrontierPlan
-    from shift3d.frontier.run import Repeats
+    from shift3d.accuracy_time.drive import FrontierPlan
+    from shift3d.accuracy_time.run import Repeats
     from shift3d.processor import has_fast_bfloat16
+    from shift3d.settings.accuracy_time import expand_settings
 
     section = config.frontier
     written = expand_settings(section)
@@ -148,8 +148,8 @@ def _matches(pattern: str | None, name: str) -> bool:
 
 def _setting(setting: Any, accuracy: Any) -> Setting:
     """From the schema's setting to the plain one."""
-    from shift3d.config.catalogue import accuracy_settings
-    from shift3d.frontier.settings import Setting
+    from shift3d.accuracy_time.settings import Setting
+    from shift3d.settings.catalogue import accuracy_settings
 
     knob_name, values = next(iter(setting.over.items()), (None, [None]))
     return Setting(
@@ -171,18 +171,18 @@ def _setting(setting: Any, accuracy: Any) -> Setting:
 
 
 def _preset(name: Any, crop_m: float) -> Setting:
-    from shift3d.config.catalogue import accuracy_settings
-    from shift3d.config.schema import AccuracyConfig
-    from shift3d.frontier.settings import Setting
+    from shift3d.accuracy_time.settings import Setting
+    from shift3d.settings.catalogue import accuracy_settings
+    from shift3d.settings.schema import AccuracyConfig
 
     return Setting(name, "presets", accuracy_settings(AccuracyConfig(name=name, render={})), crop_m=crop_m)
 
 
 def groups_of(config: FrontierSweep) -> list[SceneGroup]:
     """The sweep's scenes, and KITTI's where they are asked for. Raises InputError for a folder without frames."""
-    from shift3d.config.catalogue import scene_set
-    from shift3d.config.schema import KittiConfig
-    from shift3d.frontier.drive import SceneGroup
+    from shift3d.accuracy_time.drive import SceneGroup
+    from shift3d.settings.catalogue import scene_set
+    from shift3d.settings.schema import KittiConfig
     from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
 
     scenes = [config.scenes]
@@ -216,10 +216,10 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
 
 def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: bool) -> None:
     """Measure, write the table and its report, print them."""
+    from shift3d.accuracy_time.drive import expected_minutes, measure_frontier
+    from shift3d.accuracy_time.rows import frontier_rows
+    from shift3d.accuracy_time.timing import machine
     from shift3d.cli.progress import SecondsBar
-    from shift3d.frontier.drive import expected_minutes, measure_frontier
-    from shift3d.frontier.rows import frontier_rows
-    from shift3d.frontier.timing import machine
     from shift3d.report.frontier import write_report
     from shift3d.store.frontier_table import frontier_table
     from shift3d.store.tables import write_table
@@ -239,7 +239,7 @@ def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: boo
 
 
 def _mirror(config: FrontierSweep, folder: Path) -> None:
-    from shift3d.config.schema import MlflowConfig
+    from shift3d.settings.schema import MlflowConfig
 
     if not isinstance(config.tracking, MlflowConfig):
         return

@@ -39,9 +39,9 @@ def sweeps_in(out: str) -> list[Location]:
     Raises:
         InputError: it is no sweep's folder.
     """
-    from shift3d.store.location import as_location
-    from shift3d.sweep.spec_file import read_spec
-    from shift3d.sweep.verified_scores import FOLDER
+    from shift3d.store.places import as_location
+    from shift3d.sweep.planning.spec_file import read_spec
+    from shift3d.sweep.results.verified_scores import FOLDER
 
     folder = as_location(out)
     read_spec(folder)

@@ -9,8 +9,8 @@ from typing import Any, Literal, Self
 import yaml  # type: ignore[import-untyped]
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from shift3d.config.folders import files, find, looked_in
 from shift3d.errors import InputError
+from shift3d.settings.folders import files, find, looked_in
 
 __all__ = ["JobSpec", "read_job", "take_job"]
 

@@ -12,8 +12,8 @@ from shift3d.cli.command import Command
 
 if TYPE_CHECKING:
     from shift3d.store.location import Location
-    from shift3d.sweep.kind import TaskKind
-    from shift3d.sweep.plan import Plan
+    from shift3d.sweep.planning.kind import TaskKind
+    from shift3d.sweep.planning.plan import Plan
 
 __all__ = ["COMMAND", "add_tasks", "show"]
 
@@ -45,7 +45,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.sweep.kind import shift3d_kind
+    from shift3d.sweep.planning.kind import shift3d_kind
 
     return show(arguments.words, shift3d_kind(), arguments.tasks)
 
@@ -56,12 +56,12 @@ def show(given: Sequence[str], kind: TaskKind, tasks: bool = False) -> int:
     Raises:
         InputError: the sweep itself would be refused.
     """
-    from shift3d.config.compose import compose_sweep
-    from shift3d.config.schema import LocalRunnerConfig
     from shift3d.report.expected import expected_lines
-    from shift3d.sweep.folder import check_folder, default_folder
-    from shift3d.sweep.plan import make_plan
-    from shift3d.sweep.plan_view import plan_lines, plan_summary
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.settings.schema import LocalRunnerConfig
+    from shift3d.sweep.planning.folder import check_folder, default_folder
+    from shift3d.sweep.planning.plan import make_plan
+    from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
     from shift3d.tracking.store_uri import check_tracking
 
     timings, rest = words.take_folders("timings", given)

@@ -19,21 +19,26 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     import pandas as pd
 
-    from shift3d.config.schema import Config
+    from shift3d.settings.schema import Config
     from shift3d.store.location import Location
     from shift3d.sweep.drive import SweepResult
-    from shift3d.sweep.kind import TaskKind
-    from shift3d.sweep.plan import Plan
+    from shift3d.sweep.planning.kind import TaskKind
+    from shift3d.sweep.planning.plan import Plan
 
 __all__ = ["COMMAND", "run_with"]
 
 _DESCRIPTION = """\
-Runs sweeps/NAME.yaml (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
+Runs the sweep NAME (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
 or gs://BUCKET/PREFIX: workers then need no common folder.
 The same command again resumes: what is done is not run again.
 
 An override changes a setting (conf/ has them all) or picks an option of a group; several values
-separated by commas are an axis: a task for each."""
+separated by commas are an axis: a task for each.
+
+NAME is sweeps/NAME.yaml of the folder where the command runs, else of those that ship with shift3d. An option of a
+group, vehicle=NAME, is conf/vehicle/NAME.yaml, job=NAME is jobs/NAME.yaml, found likewise: your own file comes first,
+and takes the place of one of its name that ships. A sweep of your own begins with `defaults: [/config, _self_]`, or
+with a sweep that ships in the place of /config."""
 
 _EPILOG = """\
 examples:
@@ -77,7 +82,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])  # before what a sweep imports: it is polled
     from shift3d.processor import settle_numerics
-    from shift3d.sweep.kind import shift3d_kind
+    from shift3d.sweep.planning.kind import shift3d_kind
 
     settle_numerics()
     return run_with(arguments, shift3d_kind())
@@ -85,11 +90,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     """Run the command with a kind of task."""
-    from shift3d.config.compose import compose_sweep
+    from shift3d.settings.compose import compose_sweep
     from shift3d.sweep.drive import run_sweep
-    from shift3d.sweep.folder import default_folder
-    from shift3d.sweep.plan import make_plan
-    from shift3d.sweep.plan_view import plan_summary
+    from shift3d.sweep.planning.folder import default_folder
+    from shift3d.sweep.planning.plan import make_plan
+    from shift3d.sweep.planning.plan_view import plan_summary
     from shift3d.tracking.store_uri import check_tracking
 
     if arguments.words[:1] == ["status"]:
@@ -132,13 +137,14 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
 
 def _submit(asked: Request, address: str, retry_quarantined: bool) -> int:
     """Hand the sweep to a cluster's Jobs API."""
-    from shift3d.sweep.ray_job import submit_sweep
+    from shift3d.settings.folders import own_folders
+    from shift3d.sweep.execution.ray.job import submit_sweep
 
     folders = [f"out={asked.out}"] if asked.out else []
     folders += [f"reuse={other}" for other in asked.reuse]
     flags = ["--retry-quarantined"] if retry_quarantined else []
     environment = asked.job.runtime_env if asked.job else None
-    return submit_sweep([asked.name, *asked.overrides, *folders, *flags], address, environment)
+    return submit_sweep([asked.name, *asked.overrides, *folders, *flags], address, environment, own_folders())
 
 
 def _status(words: list[str]) -> int:
@@ -156,7 +162,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     from shift3d.report.caveats import trial_caveat
     from shift3d.report.placement import nothing_placed
     from shift3d.report.tables import coverage, sweep_report
-    from shift3d.sweep.plan_view import skipped_lines
+    from shift3d.sweep.planning.plan_view import skipped_lines
 
     final = result.final
     assert final is not None
@@ -200,7 +206,7 @@ def _show_effects(plan: Plan, folder: Location, frames: Mapping[str, pd.DataFram
 
 
 def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
-    from shift3d.config.schema import MlflowConfig
+    from shift3d.settings.schema import MlflowConfig
 
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return

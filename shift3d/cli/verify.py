@@ -13,7 +13,7 @@ from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
-    from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
+    from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
 
 __all__ = ["COMMAND"]
 
@@ -45,7 +45,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.processor import settle_numerics
     from shift3d.report.numerics import diagnostics
     from shift3d.report.stability import stability_lines, write_stability_page
-    from shift3d.store.location import as_location
+    from shift3d.store.places import as_location
     from shift3d.sweep.verification import verification_plan, verify_sweep
 
     settle_numerics()
@@ -76,8 +76,8 @@ def _runner(words: list[str]) -> RayRunnerConfig | LocalRunnerConfig:
     Raises:
         InputError: another setting than the runner's; what was searched is verified as it is.
     """
-    from shift3d.config.compose import compose_sweep
-    from shift3d.config.expand import expand
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.settings.expand import expand
 
     for word in words:
         if not word.partition("=")[0].split(".")[0] == "runner":

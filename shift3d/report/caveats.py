@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shift3d.sweep.tasks import Tasks
+from shift3d.sweep.planning.tasks import Tasks
 from shift3d.wording import counted
 
 __all__ = ["trial_caveat"]

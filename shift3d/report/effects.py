@@ -14,13 +14,14 @@ from math import log, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from shift3d.effects.applicability import NEEDS, WORTH_BOUND, Worth
 from shift3d.errors import InputError
-from shift3d.render.effects.applicability import NEEDS, WORTH_BOUND, Worth
 from shift3d.report.page import html_image, html_table, page
 from shift3d.report.resampling import Interval, mean_interval
 from shift3d.report.tables import aligned
 from shift3d.store.atomic import write_atomic
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
+from shift3d.store.places import Place, as_location
 
 if TYPE_CHECKING:
     import pandas as pd

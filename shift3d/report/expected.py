@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow.compute as pc
 
-from shift3d.render.effects.applicability import measured_worth
+from shift3d.effects.applicability import measured_worth
 from shift3d.report.accuracy_cost import measured_presets
 from shift3d.report.task_parts import searched, shipped_parts
-from shift3d.store.location import Place, as_location
 from shift3d.store.log import read_log
-from shift3d.sweep.final import committed_rows
-from shift3d.sweep.folder import read_plan
-from shift3d.sweep.plan import Plan
-from shift3d.sweep.tasks import Tasks
+from shift3d.store.places import Place, as_location
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import Tasks
+from shift3d.sweep.results.final import committed_rows
 from shift3d.task.spec import TaskSpec
 from shift3d.wording import counted
 

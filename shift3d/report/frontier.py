@@ -10,12 +10,12 @@ from typing import Any
 
 import pandas as pd
 
+from shift3d.accuracy_time.pareto import MISPLACED_M, effective_error_m
 from shift3d.errors import InputError
 from shift3d.report.frontier_advice import advice
 from shift3d.report.frontier_figure import work_precision_figure
 from shift3d.report.numbers import factor, length, milliseconds, share
 from shift3d.report.page import html_image, html_table, page, png
-from shift3d.report.pareto import MISPLACED_M, effective_error_m
 from shift3d.report.tables import aligned
 from shift3d.store.atomic import write_atomic
 from shift3d.store.frontier_table import machine_of, read_frontier

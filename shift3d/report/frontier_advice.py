@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from shift3d.accuracy_time.pareto import MISPLACED_M, dominators_of, effective_error_m, knee, misplaced, warm_starts
 from shift3d.report.numbers import factor, length, milliseconds, share
-from shift3d.report.pareto import MISPLACED_M, dominators_of, effective_error_m, knee, misplaced, warm_starts
 
 if TYPE_CHECKING:
     import pandas as pd

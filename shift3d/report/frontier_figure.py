@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from shift3d.accuracy_time.pareto import ZERO_BELOW, drawable, effective_error_m, misplaced
 from shift3d.report.frontier_marks import Style, joined, labels_of, mark_settings, same_as_presets, styles_of
 from shift3d.report.labels import place_labels
 from shift3d.report.numbers import length, milliseconds, share
-from shift3d.report.pareto import ZERO_BELOW, drawable, effective_error_m, misplaced
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from shift3d.accuracy_time.pareto import effective_error_m
 from shift3d.report.labels import PointLabel
-from shift3d.report.pareto import effective_error_m
 
 if TYPE_CHECKING:
     import pandas as pd

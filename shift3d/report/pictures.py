@@ -202,7 +202,7 @@ def main(arguments: list[str]) -> None:
     """Draw every picture from the sweeps in ``arguments``."""
     import pandas as pd
 
-    from shift3d.sweep.folder import read_plan
+    from shift3d.sweep.planning.folder import read_plan
     from shift3d.task.assets import load_assets
 
     given = dict(word.split("=", 1) for word in arguments if word.startswith(("task=", "folder=")))

@@ -10,7 +10,8 @@ import numpy as np
 from shift3d.report.numerics import diagnostics
 from shift3d.report.page import html_image, html_table, page
 from shift3d.report.tables import aligned
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
+from shift3d.store.places import Place, as_location
 
 if TYPE_CHECKING:
     import pandas as pd

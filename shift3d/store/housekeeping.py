@@ -10,8 +10,9 @@ import re
 from dataclasses import dataclass
 
 from shift3d.errors import InputError
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
 from shift3d.store.log import Commit, CommitLog, entry_names, read_entry, read_log
+from shift3d.store.places import Place, as_location
 from shift3d.store.segments import committed_rows
 
 __all__ = ["Compacted", "Garbage", "collect", "compact", "find_garbage"]

@@ -24,8 +24,9 @@ import pyarrow as pa
 
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
-from shift3d.store.location import Location, Place, UncertainError, as_location
+from shift3d.store.location import Location, UncertainError
 from shift3d.store.migrations import steps
+from shift3d.store.places import Place, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SEGMENTS
 from shift3d.store.tables import write_table
 

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import pyarrow as pa
 
 from shift3d.errors import InputError
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
 from shift3d.store.log import Commit
+from shift3d.store.places import Place, as_location
 from shift3d.store.schemas import SCHEMAS
 from shift3d.store.tables import read_table
 

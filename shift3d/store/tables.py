@@ -10,8 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
-from shift3d.store.location import LocalLocation, Location, Place, as_location
+from shift3d.store.local_files import LocalLocation
+from shift3d.store.location import Location
 from shift3d.store.migrations import steps
+from shift3d.store.places import Place, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 
 __all__ = ["check_table", "read_table", "table_bytes", "table_from_rows", "write_table"]

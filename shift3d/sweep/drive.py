@@ -13,22 +13,23 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
 from shift3d.errors import InputError
+from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
 from shift3d.signals import stop_signals
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
 from shift3d.store.log import Commit, CommitLog, TakenOverError
-from shift3d.sweep.abort import AbortRule
-from shift3d.sweep.commit import Committer
-from shift3d.sweep.final import FinalTables, segments_in_plan_order, write_final
-from shift3d.sweep.folder import open_folder
-from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import Plan
-from shift3d.sweep.progress import Progress
-from shift3d.sweep.reuse import take_finished
-from shift3d.sweep.runner import Runner, make_runner
+from shift3d.store.places import Place, as_location
+from shift3d.sweep.execution.abort import AbortRule
+from shift3d.sweep.execution.progress import Progress
+from shift3d.sweep.execution.runner import Runner, make_runner
+from shift3d.sweep.execution.worker import BatchOutcome
+from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.results.commit import Committer
+from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
+from shift3d.sweep.results.reuse import take_finished
 from shift3d.sweep.status import State, Teller
-from shift3d.sweep.worker import BatchOutcome
 
 __all__ = ["SweepResult", "run_sweep"]
 

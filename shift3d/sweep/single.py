@@ -5,9 +5,9 @@ from __future__ import annotations
 from shift3d.errors import InputError
 from shift3d.processor import settle_numerics
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import Plan
-from shift3d.sweep.worker import completed_rows
+from shift3d.sweep.execution.worker import completed_rows
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import Plan
 
 __all__ = ["run_single"]
 

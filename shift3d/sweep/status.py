@@ -18,14 +18,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from shift3d.errors import InputError
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
 from shift3d.store.log import read_log
-from shift3d.sweep.spec_file import read_spec
+from shift3d.store.places import Place, as_location
+from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.store.log import CommitLog
-    from shift3d.sweep.running import Running
+    from shift3d.sweep.execution.running import Running
 
 __all__ = ["State", "SweepStatus", "Teller", "read_status", "status_lines"]
 

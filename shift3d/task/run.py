@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
-from shift3d.attack.placement import NoPlacement
 from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import SETTLE_M, attack_shape, standing
 from shift3d.detectors.base import Detector
+from shift3d.placement.sampling import NoPlacement
 from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets, score_precision, search_precision

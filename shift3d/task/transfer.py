@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from torch import Tensor
 
-from shift3d.attack.placement import NoPlacement
 from shift3d.attack.shape import SETTLE_M, standing
+from shift3d.placement.sampling import NoPlacement
 from shift3d.task.assets import Assets, score_precision
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.scoring import score_object

@@ -6,9 +6,9 @@ import importlib.metadata
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from shift3d.config.messages import choice_error
-from shift3d.config.schema import MlflowConfig, NoTrackingConfig
 from shift3d.errors import InputError
+from shift3d.settings.messages import choice_error
+from shift3d.settings.schema import MlflowConfig, NoTrackingConfig
 from shift3d.store.atomic import check_writable
 
 __all__ = ["check_store", "check_tracking"]

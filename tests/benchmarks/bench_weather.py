@@ -9,11 +9,11 @@ from analytic_fields import Frame
 from benchmarks.results import Results
 from benchmarks.timing import milliseconds, repeat
 
+from shift3d.effects.applicability import effect_named
+from shift3d.effects.base import Returns, Situation
+from shift3d.effects.fog import soft_echo
+from shift3d.effects.rain import crossings
 from shift3d.render.beams import Beams
-from shift3d.render.effects.applicability import effect_named
-from shift3d.render.effects.base import Returns, Situation
-from shift3d.render.effects.fog import soft_echo
-from shift3d.render.effects.rain import crossings
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 

@@ -11,11 +11,11 @@ from catalogue import hard_case
 from hard_scenes import PLAIN, beams_along_x, draw, pose
 from torch import Tensor
 
-from shift3d.attack.constraints import ConstraintCheck, Constraints, check, is_clear, settle
-from shift3d.attack.ground import fit_ground
-from shift3d.attack.placement import NoPlacement, PlacementLimits, place
+from shift3d.placement.constraints import ConstraintCheck, Constraints, check, is_clear, settle
+from shift3d.placement.ground import fit_ground
+from shift3d.placement.sampling import NoPlacement, PlacementLimits, place
 from shift3d.render import Beams, preset
-from shift3d.render.object_field import ObjectField
+from shift3d.render.field.object_field import ObjectField
 
 AREA = "constraints"
 FRAME = Frame((4.0, 1.8, 1.4))

@@ -12,11 +12,11 @@ from clear_errors import refused
 from hard_echoes import AHEAD, BALL, READER, ahead, drawn, on_object, scene_of
 
 from shift3d.detectors.grid import WAYMO_GRID, assign_pillars, full_window
+from shift3d.effects.applicability import Worth, choose, effect_named
+from shift3d.effects.base import Situation
+from shift3d.effects.chain import EffectChain
+from shift3d.effects.divergence import strongest
 from shift3d.render import Beams
-from shift3d.render.effects.applicability import Worth, choose, effect_named
-from shift3d.render.effects.base import Situation
-from shift3d.render.effects.chain import EffectChain
-from shift3d.render.effects.divergence import strongest
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.scenes.scene import Conditions, Scene

@@ -13,11 +13,11 @@ from catalogue import hard_case
 from torch import Tensor
 from toy_detector import WaveDetector
 
-from shift3d.attack.constraints import Constraints
 from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.shape import attack_shape
 from shift3d.detectors.base import BevWindow, Proposals
+from shift3d.placement.constraints import Constraints
 from shift3d.render import Beams, preset
 
 AREA = "constraints"

@@ -11,11 +11,11 @@ from analytic_fields import Frame, in_frame, sphere
 from hard_scenes import FAST
 from torch import Tensor
 
+from shift3d.effects import fog, rain
+from shift3d.effects.base import Returns, Situation
+from shift3d.effects.chain import EffectChain
+from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render import Beams
-from shift3d.render.effects import fog, rain
-from shift3d.render.effects.applicability import DetectorFacts
-from shift3d.render.effects.base import Returns, Situation
-from shift3d.render.effects.chain import EffectChain
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings
 from shift3d.scenes.scene import Conditions, Scene

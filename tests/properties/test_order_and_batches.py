@@ -14,7 +14,7 @@ from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.grid import assign_pillars
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render import Beams
-from shift3d.render.object_field import ObjectField
+from shift3d.render.field.object_field import ObjectField
 
 CENTRE = (12.0, -7.0)
 

@@ -11,7 +11,7 @@ from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode, exit_codes
 from shift3d.store.log import TakenOverError
-from shift3d.sweep.abort import AbortedError
+from shift3d.sweep.execution.abort import AbortedError
 from shift3d.wording import counted
 
 README = Path(__file__).parents[2] / "README.md"

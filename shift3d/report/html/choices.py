@@ -5,7 +5,7 @@ from __future__ import annotations
 from shift3d.report.choices import candidate_tables, reasons
 from shift3d.report.html.document import Section, escape, paragraph, table
 from shift3d.report.html.sweep import Sweep
-from shift3d.sweep.hyperparameters import NEARLY_EQUAL
+from shift3d.sweep.results.hyperparameters import NEARLY_EQUAL
 
 __all__ = ["choices"]
 

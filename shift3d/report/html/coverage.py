@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from shift3d.report.html.document import Section, paragraph, table
 from shift3d.report.html.sweep import METHODS, Sweep
-from shift3d.sweep.plan_view import skipped_lines
+from shift3d.sweep.planning.plan_view import skipped_lines
 
 __all__ = ["coverage_section"]
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from shift3d.effects.applicability import WORTH_BOUND
 from shift3d.errors import InputError
-from shift3d.render.effects.applicability import WORTH_BOUND
 from shift3d.report.effects import EffectWorth, effect_milliseconds, effect_worths
 from shift3d.report.html.document import Section, paragraph, table
 from shift3d.report.html.figure import axis, figure_html

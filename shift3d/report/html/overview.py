@@ -10,7 +10,7 @@ from shift3d.report.caveats import trial_caveat
 from shift3d.report.html.document import Section, aside, paragraph, table, terms
 from shift3d.report.html.sweep import Sweep
 from shift3d.report.placement import nothing_placed
-from shift3d.sweep.tasks import TaskGroup
+from shift3d.sweep.planning.tasks import TaskGroup
 from shift3d.wording import counted
 
 __all__ = ["overview"]

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from shift3d.errors import InputError
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
+from shift3d.store.places import Place, as_location
 from shift3d.store.schemas import GROUP_COLUMNS, SCHEMAS
-from shift3d.sweep.plan import Plan
+from shift3d.sweep.planning.plan import Plan
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -102,7 +103,7 @@ def read_sweep(folder: Place) -> Sweep:
         InputError: naming the folder or file, where it is no sweep's, has not finished, or is damaged.
     """
     from shift3d.store.tables import read_table
-    from shift3d.sweep.folder import read_plan
+    from shift3d.sweep.planning.folder import read_plan
 
     folder = as_location(folder)
     plan, final = read_plan(folder), folder / "final"

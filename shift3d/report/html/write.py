@@ -18,7 +18,8 @@ from shift3d.report.html.paths import paths
 from shift3d.report.html.stability import stability
 from shift3d.report.html.sweep import Sweep, read_sweep, variants
 from shift3d.report.placement import nothing_placed
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
+from shift3d.store.places import Place, as_location
 from shift3d.wording import counted
 
 __all__ = ["report_page", "write_report"]

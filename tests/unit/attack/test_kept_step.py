@@ -7,9 +7,9 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shift3d.attack.constraints import ConstraintCheck
 from shift3d.attack.loop import kept_step
 from shift3d.attack.records import StepRecord
+from shift3d.placement.constraints import ConstraintCheck
 
 LOSSES = st.lists(st.sampled_from([0.0, 0.5, 1.0, 2.0, math.inf, math.nan]), min_size=1, max_size=8)
 

@@ -20,10 +20,10 @@ from straight_rays import (
     samples_at,
 )
 
-from shift3d.render.coverage import Coverage, cover
 from shift3d.render.culling import Rays
-from shift3d.render.ray_samples import RaySamples
 from shift3d.render.settings import RenderSettings
+from shift3d.render.solvers.coverage import Coverage, cover
+from shift3d.render.solvers.ray_samples import RaySamples
 
 NO_MINIMA = FLOAT64.with_(local_minima=False)
 RAYS = along_x(*(0.17 * n for n in range(-4, 5)))

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from shift3d.render.bounding_box import Box
-from shift3d.render.culling import Rays
-from shift3d.render.ray_samples import RaySamples
-from shift3d.render.sdf_grid import ChangeGrid
+from shift3d.render.culling import Box, Rays
+from shift3d.render.field.sdf_grid import ChangeGrid
+from shift3d.render.solvers.ray_samples import RaySamples
 
 BOX = Box(torch.tensor([-3.0, -1.5, -1.5], dtype=torch.float64), torch.tensor([3.0, 1.5, 1.5], dtype=torch.float64))
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from shift3d.render.roots import find_roots
+from shift3d.render.solvers.roots import find_roots
 
 FUNCTIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "line": lambda k: 0.3 - k,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import valid_sweeps
 
-from shift3d.config.compose import compose_sweep
 from shift3d.report.caveats import trial_caveat
-from shift3d.sweep.plan import make_plan
+from shift3d.settings.compose import compose_sweep
+from shift3d.sweep.planning.plan import make_plan
 
 
 def caveat(name: str, *overrides: str) -> str | None:

@@ -65,7 +65,7 @@ def test_a_sweep_without_pairs_is_refused() -> None:
 
 
 def test_page_and_what_auto_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from shift3d.render.effects import applicability
+    from shift3d.effects import applicability
 
     scores, timings = tables({"fog": np.full(12, 0.2)}, {"fog": 20.0})
     found = effect_worths(scores, effect_milliseconds(scores, timings))

@@ -9,16 +9,16 @@ import pandas as pd
 import pytest
 from valid_sweeps import catalogue, plan, write_sweep
 
-from shift3d.config.compose import compose_sweep
+from shift3d.effects.applicability import measured_worth
 from shift3d.errors import InputError
-from shift3d.render.effects.applicability import measured_worth
 from shift3d.report.expected import expected, expected_lines
 from shift3d.report.task_parts import TaskParts, measured_parts, shipped_parts
+from shift3d.settings.compose import compose_sweep
 from shift3d.store.log import CommitLog
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.folder import open_folder
-from shift3d.sweep.plan import Plan, make_plan
-from shift3d.sweep.worker import attempt_row
+from shift3d.sweep.execution.worker import attempt_row
+from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.plan import Plan, make_plan
 from shift3d.task.spec import AttackSpec, TransferScene
 
 

@@ -13,8 +13,8 @@ from shift3d.report.experiments import experiments
 from shift3d.report.html.paper import paper_table
 from shift3d.report.html.sweep import Sweep, read_sweep
 from shift3d.store.log import read_log
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
 
 
 @pytest.fixture(scope="module")

@@ -32,8 +32,8 @@ from shift3d.report.html.statistics import holm, mean_area, paired, recall_band
 from shift3d.report.html.sweep import Sweep, Variant, read_sweep, variants
 from shift3d.report.html.write import write_report
 from shift3d.store.log import read_log
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

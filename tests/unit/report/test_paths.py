@@ -14,8 +14,8 @@ from shift3d.report.html.paths import case_path, mean_path, paths
 from shift3d.report.html.sweep import read_sweep, variants
 from shift3d.store.log import CommitLog, read_log
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
 
 
 def path_rows(scores: dict[str, list[float | None]]) -> pd.DataFrame:

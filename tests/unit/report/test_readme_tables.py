@@ -14,8 +14,8 @@ import pytest
 import valid_sweeps
 
 from shift3d.store.log import read_log
-from shift3d.sweep.final import FinalTables, write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import FinalTables, write_final
 
 README = Path(__file__).parents[3] / "README.md"
 PLACE = "outputs/default-..."

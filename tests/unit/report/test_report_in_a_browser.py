@@ -18,8 +18,8 @@ from shift3d.report.html.figure import plotly_library
 from shift3d.report.html.hardest import Case, Seen
 from shift3d.report.html.write import write_report
 from shift3d.store.log import read_log
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)")

@@ -18,8 +18,8 @@ from shift3d.report.html.sweep import Sweep, Variant, read_sweep, variants
 from shift3d.report.tables import still_cars
 from shift3d.store.log import read_log
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
 
 
 def rows_of(scores: list[float], vehicle: str = "suv") -> pd.DataFrame:

@@ -13,9 +13,11 @@ from bucket_server import new_bucket
 
 from shift3d.errors import InputError
 from shift3d.store.housekeeping import collect, compact, find_garbage
-from shift3d.store.location import LocalLocation, Location, as_location
+from shift3d.store.local_files import LocalLocation
+from shift3d.store.location import Location
 from shift3d.store.log import CommitLog, TakenOverError, read_log
 from shift3d.store.object_store import ObjectLocation
+from shift3d.store.places import as_location
 from shift3d.store.segments import committed_rows
 from shift3d.store.tables import table_from_rows, write_table
 

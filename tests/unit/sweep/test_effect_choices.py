@@ -7,14 +7,14 @@ import dataclasses
 import pytest
 from by_hand import catalogue
 
-from shift3d.config.catalogue import Catalogue
-from shift3d.config.compose import compose_sweep
-from shift3d.config.schema import Config
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.labels import Conditions
-from shift3d.sweep.effects import effect_table
-from shift3d.sweep.plan import Plan, make_plan
+from shift3d.settings.catalogue import Catalogue
+from shift3d.settings.compose import compose_sweep
+from shift3d.settings.schema import Config
+from shift3d.sweep.planning.effect_choices import effect_table
+from shift3d.sweep.planning.plan import Plan, make_plan
 
 FOG = SceneFacts("north", conditions=Conditions(weather="fog", visibility_m=40.0))
 

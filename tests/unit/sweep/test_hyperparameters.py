@@ -10,7 +10,13 @@ import pytest
 from shift3d.report.choices import candidate_tables, papers_choice
 from shift3d.report.tables import choice_tables
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.hyperparameters import NEARLY_EQUAL, choice_rows, choose_alphas, choose_lambdas, select_lambda
+from shift3d.sweep.results.hyperparameters import (
+    NEARLY_EQUAL,
+    choice_rows,
+    choose_alphas,
+    choose_lambdas,
+    select_lambda,
+)
 
 
 @pytest.mark.parametrize(

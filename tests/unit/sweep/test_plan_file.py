@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 from by_hand import catalogue
 
-from shift3d.config.catalogue import SceneEntry
-from shift3d.config.compose import compose_sweep
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
-from shift3d.sweep.folder import open_folder, read_plan
-from shift3d.sweep.plan import Plan, make_plan
-from shift3d.sweep.plan_file import plan_bytes, read_tasks
+from shift3d.settings.catalogue import SceneEntry
+from shift3d.settings.compose import compose_sweep
+from shift3d.sweep.planning.folder import open_folder, read_plan
+from shift3d.sweep.planning.plan import Plan, make_plan
+from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks
 
 WORDS = ["effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25"]
 

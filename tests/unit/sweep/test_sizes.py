@@ -9,15 +9,15 @@ import yaml
 from by_hand import VEHICLES, catalogue
 
 from shift3d.cli.completion import overrides
-from shift3d.config.catalogue import Catalogue, SceneEntry
-from shift3d.config.compose import compose_sweep, sweep_names
-from shift3d.config.expand import expand
-from shift3d.config.folders import shipped
-from shift3d.config.schema import Config, StreetConfig
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
-from shift3d.sweep.plan import make_plan
-from shift3d.sweep.plan_view import plan_summary
+from shift3d.settings.catalogue import Catalogue, SceneEntry
+from shift3d.settings.compose import compose_sweep, sweep_names
+from shift3d.settings.expand import expand
+from shift3d.settings.folders import shipped
+from shift3d.settings.schema import Config, StreetConfig
+from shift3d.sweep.planning.plan import make_plan
+from shift3d.sweep.planning.plan_view import plan_summary
 
 PAPERS = {
     "table_shape": (5000, 100),

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 import valid_sweeps
 
-from shift3d.config.schema import LocalRunnerConfig
 from shift3d.errors import InputError
+from shift3d.settings.schema import LocalRunnerConfig
 from shift3d.store.housekeeping import compact
 from shift3d.store.log import CommitLog
 from shift3d.sweep.drive import run_sweep
-from shift3d.sweep.kind import TaskKind
+from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.status import Teller, read_status, status_lines
 
 LOCAL = LocalRunnerConfig(kind="local", commit_seconds=0.0, abort_after=None, abort_share=None)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shift3d.sweep.plan import Plan
-from shift3d.sweep.tasks import PlannedTask, Tasks
-from shift3d.sweep.tasks_builder import tasks_of
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import PlannedTask, Tasks
+from shift3d.sweep.planning.tasks_builder import tasks_of
 from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene
 
 TEXTS = ("", "suv", "a, b", 'quo"te', "back\\slash", "Straße", "\u2028", "車", '{"scene":"x"}', '","scene_hash":"')

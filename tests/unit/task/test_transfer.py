@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from shift3d.attack.shape import SETTLE_M, standing
-from shift3d.config.catalogue import accuracy_settings
-from shift3d.config.schema import AccuracyConfig
 from shift3d.errors import InputError
+from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.schema import AccuracyConfig
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.worker import completed_rows
+from shift3d.sweep.execution.worker import completed_rows
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.problem import build_problem
 from shift3d.task.run import run_task

@@ -1,0 +1,178 @@
+"""plan.parquet: a row a task; what tasks share is stored once.
+
+The whole spec of a task is its ``ground`` and its ``place``, two JSON texts that many tasks have in common and that
+the file holds once each; the other columns are for whoever reads the file with pandas, polars or duckdb. An id is
+worked out again from both when the file is read.
+
+Source: our choice.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from shift3d.errors import InputError
+from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.sweep.planning.task_ids import ground_json, read_ground, read_place, task_ids
+from shift3d.sweep.planning.tasks import PlannedTask, Tasks
+from shift3d.sweep.planning.tasks_builder import tasks_of
+from shift3d.task.spec import TaskSpec
+
+__all__ = ["plan_bytes", "read_tasks"]
+
+_SHARED = pa.dictionary(pa.int32(), pa.string())
+_SCHEMA = pa.schema(
+    [
+        ("position", pa.int64()),
+        ("task_id", pa.string()),
+        ("vehicle", _SHARED),
+        ("scene", _SHARED),
+        ("dataset", _SHARED),
+        ("mode", _SHARED),
+        ("lambda", pa.float64()),
+        ("alpha", pa.float64()),
+        ("detector", _SHARED),
+        ("accuracy", _SHARED),
+        ("effects", pa.list_(pa.string())),
+        ("effects_asked", pa.list_(pa.string())),
+        ("assets", pa.int32()),
+        ("ground", _SHARED),
+        ("place", _SHARED),
+    ],
+    metadata={"shift3d.schema": "plan", "shift3d.schema_version": str(SCHEMA_VERSION)},
+)
+_READ = ["task_id", "effects_asked", "assets", "ground", "place"]
+_ROW_GROUP = 2**20
+# Each row group holds the texts that its rows share once; beyond this many bytes Parquet would repeat them.
+_DICTIONARY_BYTES = 2**30
+_DAMAGE = (OSError, pa.ArrowException, KeyError, ValueError, TypeError, AttributeError, IndexError, RecursionError)
+
+
+def plan_bytes(tasks: Tasks) -> bytes:
+    """Tasks as a Parquet file; the same tasks give the same bytes."""
+    import pyarrow.parquet as pq
+
+    columns = _columns(tasks)
+    table = pa.Table.from_arrays([columns[name] for name in _SCHEMA.names], schema=_SCHEMA)
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        table,
+        sink,
+        compression="zstd",
+        row_group_size=_ROW_GROUP,
+        use_dictionary=[name for name in _SCHEMA.names if _SCHEMA.field(name).type == _SHARED],
+        dictionary_pagesize_limit=_DICTIONARY_BYTES,
+        write_page_checksum=True,
+    )
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def _columns(tasks: Tasks) -> dict[str, pa.Array]:
+    used, ground = np.unique(tasks.ground, return_inverse=True)
+    grounds = [tasks.grounds[number] for number in used]
+    found, place = np.unique(tasks.place, return_inverse=True)
+    places = tasks.places.take(pa.array(found))
+
+    def shared(value: Callable[[TaskSpec], str]) -> pa.Array:
+        return _shared([value(spec) for spec in grounds], ground)
+
+    lambdas = np.array([np.nan if spec.lambda_ is None else spec.lambda_ for spec in grounds])[ground]
+    return {
+        "position": pa.array(np.arange(len(tasks))),
+        "task_id": tasks.ids,
+        "vehicle": shared(lambda spec: spec.vehicle),
+        "scene": _shared([read_place(text)[0] for text in places.to_pylist()], place),
+        "dataset": shared(lambda spec: spec.dataset),
+        "mode": shared(lambda spec: spec.mode),
+        "lambda": pa.array(lambdas, mask=np.isnan(lambdas)),
+        "alpha": pa.array(np.array([spec.alpha for spec in grounds], dtype=np.float64)[ground]),
+        "detector": shared(lambda spec: spec.detector),
+        "accuracy": shared(lambda spec: spec.accuracy),
+        "effects": _lists([spec.effects for spec in grounds], ground),
+        "effects_asked": _lists(tasks.asked_values, tasks.asked),
+        "assets": pa.array(tasks.assets),
+        "ground": shared(ground_json),
+        "place": pa.DictionaryArray.from_arrays(pa.array(place.astype(np.int32)), places),
+    }
+
+
+def _shared(values: Sequence[str], which: np.ndarray) -> pa.Array:
+    """A text for each of ``which``, numbers into values; equal ones are stored once."""
+    numbers: dict[str, int] = {}
+    codes = np.array([numbers.setdefault(value, len(numbers)) for value in values], dtype=np.int32)
+    return pa.DictionaryArray.from_arrays(pa.array(codes[which]), pa.array(list(numbers), type=pa.string()))
+
+
+def _lists(values: Sequence[tuple[str, ...]], which: np.ndarray) -> pa.Array:
+    return pa.array([list(value) for value in values], type=pa.list_(pa.string())).take(pa.array(which))
+
+
+def read_tasks(content: bytes, where: str) -> Tasks:
+    """The inverse of :func:`plan_bytes`; also of the files of earlier programs, which hold every spec in whole.
+
+    where: the file's path, for the error.
+
+    Raises:
+        InputError: it is no plan, damaged, or an id in it is not its task's.
+    """
+    import pyarrow.parquet as pq
+
+    try:
+        source = pa.BufferReader(content)
+        if "spec" in pq.read_schema(source).names:
+            return _whole_specs(pq.read_table(source, columns=["spec", "assets", "effects_asked"]))
+        return _tasks(pq.read_table(source, columns=_READ, page_checksum_verification=True))
+    except _DAMAGE as error:
+        raise InputError(f"cannot be read ({error})", where=where, remedy="Restore it from a copy") from error
+
+
+def _whole_specs(table: pa.Table) -> Tasks:
+    assets = table["assets"].to_pylist()
+    if not all(type(index) is int for index in assets):
+        raise ValueError("an index of assets is missing")
+    specs = (TaskSpec.from_dict(json.loads(text)) for text in table["spec"].to_pylist())
+    asked = (tuple(names) for names in table["effects_asked"].to_pylist())
+    return tasks_of(map(PlannedTask, specs, assets, asked))
+
+
+def _tasks(table: pa.Table) -> Tasks:
+    for name in _READ:
+        if table[name].null_count:
+            raise ValueError(f"{name} is missing in {table[name].null_count} rows")
+    grounds, ground = _numbered(table["ground"])
+    places, place = _numbered(table["place"])
+    # Labels hold no line feed: what is joined can be taken apart again.
+    labels, asked = _numbered(pc.binary_join(table["effects_asked"], "\n"))
+    specs = tuple(read_ground(text) for text in grounds.to_pylist())
+    ids = task_ids(specs, [read_place(text) for text in places.to_pylist()], ground, place)
+    if not ids.equals(_one_chunk(table["task_id"].cast(pa.string()))):
+        raise ValueError("an id is not its task's")
+    return Tasks(
+        grounds=specs,
+        places=places,
+        ground=ground,
+        place=place,
+        assets=table["assets"].cast(pa.int32()).to_numpy(),
+        asked=asked,
+        asked_values=tuple(tuple(text.split("\n")) if text else () for text in labels.to_pylist()),
+        ids=ids,
+    )
+
+
+def _numbered(column: pa.ChunkedArray) -> tuple[pa.Array, np.ndarray]:
+    """Distinct texts of a column, and of each row the number of its own."""
+    if not pa.types.is_dictionary(column.type):
+        column = pc.dictionary_encode(column)
+    encoded = _one_chunk(column.unify_dictionaries())
+    numbers = encoded.indices.cast(pa.int32()).to_numpy(zero_copy_only=False)
+    return encoded.dictionary.cast(pa.string()), numbers
+
+
+def _one_chunk(column: pa.ChunkedArray) -> pa.Array:
+    return column.combine_chunks() if column.num_chunks != 1 else column.chunk(0)
