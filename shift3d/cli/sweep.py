@@ -228,7 +228,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
         print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
         print("the same command again writes it there once MLflow answers", file=sys.stderr)
     else:
-        print(f"MLflow run {plan.sweep}-{plan.spec_hash} in {uri}: make ui")
+        print(f"MLflow run {plan.sweep}-{plan.spec_hash} in {uri}: shift3d ui")
 
 
 COMMAND = Command("sweep", "run a sweep, or resume it", _DESCRIPTION, _EPILOG, _add_arguments, _run)
