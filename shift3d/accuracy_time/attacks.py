@@ -23,10 +23,10 @@ def attack_scores(case: Case, assets: Assets, setting: Setting) -> list[float]:
     spec, steps = case.spec, setting.attack_steps
     problem = problem_of(case, assets, setting.accuracy, grid=True)
     limits = PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
-    steady = spec.attack.steady_steps
+    steady = spec.attack.selection_window
     found = [
-        attack_shape(problem, spec.lambda_ or 0.0, spec.alpha, steps, steady_steps=steady),
-        attack_pose(problem, spec.alpha, steps, limits, steady_steps=steady),
+        attack_shape(problem, spec.lambda_ or 0.0, spec.alpha, steps, selection_window=steady),
+        attack_pose(problem, spec.alpha, steps, limits, selection_window=steady),
     ]
     scoring = dataclasses.replace(problem, detector=assets.detector_of(spec.detector, setting.score_precision))
     radius_m = spec.attack.detection_radius_m

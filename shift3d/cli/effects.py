@@ -71,7 +71,7 @@ def _measured(path: Path) -> dict[str, float]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.effects.applicability import WORTH
+    from shift3d.effects.applicability import MEASURED_IMPACT
     from shift3d.report.effects import (
         LEAST_SCENES,
         effect_lines,
@@ -81,7 +81,7 @@ def _run(arguments: argparse.Namespace) -> int:
         write_effects_page,
         write_worth,
     )
-    from shift3d.store.places import as_location
+    from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.folder import read_plan
 
     folder = as_location(arguments.out)
@@ -97,7 +97,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if (fewest := min(worth.scenes for worth in worths)) < LEAST_SCENES:
             what = f"{counted(fewest, 'scene')} behind an effect: intervals are too narrow below {LEAST_SCENES}"
             raise InputError(what, str(folder), f"Run the sweep with scenes.count={LEAST_SCENES} or more")
-        print(f"{write_worth(WORTH, sweep, worths)} written: effects=auto goes by it")
+        print(f"{write_worth(MEASURED_IMPACT, sweep, worths)} written: effects=auto goes by it")
     return 0
 
 

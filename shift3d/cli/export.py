@@ -48,7 +48,7 @@ def _run(arguments: argparse.Namespace) -> int:
     overwrite = values.get("overwrite", "false")
     if overwrite not in ("true", "false"):
         raise InputError(f"overwrite={overwrite!r} is neither true nor false", "export", "Give overwrite=true")
-    from shift3d.store.places import as_location
+    from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.folder import read_plan
 
     out = as_location(arguments.out)

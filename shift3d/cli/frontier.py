@@ -64,9 +64,9 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.processor import settle_numerics
+    from shift3d.processor import configure_runtime
 
-    settle_numerics()
+    configure_runtime()
     import torch
 
     from shift3d.tracking.store_uri import check_tracking

@@ -39,7 +39,7 @@ def sweeps_in(out: str) -> list[Location]:
     Raises:
         InputError: it is no sweep's folder.
     """
-    from shift3d.store.places import as_location
+    from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.spec_file import read_spec
     from shift3d.sweep.results.verified_scores import FOLDER
 
@@ -54,11 +54,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
     for folder in sweeps_in(arguments.out):
         garbage = find_garbage(folder)
-        said = "would be removed" if arguments.dry_run else "removed"
+        action = "would be removed" if arguments.dry_run else "removed"
         print(
             f"{folder}: {counted(len(garbage.segments), 'segment')} that no log entry names, "
             f"{counted(len(garbage.replaced), 'log entry', 'log entries')} that a compaction replaced, "
-            f"{counted(len(garbage.temporary), 'temporary file')} {said}"
+            f"{counted(len(garbage.temporary), 'temporary file')} {action}"
         )
         for file in garbage.files[:_SHOWN]:
             print(f"  {file}")

@@ -36,10 +36,10 @@ def _count(text: str) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.processor import settle_numerics
+    from shift3d.processor import configure_runtime
     from shift3d.report.html.write import write_report
 
-    settle_numerics()  # the same page on any machine
+    configure_runtime()  # the same page on any machine
     path = write_report(arguments.out, arguments.cases)
     print(f"{path} written, {path.size() / 1e6:.1f} MB")
     return 0

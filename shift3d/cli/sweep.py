@@ -81,10 +81,10 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])  # before what a sweep imports: it is polled
-    from shift3d.processor import settle_numerics
+    from shift3d.processor import configure_runtime
     from shift3d.sweep.planning.kind import shift3d_kind
 
-    settle_numerics()
+    configure_runtime()
     return run_with(arguments, shift3d_kind())
 
 
@@ -192,7 +192,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
 
 def _show_effects(plan: Plan, folder: Location, frames: Mapping[str, pd.DataFrame]) -> None:
     """What effects are worth, where the sweep ran the same tasks with them and without."""
-    variants = {asked for group in plan.tasks.groups() for asked in group.effects_asked}
+    variants = {asked for group in plan.tasks.groups() for asked in group.effects_requested}
     if "none" not in variants or len(variants) == 1:
         return
     from shift3d.report.effects import effect_lines, effect_milliseconds, effect_worths, write_effects_page

@@ -144,12 +144,12 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
 
 def _warning(curves: TrainingCurves) -> Any:
     """The report of a training that says once that MLflow is away."""
-    said: list[bool] = []
+    warned: list[bool] = []
 
     def report(points: Any) -> None:
         curves(points)
-        if curves.problem and not said:
-            said.append(True)
+        if curves.problem and not warned:
+            warned.append(True)
             print(f"warning: no curves in MLflow ({curves.uri}): {curves.problem}", file=sys.stderr)
 
     return report

@@ -42,13 +42,13 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.processor import settle_numerics
+    from shift3d.processor import configure_runtime
     from shift3d.report.numerics import diagnostics
     from shift3d.report.stability import stability_lines, write_stability_page
-    from shift3d.store.places import as_location
+    from shift3d.store.resolve import as_location
     from shift3d.sweep.verification import verification_plan, verify_sweep
 
-    settle_numerics()
+    configure_runtime()
     folder = as_location(arguments.out)
     runner = _runner(arguments.words)
     plan = verification_plan(folder)

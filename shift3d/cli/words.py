@@ -80,7 +80,7 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
     Raises:
         InputError: one is empty, or a URL that cannot be used.
     """
-    from shift3d.store.places import as_location
+    from shift3d.store.resolve import as_location
 
     named = [word.removeprefix(f"{key}=") for word in words if word.startswith(f"{key}=")]
     if not all(named):
@@ -95,7 +95,7 @@ def _words_of_folder(words: list[str]) -> list[str]:
     """The words that a sweep was begun with where its output folder stands for them; words after it are added."""
     if not words or "=" in words[0]:
         return words
-    from shift3d.store.places import as_location
+    from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.spec_file import read_spec
 
     folder = as_location(words[0])

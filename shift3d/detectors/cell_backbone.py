@@ -27,7 +27,7 @@ from shift3d.detectors.cell_sets import (
     sources,
     whole_set,
 )
-from shift3d.processor import round_batch
+from shift3d.processor import pad_to_bucket
 
 __all__ = ["CellBackbone", "CellCache", "CellTape"]
 
@@ -214,14 +214,14 @@ def _batches(cells: CellNumbers, dtype: torch.dtype) -> Iterator[CellNumbers]:
     computed again to the same values."""
     for start in range(0, len(cells), ROWS_AT_ONCE):
         part = cells[start : start + ROWS_AT_ONCE]
-        yield np.pad(part, (0, round_batch(len(part)) - len(part)), mode="edge") if dtype == torch.bfloat16 else part
+        yield np.pad(part, (0, pad_to_bucket(len(part)) - len(part)), mode="edge") if dtype == torch.bfloat16 else part
 
 
 def _product(rows: Tensor, weight: Tensor) -> Tensor:
     """rows (N, in) @ weight (in, out), in bfloat16 as part of a round batch."""
     if weight.dtype != torch.bfloat16:
         return rows @ weight
-    more = round_batch(len(rows)) - len(rows)
+    more = pad_to_bucket(len(rows)) - len(rows)
     return (torch.nn.functional.pad(rows, (0, 0, 0, more)) @ weight)[: len(rows)]
 
 

@@ -14,7 +14,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from shift3d.detectors.token_windows import Tokens, WindowGroups, aligned_span, gather_rows, group_by_window
-from shift3d.processor import round_batch
+from shift3d.processor import pad_to_bucket
 
 __all__ = ["SST_TRANSFORMER", "EncoderLayer", "TransformerSpec", "WindowTransformer", "position_codes"]
 
@@ -60,7 +60,7 @@ def _product(layer: nn.Linear, rows: Tensor) -> Tensor:
     if layer.weight.dtype != torch.bfloat16 or rows.dtype == torch.bfloat16:
         result: Tensor = layer(rows.to(layer.weight.dtype)).to(rows.dtype)
         return result
-    more = round_batch(len(rows)) - len(rows)
+    more = pad_to_bucket(len(rows)) - len(rows)
     product: Tensor = layer(functional.pad(rows, (0, 0, 0, more)).bfloat16())
     return product[: len(rows)].to(rows.dtype)
 

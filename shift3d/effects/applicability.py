@@ -18,11 +18,11 @@ from shift3d.scenes.facts import SceneFacts
 if TYPE_CHECKING:
     from shift3d.effects.base import Effect
 
-__all__ = ["NEEDS", "WORTH", "Choice", "Worth", "choose", "effect_named"]
+__all__ = ["MEASURED_IMPACT", "NEEDS", "Choice", "MeasuredImpact", "choose", "effect_named"]
 
-WORTH = Path(__file__).resolve().parent / "measured" / "effects.json"
+MEASURED_IMPACT = Path(__file__).resolve().parent / "measured" / "effects.json"
 """What each effect was measured to be worth by `sweeps/effects.yaml`."""
-WORTH_BOUND = 0.01
+IMPACT_BOUND = 0.01
 """`auto` leaves an effect out whose mean change of a score lies below this with 95 % confidence (our choice: half of
 what a score may differ from its reference, and the AUC that two presets may differ by)."""
 
@@ -43,7 +43,7 @@ _MOVING = "neither firing times with a velocity of the sensor, nor with a speed 
 NEEDS: Mapping[str, Need] = {
     # In the order in which they act.
     "origins": Need(lambda scene: scene.origins > 1, "all beams start in one place"),
-    "silent_beams": Need(lambda scene: scene.silent_beams > 0, "it does not know its beams without a return"),
+    "no_return_beams": Need(lambda scene: scene.no_return_beams > 0, "it does not know its beams without a return"),
     "rolling_shutter": Need(
         lambda scene: scene.scan_s > 0.0 and (scene.object_speed_m_s != 0.0 or _ego_moves(scene)),
         _MOVING,
@@ -89,7 +89,7 @@ def _ego_moves(scene: SceneFacts) -> bool:
 
 
 @dataclass(frozen=True)
-class Worth:
+class MeasuredImpact:
     """What an effect was measured to be worth. score_change: mean |change| of a score, with its 95 % interval;
     milliseconds: a rendering, beyond the rendering without it."""
 
@@ -101,7 +101,7 @@ class Worth:
     @property
     def matters(self) -> bool:
         """Whether the change cannot be said to lie below the bound."""
-        return not self.high < WORTH_BOUND
+        return not self.high < IMPACT_BOUND
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def choose(
         InputError: an unknown name; an effect that the scene has no data for.
     """
     if wanted == "auto":
-        return _called_for(scene, vehicle, detector)
+        return _applicable(scene, vehicle, detector)
     if isinstance(wanted, str):
         wanted = () if wanted == "none" else (wanted,)
     for name in wanted:
@@ -139,7 +139,7 @@ def choose(
             raise InputError(
                 f"scene {scene.scene_id} has no data for {name}: {NEEDS[name].lacking}", "effects", NEEDS[name].remedy
             )
-    worth = measured_worth()
+    worth = measured_impact()
     return [
         Choice(name, True, "asked for", worth[name].milliseconds if name in worth else None)
         for name in NEEDS
@@ -147,15 +147,15 @@ def choose(
     ]
 
 
-def _called_for(scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> list[Choice]:
+def _applicable(scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> list[Choice]:
     choices = []
     for name, need in NEEDS.items():
         if not need.present(scene) or (need.by_reader and not detector.reads_reflectance):
             continue
-        reason = effect_named(name).called_for(scene, vehicle, detector)
+        reason = effect_named(name).applicability(scene, vehicle, detector)
         if reason is None:
             continue
-        worth = measured_worth().get(name)
+        worth = measured_impact().get(name)
         used = worth is None or worth.matters
         if not used:
             assert worth is not None
@@ -171,10 +171,10 @@ def effect_named(name: str) -> Effect:
 
 
 @functools.cache
-def measured_worth() -> dict[str, Worth]:
+def measured_impact() -> dict[str, MeasuredImpact]:
     """What effects were measured to be worth, by name; those that were not are missing."""
-    if not WORTH.is_file():
+    if not MEASURED_IMPACT.is_file():
         return {}
-    values: dict[str, Any] = json.loads(WORTH.read_text(encoding="utf-8"))["effects"]
+    values: dict[str, Any] = json.loads(MEASURED_IMPACT.read_text(encoding="utf-8"))["effects"]
     keys = ("score_change", "low", "high", "milliseconds")
-    return {name: Worth(*(float(row[key]) for key in keys)) for name, row in values.items()}
+    return {name: MeasuredImpact(*(float(row[key]) for key in keys)) for name, row in values.items()}

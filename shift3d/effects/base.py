@@ -28,13 +28,13 @@ from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Scene
 from shift3d.seeding import generator
 
-__all__ = ["Cast", "DetectorFacts", "Effect", "Insertion", "Returns", "Situation"]
+__all__ = ["Cast", "DetectorFacts", "Effect", "EffectContext", "Insertion", "Returns"]
 
 Kind = Literal["cast", "footprint", "returns"]
 
 
 @dataclass(frozen=True)
-class Situation:
+class EffectContext:
     """What stays the same over an attack.
 
     Attributes:
@@ -70,12 +70,12 @@ class Cast:
         beams: N rows; rows beyond the scene's points are beams that had no return, resting `NO_RETURN_M` out.
         shift_m: (N, 3) float64 or None: by how much the object is displaced, scene frame, at the time that the beam
             fires. The beams that are cast are displaced the other way; hits are moved back by it.
-        silent: (N,) bool or None: rows without a return unless they meet the object.
+        no_return: (N,) bool or None: rows without a return unless they meet the object.
     """
 
     beams: Beams
     shift_m: Tensor | None = None
-    silent: Tensor | None = None
+    no_return: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Returns:
     """What some beams bring back, K rows.
 
     Attributes:
-        row: (K,) int64, rows of `Situation.beams`, ascending.
+        row: (K,) int64, rows of `EffectContext.beams`, ascending.
         points: (K, 3) float64, scene frame, metres; differentiable where on the object.
         origins, directions: (K, 3) float64, of the beams as the sensor knows them (unit directions).
         on_object: (K,) bool: from the inserted object. Not the scene's own.
@@ -163,20 +163,20 @@ class Effect(Protocol):
     reads_incidence: bool
     """Whether `bind`'s step looks at `Returns.cosine`: a gradient of the field at every hit, which costs."""
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Why this scene calls for the effect, in a few words with figures; None where it does not.
 
         Asked only where the scene has what the effect needs (`effects.applicability.NEEDS`).
         """
         ...
 
-    def bind(self, situation: Situation) -> CastStep | FootprintStep | ReturnsStep:
-        """The effect in one situation: a step of its kind. Whatever is random is drawn here.
+    def bind(self, context: EffectContext) -> CastStep | FootprintStep | ReturnsStep:
+        """The effect in one context: a step of its kind. Whatever is random is drawn here.
 
         A step leaves what it does not change as it is, bit for bit; at zero strength that is everything.
         """
         ...
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """Whether a returns step is to be taken on the scene's own points too (not in them yet)."""
         ...

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from shift3d.effects.applicability import NEEDS, effect_named
-from shift3d.effects.base import Cast, CastStep, FootprintStep, Insertion, Returns, ReturnsStep, Situation
+from shift3d.effects.base import Cast, CastStep, EffectContext, FootprintStep, Insertion, Returns, ReturnsStep
 from shift3d.effects.materials import albedo_of
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import Field, VehicleFrame
@@ -41,7 +41,7 @@ class EffectChain:
     """
 
     names: tuple[str, ...]
-    situation: Situation
+    context: EffectContext
     cast: Cast
     _footprints: list[tuple[str, FootprintStep]] = field(default_factory=list)
     _returns: list[tuple[str, ReturnsStep]] = field(default_factory=list)
@@ -65,23 +65,23 @@ class EffectChain:
         ordered = tuple(name for name in NEEDS if name in names)
         effects = [effect_named(name) for name in ordered]
         speed = settings.object_speed_m_s or 0.0
-        situation = Situation(scene, Beams.of_main_sensor(scene), vehicle, seed, speed, heading_rad)
-        cast = Cast(situation.beams)
+        context = EffectContext(scene, Beams.of_main_sensor(scene), vehicle, seed, speed, heading_rad)
+        cast = Cast(context.beams)
         for effect in effects:
             if effect.kind == "cast":
-                step: CastStep = effect.bind(situation)  # type: ignore[assignment]
+                step: CastStep = effect.bind(context)  # type: ignore[assignment]
                 cast = step(cast)
-                situation = replace(situation, beams=cast.beams)
-        chain = EffectChain(ordered, situation, cast)
+                context = replace(context, beams=cast.beams)
+        chain = EffectChain(ordered, context, cast)
         chain._incidence = any(effect.reads_incidence for effect in effects)
         on_scene: list[ReturnsStep] = []
         for effect in effects:
             if effect.kind == "footprint":
-                chain._footprints.append((effect.name, effect.bind(situation)))  # type: ignore[arg-type]
+                chain._footprints.append((effect.name, effect.bind(context)))  # type: ignore[arg-type]
             elif effect.kind == "returns":
-                bound: ReturnsStep = effect.bind(situation)  # type: ignore[assignment]
+                bound: ReturnsStep = effect.bind(context)  # type: ignore[assignment]
                 chain._returns.append((effect.name, bound))
-                if effect.on_scene(situation):
+                if effect.on_scene(context):
                     on_scene.append(bound)
         if on_scene:
             chain._background = chain._scene_returns()
@@ -109,7 +109,7 @@ class EffectChain:
         Differentiable w.r.t. theta and the field's latent code through the points that stay on the object; that a
         beam is dropped, or what else it meets, carries no gradient.
         """
-        vehicle = self.situation.vehicle
+        vehicle = self.context.vehicle
         core = render(self.beams, field, theta, vehicle, settings, warm, space)
         if self._keeps_first_hits():
             return core
@@ -130,7 +130,7 @@ class EffectChain:
     def _keeps_first_hits(self) -> bool:
         """Whether nothing acts on what comes back, and every row is a point of the scene."""
         cast = self.cast
-        return not self._footprints and not self._returns and cast.shift_m is None and cast.silent is None
+        return not self._footprints and not self._returns and cast.shift_m is None and cast.no_return is None
 
     def _object_returns(self, insertion: Insertion) -> Returns:
         """What beams on the object bring back, if nothing else happens."""
@@ -163,18 +163,18 @@ class EffectChain:
         )
 
     def _scene_reflectance(self) -> Tensor | None:
-        values = self.situation.scene.reflectance
+        values = self.context.scene.reflectance
         if values is None:
             return None
         known = torch.from_numpy(values).double()
         return torch.cat((known, known.new_zeros(len(self.beams) - len(known))))
 
     def _scene_returns(self) -> Returns:
-        """The scene's own points, and silent rows without a return."""
-        beams, silent = self.beams, self.cast.silent
+        """The scene's own points, and rows without a return without a return."""
+        beams, no_return = self.beams, self.cast.no_return
         count = len(beams)
         none = torch.zeros(count, dtype=torch.bool)
-        returned = beams.carries if silent is None else beams.carries & ~silent
+        returned = beams.carries if no_return is None else beams.carries & ~no_return
         reflectance = self._scene_reflectance()
         albedo = torch.full((count,), SCENE_ALBEDO, dtype=torch.float64) if reflectance is None else reflectance
         return Returns(
@@ -191,7 +191,7 @@ class EffectChain:
 
     def _resting(self) -> Tensor:
         """(N, 3) the rows without the object, dtype of the scene's points; beams without a return far out."""
-        points = torch.from_numpy(self.situation.scene.points)
+        points = torch.from_numpy(self.context.scene.points)
         extra = torch.arange(len(points), len(self.beams))
         return torch.cat((points, self._far(extra).to(points.dtype)))
 
@@ -199,8 +199,8 @@ class EffectChain:
         """Rows of the object over the rows of the scene; what brings nothing back rests far out."""
         background, resting = self._background, self._resting()
         returned = torch.ones(len(resting), dtype=torch.bool)
-        if self.cast.silent is not None:
-            returned = ~self.cast.silent
+        if self.cast.no_return is not None:
+            returned = ~self.cast.no_return
         range_m = self.beams.ranges_m.clone()
         if background is not None:
             moved = (background.points != resting.double()).any(-1)

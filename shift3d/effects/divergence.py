@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import FootprintStep, Insertion, Kind, Returns, Situation
+from shift3d.effects.base import EffectContext, FootprintStep, Insertion, Kind, Returns
 from shift3d.effects.chain import SCENE_ALBEDO
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.materials import albedo_of
@@ -54,21 +54,21 @@ class Divergence:
     kind: Kind = "footprint"
     reads_incidence = False
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the cone is wider than `LEAST_FOOTPRINT_M` at the farthest place."""
         width = PLACEMENT_LIMIT_M * (scene.sensor.divergence_rad or 0.0)
         if not width > LEAST_FOOTPRINT_M:
             return None
         return f"a beam is {100.0 * width:.0f} cm wide at {PLACEMENT_LIMIT_M:.0f} m"
 
-    def bind(self, situation: Situation) -> FootprintStep:
+    def bind(self, context: EffectContext) -> FootprintStep:
         """See `Effect`."""
-        sensor = situation.scene.sensor
+        sensor = context.scene.sensor
         if sensor is None or not sensor.divergence_rad:
             return lambda returns, insertion: returns
-        return _Footprint(situation, SUB_RAY_SHARE * sensor.divergence_rad / 2.0)
+        return _Footprint(context, SUB_RAY_SHARE * sensor.divergence_rad / 2.0)
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """See `Effect`: no returns step."""
         return False
 
@@ -130,7 +130,7 @@ class _Verdict:
 class _Footprint:
     """The step. angle_rad: between a sub-ray and the axis."""
 
-    situation: Situation
+    context: EffectContext
     angle_rad: float
 
     def __call__(self, returns: Returns, insertion: Insertion) -> Returns:
@@ -140,7 +140,7 @@ class _Footprint:
         verdict = _Verdict.of(self._echoes(rows, returns, insertion))
         was_hit = insertion.rendering.hit_mask[rows]
         result = _moved(returns, rows, was_hit & verdict.object_wins & ~verdict.whole, verdict)
-        known = rows < len(self.situation.scene.points)
+        known = rows < len(self.context.scene.points)
         result = self._given_back(result, rows[was_hit & ~verdict.object_wins & known])
         return self._with_gained(result, rows, ~was_hit & verdict.object_wins, verdict, insertion)
 
@@ -166,7 +166,7 @@ class _Footprint:
         if len(rows) == 0:
             return returns
         place = _places(returns, rows)
-        own = torch.from_numpy(self.situation.scene.points[rows.numpy()]).double()
+        own = torch.from_numpy(self.context.scene.points[rows.numpy()]).double()
         return replace(
             returns,
             points=returns.points.index_copy(0, place, own),
@@ -192,11 +192,11 @@ class _Footprint:
 
     def _scene_albedo(self, rows: Tensor) -> Tensor:
         """(C,) albedo of what beams met before; 0 of silent ones."""
-        return torch.where(rows < len(self.situation.scene.points), self._of_scene(rows, SCENE_ALBEDO), 0.0)
+        return torch.where(rows < len(self.context.scene.points), self._of_scene(rows, SCENE_ALBEDO), 0.0)
 
     def _of_scene(self, rows: Tensor, unknown: float) -> Tensor:
         """(C,) float64 reflectance of the scene's points, 0 beyond them; `unknown` where it has none."""
-        values, count = self.situation.scene.reflectance, len(self.situation.scene.points)
+        values, count = self.context.scene.reflectance, len(self.context.scene.points)
         if values is None:
             return torch.full((len(rows),), unknown, dtype=torch.float64)
         known = torch.from_numpy(values[rows.clamp_max(count - 1).numpy()]).double()

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from shift3d.effects.base import Kind, Returns, ReturnsStep, Situation
+from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.power import (
     LEAST_LOSS,
@@ -157,7 +157,7 @@ class Fog:
     kind: Kind = "returns"
     reads_incidence = True
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see, and that shows: in reflectance,
         at the sensor's limit, or because fog outshines surfaces."""
         visibility_m = scene.conditions.visibility_m
@@ -174,12 +174,12 @@ class Fog:
         reason += "at 30 m and back"
         return reason if outshone_m is None else f"{reason}; fog outshines surfaces from {outshone_m:.0f} m on"
 
-    def bind(self, situation: Situation) -> ReturnsStep:
+    def bind(self, context: EffectContext) -> ReturnsStep:
         """The table, once for each visibility in a process; two draws a beam where the limit is known."""
-        visibility_m = situation.scene.conditions.visibility_m
+        visibility_m = context.scene.conditions.visibility_m
         if math.isinf(visibility_m):
             return unchanged
-        limit = PowerLimit.of(situation, self.name)
+        limit = PowerLimit.of(context, self.name)
         soft = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
 
         def step(returns: Returns) -> Returns:
@@ -187,9 +187,9 @@ class Fog:
 
         return step
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """Where the scene's points are those of clear air."""
-        return not situation.scene.conditions.weather_in_points
+        return not context.scene.conditions.weather_in_points
 
 
 def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit) -> Returns:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from shift3d.effects.base import CastStep, Kind, Situation
+from shift3d.effects.base import CastStep, EffectContext, Kind
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
@@ -25,18 +25,18 @@ class Origins:
     kind: Kind = "cast"
     reads_incidence = False
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`. However small the distance between the places: the facts do not tell it."""
         return "its beams start in more than 1 place" if scene.origins > 1 else None
 
-    def bind(self, situation: Situation) -> CastStep:
+    def bind(self, context: EffectContext) -> CastStep:
         """See `Effect`."""
-        scene = situation.scene
+        scene = context.scene
         if bool((scene.origins == scene.origins[:1]).all()):
             return lambda cast: cast
         return lambda cast: replace(cast, beams=Beams.from_scene(scene))
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """See `Effect`: no returns step."""
         return False
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import Returns, Situation
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.sensor import SensorModel
 
@@ -83,13 +83,13 @@ def survival(power: Tensor, sensor: SensorModel) -> Tensor:
     return torch.sigmoid((power.double().log() - math.log(least)) / sensor.power_spread)
 
 
-def survival_draws(situation: Situation) -> Tensor:
+def survival_draws(context: EffectContext) -> Tensor:
     """(N,) float64 uniform in [0, 1), one a beam: an echo is noticed where the draw lies below `survival`.
 
     All effects that lose echoes of the object share these: the same beam is not tried twice with different luck, so
     that rain, then ray drop, lose together what the weakest power of the two loses.
     """
-    return torch.from_numpy(situation.draws("power", "survival").random(len(situation.beams)))
+    return torch.from_numpy(context.draws("power", "survival").random(len(context.beams)))
 
 
 def loss(extinction_per_m: float, range_m: float) -> float:
@@ -135,13 +135,13 @@ class PowerLimit:
     own: Tensor | None = None
 
     @staticmethod
-    def of(situation: Situation, effect: str) -> PowerLimit:
-        """The limit of the situation's sensor, with the draws of one effect."""
-        sensor = situation.scene.sensor or SensorModel()
+    def of(context: EffectContext, effect: str) -> PowerLimit:
+        """The limit of the context's sensor, with the draws of one effect."""
+        sensor = context.scene.sensor or SensorModel()
         if sensor.limit_range_m is None or math.isinf(sensor.limit_range_m):  # no least power
             return PowerLimit(sensor)
-        own = torch.from_numpy(situation.draws(effect, "survival").random(len(situation.beams)))
-        return PowerLimit(sensor, least_power(sensor.limit_range_m), survival_draws(situation), own)
+        own = torch.from_numpy(context.draws(effect, "survival").random(len(context.beams)))
+        return PowerLimit(sensor, least_power(sensor.limit_range_m), survival_draws(context), own)
 
     def lost(self, returns: Returns, power: Tensor, transmission: Tensor) -> Tensor:
         """(K,) bool: echoes that are not noticed any more, of those that are returned.

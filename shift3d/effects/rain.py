@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.effects import power as law
-from shift3d.effects.base import Kind, Returns, ReturnsStep, Situation
+from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss, unchanged
 from shift3d.render.field.object_field import VehicleFrame
@@ -189,16 +189,16 @@ class Precipitation:
     noise: Tensor
 
     @staticmethod
-    def of(situation: Situation, effect: str, particles: Particles) -> Precipitation:
-        """Particles in the beams of a situation."""
-        sensor = situation.scene.sensor or SensorModel()
+    def of(context: EffectContext, effect: str, particles: Particles) -> Precipitation:
+        """Particles in the beams of a context."""
+        sensor = context.scene.sensor or SensorModel()
         arrival, size = (
-            torch.from_numpy(situation.draws(effect, what).standard_exponential(len(situation.beams)))
+            torch.from_numpy(context.draws(effect, what).standard_exponential(len(context.beams)))
             for what in ("arrival", "size")
         )
         table = crossings(particles, sensor.divergence_rad or DIVERGENCE_RAD)
-        noise = torch.from_numpy(situation.draws(effect, "noise").standard_normal(len(situation.beams)))
-        return Precipitation(table, PowerLimit.of(situation, effect), arrival, size, noise)
+        noise = torch.from_numpy(context.draws(effect, "noise").standard_normal(len(context.beams)))
+        return Precipitation(table, PowerLimit.of(context, effect), arrival, size, noise)
 
     def act(self, returns: Returns) -> Returns:
         """Weaken echoes, lose what is too weak, and put the nearest particle in the place of what it outdoes.
@@ -274,7 +274,7 @@ class Rain:
     kind: Kind = "returns"
     reads_incidence = True
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see."""
         rate = scene.conditions.rain_mm_h
         if rate == 0.0:
@@ -284,16 +284,16 @@ class Rain:
             return None
         return f"rain {rate:g} mm/h: {100.0 * loss(extinction, 30.0):.2g} % of the light is lost at 30 m and back"
 
-    def bind(self, situation: Situation) -> ReturnsStep:
+    def bind(self, context: EffectContext) -> ReturnsStep:
         """Three draws a beam, and two more where the sensor's limit is known."""
-        rate = situation.scene.conditions.rain_mm_h
+        rate = context.scene.conditions.rain_mm_h
         if rate == 0.0:
             return unchanged
-        return Precipitation.of(situation, self.name, drops(rate)).act
+        return Precipitation.of(context, self.name, drops(rate)).act
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """Where the scene's points are those of dry air."""
-        return not situation.scene.conditions.weather_in_points
+        return not context.scene.conditions.weather_in_points
 
 
 EFFECT = Rain()

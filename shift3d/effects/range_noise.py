@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from shift3d.effects.base import Kind, Returns, ReturnsStep, Situation
+from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
@@ -35,20 +35,20 @@ class RangeNoise:
     kind: Kind = "returns"
     reads_incidence = False
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where the sensor states a noise that float32 can hold."""
         sigma_m = scene.sensor.range_noise_m
         if sigma_m is None or not sigma_m >= LEAST_NOISE_M:
             return None
         return f"ranges of this sensor scatter by {_length(sigma_m)}; inserted points would not at all"
 
-    def bind(self, situation: Situation) -> ReturnsStep:
+    def bind(self, context: EffectContext) -> ReturnsStep:
         """One draw for every row of the beams."""
-        sensor = situation.scene.sensor
+        sensor = context.scene.sensor
         sigma_m = 0.0 if sensor is None else sensor.range_noise_m or 0.0
         if sigma_m == 0.0:
             return _unchanged
-        drawn = situation.draws(self.name).standard_normal(len(situation.beams))
+        drawn = context.draws(self.name).standard_normal(len(context.beams))
         noise_m = sigma_m * torch.from_numpy(drawn)
 
         def step(returns: Returns) -> Returns:
@@ -59,7 +59,7 @@ class RangeNoise:
 
         return step
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """Never: the scene's own points are measured ones."""
         return False
 

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import Kind, Returns, ReturnsStep, Situation
+from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.materials import DARKEST_ALBEDO
 from shift3d.effects.power import echo_power, least_power, survival, survival_draws
@@ -49,7 +49,7 @@ class RayDrop:
     kind: Kind = "returns"
     reads_incidence = True
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where the darkest material, far out and at a flat angle, loses echoes to this sensor."""
         limit_m = scene.sensor.limit_range_m
         if limit_m is None or not _has_limit(scene.sensor):
@@ -64,12 +64,12 @@ class RayDrop:
             f"{share:.2g} of the least power: {100.0 * lost:.0f} % of such echoes are lost"
         )
 
-    def bind(self, situation: Situation) -> ReturnsStep:
+    def bind(self, context: EffectContext) -> ReturnsStep:
         """One uniform draw for every row of the beams."""
-        sensor = situation.scene.sensor
+        sensor = context.scene.sensor
         if sensor is None or not _has_limit(sensor):
             return _unchanged
-        drawn = survival_draws(situation)
+        drawn = survival_draws(context)
 
         def step(returns: Returns) -> Returns:
             lost = returns.on_object & returns.returned & ~(drawn[returns.row] < _survival(returns, sensor))
@@ -77,7 +77,7 @@ class RayDrop:
 
         return step
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """Never: what the sensor lost of the scene is not in its points."""
         return False
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from shift3d.effects.base import Kind, Returns, ReturnsStep, Situation
+from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
@@ -36,17 +36,17 @@ class Reflectance:
     kind: Kind = "returns"
     reads_incidence = True
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where the detector reads it and the scene has it."""
         if not (detector.reads_reflectance and scene.has_reflectance):
             return None
         return f"{detector.name} reads reflectance: moved points would report what they met before"
 
-    def bind(self, situation: Situation) -> ReturnsStep:
+    def bind(self, context: EffectContext) -> ReturnsStep:
         """Nothing is drawn."""
         return _reported
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """Never: the scene's own points have theirs."""
         return False
 

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import Cast, CastStep, Kind, Situation
+from shift3d.effects.base import Cast, CastStep, EffectContext, Kind
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
@@ -40,7 +40,7 @@ class RollingShutter:
     kind: Kind = "cast"
     reads_incidence = False
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the displacement over a scan exceeds the range noise.
 
         The heading is not known here: speeds of object and sensor are added, so the displacement is an upper bound.
@@ -51,27 +51,27 @@ class RollingShutter:
             return None
         return f"up to {speed:.1f} m/s over {scene.scan_s:.3g} s: {moved:.2f} m, range noise {noise:.2f} m"
 
-    def bind(self, situation: Situation) -> CastStep:
+    def bind(self, context: EffectContext) -> CastStep:
         """See `Effect`."""
-        velocity = relative_velocity(situation)
-        scene = situation.scene
+        velocity = relative_velocity(context)
+        scene = context.scene
         if scene.time_s is None or not velocity.any():
             return lambda cast: cast
         times = torch.from_numpy(scene.time_s.copy()).double()
-        silent = None if scene.silent is None else scene.silent.time_s
-        silent_times = None if silent is None else torch.from_numpy(silent.copy()).double()
-        return lambda cast: _displaced(cast, times, silent_times, torch.from_numpy(velocity))
+        no_return = None if scene.no_return is None else scene.no_return.time_s
+        no_return_times = None if no_return is None else torch.from_numpy(no_return.copy()).double()
+        return lambda cast: _displaced(cast, times, no_return_times, torch.from_numpy(velocity))
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """See `Effect`: no returns step."""
         return False
 
 
-def relative_velocity(situation: Situation) -> NDArray[np.float64]:
+def relative_velocity(context: EffectContext) -> NDArray[np.float64]:
     """(3,) float64 m/s, scene frame: how fast the object moves in the frame in which points are given."""
-    heading = situation.heading_rad
-    own: NDArray[np.float64] = situation.object_speed_m_s * np.array([math.cos(heading), math.sin(heading), 0.0])
-    return own - _apparent(situation.scene.conditions)
+    heading = context.heading_rad
+    own: NDArray[np.float64] = context.object_speed_m_s * np.array([math.cos(heading), math.sin(heading), 0.0])
+    return own - _apparent(context.scene.conditions)
 
 
 def _apparent(conditions: Conditions) -> NDArray[np.float64]:
@@ -82,12 +82,12 @@ def _apparent(conditions: Conditions) -> NDArray[np.float64]:
     return np.array(velocity, dtype=np.float64)
 
 
-def _displaced(cast: Cast, times: Tensor, silent_times: Tensor | None, velocity: Tensor) -> Cast:
-    """Beams moved against the object; times (N,) of the scene's points, then those of silent rows."""
+def _displaced(cast: Cast, times: Tensor, no_return_times: Tensor | None, velocity: Tensor) -> Cast:
+    """Beams moved against the object; times (N,) of the scene's points, then those of rows without a return."""
     beams = cast.beams
     extra = len(beams) - len(times)
     if extra:
-        times = torch.cat((times, times.new_zeros(extra) if silent_times is None else silent_times))
+        times = torch.cat((times, times.new_zeros(extra) if no_return_times is None else no_return_times))
     shift = times[:, None] * velocity
     moved = replace(beams, origins=beams.origins - shift, points=(beams.points.double() - shift).to(beams.points.dtype))
     return replace(cast, beams=moved, shift_m=shift)

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import Kind, Returns, ReturnsStep, Situation
+from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
@@ -38,15 +38,15 @@ class SecondReturns:
     kind: Kind = "returns"
     reads_incidence = False
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where beams have more than one return that can be paired."""
         if scene.returns <= 1 or not scene.has_pixels:
             return None
         return f"{scene.returns} returns a beam: an opaque object in front of them sends back 1"
 
-    def bind(self, situation: Situation) -> ReturnsStep:
+    def bind(self, context: EffectContext) -> ReturnsStep:
         """Rows are paired here, once. Nothing is drawn."""
-        scene, count = situation.scene, len(situation.beams)
+        scene, count = context.scene, len(context.beams)
         if scene.return_number is None or scene.range_image_index is None:
             return _unchanged
         number = torch.zeros(count, dtype=torch.long)  # beams that had no return have one at most
@@ -59,7 +59,7 @@ class SecondReturns:
 
         return step
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """Never: it is the object that stops beams."""
         return False
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shift3d.effects.base import Kind, ReturnsStep, Situation
+from shift3d.effects.base import EffectContext, Kind, ReturnsStep
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.power import LEAST_LOSS, loss, reach_m, unchanged
 from shift3d.effects.rain import Particles, Precipitation
@@ -52,7 +52,7 @@ class Snow:
     kind: Kind = "returns"
     reads_incidence = True
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see."""
         rate = scene.conditions.snow_mm_h
         if rate == 0.0:
@@ -62,16 +62,16 @@ class Snow:
             return None
         return f"snow {rate:g} mm/h: {100.0 * loss(extinction, 30.0):.2g} % of the light is lost at 30 m and back"
 
-    def bind(self, situation: Situation) -> ReturnsStep:
+    def bind(self, context: EffectContext) -> ReturnsStep:
         """Three draws a beam, and two more where the sensor's limit is known."""
-        rate = situation.scene.conditions.snow_mm_h
+        rate = context.scene.conditions.snow_mm_h
         if rate == 0.0:
             return unchanged
-        return Precipitation.of(situation, self.name, flakes(rate)).act
+        return Precipitation.of(context, self.name, flakes(rate)).act
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """Where the scene's points are those of dry air."""
-        return not situation.scene.conditions.weather_in_points
+        return not context.scene.conditions.weather_in_points
 
 
 EFFECT = Snow()

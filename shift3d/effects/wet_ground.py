@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import Kind, Returns, ReturnsStep, Situation
+from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.power import PowerLimit, echo_power, unchanged
 from shift3d.render.field.object_field import VehicleFrame
@@ -87,7 +87,7 @@ class WetGround:
     kind: Kind = "returns"
     reads_incidence = False
 
-    def called_for(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Rain that is not in the points yet, ground in view, and a limit below which its echoes are lost."""
         conditions = scene.conditions
         if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not scene.ground_in_view:
@@ -101,23 +101,23 @@ class WetGround:
             f"at {_TYPICAL_M:g} m"
         )
 
-    def bind(self, situation: Situation) -> ReturnsStep:
+    def bind(self, context: EffectContext) -> ReturnsStep:
         """Two draws a beam."""
-        conditions, sensor = situation.scene.conditions, situation.scene.sensor
+        conditions, sensor = context.scene.conditions, context.scene.sensor
         if conditions.rain_mm_h == 0.0 or conditions.weather_in_points:
             return unchanged
         if sensor is None or sensor.limit_range_m is None:
             return unchanged
-        limit, ground_z_m = PowerLimit.of(situation, self.name), situation.scene.ground_z_m
+        limit, ground_z_m = PowerLimit.of(context, self.name), context.scene.ground_z_m
 
         def step(returns: Returns) -> Returns:
             return _wetted(returns, limit, ground_z_m)
 
         return step
 
-    def on_scene(self, situation: Situation) -> bool:
+    def on_scene(self, context: EffectContext) -> bool:
         """Where the scene's points are those of dry ground."""
-        return not situation.scene.conditions.weather_in_points
+        return not context.scene.conditions.weather_in_points
 
 
 def _wetted(returns: Returns, limit: PowerLimit, ground_z_m: float) -> Returns:

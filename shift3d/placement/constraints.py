@@ -140,7 +140,7 @@ def is_clear(theta: Tensor, others: Tensor | None, clear_m: float) -> bool:
     return bool(((others - theta[:2].detach().to(others)).norm(dim=-1) > clear_m).all())
 
 
-def settle(
+def snap_to_ground(
     field: ObjectField,
     points: Tensor,
     theta: Tensor,
@@ -159,15 +159,15 @@ def settle(
 
     Source: our choice: the paper places with a six-dof pose and leaves the method open.
     """
-    settled = theta.detach().double().clone()
+    snapped = theta.detach().double().clone()
     for _ in range(iterations):
-        metric, _ = distances(field, points, settled, size_m, reach_m)
+        metric, _ = distances(field, points, snapped, size_m, reach_m)
         if len(metric) == 0:
             return None
         clearance = float(metric.min())
         if abs(clearance) <= tolerance_m:
-            return settled
-        settled[2] -= clearance
-        if abs(float(settled[2] - theta[2])) > reach_m:
+            return snapped
+        snapped[2] -= clearance
+        if abs(float(snapped[2] - theta[2])) > reach_m:
             return None
     return None

@@ -55,8 +55,8 @@ def fit_ground(
     near = np.einsum("ij,ij->i", offset, offset) <= radius_m**2
     xy, z = offset[near], points[near, 2]
     # Slopes let the ground leave its nominal height with distance.
-    slack = 0.6 + 0.03 * math.hypot(*centre_xy)
-    keep = np.abs(z - nominal_z_m) < slack
+    tolerance_m = 0.6 + 0.03 * math.hypot(*centre_xy)
+    keep = np.abs(z - nominal_z_m) < tolerance_m
     if keep.sum() < _MIN_POINTS:
         return None
     low = np.quantile(z[keep], 0.2)

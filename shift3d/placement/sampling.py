@@ -18,7 +18,7 @@ from shift3d.placement.constraints import (
     check,
     is_clear,
     points_near,
-    settle,
+    snap_to_ground,
 )
 from shift3d.placement.ground import fit_ground
 from shift3d.render.beams import Beams
@@ -144,7 +144,7 @@ def _try_place(
     size: Tensor,
     constraints: Constraints,
 ) -> Tensor | str:
-    """The settled pose, or the reason why not."""
+    """The snapped pose, or the reason why not."""
     x, y, yaw = draw
     plane = fit_ground(carried, (x, y), ground_z_m, float(size[:2].norm()) / 2 + 0.5)
     if plane is None:
@@ -156,8 +156,8 @@ def _try_place(
     box = Box(-size / 2, size / 2)
     if len(rays_in_box(beams, theta, box)) < constraints.min_object_points:
         return "points"
-    settled = settle(metric, near, theta, size, reach_m=0.06)
-    return "contact" if settled is None else settled
+    snapped = snap_to_ground(metric, near, theta, size, reach_m=0.06)
+    return "contact" if snapped is None else snapped
 
 
 def pose_on_plane(

@@ -16,7 +16,7 @@ def trial_caveat(tasks: Tasks) -> str | None:
 
     tasks: of the whole plan; of several numbers of steps the largest counts.
     """
-    steps = max(group.ground.attack.steps for group in tasks.groups())
+    steps = max(group.template.attack.steps for group in tasks.groups())
     scenes = tasks.scenes()
     reasons = []
     if steps < _LEAST_STEPS:

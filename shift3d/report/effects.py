@@ -14,14 +14,14 @@ from math import log, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from shift3d.effects.applicability import NEEDS, WORTH_BOUND, Worth
+from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
 from shift3d.errors import InputError
 from shift3d.report.page import html_image, html_table, page
 from shift3d.report.resampling import Interval, mean_interval
 from shift3d.report.tables import aligned
 from shift3d.store.atomic import write_atomic
 from shift3d.store.location import Location
-from shift3d.store.places import Place, as_location
+from shift3d.store.resolve import LocationLike, as_location
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,7 +47,7 @@ _MEANINGS = (
     ("|change|", "mean absolute change of the unchanged vehicle's score, with its 95 % interval (scenes resampled)"),
     ("AUC", "change of the mean score, baseline and adversarial (searched again under the effect), likewise"),
     ("ms", "what one rendering costs more; what is done once for a scene is not in it"),
-    ("auto", f"whether the change cannot be said to lie below {WORTH_BOUND:g}: only then does effects=auto take it"),
+    ("auto", f"whether the change cannot be said to lie below {IMPACT_BOUND:g}: only then does effects=auto take it"),
 )
 
 
@@ -68,10 +68,10 @@ class EffectWorth:
     milliseconds: float
 
     @property
-    def worth(self) -> Worth:
+    def worth(self) -> MeasuredImpact:
         """As `effects=auto` reads it."""
         change = self.score_change
-        return Worth(change.mean, change.low, change.high, self.milliseconds)
+        return MeasuredImpact(change.mean, change.low, change.high, self.milliseconds)
 
 
 def effect_worths(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> list[EffectWorth]:
@@ -173,7 +173,7 @@ def effects_figure(worths: list[EffectWorth]) -> Figure:
         label = worth.effect.replace("_", " ")
         axes.annotate(label, (x, y), xytext=offset, textcoords="offset points", fontsize=8, ha=side)
         drawn.append((x, y))
-    axes.axhline(WORTH_BOUND, color="#202020", lw=0.8, ls="--")
+    axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel(f"milliseconds a rendering, more (less than {least_ms:g} drawn there)")
@@ -182,7 +182,7 @@ def effects_figure(worths: list[EffectWorth]) -> Figure:
     return figure
 
 
-def write_effects_page(path: Place, sweep: str, worths: list[EffectWorth]) -> Location:
+def write_effects_page(path: LocationLike, sweep: str, worths: list[EffectWorth]) -> Location:
     """The page: figure, table, what the columns mean. Written whole or not at all; returns its path."""
     kinds = ["preset" if worth.worth.matters else "dominated" for worth in worths]
     meanings = "".join(f"<dt>{html.escape(word)}</dt><dd>{html.escape(text)}</dd>" for word, text in _MEANINGS)
@@ -200,7 +200,7 @@ def write_effects_page(path: Place, sweep: str, worths: list[EffectWorth]) -> Lo
 
 
 def write_worth(path: Path, sweep: str, worths: list[EffectWorth]) -> Path:
-    """What ``effects=auto`` reads, as JSON (`render.effects.applicability.WORTH` tells where). Returns its path."""
+    """What ``effects=auto`` reads, as JSON (`effects.applicability.MEASURED_IMPACT`). Returns its path."""
     rows = {
         worth.effect: {
             "score_change": round(worth.score_change.mean, 5),
@@ -213,5 +213,5 @@ def write_worth(path: Path, sweep: str, worths: list[EffectWorth]) -> Path:
         for worth in worths
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, (json.dumps({"sweep": sweep, "bound": WORTH_BOUND, "effects": rows}, indent=2) + "\n").encode())
+    write_atomic(path, (json.dumps({"sweep": sweep, "bound": IMPACT_BOUND, "effects": rows}, indent=2) + "\n").encode())
     return path

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow.compute as pc
 
-from shift3d.effects.applicability import measured_worth
+from shift3d.effects.applicability import measured_impact
 from shift3d.report.accuracy_cost import measured_presets
 from shift3d.report.task_parts import searched, shipped_parts
 from shift3d.store.log import read_log
-from shift3d.store.places import Place, as_location
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import Tasks
@@ -37,7 +37,7 @@ class Expected:
     guessed: int
 
 
-def finished_in(tasks: Tasks, folders: Sequence[Place]) -> np.ndarray:
+def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
     """Of each task whether one of some sweeps' folders has its result.
 
     Raises:
@@ -51,7 +51,7 @@ def finished_in(tasks: Tasks, folders: Sequence[Place]) -> np.ndarray:
     return done
 
 
-def expected(tasks: Tasks, folders: Sequence[Place]) -> Expected:
+def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
     """What tasks will take one worker.
 
     Args:
@@ -97,7 +97,7 @@ class _Spent:
     by_model: float = 0.0
 
 
-def _measured(folder: Place, model: _Model) -> dict[Hashable, _Spent]:
+def _measured(folder: LocationLike, model: _Model) -> dict[Hashable, _Spent]:
     """What each kind of task took in a sweep; nothing where it has finished none."""
     tasks, attempts = read_plan(folder).tasks, committed_rows(folder, read_log(folder), "attempts")
     at = pc.index_in(attempts["task_id"], value_set=tasks.ids).fill_null(len(tasks)).to_numpy()
@@ -124,7 +124,7 @@ class _Model:
         self._parts = shipped_parts()
         presets, whose = measured_presets()
         self._rendering_ms = presets["ms_median"].to_dict()
-        self._worth = measured_worth()
+        self._worth = measured_impact()
         self.source = f"the figures that ship: {self._parts.source}; presets by {whose}"
 
     def seconds(self, spec: TaskSpec) -> float:
@@ -137,7 +137,7 @@ class _Model:
 
 
 def expected_lines(
-    plan: Plan, out: Place | None, others: Sequence[Place], timings: Sequence[Place], workers: int
+    plan: Plan, out: LocationLike | None, others: Sequence[LocationLike], timings: Sequence[LocationLike], workers: int
 ) -> str:
     """What is left to run of a plan, in words: time with some workers, and core-hours.
 

@@ -11,7 +11,7 @@ from shift3d.report.numerics import diagnostics
 from shift3d.report.page import html_image, html_table, page
 from shift3d.report.tables import aligned
 from shift3d.store.location import Location
-from shift3d.store.places import Place, as_location
+from shift3d.store.resolve import LocationLike, as_location
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,7 +77,7 @@ def _unstable_line(row: dict[str, object]) -> str:
     )
 
 
-def write_stability_page(path: Place, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
+def write_stability_page(path: LocationLike, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
     """Write the page of one sweep's stability: self-contained, the same tables to the same bytes.
 
     Raises:

@@ -167,7 +167,7 @@ class Field:
 def _round_units(live: Tensor) -> Tensor:
     """(n,) ascending numbers of the live units, and of as many others as make n a multiple of 32.
 
-    Libraries make code for every size of matrix: few sizes come round again, see `processor.round_batch`.
+    Libraries make code for every size of matrix: few sizes come round again, see `processor.pad_to_bucket`.
     """
     on, off = torch.nonzero(live).squeeze(1), torch.nonzero(~live).squeeze(1)
     missing = min(-len(on) % _UNITS, len(off))

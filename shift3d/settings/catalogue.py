@@ -153,7 +153,7 @@ def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
         for name, value in asdict(preset(config.name)).items()
     }
     for name, value in config.render.items():
-        if (renamed := renamed_error(name, value)) is not None:
+        if (renamed := renamed_error(f"accuracy.render.{name}", value)) is not None:
             raise renamed
         if name not in settings:
             raise messages.choice_error("setting", name, settings, "accuracy.render")

@@ -72,11 +72,12 @@ def from_hydra(
     # Of one option Hydra says that it did not find it, of one in a list that it could not load it.
     if match := re.search(r"Could not (?:find|load) '([^']+)'", text):
         group, _, name = match.group(1).rpartition("/")
+        if (renamed := renamed_error(group, name)) is not None:
+            return renamed
         return choice_error(group or "sweep", name, options(group), where, looked_in(f"conf/{group}"))
     if match := re.search(r"Could not override '([^']+)'", text):
         key, siblings = match.group(1), _siblings(match.group(1), config or {})
-        renamed = renamed_error(key.removeprefix("accuracy.render.")) if key.startswith("accuracy.render.") else None
-        if renamed is not None:
+        if (renamed := renamed_error(key)) is not None:
             return renamed
         if key in siblings:
             return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")

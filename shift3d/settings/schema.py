@@ -157,14 +157,14 @@ class PlacementConfig(_Record):
 class AttackConfig(_Record):
     """The search and its comparisons.
 
-    steady_steps: steps before and after that count when one is kept. transfer_scenes: into how many other scenes each
-    shape that is found is put.
+    selection_window: steps before and after that count when one is kept. transfer_scenes: number of other scenes that
+    each adversarial shape is put into.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
 
     steps: Number
-    steady_steps: Number = 0
+    selection_window: Number = 0
     alpha: Positive
     lambda_: Annotated[float, Field(alias="lambda", ge=0, le=_LARGEST, allow_inf_nan=False)]
     random_replicates: Number
@@ -172,7 +172,6 @@ class AttackConfig(_Record):
     noise_sigma: NotNegative
     max_shift_m: NotNegative
     max_tilt_rad: NotNegative
-    sphere_m: Positive
     detection_radius_m: Positive
     transfer_scenes: Number = 0
     placement: PlacementConfig
@@ -190,7 +189,7 @@ class AccuracyConfig(_Record):
 
 
 EffectName = Literal[
-    "origins", "silent_beams", "rolling_shutter", "divergence", "second_returns", "reflectance",
+    "origins", "no_return_beams", "rolling_shutter", "divergence", "second_returns", "reflectance",
     "wet_ground", "fog", "rain", "snow", "ray_drop", "range_noise",
 ]  # fmt: skip
 
@@ -226,7 +225,7 @@ class EffectsConfig(_Record):
         """In a word: "auto", "none", or names joined by +."""
         return "+".join([*(["auto"] if self.auto else []), *self.forced()]) or "none"
 
-    def said(self) -> dict[str, float]:
+    def overrides(self) -> dict[str, float]:
         """What is said about scenes, by name."""
         values = self.model_dump(exclude={"use"})
         return {name: float(value) for name, value in values.items() if value is not None}

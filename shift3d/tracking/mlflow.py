@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from shift3d.store.places import Place, local_copy
+from shift3d.store.resolve import LocationLike, local_copy
 from shift3d.tracking.auc_view import share_view
 from shift3d.tracking.sweep_groups import MOST_GROUPS, Recall, groups, metric_name, overall
 
@@ -47,7 +47,7 @@ class SweepRecord:
         self,
         sweep: str,
         spec_hash: str,
-        folder: Place,
+        folder: LocationLike,
         settings: Mapping[str, Any],
         auc: pd.DataFrame,
         curves: pd.DataFrame,

@@ -17,7 +17,7 @@ from drivers import DETERMINISTIC, DRIVER, QUICK, Drivers
 
 from shift3d.store.location import Location
 from shift3d.store.log import read_log
-from shift3d.store.places import as_location
+from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 
 TASKS = 60

@@ -122,11 +122,11 @@ class GridReadings:
         """
         doubtful, inside = ~(self.distance_m >= self.error_m), self.distance_m < -self.error_m
         first, entered = doubtful.byte().argmax(1), inside.byte().argmax(1)
-        slack = ~(self.distance_m.diff(dim=1) <= -slope * SAMPLE_M)
-        slack = functional.pad(slack.int().cumsum(1), (1, 0))
+        shallow_steps = ~(self.distance_m.diff(dim=1) <= -slope * SAMPLE_M)
+        shallow_steps = functional.pad(shallow_steps.int().cumsum(1), (1, 0))
         rows = torch.nonzero(inside.any(1)).squeeze(1)
         a, b = first[rows], entered[rows]
-        falls = slack[rows, b] == slack[rows, a]
+        falls = shallow_steps[rows, b] == shallow_steps[rows, a]
         kept = falls & ((b - a) * SAMPLE_M <= _CLEAN_M) & ((a > 0) | (self.distance_m[rows, 0] > 0))
         rows, a = rows[kept], a[kept]
         after = ((self.distance_m[rows] < 0) & (torch.arange(self.distance_m.shape[1]) >= a[:, None])).byte().argmax(1)

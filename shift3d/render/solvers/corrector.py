@@ -51,12 +51,12 @@ def secant(
     k, slope = start.clone(), slope.clamp_max(_FLATTEST).clone()
     g = field(rays.at(k)).double()
     g_start = g.clone()
-    settled = g.abs() <= settings.tolerance_m
-    active = torch.nonzero(~settled).squeeze(1)
+    converged = g.abs() <= settings.tolerance_m
+    active = torch.nonzero(~converged).squeeze(1)
     for _ in range(_STEPS):
         k_new = k[active] - g[active] / slope[active]
         short = (k_new - k[active]).abs() <= settings.final_newton_m
-        k[active[short]], settled[active[short]] = k_new[short], True
+        k[active[short]], converged[active[short]] = k_new[short], True
         active, k_new = active[~short], k_new[~short]
         if len(active) == 0:
             break
@@ -67,9 +67,9 @@ def secant(
         # A slope that is not negative is a way out of the object, not into it.
         lost = (seen >= 0) | ((k_new - start[active]).abs() >= reach_m) | torch.isnan(g_new)
         done = (g_new.abs() <= settings.tolerance_m) & ~lost
-        settled[active[done]] = True
+        converged[active[done]] = True
         active = active[~done & ~lost]
-    good = settled & ((k - start).abs() < reach_m) & (k >= rays.near_m) & (k <= rays.far_m)
+    good = converged & ((k - start).abs() < reach_m) & (k >= rays.near_m) & (k <= rays.far_m)
     return Corrected(torch.where(good, k, torch.nan), g.abs(), slope, g_start)
 
 

@@ -76,10 +76,10 @@ def _first_sample_inside(
     return first, (lost & (torch.arange(count) <= last[:, None])).any(1)
 
 
-def _within_sphere(rays: Rays, k: Tensor, slack_m: float) -> Tensor:
+def _within_sphere(rays: Rays, k: Tensor, margin_m: float) -> Tensor:
     along = -(rays.origins * rays.directions).sum(-1, keepdim=True)
     offset = torch.linalg.cross(rays.origins, rays.directions).square().sum(-1, keepdim=True)
-    half = (SPHERE_RADIUS_M**2 - offset).clamp_min(0.0).sqrt() + slack_m
+    half = (SPHERE_RADIUS_M**2 - offset).clamp_min(0.0).sqrt() + margin_m
     within: Tensor = (k >= along - half) & (k <= along + half)
     return within
 

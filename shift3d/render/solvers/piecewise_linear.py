@@ -48,15 +48,15 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
     Not differentiable. Source: our choice: the paper samples every 0.1 m.
     """
     rays = rays_in_box(beams, theta, verified_box(field, size_m, settings.box_margin_m).box)
-    walk = Walk(rays, field, settings.max_slope)
-    walk.run()
-    hit = torch.nonzero(torch.isfinite(walk.root_m)).squeeze(1)
-    root = walk.root_m[hit]
+    traversal = Traversal(rays, field, settings.max_slope)
+    traversal.run()
+    hit = torch.nonzero(torch.isfinite(traversal.root_m)).squeeze(1)
+    root = traversal.root_m[hit]
     residual = field(rays.at(root, hit)).double().abs()
-    return FirstHits(rays.index[hit], root, residual, rays.index[walk.undecided])
+    return FirstHits(rays.index[hit], root, residual, rays.index[traversal.undecided])
 
 
-class Walk:
+class Traversal:
     """A march over M rays: root_m (M,) float64, infinite where none; undecided (M,) bool."""
 
     def __init__(self, rays: Rays, field: ObjectField, max_slope: float) -> None:
@@ -103,8 +103,8 @@ class Walk:
             return
         ahead = self._ahead[rows]
         k = self._k[rows] + ahead
-        g, slack = self._value(k, rows)
-        reach = (g - slack) / self._bound[rows]
+        g, error_bound = self._value(k, rows)
+        reach = (g - error_bound) / self._bound[rows]
         short = (ahead > 0) & ~(reach >= ahead)
         self._ahead[rows[short]] = 0.0
         # Within a rounding of the surface the sign is for float64 to tell.
@@ -112,7 +112,7 @@ class Walk:
         self._by_piece[rows[near]] = True
         rows, k, g = (part[~(short | near)] for part in (rows, k, g))
         rows, k, g = self._usable(rows, k, g)
-        reach = (g - slack) / self._bound[rows]
+        reach = (g - error_bound) / self._bound[rows]
         self._advance(rows, k, g, reach)
         expected = reach * (self._bound[rows] - _FALL) / (self._bound[rows] + _FALL)
         self._ahead[rows] = torch.minimum(expected, self.rays.far_m[rows] - self._k[rows]).clamp_min(0.0)
@@ -175,7 +175,7 @@ class Walk:
         return rows[kept], k[kept], g[kept]
 
     def _send_back(self, rows: Tensor, k: Tensor) -> None:
-        """Walk every piece from k on."""
+        """Traversal every piece from k on."""
         self._k[rows], self._k_before[rows] = k, torch.nan
         self._bound[rows], self._by_piece[rows], self._ahead[rows] = torch.inf, True, 0.0
 

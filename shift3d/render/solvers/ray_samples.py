@@ -18,10 +18,6 @@ from shift3d.render.field.sdf_grid import ChangeGrid
 
 _END_MOVES_M = 0.05
 _LEAST_ERROR_M = 1e-6
-# A prediction is off by up to these shares of what the change varies by within a grid cell, and of a sample's own way.
-# With half as much for the first, five times as many hits are lost in recorded attacks.
-_OF_VARIATION = 0.3
-_OF_MOTION = 0.5
 _LONGEST_M = 4096.0
 
 
@@ -76,13 +72,17 @@ class RaySamples:
         kept[:-1] = (both.rows[1:] != both.rows[:-1]) | (both.k[1:] != both.k[:-1])
         return both.select(kept)
 
-    def predicted(self, rays: Rays, new_rays: Rays, row_of: Tensor, then: ChangeGrid, now: ChangeGrid) -> RaySamples:
+    def predicted(
+        self, rays: Rays, new_rays: Rays, row_of: Tensor, then: ChangeGrid, now: ChangeGrid, share: float
+    ) -> RaySamples:
         """The samples as they are expected in a field that has changed, on rays that may have moved.
 
         Args:
             rays: that the samples are of. new_rays: as they are now. row_of: (M,) which of the new ones each old one
                 is, -1 where it is none.
             then, now: grids of the field.
+            share: a prediction is off by up to this share of what the change varies by within a grid cell, and of a
+                sample's own way; see `RenderSettings.prediction_error`.
         """
         row = row_of[self.rows]
         kept = torch.nonzero(row >= 0).squeeze(1)
@@ -91,9 +91,7 @@ class RaySamples:
         k = torch.minimum(torch.maximum(old.k, new_rays.near_m[row]), new_rays.far_m[row])
         before, after = rays.at(old.k, old.rows), new_rays.at(k, row)
         moved = (after - before).norm(dim=-1)
-        error = (
-            old.error + _OF_VARIATION * now.cells_of(after, now.variation(then)) + _OF_MOTION * moved + _LEAST_ERROR_M
-        )
+        error = old.error + share * (now.cells_of(after, now.variation(then)) + moved) + _LEAST_ERROR_M
         predicted = RaySamples(row, k, old.g + now.at(after) - then.at(before), error)
         return RaySamples.none().joined(predicted.select((k - old.k).abs() < _END_MOVES_M))
 

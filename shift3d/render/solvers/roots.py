@@ -19,12 +19,12 @@ from torch import Tensor
 class Roots:
     """Roots of M functions: k (M,), |g| there (M,), and whether the tolerance was met (M,) bool.
 
-    Where a function was not finite on the way nothing is settled and |g| is NaN.
+    Where a function was not finite on the way nothing is converged and |g| is NaN.
     """
 
     k: Tensor
     residual: Tensor
-    settled: Tensor
+    converged: Tensor
 
 
 def find_roots(
@@ -46,7 +46,7 @@ def find_roots(
         max_iterations: evaluations a row at most.
 
     Returns:
-        Roots. A bracket that has shrunk to 1e-12 of its position counts as settled: in float32 no better
+        Roots. A bracket that has shrunk to 1e-12 of its position counts as converged: in float32 no better
         |g| exists there, and the residual says what was reached. If the outer end is an exact root it is
         the answer.
 
@@ -75,9 +75,9 @@ def find_roots(
         width[rows] = torch.where(halved, new_width, width[rows])
         point = new_width <= 1e-12 * (1.0 + k.abs())
         rows = rows[(best_g[rows] > tolerance) & ~point & ~lost[rows]]
-    settled = ~lost
-    settled[rows] = False
-    return Roots(best_k, best_g.masked_fill(lost, torch.nan), settled)
+    converged = ~lost
+    converged[rows] = False
+    return Roots(best_k, best_g.masked_fill(lost, torch.nan), converged)
 
 
 @dataclass

@@ -165,7 +165,7 @@ def warm_start(
         live = either(live, more)
         thin = field.sliced(live)
     state = replace(_blank(beams, theta, rays, surveyed, live), box=box).with_hits(row_of[old], found)
-    samples = before.samples.predicted(before.rays, rays, row_of, before.grid, state.grid)
+    samples = before.samples.predicted(before.rays, rays, row_of, before.grid, state.grid, settings.prediction_error)
     state = replace(state, samples=samples, age=before.age + 1, linearization=linearization)
     known = torch.isfinite(state.range_m)
     known[samples.rows] = True
@@ -250,7 +250,7 @@ def _refined(
         *(b.outer, b.inner, b.g_outer, b.g_inner, settings.tolerance_m, settings.max_iterations),
     )
     lost, left = torch.zeros_like(chosen), torch.zeros_like(chosen)
-    lost[rows[covered.undecided]], lost[rows[b.rows[~roots.settled]]] = True, True
+    lost[rows[covered.undecided]], lost[rows[b.rows[~roots.converged]]] = True, True
     left[rows[covered.open]] = True
     slope = (b.g_inner - b.g_outer) / (b.inner - b.outer).clamp_min(1e-12)
     state = state.with_hits(rows[b.rows], Corrected(roots.k, roots.residual, slope, b.g_outer))

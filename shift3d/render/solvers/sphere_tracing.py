@@ -60,8 +60,8 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
         settings.tolerance_m,
         settings.max_iterations,
     )
-    undecided[hit[~roots.settled]] = True
-    good = roots.settled
+    undecided[hit[~roots.converged]] = True
+    good = roots.converged
     return FirstHits(rays.index[hit[good]], roots.k[good], roots.residual[good], rays.index[undecided])
 
 

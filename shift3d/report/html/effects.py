@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from shift3d.effects.applicability import WORTH_BOUND
+from shift3d.effects.applicability import IMPACT_BOUND
 from shift3d.errors import InputError
 from shift3d.report.effects import EffectWorth, effect_milliseconds, effect_worths
 from shift3d.report.html.document import Section, paragraph, table
@@ -31,7 +31,7 @@ def effects(sweep: Sweep) -> Section:
         return Section("effects", "Effects", [paragraph(text, "missing")])
     lead = (
         "The same vehicles at the same places, without effects and with one at a time; 95 % intervals, scenes redrawn. "
-        f"effects=auto leaves out what moves the score by less than {WORTH_BOUND:g} with 95 % confidence."
+        f"effects=auto leaves out what moves the score by less than {IMPACT_BOUND:g} with 95 % confidence."
     )
     lines = [_line(worth) for worth in worths]
     kinds = ["ours" if worth.worth.matters else "" for worth in worths]
@@ -80,7 +80,7 @@ def _figure(worths: list[EffectWorth]) -> str:
             "array": np.round(upper, 6),
             "arrayminus": np.round(lower, 6),
         }
-    bound = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": WORTH_BOUND, "y1": WORTH_BOUND}
+    bound = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": IMPACT_BOUND, "y1": IMPACT_BOUND}
     layout = {
         "xaxis": axis("milliseconds a rendering, more", type="log"),
         "yaxis": axis("mean |change of score|", type="log"),

@@ -35,9 +35,9 @@ def overview(sweep: Sweep) -> Section:
 def _facts(sweep: Sweep) -> dict[str, str]:
     plan = sweep.plan
     groups = plan.tasks.groups()
-    specs = [group.ground for group in groups]
-    modes = _counted((group.tasks, (group.ground.mode,)) for group in groups)
-    asked = _counted((group.tasks, group.effects_asked) for group in groups)
+    specs = [group.template for group in groups]
+    modes = _counted((group.tasks, (group.template.mode,)) for group in groups)
+    asked = _counted((group.tasks, group.effects_requested) for group in groups)
     by_dataset = Counter(dataset for dataset, _ in sorted(plan.tasks.scenes()))
     attack = plan.settings.get("attack", {})
     return {
@@ -69,7 +69,7 @@ def _counted(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
 
 
 def _ran(groups: list[TaskGroup]) -> str:
-    ran = _counted((group.tasks, group.ground.effects) for group in groups)
+    ran = _counted((group.tasks, group.template.effects) for group in groups)
     return ", ".join(f"{name} ({count})" for name, count in ran.items()) or "none: occlusion alone, as the paper"
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
-from shift3d.store.places import Place, as_location
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import GROUP_COLUMNS, SCHEMAS
 from shift3d.sweep.planning.plan import Plan
 
@@ -59,7 +59,7 @@ class Sweep:
         still_a_car: of the shape that the row's task found; None where it was not looked at.
         """
         rows = self.scores[self.scores["score"].notna()]
-        rows = rows.assign(effects=self.plan.tasks.effects_asked_of(rows["task_id"])).explode("effects")
+        rows = rows.assign(effects=self.plan.tasks.effects_requested_of(rows["task_id"])).explode("effects")
         looked_at = dict(zip(self.shapes["task_id"], self.shapes["still_a_car"].astype(object)))
         cars = rows["task_id"].map(looked_at).astype(object)
         return rows.assign(place=rows["dataset"] + "/" + rows["scene"], still_a_car=cars.where(cars.notna(), None))
@@ -96,7 +96,7 @@ class Variant:
         return [name for name in METHODS if name in found]
 
 
-def read_sweep(folder: Place) -> Sweep:
+def read_sweep(folder: LocationLike) -> Sweep:
     """Everything that a report is made of.
 
     Raises:

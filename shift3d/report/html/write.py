@@ -19,7 +19,7 @@ from shift3d.report.html.stability import stability
 from shift3d.report.html.sweep import Sweep, read_sweep, variants
 from shift3d.report.placement import nothing_placed
 from shift3d.store.location import Location
-from shift3d.store.places import Place, as_location
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
 
 __all__ = ["report_page", "write_report"]
@@ -51,7 +51,7 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     return document(f"shift3d: {sweep.plan.sweep}", lead, sections, plotly_library())
 
 
-def write_report(folder: Place, cases: int = 4) -> Location:
+def write_report(folder: LocationLike, cases: int = 4) -> Location:
     """Write ``report.html`` into a finished sweep's folder, whole or not at all; returns its path.
 
     Raises:

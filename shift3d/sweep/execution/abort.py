@@ -54,8 +54,8 @@ class AbortRule:
             return self._error(f"the first {counted(count, 'task')} failed alike", head, "runner.abort_after=null")
         ended = self._done + self._failed
         if self._share and ended >= _LEAST_TASKS and self._failed > self._share * ended:
-            said = f"{self._failed} of {ended} tasks failed, more than {self._share:.0%}"
-            return self._error(f"{said}; {count} of them", head, "runner.abort_share=null")
+            what = f"{self._failed} of {ended} tasks failed, more than {self._share:.0%}"
+            return self._error(f"{what}; {count} of them", head, "runner.abort_share=null")
         return None
 
     def _error(self, what: str, head: str, switch: str) -> AbortedError:

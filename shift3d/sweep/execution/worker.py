@@ -17,7 +17,7 @@ from typing import Any
 import pyarrow as pa
 
 from shift3d.errors import InputError
-from shift3d.processor import settle_numerics
+from shift3d.processor import configure_runtime
 from shift3d.store.schemas import SEGMENTS, SPEC_COLUMNS
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.kind import TaskKind
@@ -146,9 +146,9 @@ class Worker:
     def _load(self, index: int) -> Any:
         if index not in self._assets:
             threads = self._assets_specs[index].threads
-            settle_numerics(threads)
+            configure_runtime(threads)
             self._assets[index] = self._kind.load(self._assets_specs[index])
-            settle_numerics(threads)  # again: loading may have imported torch
+            configure_runtime(threads)  # again: loading may have imported torch
         return self._assets[index]
 
     def _run_task(self, spec: TaskSpec, assets: Any, attempt: int) -> _Rows:

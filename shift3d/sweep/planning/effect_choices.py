@@ -48,14 +48,14 @@ class EffectChoices:
         Raises:
             InputError: an effect is forced that a scene has no data for.
         """
-        said = EffectSettings(**config.effects.said())
+        overrides = EffectSettings(**config.effects.overrides())
         frame, detector = catalogue.frame_of(vehicle), DetectorFacts(config.detector.name)
         kind, facts = self._kinds(catalogue)
         found: dict[int, tuple[tuple[str, ...], list[dict[str, None]]]] = {}
         names = []
         for at in scenes:
             if kind[at] not in found:
-                choices = _choices(config, facts[kind[at]].described(said), frame, detector)
+                choices = _choices(config, facts[kind[at]].described(overrides), frame, detector)
                 lines = [self._lines.setdefault((c.effect, c.used), (c, {}))[1] for c in choices.values()]
                 used = tuple(effect for effect in NEEDS if effect in choices and choices[effect].used)
                 found[kind[at]] = used, lines

@@ -14,7 +14,7 @@ import yaml  # type: ignore[import-untyped]
 import shift3d
 from shift3d.errors import InputError
 from shift3d.store.location import Location
-from shift3d.store.places import Place, as_location
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks
@@ -32,7 +32,7 @@ def default_folder(plan: Plan) -> Location:
     return as_location("outputs") / f"{plan.sweep}-{plan.spec_hash}"
 
 
-def check_folder(folder: Place, plan: Plan) -> bool:
+def check_folder(folder: LocationLike, plan: Plan) -> bool:
     """Make sure that a plan can run in a folder; whether it was begun there. Nothing is changed.
 
     Raises:
@@ -58,7 +58,7 @@ def check_folder(folder: Place, plan: Plan) -> bool:
     return begun
 
 
-def open_folder(folder: Place, plan: Plan) -> None:
+def open_folder(folder: LocationLike, plan: Plan) -> None:
     """Create a sweep's folder, or check that an existing one is of the same plan.
 
     Raises:
@@ -140,7 +140,7 @@ def _environment() -> dict[str, Any]:
     }
 
 
-def read_plan(folder: Place) -> Plan:
+def read_plan(folder: LocationLike) -> Plan:
     """The plan of a sweep's folder, with every task's spec: what an export or a report starts from.
 
     Raises:

@@ -60,10 +60,10 @@ class Layouts:
         key = (id(catalogue), config.scene, transfers, spec.vehicle, spec.detector, repr(config.effects))
         if key not in self._known:
             self._known[key] = self._layout(config, catalogue, spec.vehicle, transfers)
-        layout, said = self._known[key], config.effects.said()
+        layout, overrides = self._known[key], config.effects.overrides()
         grounds = [
-            self.builder.ground(
-                replace(spec, dataset=dataset, effects=effects, effect_settings=said if concerned else {})
+            self.builder.template(
+                replace(spec, dataset=dataset, effects=effects, effect_settings=overrides if concerned else {})
             )
             for dataset, effects, concerned in layout.kinds
         ]
@@ -84,7 +84,7 @@ class Layouts:
             entry, to = scenes[at], tuple(elsewhere[other] for other in others[row]) if transfers else ()
             concerned = bool(effects[at]) or any(other.effects for other in to)
             kind[row] = kinds.setdefault((entry.dataset, effects[at], concerned), len(kinds))
-            place[row] = self.builder.place((entry.name, entry.content_hash, to))
+            place[row] = self.builder.task_scene((entry.name, entry.content_hash, to))
         return _Layout(place, kind, tuple(kinds))
 
     def _own(self, config: Config, catalogue: Catalogue) -> list[int]:

@@ -1,7 +1,7 @@
 """plan.parquet: a row a task; what tasks share is stored once.
 
-The whole spec of a task is its ``ground`` and its ``place``, two JSON texts that many tasks have in common and that
-the file holds once each; the other columns are for whoever reads the file with pandas, polars or duckdb. An id is
+The spec of a task is its ``template`` and its ``task_scene``, two JSON texts that many tasks share and that the file
+holds once each; the other columns are for whoever reads the file with pandas, polars or duckdb. An id is
 worked out again from both when the file is read.
 
 Source: our choice.
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -18,7 +19,7 @@ import pyarrow.compute as pc
 
 from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
-from shift3d.sweep.planning.task_ids import ground_json, read_ground, read_place, task_ids
+from shift3d.sweep.planning.task_ids import read_task_scene, read_template, task_ids, template_json
 from shift3d.sweep.planning.tasks import PlannedTask, Tasks
 from shift3d.sweep.planning.tasks_builder import tasks_of
 from shift3d.task.spec import TaskSpec
@@ -39,14 +40,16 @@ _SCHEMA = pa.schema(
         ("detector", _SHARED),
         ("accuracy", _SHARED),
         ("effects", pa.list_(pa.string())),
-        ("effects_asked", pa.list_(pa.string())),
+        ("effects_requested", pa.list_(pa.string())),
         ("assets", pa.int32()),
-        ("ground", _SHARED),
-        ("place", _SHARED),
+        ("template", _SHARED),
+        ("task_scene", _SHARED),
     ],
     metadata={"shift3d.schema": "plan", "shift3d.schema_version": str(SCHEMA_VERSION)},
 )
-_READ = ["task_id", "effects_asked", "assets", "ground", "place"]
+_READ = ["task_id", "effects_requested", "assets", "template", "task_scene"]
+# Columns of earlier programs, by today's names.
+_FORMER = {"ground": "template", "place": "task_scene", "effects_asked": "effects_requested"}
 _ROW_GROUP = 2**20
 # Each row group holds the texts that its rows share once; beyond this many bytes Parquet would repeat them.
 _DICTIONARY_BYTES = 2**30
@@ -74,31 +77,31 @@ def plan_bytes(tasks: Tasks) -> bytes:
 
 
 def _columns(tasks: Tasks) -> dict[str, pa.Array]:
-    used, ground = np.unique(tasks.ground, return_inverse=True)
-    grounds = [tasks.grounds[number] for number in used]
-    found, place = np.unique(tasks.place, return_inverse=True)
-    places = tasks.places.take(pa.array(found))
+    used, template = np.unique(tasks.template, return_inverse=True)
+    templates = [tasks.templates[number] for number in used]
+    found, task_scene = np.unique(tasks.task_scene, return_inverse=True)
+    task_scenes = tasks.task_scenes.take(pa.array(found))
 
     def shared(value: Callable[[TaskSpec], str]) -> pa.Array:
-        return _shared([value(spec) for spec in grounds], ground)
+        return _shared([value(spec) for spec in templates], template)
 
-    lambdas = np.array([np.nan if spec.lambda_ is None else spec.lambda_ for spec in grounds])[ground]
+    lambdas = np.array([np.nan if spec.lambda_ is None else spec.lambda_ for spec in templates])[template]
     return {
         "position": pa.array(np.arange(len(tasks))),
         "task_id": tasks.ids,
         "vehicle": shared(lambda spec: spec.vehicle),
-        "scene": _shared([read_place(text)[0] for text in places.to_pylist()], place),
+        "scene": _shared([read_task_scene(text)[0] for text in task_scenes.to_pylist()], task_scene),
         "dataset": shared(lambda spec: spec.dataset),
         "mode": shared(lambda spec: spec.mode),
         "lambda": pa.array(lambdas, mask=np.isnan(lambdas)),
-        "alpha": pa.array(np.array([spec.alpha for spec in grounds], dtype=np.float64)[ground]),
+        "alpha": pa.array(np.array([spec.alpha for spec in templates], dtype=np.float64)[template]),
         "detector": shared(lambda spec: spec.detector),
         "accuracy": shared(lambda spec: spec.accuracy),
-        "effects": _lists([spec.effects for spec in grounds], ground),
-        "effects_asked": _lists(tasks.asked_values, tasks.asked),
+        "effects": _lists([spec.effects for spec in templates], template),
+        "effects_requested": _lists(tasks.requested_values, tasks.requested),
         "assets": pa.array(tasks.assets),
-        "ground": shared(ground_json),
-        "place": pa.DictionaryArray.from_arrays(pa.array(place.astype(np.int32)), places),
+        "template": shared(template_json),
+        "task_scene": pa.DictionaryArray.from_arrays(pa.array(task_scene.astype(np.int32)), task_scenes),
     }
 
 
@@ -125,9 +128,13 @@ def read_tasks(content: bytes, where: str) -> Tasks:
 
     try:
         source = pa.BufferReader(content)
-        if "spec" in pq.read_schema(source).names:
-            return _whole_specs(pq.read_table(source, columns=["spec", "assets", "effects_asked"]))
-        return _tasks(pq.read_table(source, columns=_READ, page_checksum_verification=True))
+        names = pq.read_schema(source).names
+        if "spec" in names:
+            return _whole_specs(pq.read_table(source, columns=["task_id", "spec", "assets", "effects_asked"]))
+        former = "ground" in names
+        columns = [name for name in names if _FORMER.get(name, name) in _READ]
+        table = pq.read_table(source, columns=columns, page_checksum_verification=True)
+        return _tasks(table.rename_columns([_FORMER.get(name, name) for name in table.column_names]), former)
     except _DAMAGE as error:
         raise InputError(f"cannot be read ({error})", where=where, remedy="Restore it from a copy") from error
 
@@ -137,30 +144,33 @@ def _whole_specs(table: pa.Table) -> Tasks:
     if not all(type(index) is int for index in assets):
         raise ValueError("an index of assets is missing")
     specs = (TaskSpec.from_dict(json.loads(text)) for text in table["spec"].to_pylist())
-    asked = (tuple(names) for names in table["effects_asked"].to_pylist())
-    return tasks_of(map(PlannedTask, specs, assets, asked))
+    requested = (tuple(names) for names in table["effects_asked"].to_pylist())
+    tasks = tasks_of(map(PlannedTask, specs, assets, requested))
+    return replace(tasks, ids=_one_chunk(table["task_id"].cast(pa.string())))
 
 
-def _tasks(table: pa.Table) -> Tasks:
+def _tasks(table: pa.Table, former: bool) -> Tasks:
+    """former: of an earlier program, whose ids were worked out from other names."""
     for name in _READ:
         if table[name].null_count:
             raise ValueError(f"{name} is missing in {table[name].null_count} rows")
-    grounds, ground = _numbered(table["ground"])
-    places, place = _numbered(table["place"])
+    templates, template = _numbered(table["template"])
+    task_scenes, task_scene = _numbered(table["task_scene"])
     # Labels hold no line feed: what is joined can be taken apart again.
-    labels, asked = _numbered(pc.binary_join(table["effects_asked"], "\n"))
-    specs = tuple(read_ground(text) for text in grounds.to_pylist())
-    ids = task_ids(specs, [read_place(text) for text in places.to_pylist()], ground, place)
-    if not ids.equals(_one_chunk(table["task_id"].cast(pa.string()))):
+    labels, requested = _numbered(pc.binary_join(table["effects_requested"], "\n"))
+    specs = tuple(read_template(text) for text in templates.to_pylist())
+    ids = _one_chunk(table["task_id"].cast(pa.string()))
+    found = [read_task_scene(text) for text in task_scenes.to_pylist()]
+    if not former and not ids.equals(task_ids(specs, found, template, task_scene)):
         raise ValueError("an id is not its task's")
     return Tasks(
-        grounds=specs,
-        places=places,
-        ground=ground,
-        place=place,
+        templates=specs,
+        task_scenes=task_scenes,
+        template=template,
+        task_scene=task_scene,
         assets=table["assets"].cast(pa.int32()).to_numpy(),
-        asked=asked,
-        asked_values=tuple(tuple(text.split("\n")) if text else () for text in labels.to_pylist()),
+        requested=requested,
+        requested_values=tuple(tuple(text.split("\n")) if text else () for text in labels.to_pylist()),
         ids=ids,
     )
 

@@ -17,11 +17,11 @@ _SHOWN = 20
 def plan_summary(plan: Plan) -> str:
     """How many tasks, of what; and which effects their scenes call for."""
     groups = plan.tasks.groups()
-    vehicles = len({group.ground.vehicle for group in groups})
+    vehicles = len({group.template.vehicle for group in groups})
     scenes = len(plan.tasks.scenes())
     modes: Counter[str] = Counter()
     for group in groups:
-        modes[group.ground.mode] += group.tasks
+        modes[group.template.mode] += group.tasks
     by_mode = ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items(), reverse=True))
     size = ", its small size" if plan.settings.get("size") == "small" else ""
     counts = f"sweep {plan.sweep}{size}: {counted(len(plan.tasks), 'task')} ({by_mode}) of "
@@ -40,7 +40,7 @@ def skipped_lines(plan: Plan) -> list[str]:
 
 def plan_lines(plan: Plan) -> Iterator[str]:
     """One line a task: id, vehicle, scene, mode and what varies."""
-    width = max(len(group.ground.vehicle) for group in plan.tasks.groups())
+    width = max(len(group.template.vehicle) for group in plan.tasks.groups())
     scene_width = max(len(scene) for _, scene in plan.tasks.scenes())
     for task in plan.tasks:
         spec = task.spec

@@ -8,13 +8,13 @@ import yaml  # type: ignore[import-untyped]
 
 from shift3d.errors import InputError
 from shift3d.store.migrations import steps
-from shift3d.store.places import Place, as_location
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 
 __all__ = ["read_spec"]
 
 
-def read_spec(folder: Place) -> dict[str, Any]:
+def read_spec(folder: LocationLike) -> dict[str, Any]:
     """``spec.yaml`` of a sweep.
 
     Raises:

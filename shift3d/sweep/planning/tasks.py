@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from shift3d.sweep.planning.task_ids import at_place, read_place
+from shift3d.sweep.planning.task_ids import in_scene, read_task_scene
 from shift3d.task.spec import TaskSpec
 
 __all__ = ["PlannedTask", "TaskGroup", "Tasks"]
@@ -21,47 +21,48 @@ __all__ = ["PlannedTask", "TaskGroup", "Tasks"]
 class PlannedTask:
     """A task and what its worker needs loaded (an index into ``Plan.assets``).
 
-    effects_asked: the settings of effects that lead to this task, one or more: "auto", "none", or names joined by +.
+    effects_requested: settings of effects that lead to this task, one or more: "auto", "none", or names joined by +.
     """
 
     spec: TaskSpec
     assets: int
-    effects_asked: tuple[str, ...] = ("none",)
+    effects_requested: tuple[str, ...] = ("none",)
 
 
 @dataclass(frozen=True)
 class TaskGroup:
-    """Tasks that differ in their scene alone. ground: their spec without its scene. tasks: how many there are."""
+    """Tasks that differ in their scene alone. template: their spec without its scene. tasks: how many there are."""
 
-    ground: TaskSpec
-    effects_asked: tuple[str, ...]
+    template: TaskSpec
+    effects_requested: tuple[str, ...]
     tasks: int
 
 
 @dataclass(frozen=True, eq=False)
 class Tasks(Sequence[PlannedTask]):
-    """Tasks in plan order. ``tasks[i]`` is made when it is asked for; a slice is Tasks again.
+    """Tasks in plan order. ``tasks[i]`` is made on access; a slice is Tasks again.
 
     Its columns are Arrow and NumPy buffers, which pickle (protocol 5) passes out of band: Ray's object store holds
     them once for all workers of a machine, so that a worker can be given the tasks once and positions a call.
 
-    grounds: specs without their place. places: the JSON of scenes, see `task_ids.place_json`. ground, place, assets,
-    asked: int32, of each task: indices into grounds, places, ``Plan.assets`` and asked_values. ids: Arrow strings.
+    templates: specs without their scene. task_scenes: JSON, see `task_ids.task_scene_json`. template, task_scene,
+    assets, requested: int32, of each task: indices into templates, task_scenes, ``Plan.assets`` and requested_values.
+    ids: Arrow strings.
 
     Source: our choice.
     """
 
-    grounds: tuple[TaskSpec, ...]
-    places: pa.Array
-    ground: np.ndarray
-    place: np.ndarray
+    templates: tuple[TaskSpec, ...]
+    task_scenes: pa.Array
+    template: np.ndarray
+    task_scene: np.ndarray
     assets: np.ndarray
-    asked: np.ndarray
-    asked_values: tuple[tuple[str, ...], ...]
+    requested: np.ndarray
+    requested_values: tuple[tuple[str, ...], ...]
     ids: pa.Array
 
     def __len__(self) -> int:
-        return len(self.ground)
+        return len(self.template)
 
     @overload
     def __getitem__(self, index: int) -> PlannedTask: ...
@@ -73,9 +74,9 @@ class Tasks(Sequence[PlannedTask]):
         if not -len(self) <= index < len(self):
             raise IndexError(f"task {index} of {len(self)}")
         index %= len(self)
-        place = read_place(self.places[int(self.place[index])].as_py())
-        spec = at_place(self.grounds[self.ground[index]], place, self.ids[index].as_py())
-        return PlannedTask(spec, int(self.assets[index]), self.asked_values[self.asked[index]])
+        task_scene = read_task_scene(self.task_scenes[int(self.task_scene[index])].as_py())
+        spec = in_scene(self.templates[self.template[index]], task_scene, self.ids[index].as_py())
+        return PlannedTask(spec, int(self.assets[index]), self.requested_values[self.requested[index]])
 
     def __iter__(self) -> Iterator[PlannedTask]:
         return (self[index] for index in range(len(self)))
@@ -86,10 +87,11 @@ class Tasks(Sequence[PlannedTask]):
             return NotImplemented
         if not (self.ids.equals(other.ids) and np.array_equal(self.assets, other.assets)):
             return False
-        if self.asked_values == other.asked_values:
-            return np.array_equal(self.asked, other.asked)
+        if self.requested_values == other.requested_values:
+            return np.array_equal(self.requested, other.requested)
         return all(
-            self.asked_values[one] == other.asked_values[two] for one, two in zip(self.asked, other.asked, strict=True)
+            self.requested_values[one] == other.requested_values[two]
+            for one, two in zip(self.requested, other.requested, strict=True)
         )
 
     __hash__ = None  # type: ignore[assignment]
@@ -97,7 +99,7 @@ class Tasks(Sequence[PlannedTask]):
     def select(self, positions: Sequence[int] | np.ndarray) -> Tasks:
         """The tasks at some positions, in the order of the positions. Raises IndexError beyond the last one."""
         chosen = np.asarray(positions, dtype=np.int64)
-        columns = {name: getattr(self, name)[chosen] for name in ("ground", "place", "assets", "asked")}
+        columns = {name: getattr(self, name)[chosen] for name in ("template", "task_scene", "assets", "requested")}
         return replace(self, **columns, ids=self.ids.take(pa.array(chosen)))
 
     def starting_with(self, prefix: str) -> Tasks:
@@ -111,12 +113,12 @@ class Tasks(Sequence[PlannedTask]):
 
     def groups(self) -> list[TaskGroup]:
         """The tasks counted by what does not depend on the scene, in the order of each group's first task."""
-        key = self.ground.astype(np.int64) * len(self.asked_values) + self.asked
+        key = self.template.astype(np.int64) * len(self.requested_values) + self.requested
         keys, first, counts = np.unique(key, return_index=True, return_counts=True)
         found = []
         for index in np.argsort(first):
-            ground, asked = divmod(int(keys[index]), len(self.asked_values))
-            found.append(TaskGroup(self.grounds[ground], self.asked_values[asked], int(counts[index])))
+            template, requested = divmod(int(keys[index]), len(self.requested_values))
+            found.append(TaskGroup(self.templates[template], self.requested_values[requested], int(counts[index])))
         return found
 
     def kinds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -124,32 +126,32 @@ class Tasks(Sequence[PlannedTask]):
 
         Returns: the position of each kind's first task, ascending, and of each task its kind.
         """
-        others = self._others[self.place]
-        key = self.ground.astype(np.int64) * (int(others.max(initial=0)) + 1) + others
+        others = self._others[self.task_scene]
+        key = self.template.astype(np.int64) * (int(others.max(initial=0)) + 1) + others
         _, first, kind = np.unique(key, return_index=True, return_inverse=True)
         order = np.argsort(first)
         return first[order], np.argsort(order)[kind]
 
     @functools.cached_property
     def _others(self) -> np.ndarray:
-        return np.array([len(read_place(text)[2]) for text in self.places.to_pylist()], dtype=np.int64)
+        return np.array([len(read_task_scene(text)[2]) for text in self.task_scenes.to_pylist()], dtype=np.int64)
 
     def scenes(self) -> list[tuple[str, str]]:
         """The scenes that tasks are in, (data set, name), in the order of their first task."""
-        names = list(dict.fromkeys(ground.dataset for ground in self.grounds))
-        dataset = np.array([names.index(ground.dataset) for ground in self.grounds], dtype=np.int64)
-        keys, first = np.unique(dataset[self.ground] * len(self.places) + self.place, return_index=True)
-        pairs = (divmod(int(keys[index]), len(self.places)) for index in np.argsort(first))
-        return list(dict.fromkeys((names[code], self._scene_names[place]) for code, place in pairs))
+        names = list(dict.fromkeys(template.dataset for template in self.templates))
+        dataset = np.array([names.index(template.dataset) for template in self.templates], dtype=np.int64)
+        keys, first = np.unique(dataset[self.template] * len(self.task_scenes) + self.task_scene, return_index=True)
+        pairs = (divmod(int(keys[index]), len(self.task_scenes)) for index in np.argsort(first))
+        return list(dict.fromkeys((names[code], self._scene_names[task_scene]) for code, task_scene in pairs))
 
     @functools.cached_property
     def _scene_names(self) -> list[str]:
-        return [read_place(text)[0] for text in self.places.to_pylist()]
+        return [read_task_scene(text)[0] for text in self.task_scenes.to_pylist()]
 
-    def effects_asked_of(self, ids: Any) -> list[list[str]]:
+    def effects_requested_of(self, ids: Any) -> list[list[str]]:
         """The settings of effects that lead to tasks, by their ids (any sequence that Arrow takes); none for an id of
         no task."""
-        if len(self.asked_values) == 1:
-            return [list(self.asked_values[0])] * len(ids)
+        if len(self.requested_values) == 1:
+            return [list(self.requested_values[0])] * len(ids)
         found = pc.index_in(pa.array(ids, type=pa.string()), value_set=self.ids).to_pylist()
-        return [[] if at is None else list(self.asked_values[self.asked[at]]) for at in found]
+        return [[] if at is None else list(self.requested_values[self.requested[at]]) for at in found]

@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 from shift3d.errors import InputError
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.store.log import Commit
-from shift3d.store.places import Place, as_location
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import GROUP_COLUMNS, SEGMENTS
 from shift3d.store.segments import committed_rows
 from shift3d.store.tables import table_from_rows, write_table
@@ -53,7 +53,7 @@ class FinalTables:
         return frame
 
 
-def write_final(folder: Place, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
+def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
     """Write every table of ``final/`` from the commit log.
 
     Raises:
@@ -74,7 +74,7 @@ def write_final(folder: Place, plan: Plan, entries: Sequence[Commit]) -> FinalTa
     tables["curves"] = table_from_rows("curves", _curve_rows(scored))
     tables["auc"] = table_from_rows("auc", auc)
     tables["bev"] = table_from_rows("bev", bev_rows(scored))
-    steps = {group.ground.attack.steps for group in plan.tasks.groups()}
+    steps = {group.template.attack.steps for group in plan.tasks.groups()}
     tables["choices"] = table_from_rows("choices", choice_rows(scored, plan.sweep, steps))
     transfers = _by_effects_asked(tables["transfers"].to_pandas(), plan)
     tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
@@ -85,15 +85,15 @@ def write_final(folder: Place, plan: Plan, entries: Sequence[Commit]) -> FinalTa
 
 def _reach_m(plan: Plan) -> float:
     """How far from the sensor a vehicle may stand."""
-    return max(group.ground.placement.max_range_m for group in plan.tasks.groups())
+    return max(group.template.placement.max_range_m for group in plan.tasks.groups())
 
 
 def _by_effects_asked(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     """Scores with the effects that were asked for; where several settings lead to one task, a row for each."""
-    return scored.assign(effects=plan.tasks.effects_asked_of(scored["task_id"])).explode("effects")
+    return scored.assign(effects=plan.tasks.effects_requested_of(scored["task_id"])).explode("effects")
 
 
-def segments_in_plan_order(folder: Place, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
+def segments_in_plan_order(folder: LocationLike, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
     """One segment table of everything committed, rows by the position of their task in the plan.
 
     Raises:
@@ -153,9 +153,9 @@ def _mean(values: pd.Series) -> float | None:
 def _planned(plan: Plan) -> dict[tuple[Any, ...], int]:
     counts: dict[tuple[Any, ...], int] = {}
     for group in plan.tasks.groups():
-        spec = group.ground
+        spec = group.template
         method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
-        for asked, scored_by in itertools.product(group.effects_asked, spec.scored_by):
+        for asked, scored_by in itertools.product(group.effects_requested, spec.scored_by):
             key = (plan.sweep, spec.dataset, spec.vehicle, *method, asked, scored_by)
             counts[key] = counts.get(key, 0) + group.tasks
     return counts

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from shift3d.errors import InputError
 from shift3d.store.log import CommitLog, read_log
-from shift3d.store.places import Place
+from shift3d.store.resolve import LocationLike
 from shift3d.store.schemas import SEGMENTS
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.spec_file import read_spec
@@ -26,7 +26,7 @@ _TABLES = tuple(name for name in SEGMENTS if name != "verification")  # which li
 _TASKS_A_COMMIT = 100_000
 
 
-def take_finished(log: CommitLog, plan: Plan, other: Place) -> int:
+def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
     """Commit what another sweep has finished of a plan's tasks, and this one has not; returns how many.
 
     The other sweep may have any name, be unfinished or be running: what it has committed counts, what it gave up on

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-from shift3d.store.places import Place, as_location
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.tables import read_table
 
 __all__ = ["FOLDER", "read_verification", "with_verification"]
@@ -15,7 +15,7 @@ _KEY = ["task_id", "scored_by", "method", "replicate"]
 _TAKEN = ("score_reference", "stable")
 
 
-def read_verification(folder: Place) -> pa.Table | None:
+def read_verification(folder: LocationLike) -> pa.Table | None:
     """The finished verification of the sweep in ``folder``; None where there is none.
 
     Raises:

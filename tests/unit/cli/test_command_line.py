@@ -17,7 +17,7 @@ from shift3d.cli.main import COMMANDS, main, make_parser, parse
 from shift3d.cli.mesh_words import FRAME_VALUES
 from shift3d.cli.words import split_words
 from shift3d.errors import InputError
-from shift3d.store.places import as_location
+from shift3d.store.resolve import as_location
 
 
 def test_help_imports_nothing_heavy_and_is_quick() -> None:

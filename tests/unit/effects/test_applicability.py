@@ -10,12 +10,12 @@ import pytest
 from analytic_fields import Frame
 
 from shift3d.effects import applicability
-from shift3d.effects.applicability import NEEDS, WORTH_BOUND, Choice, choose
+from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, Choice, choose
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.errors import InputError
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
-from shift3d.scenes.sensor import SensorModel, SilentBeams
+from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
 COUNT = 60
 COORDINATES = DetectorFacts("coordinates")
@@ -40,9 +40,9 @@ def with_data(*names: str) -> Scene:
     for name in names:
         if name == "origins":
             scene = dataclasses.replace(scene, origins=np.stack((half, half, half), 1).astype(np.float32))
-        elif name == "silent_beams":
+        elif name == "no_return_beams":
             up = np.array([[0.0, 0.0, 1.0]], np.float32)
-            scene = dataclasses.replace(scene, silent=SilentBeams(np.zeros((1, 3), np.float32), up))
+            scene = dataclasses.replace(scene, no_return=NoReturnBeams(np.zeros((1, 3), np.float32), up))
         elif name == "rolling_shutter":
             scene = dataclasses.replace(scene, time_s=np.linspace(0.0, 0.1, COUNT, dtype=np.float32))
             conditions = dataclasses.replace(conditions, ego_velocity_m_s=(15.0, 0.0, 0.0), motion_compensated=False)
@@ -86,10 +86,10 @@ def names(choices: list[Choice]) -> list[str]:
 def worth_file(monkeypatch, tmp_path):
     """No effect is measured but for what a test writes into this file."""
     file = tmp_path / "effects.json"
-    monkeypatch.setattr(applicability, "WORTH", file)
-    applicability.measured_worth.cache_clear()
+    monkeypatch.setattr(applicability, "MEASURED_IMPACT", file)
+    applicability.measured_impact.cache_clear()
     yield file
-    applicability.measured_worth.cache_clear()
+    applicability.measured_impact.cache_clear()
 
 
 def measured(file, **high: float) -> None:
@@ -98,7 +98,7 @@ def measured(file, **high: float) -> None:
         for name, value in high.items()
     }
     file.write_text(json.dumps({"effects": rows}), encoding="utf-8")
-    applicability.measured_worth.cache_clear()
+    applicability.measured_impact.cache_clear()
 
 
 def test_a_dry_scene_calls_for_nothing():
@@ -241,7 +241,7 @@ def test_a_speed_of_the_object_calls_for_rolling_shutter_where_times_are_known()
 
 
 def test_an_effect_that_moves_no_score_is_left_out_with_the_reason(worth_file):
-    measured(worth_file, range_noise=0.9 * WORTH_BOUND, divergence=WORTH_BOUND)
+    measured(worth_file, range_noise=0.9 * IMPACT_BOUND, divergence=IMPACT_BOUND)
     divergence, noise = called(with_data("range_noise", "divergence"))
     assert (divergence.effect, divergence.used, divergence.milliseconds) == ("divergence", True, 2.5)
     assert (noise.effect, noise.used, noise.milliseconds) == ("range_noise", False, 2.5)

@@ -14,7 +14,7 @@ from shift3d.render import Beams, preset, render
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings
 from shift3d.scenes.scene import Scene
-from shift3d.scenes.sensor import SilentBeams
+from shift3d.scenes.sensor import NoReturnBeams
 
 FRAME = SHAPENET_FRAME
 CAR = in_frame(car(), FRAME)
@@ -36,9 +36,9 @@ def scene_of(silent: bool = False, sensors: int = 1, rings: int = 32, columns: i
         lost = np.zeros(len(points), bool)
         lost[::4] = np.linalg.norm(points[::4], axis=1) > 30.0
         directions = (points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32)[lost]
-        quiet = SilentBeams(np.zeros_like(directions), directions, times[lost])
+        quiet = NoReturnBeams(np.zeros_like(directions), directions, times[lost])
         points, origins, times = points[~lost], origins[~lost], times[~lost]
-    scene = Scene("ring", "made", points, origins, -1.73, time_s=times, silent=quiet)
+    scene = Scene("ring", "made", points, origins, -1.73, time_s=times, no_return=quiet)
     scene.validate()
     return scene
 
@@ -76,7 +76,7 @@ def test_cast_effects_that_add_nothing_are_the_plain_rendering_of_their_beams() 
 
 
 def test_effects_act_in_the_order_of_the_physics_whatever_order_they_are_named_in() -> None:
-    scene, names = scene_of(silent=True, sensors=2), ["divergence", "rolling_shutter", "origins", "silent_beams"]
+    scene, names = scene_of(no_return=True, sensors=2), ["divergence", "rolling_shutter", "origins", "no_return_beams"]
     settings = EffectSettings(divergence_rad=0.003, object_speed_m_s=10.0)
     chain, other = chain_of(names, scene, settings), chain_of(sorted(names), scene, settings)
     assert chain.names == other.names == tuple(name for name in NEEDS if name in names)
@@ -84,13 +84,15 @@ def test_effects_act_in_the_order_of_the_physics_whatever_order_they_are_named_i
     assert same(first, second) and set(first.milliseconds) == {"divergence"}
 
 
-@pytest.mark.parametrize("names", [["silent_beams"], ["origins", "silent_beams", "rolling_shutter", "divergence"]])
+@pytest.mark.parametrize(
+    "names", [["no_return_beams"], ["origins", "no_return_beams", "rolling_shutter", "divergence"]]
+)
 def test_rows_never_change_number_or_order(names: list[str]) -> None:
-    scene = scene_of(silent=True, sensors=2)
-    assert scene.silent is not None
+    scene = scene_of(no_return=True, sensors=2)
+    assert scene.no_return is not None
     settings = EffectSettings(divergence_rad=0.003, object_speed_m_s=10.0)
     chain, count = chain_of(names, scene, settings), len(scene.points)
-    places = torch.cat((torch.from_numpy(scene.points), torch.zeros(len(scene.silent), 3)))
+    places = torch.cat((torch.from_numpy(scene.points), torch.zeros(len(scene.no_return), 3)))
     met = []
     for x in (12.0, 25.0, -300.0):
         theta = THETA.clone()
@@ -107,9 +109,9 @@ def test_rows_never_change_number_or_order(names: list[str]) -> None:
 
 
 def test_what_has_no_return_rests_far_out_along_its_beam() -> None:
-    scene = scene_of(silent=True)
+    scene = scene_of(no_return=True)
     # A sensor that notices nothing beyond some metres.
-    chain = chain_of(["silent_beams", "ray_drop"], scene, EffectSettings(limit_range_m=3.0))
+    chain = chain_of(["no_return_beams", "ray_drop"], scene, EffectSettings(limit_range_m=3.0))
     rendering = chain.render(CAR, THETA, SETTINGS)
     assert rendering.core is not None and rendering.returned is not None
     hit = rendering.core.hit_mask
@@ -187,9 +189,9 @@ def test_weather_is_laid_over_the_scene_once_and_the_objects_rows_replace_it() -
 
 
 def test_the_scene_itself_is_never_written_to() -> None:
-    scene = scene_of(silent=True, sensors=2)
+    scene = scene_of(no_return=True, sensors=2)
     before = scene.content_hash()
     settings = EffectSettings(divergence_rad=0.003, object_speed_m_s=10.0, visibility_m=60.0, limit_range_m=70.0)
-    names = ["origins", "silent_beams", "rolling_shutter", "divergence", "fog", "ray_drop"]
+    names = ["origins", "no_return_beams", "rolling_shutter", "divergence", "fog", "ray_drop"]
     chain_of(names, scene, settings).render(CAR, THETA, SETTINGS)
     assert scene.content_hash() == before

@@ -8,7 +8,7 @@ import torch
 from analytic_fields import Field, Frame, box, in_frame, sphere
 from torch import Tensor
 
-from shift3d.effects.base import Insertion, Returns, Situation
+from shift3d.effects.base import EffectContext, Insertion, Returns
 from shift3d.effects.chain import SCENE_ALBEDO, EffectChain
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.divergence import (
@@ -26,7 +26,7 @@ from shift3d.render import Beams, preset, render
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Scene
-from shift3d.scenes.sensor import SensorModel, SilentBeams
+from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
 EXACT = preset("reference").with_(step_m=0.02)
 CUBE = Frame(size_m=(2.0, 2.0, 2.0), scale_m=2.5)
@@ -178,9 +178,9 @@ def test_a_silent_beams_cone_needs_no_more_than_to_touch() -> None:
     scene = scene_through(past_the_edge([-1.3 * REACH]))
     aim = past_the_edge([0.75 * REACH, 1.3 * REACH])
     directions = (aim / np.linalg.norm(aim, axis=1, keepdims=True)).astype(np.float32)
-    silent = SilentBeams(np.zeros((2, 3), np.float32), directions)
-    scene = Scene("sky", "made", scene.points, scene.origins, -1.7, silent=silent)
-    chain = EffectChain.of(["silent_beams", "divergence"], scene, PLATE, 1, EffectSettings(divergence_rad=ANGLE))
+    silent = NoReturnBeams(np.zeros((2, 3), np.float32), directions)
+    scene = Scene("sky", "made", scene.points, scene.origins, -1.7, no_return=silent)
+    chain = EffectChain.of(["no_return_beams", "divergence"], scene, PLATE, 1, EffectSettings(divergence_rad=ANGLE))
     rendering = chain.render(PLATE_FIELD, AHEAD, EXACT)
     assert rendering.hit_mask.tolist() == [True, True, False]
     assert rendering.returned is not None and rendering.returned.tolist() == [True, True, False]
@@ -198,7 +198,7 @@ def stepped(scene: Scene, field: Field, frame: Frame, angle: float | None) -> tu
     points = plain.range_m[row, None] * beams.directions[row]
     before = Returns(row, points, beams.origins[row], beams.directions[row], yes, yes, one, 0.4 * one)
     insertion = Insertion(beams, plain, field, AHEAD, frame, EXACT)
-    return before, EFFECT.bind(Situation(scene, beams, frame, 1))(before, insertion)  # type: ignore[call-arg, arg-type, return-value]
+    return before, EFFECT.bind(EffectContext(scene, beams, frame, 1))(before, insertion)  # type: ignore[call-arg, arg-type, return-value]
 
 
 def test_rows_handed_on_are_hits_and_gained_ones_ascending_and_their_light_is_the_cones() -> None:
@@ -287,6 +287,6 @@ def test_called_for_by_the_width_of_the_cone_at_the_farthest_place() -> None:
     widest = LEAST_FOOTPRINT_M / PLACEMENT_LIMIT_M
     for factor, expected in ((0.99, False), (1.01, True)):
         facts = SceneFacts.of(around_a_ball(4), EffectSettings(divergence_rad=factor * widest))
-        assert (EFFECT.called_for(facts, CUBE, detector) is not None) == expected
-    reason = EFFECT.called_for(SceneFacts.of(around_a_ball(4), EffectSettings(divergence_rad=0.003)), CUBE, detector)
+        assert (EFFECT.applicability(facts, CUBE, detector) is not None) == expected
+    reason = EFFECT.applicability(SceneFacts.of(around_a_ball(4), EffectSettings(divergence_rad=0.003)), CUBE, detector)
     assert reason is not None and "15 cm" in reason and "50 m" in reason

@@ -7,7 +7,7 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import Returns, Situation
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.power import (
     PowerLimit,
     echo_power,
@@ -29,14 +29,14 @@ def values(*numbers: float) -> torch.Tensor:
     return torch.tensor(numbers, dtype=torch.float64)
 
 
-def situation_of(sensor: SensorModel | None, seed: int = 3) -> Situation:
+def situation_of(sensor: SensorModel | None, seed: int = 3) -> EffectContext:
     points = np.random.default_rng(1).uniform(5.0, 50.0, (COUNT, 3)).astype(np.float32)
     scene = Scene("power", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, sensor=sensor)
-    return Situation(scene, Beams.from_scene(scene), Frame(), seed)
+    return EffectContext(scene, Beams.from_scene(scene), Frame(), seed)
 
 
-def returns_of(situation: Situation, on_object: bool) -> Returns:
-    beams, one = situation.beams, torch.ones(COUNT, dtype=torch.float64)
+def returns_of(context: EffectContext, on_object: bool) -> Returns:
+    beams, one = context.beams, torch.ones(COUNT, dtype=torch.float64)
     there, yes = torch.full((COUNT,), on_object), torch.ones(COUNT, dtype=torch.bool)
     points = beams.points.double()
     return Returns(torch.arange(COUNT), points, beams.origins, beams.directions, there, yes, one, one)
@@ -70,9 +70,9 @@ def test_sharp_limit():
 
 def test_an_unknown_limit_loses_nothing():
     assert survival(values(0.0, 1e-12, 1.0), SensorModel()).tolist() == [1.0, 1.0, 1.0]
-    situation = situation_of(None)
-    limit = PowerLimit.of(situation, "fog")
-    assert not limit.lost(returns_of(situation, True), torch.zeros(COUNT), torch.zeros(COUNT)).any()
+    context = situation_of(None)
+    limit = PowerLimit.of(context, "fog")
+    assert not limit.lost(returns_of(context, True), torch.zeros(COUNT), torch.zeros(COUNT)).any()
 
 
 def test_the_streets_lose_by_the_same_law():
@@ -94,23 +94,23 @@ def test_gradients_of_power_and_survival():
 def test_losses_on_the_object_and_on_the_scene(spread):
     """On the object S(P T) survives; of what is known to have come back, S(P T) / S(P)."""
     sensor = SensorModel(limit_range_m=100.0, power_spread=spread)
-    situation = situation_of(sensor)
+    context = situation_of(sensor)
     power, transmission = torch.full((COUNT,), 1.5e-4, dtype=torch.float64), torch.full((COUNT,), 0.5).double()
-    limit = PowerLimit.of(situation, "rain")
+    limit = PowerLimit.of(context, "rain")
     before, after = (float(survival(values(p), sensor)) for p in (1.5e-4, 0.75e-4))
     for on_object, expected in ((True, after), (False, after / before)):
-        kept = 1.0 - float(limit.lost(returns_of(situation, on_object), power, transmission).double().mean())
+        kept = 1.0 - float(limit.lost(returns_of(context, on_object), power, transmission).double().mean())
         assert abs(kept - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
 
 
 @pytest.mark.parametrize("on_object", [True, False])
 def test_two_losses_in_turn_are_one_by_both(on_object):
     sensor = SensorModel(limit_range_m=100.0, power_spread=0.4)
-    situation = situation_of(sensor)
+    context = situation_of(sensor)
     power = torch.full((COUNT,), 2e-4, dtype=torch.float64)
-    returns, first, second = returns_of(situation, on_object), torch.full((COUNT,), 0.6), torch.full((COUNT,), 0.5)
-    lost = PowerLimit.of(situation, "fog").lost(returns, power, first.double())
-    lost |= PowerLimit.of(situation, "snow").lost(returns, power * first, second.double())
+    returns, first, second = returns_of(context, on_object), torch.full((COUNT,), 0.6), torch.full((COUNT,), 0.5)
+    lost = PowerLimit.of(context, "fog").lost(returns, power, first.double())
+    lost |= PowerLimit.of(context, "snow").lost(returns, power * first, second.double())
     expected = float(survival(values(0.6e-4), sensor))
     if not on_object:
         expected /= float(survival(values(2e-4), sensor))
@@ -120,27 +120,27 @@ def test_two_losses_in_turn_are_one_by_both(on_object):
 def test_ray_drop_after_weather_loses_nobody_that_weather_had_to_keep():
     """One draw a beam: what weather leaves is lost by no second draw at the same power."""
     sensor = SensorModel(limit_range_m=100.0, power_spread=0.4)
-    situation = situation_of(sensor)
+    context = situation_of(sensor)
     power, transmission = torch.full((COUNT,), 1e-4, dtype=torch.float64), torch.full((COUNT,), 0.7).double()
-    lost = PowerLimit.of(situation, "rain").lost(returns_of(situation, True), power, transmission)
-    dropped = survival_draws(situation) >= survival(power * transmission, sensor)
+    lost = PowerLimit.of(context, "rain").lost(returns_of(context, True), power, transmission)
+    dropped = survival_draws(context) >= survival(power * transmission, sensor)
     assert torch.equal(lost, dropped)
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.4])
 @pytest.mark.parametrize("power", [0.0, 1e-6, 1.0])
 def test_without_loss_of_power_the_scene_keeps_everything(spread, power):
-    situation = situation_of(SensorModel(limit_range_m=100.0, power_spread=spread))
+    context = situation_of(SensorModel(limit_range_m=100.0, power_spread=spread))
     one = torch.ones(COUNT, dtype=torch.float64)
-    assert not PowerLimit.of(situation, "fog").lost(returns_of(situation, False), power * one, one).any()
+    assert not PowerLimit.of(context, "fog").lost(returns_of(context, False), power * one, one).any()
 
 
 @pytest.mark.parametrize("power", [0.0, 1e-6])
 @pytest.mark.parametrize(("spread", "exponent"), [(0.0, 1.0), (0.5, 2.0)])
 def test_echoes_from_below_the_limit_fade_with_transmission(power, spread, exponent):
-    situation = situation_of(SensorModel(limit_range_m=50.0, power_spread=spread))
+    context = situation_of(SensorModel(limit_range_m=50.0, power_spread=spread))
     one = torch.ones(COUNT, dtype=torch.float64)
-    lost = PowerLimit.of(situation, "fog").lost(returns_of(situation, False), power * one, 0.8 * one)
+    lost = PowerLimit.of(context, "fog").lost(returns_of(context, False), power * one, 0.8 * one)
     expected = 0.8**exponent
     allowed = 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT) + 0.01 * (spread > 0.0)
     assert abs(float((~lost).double().mean()) - expected) < allowed

@@ -8,7 +8,7 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import Returns, Situation
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.fog import EFFECT, PULSE_S, backscatter_per_m, extinction_per_m, soft_echo
 from shift3d.render.beams import Beams
@@ -22,7 +22,7 @@ BLIND = DetectorFacts("xyz")
 
 def situation_of(
     visibility_m: float, sensor: SensorModel | None = None, in_points: bool = False, seed: int = 4
-) -> Situation:
+) -> EffectContext:
     """Beams that end 1.5 to 100 m away, in all directions."""
     rng = np.random.default_rng(1)
     directions = rng.standard_normal((COUNT, 3))
@@ -30,12 +30,12 @@ def situation_of(
     points = (rng.uniform(1.5, 100.0, (COUNT, 1)) * directions).astype(np.float32)
     conditions = Conditions("fog", visibility_m=visibility_m, weather_in_points=in_points)
     scene = Scene("foggy", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, conditions=conditions, sensor=sensor)
-    return Situation(scene, Beams.from_scene(scene), Frame(), seed)
+    return EffectContext(scene, Beams.from_scene(scene), Frame(), seed)
 
 
-def returns_of(situation: Situation, range_m: float | None = None, albedo: torch.Tensor | None = None) -> Returns:
+def returns_of(context: EffectContext, range_m: float | None = None, albedo: torch.Tensor | None = None) -> Returns:
     """Every beam on the object, at one range or where the beams end."""
-    beams, half = situation.beams, torch.full((COUNT,), 0.5, dtype=torch.float64)
+    beams, half = context.beams, torch.full((COUNT,), 0.5, dtype=torch.float64)
     yes = torch.ones(COUNT, dtype=torch.bool)
     reach = beams.ranges_m if range_m is None else torch.full_like(beams.ranges_m, range_m)
     points = beams.origins + reach[:, None] * beams.directions
@@ -99,15 +99,15 @@ def test_the_echo_of_fog_never_lies_behind_the_surface():
 
 
 def test_no_fog_is_the_identity():
-    situation = situation_of(math.inf, SensorModel(limit_range_m=20.0))
-    before = returns_of(situation)
-    assert_same(before, EFFECT.bind(situation)(before))
+    context = situation_of(math.inf, SensorModel(limit_range_m=20.0))
+    before = returns_of(context)
+    assert_same(before, EFFECT.bind(context)(before))
 
 
 def test_thinner_and_thinner_fog_comes_to_the_identity():
-    situation = situation_of(1e9)
-    before = returns_of(situation)
-    after = EFFECT.bind(situation)(before)
+    context = situation_of(1e9)
+    before = returns_of(context)
+    after = EFFECT.bind(context)(before)
     assert torch.equal(after.points, before.points)
     assert bool((after.on_object & after.returned).all())
     torch.testing.assert_close(after.reflectance, before.reflectance, rtol=1e-6, atol=0)
@@ -115,9 +115,9 @@ def test_thinner_and_thinner_fog_comes_to_the_identity():
 
 @pytest.mark.parametrize("visibility_m", [0.5, 0.1, 1e-3, 1e-6])
 def test_dense_fog_is_seen_close_to_the_sensor(visibility_m):
-    situation = situation_of(visibility_m, SensorModel(limit_range_m=120.0, power_spread=0.4))
-    before = returns_of(situation)
-    after = EFFECT.bind(situation)(before)
+    context = situation_of(visibility_m, SensorModel(limit_range_m=120.0, power_spread=0.4))
+    before = returns_of(context)
+    after = EFFECT.bind(context)(before)
     far = before.range_m > 2.5
     assert bool(after.returned[far].all())
     assert not after.on_object[far].any()
@@ -127,9 +127,9 @@ def test_dense_fog_is_seen_close_to_the_sensor(visibility_m):
 
 
 def test_fog_moves_points_along_the_beam_only():
-    situation = situation_of(40.0)
-    before = returns_of(situation)
-    after = EFFECT.bind(situation)(before)
+    context = situation_of(40.0)
+    before = returns_of(context)
+    after = EFFECT.bind(context)(before)
     fog = ~after.on_object
     assert 0 < int(fog.sum()) < COUNT
     offset = after.points[fog] - before.origins[fog]
@@ -139,9 +139,9 @@ def test_fog_moves_points_along_the_beam_only():
 
 
 def test_beer_and_lambert_in_what_surfaces_report():
-    situation = situation_of(200.0)
-    before = returns_of(situation)
-    after = EFFECT.bind(situation)(before)
+    context = situation_of(200.0)
+    before = returns_of(context)
+    after = EFFECT.bind(context)(before)
     surface = after.on_object
     expected = 0.5 * torch.exp(-2.0 * extinction_per_m(200.0) * before.range_m)
     torch.testing.assert_close(after.reflectance[surface], expected[surface])
@@ -151,39 +151,39 @@ def test_beer_and_lambert_in_what_surfaces_report():
 @pytest.mark.parametrize("range_m", [10.0, 20.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
     """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
-    situation = situation_of(100.0, SensorModel(limit_range_m=100.0))
+    context = situation_of(100.0, SensorModel(limit_range_m=100.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
-    after = EFFECT.bind(situation)(returns_of(situation, range_m, albedo))
+    after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     expected = 1.0 - 9e-5 * range_m**2 * math.exp(2.0 * math.log(20.0) / 100.0 * range_m)
     share = float(after.returned.double().mean())
     assert abs(share - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
 
 
 def test_which_echo_wins_does_not_depend_on_the_scale_of_reflectance():
-    situation = situation_of(40.0)
-    bright = returns_of(situation)
+    context = situation_of(40.0)
+    bright = returns_of(context)
     dark = dataclasses.replace(bright, albedo=bright.albedo / 255.0, reflectance=bright.reflectance / 255.0)
-    step = EFFECT.bind(situation)
+    step = EFFECT.bind(context)
     assert torch.equal(step(bright).points, step(dark).points)
 
 
 def test_a_beam_gets_the_same_in_any_batch():
-    situation = situation_of(60.0, SensorModel(limit_range_m=80.0, power_spread=0.4))
-    before, rows = returns_of(situation), torch.arange(3, COUNT, 7)
-    assert_same(rows_of(EFFECT.bind(situation)(before), rows), EFFECT.bind(situation)(rows_of(before, rows)))
+    context = situation_of(60.0, SensorModel(limit_range_m=80.0, power_spread=0.4))
+    before, rows = returns_of(context), torch.arange(3, COUNT, 7)
+    assert_same(rows_of(EFFECT.bind(context)(before), rows), EFFECT.bind(context)(rows_of(before, rows)))
 
 
 def test_rows_without_a_return_stay_as_they_are():
-    situation = situation_of(30.0, SensorModel(limit_range_m=80.0))
-    before = dataclasses.replace(returns_of(situation), returned=torch.zeros(COUNT, dtype=torch.bool))
-    assert_same(before, EFFECT.bind(situation)(before))
+    context = situation_of(30.0, SensorModel(limit_range_m=80.0))
+    before = dataclasses.replace(returns_of(context), returned=torch.zeros(COUNT, dtype=torch.bool))
+    assert_same(before, EFFECT.bind(context)(before))
 
 
 def test_gradients_pass_where_the_surface_stays_and_nowhere_else():
-    situation = situation_of(40.0)
-    before = returns_of(situation)
+    context = situation_of(40.0)
+    before = returns_of(context)
     points = before.points.clone().requires_grad_()
-    after = EFFECT.bind(situation)(dataclasses.replace(before, points=points))
+    after = EFFECT.bind(context)(dataclasses.replace(before, points=points))
     weight = torch.rand(COUNT, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     (after.points * weight).sum().backward()
     assert torch.equal(points.grad, torch.where(after.on_object[:, None], weight, 0.0))
@@ -199,7 +199,7 @@ def facts_of(visibility_m: float, **known: object) -> SceneFacts:
 
 
 def test_called_for_with_figures():
-    reason = EFFECT.called_for(facts_of(50.0), Frame(), BLIND)
+    reason = EFFECT.applicability(facts_of(50.0), Frame(), BLIND)
     # 1 - exp(-2 * 30 ln 20 / 50) = 0.973
     assert reason is not None
     assert "visibility 50 m: 97 % of the light is lost at 30 m and back" in reason
@@ -207,11 +207,11 @@ def test_called_for_with_figures():
 
 def test_not_called_for_where_it_cannot_matter():
     limited = SensorModel(limit_range_m=100.0)
-    assert EFFECT.called_for(facts_of(math.inf, sensor=limited), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(math.inf, sensor=limited), Frame(), BLIND) is None
     # 2 * 50 ln 20 / MOR = 1 % at 30 km.
-    assert EFFECT.called_for(facts_of(31_000.0, sensor=limited), Frame(), BLIND) is None
-    assert EFFECT.called_for(facts_of(29_000.0, sensor=limited), Frame(), BLIND) is not None
+    assert EFFECT.applicability(facts_of(31_000.0, sensor=limited), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(29_000.0, sensor=limited), Frame(), BLIND) is not None
     # At 500 m no surface within 50 m is outshone: only what reads reflectance, or knows a limit, would notice.
-    assert EFFECT.called_for(facts_of(500.0), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(500.0), Frame(), BLIND) is None
     reader = DetectorFacts("xyzi", reads_reflectance=True)
-    assert EFFECT.called_for(facts_of(500.0, has_reflectance=True), Frame(), reader) is not None
+    assert EFFECT.applicability(facts_of(500.0, has_reflectance=True), Frame(), reader) is not None

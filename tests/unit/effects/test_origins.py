@@ -5,7 +5,7 @@ import pytest
 import torch
 from analytic_fields import Frame, in_frame, sphere
 
-from shift3d.effects.base import Cast, Situation
+from shift3d.effects.base import Cast, EffectContext
 from shift3d.effects.chain import EffectChain
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.origins import EFFECT
@@ -49,19 +49,19 @@ def test_each_beam_meets_a_sphere_from_its_own_place() -> None:
 
 def test_returns_stay_as_they_are_and_only_the_beams_change() -> None:
     scene = scene_of(TWO)
-    situation = Situation(scene, Beams.of_main_sensor(scene), FRAME, 1)
-    cast = EFFECT.bind(situation)(Cast(situation.beams))
+    context = EffectContext(scene, Beams.of_main_sensor(scene), FRAME, 1)
+    cast = EFFECT.bind(context)(Cast(context.beams))
     assert torch.equal(cast.beams.points, torch.from_numpy(scene.points))
     assert torch.equal(cast.beams.origins, torch.from_numpy(scene.origins).double())
-    assert not torch.equal(situation.beams.origins, cast.beams.origins)
-    assert cast.shift_m is None and cast.silent is None
+    assert not torch.equal(context.beams.origins, cast.beams.origins)
+    assert cast.shift_m is None and cast.no_return is None
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.5, -1.0, 0.25)])
 def test_one_place_is_the_identity_bit_for_bit(place: tuple[float, float, float]) -> None:
     scene = scene_of(np.array([place]))
     cast = Cast(Beams.of_main_sensor(scene))
-    assert EFFECT.bind(Situation(scene, cast.beams, FRAME, 1))(cast) is cast
+    assert EFFECT.bind(EffectContext(scene, cast.beams, FRAME, 1))(cast) is cast
 
 
 def test_places_that_agree_row_by_row_give_the_beams_of_one_place() -> None:
@@ -75,5 +75,5 @@ def test_places_that_agree_row_by_row_give_the_beams_of_one_place() -> None:
 
 def test_called_for_where_places_differ() -> None:
     detector = DetectorFacts("any")
-    assert EFFECT.called_for(SceneFacts.of(scene_of(TWO[:1])), FRAME, detector) is None
-    assert EFFECT.called_for(SceneFacts.of(scene_of(TWO)), FRAME, detector) is not None
+    assert EFFECT.applicability(SceneFacts.of(scene_of(TWO[:1])), FRAME, detector) is None
+    assert EFFECT.applicability(SceneFacts.of(scene_of(TWO)), FRAME, detector) is not None

@@ -9,7 +9,7 @@ import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
 
-from shift3d.effects.base import Returns, Situation
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.rain import DIVERGENCE_RAD, DROP_ALBEDO, EFFECT, EXIT_M, crossings, drops, extra_noise_m
 from shift3d.render.beams import Beams
@@ -23,19 +23,19 @@ BLIND = DetectorFacts("xyz")
 
 def situation_of(
     rain_mm_h: float, sensor: SensorModel | None = None, in_points: bool = False, seed: int = 4
-) -> Situation:
+) -> EffectContext:
     directions = np.random.default_rng(1).standard_normal((COUNT, 3))
     points = (60.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     conditions = Conditions("rain", rain_mm_h=rain_mm_h, weather_in_points=in_points)
     scene = Scene("wet", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, conditions=conditions, sensor=sensor)
-    return Situation(scene, Beams.from_scene(scene), Frame(), seed)
+    return EffectContext(scene, Beams.from_scene(scene), Frame(), seed)
 
 
 def returns_of(
-    situation: Situation, range_m: float, albedo: float | torch.Tensor = 0.5, cosine: float = 1.0
+    context: EffectContext, range_m: float, albedo: float | torch.Tensor = 0.5, cosine: float = 1.0
 ) -> Returns:
     """Every beam on the object, at one range."""
-    beams, one = situation.beams, torch.ones(COUNT, dtype=torch.float64)
+    beams, one = context.beams, torch.ones(COUNT, dtype=torch.float64)
     yes = torch.ones(COUNT, dtype=torch.bool)
     points = beams.origins + range_m * beams.directions
     return Returns(
@@ -105,8 +105,8 @@ def test_the_beam_widens_by_its_angle_in_radians():
 @pytest.mark.parametrize("range_m", [1.5, 2.5, 4.0])
 def test_in_front_of_nothing_every_drop_counts(range_m):
     """Met with 1 - exp(-n V), V the beam's volume from 0.9 m on, n = N0 / slope."""
-    situation = situation_of(10.0)
-    after = EFFECT.bind(situation)(returns_of(situation, range_m, cosine=0.0))
+    context = situation_of(10.0)
+    after = EFFECT.bind(context)(returns_of(context, range_m, cosine=0.0))
     width = [EXIT_M + DIVERGENCE_RAD * r for r in (0.9, range_m)]
     volume = math.pi / 12.0 * (width[1] ** 3 - width[0] ** 3) / DIVERGENCE_RAD
     expected = -math.expm1(-8000.0 / (4.1 * 10.0**-0.21) * volume)
@@ -117,8 +117,8 @@ def test_in_front_of_nothing_every_drop_counts(range_m):
 @pytest.mark.parametrize("divergence_rad", [1e-3, 4e-3])
 @pytest.mark.parametrize(("rain_mm_h", "range_m", "albedo"), [(10.0, 60.0, 0.2), (50.0, 30.0, 0.05)])
 def test_drops_that_outdo_the_surface(rain_mm_h, range_m, albedo, divergence_rad):
-    situation = situation_of(rain_mm_h, SensorModel(divergence_rad=divergence_rad))
-    after = EFFECT.bind(situation)(returns_of(situation, range_m, albedo))
+    context = situation_of(rain_mm_h, SensorModel(divergence_rad=divergence_rad))
+    after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     power = albedo / range_m**2 * math.exp(-2.0 * drops(rain_mm_h).extinction_per_m * range_m)
     expected = -math.expm1(-expected_drops(rain_mm_h, power, range_m, divergence_rad))
     drop = ~after.on_object
@@ -135,8 +135,8 @@ def test_drops_that_outdo_the_surface(rain_mm_h, range_m, albedo, divergence_rad
 def test_a_drop_below_the_least_power_is_not_noticed():
     """Behind lies nothing that is noticed; the limit alone says which drops are."""
     sensor = SensorModel(limit_range_m=300.0)
-    situation = situation_of(10.0, sensor)
-    after = EFFECT.bind(situation)(returns_of(situation, 60.0, cosine=0.0))
+    context = situation_of(10.0, sensor)
+    after = EFFECT.bind(context)(returns_of(context, 60.0, cosine=0.0))
     expected = -math.expm1(-expected_drops(10.0, 0.9 / 300.0**2, 60.0))
     share = float(after.returned.double().mean())
     assert abs(share - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
@@ -144,8 +144,8 @@ def test_a_drop_below_the_least_power_is_not_noticed():
 
 
 def test_a_drop_is_wider_than_it_has_to_be_by_one_mean_width():
-    situation = situation_of(20.0)
-    after = EFFECT.bind(situation)(returns_of(situation, 60.0, 0.2))
+    context = situation_of(20.0)
+    after = EFFECT.bind(context)(returns_of(context, 60.0, 0.2))
     rain, drop = drops(20.0), ~after.on_object
     at_m = after.range_m[drop].numpy()
     power = np.full(len(at_m), 0.2 / 60.0**2 * math.exp(-2.0 * rain.extinction_per_m * 60.0))
@@ -160,9 +160,9 @@ def test_a_drop_is_wider_than_it_has_to_be_by_one_mean_width():
 def test_weaker_echoes_scatter_more_along_the_beam_alone():
     """Albedo 0.9 at half of the limit range: four times the least power, before the rain."""
     sensor = SensorModel(limit_range_m=100.0)
-    situation = situation_of(50.0, sensor)
-    before = returns_of(situation, 50.0, 0.9)
-    after = EFFECT.bind(situation)(before)
+    context = situation_of(50.0, sensor)
+    before = returns_of(context, 50.0, 0.9)
+    after = EFFECT.bind(context)(before)
     surface = after.on_object & after.returned
     moved, count = (after.range_m - 50.0)[surface], int(surface.sum())
     transmission = math.exp(-2.0 * drops(50.0).extinction_per_m * 50.0)
@@ -186,9 +186,9 @@ def test_noise_that_is_added_is_bounded_and_none_where_nothing_is_lost():
 @pytest.mark.parametrize("range_m", [15.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
     """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
-    situation = situation_of(30.0, SensorModel(limit_range_m=40.0))
+    context = situation_of(30.0, SensorModel(limit_range_m=40.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
-    after = EFFECT.bind(situation)(returns_of(situation, range_m, albedo))
+    after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     alpha = 1e-6 * math.pi * 8000.0 / (4.1 * 30.0**-0.21) ** 3
     expected = 1.0 - 0.9 / 40.0**2 * range_m**2 * math.exp(2.0 * alpha * range_m)
     share = float((after.returned & after.on_object).double().mean())
@@ -196,37 +196,37 @@ def test_beer_and_lambert_in_what_survives(range_m):
 
 
 def test_no_rain_is_the_identity():
-    situation = situation_of(0.0, SensorModel(limit_range_m=20.0))
-    before = returns_of(situation, 60.0)
-    assert_same(before, EFFECT.bind(situation)(before))
+    context = situation_of(0.0, SensorModel(limit_range_m=20.0))
+    before = returns_of(context, 60.0)
+    assert_same(before, EFFECT.bind(context)(before))
 
 
 def test_less_and_less_rain_comes_to_the_identity():
-    situation = situation_of(1e-9)
-    before = returns_of(situation, 30.0)
-    after = EFFECT.bind(situation)(before)
+    context = situation_of(1e-9)
+    before = returns_of(context, 30.0)
+    after = EFFECT.bind(context)(before)
     assert bool(after.on_object.all())
     torch.testing.assert_close(after.points, before.points, rtol=0, atol=1e-12)
     torch.testing.assert_close(after.reflectance, before.reflectance, rtol=1e-4, atol=0)
 
 
 def test_a_beam_gets_the_same_in_any_batch():
-    situation = situation_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
-    before, rows = returns_of(situation, 50.0, 0.3), torch.arange(3, COUNT, 7)
-    assert_same(rows_of(EFFECT.bind(situation)(before), rows), EFFECT.bind(situation)(rows_of(before, rows)))
+    context = situation_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
+    before, rows = returns_of(context, 50.0, 0.3), torch.arange(3, COUNT, 7)
+    assert_same(rows_of(EFFECT.bind(context)(before), rows), EFFECT.bind(context)(rows_of(before, rows)))
 
 
 def test_rows_without_a_return_stay_as_they_are():
-    situation = situation_of(20.0, SensorModel(limit_range_m=90.0))
-    before = returns_of(situation, 50.0)
+    context = situation_of(20.0, SensorModel(limit_range_m=90.0))
+    before = returns_of(context, 50.0)
     before = dataclasses.replace(before, returned=torch.zeros_like(before.returned))
-    assert_same(before, EFFECT.bind(situation)(before))
+    assert_same(before, EFFECT.bind(context)(before))
 
 
 def test_degenerate_rows_bring_no_nan():
     """No albedo, no range, a beam without a direction, a surface along the beam."""
-    situation = situation_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
-    for known in (situation, situation_of(20.0)):
+    context = situation_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
+    for known in (context, situation_of(20.0)):
         rows = rows_of(returns_of(known, 50.0), torch.arange(4))
         scale = torch.tensor([1.0, 0.0, 1.0, 1.0], dtype=torch.float64)
         after = EFFECT.bind(known)(
@@ -244,8 +244,8 @@ def test_degenerate_rows_bring_no_nan():
 
 def test_gradients_of_surfaces_and_drops():
     """A pose that moves points along their beams: the gradient is that of finite differences while nothing flips."""
-    situation = situation_of(20.0)
-    step, before = EFFECT.bind(situation), rows_of(returns_of(situation, 50.0, 0.2), torch.arange(0, COUNT, 80))
+    context = situation_of(20.0)
+    step, before = EFFECT.bind(context), rows_of(returns_of(context, 50.0, 0.2), torch.arange(0, COUNT, 80))
     weight = torch.rand(before.points.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
 
     def value(shift: torch.Tensor) -> torch.Tensor:
@@ -270,16 +270,16 @@ def facts_of(rain_mm_h: float, in_points: bool = True) -> SceneFacts:
 
 
 def test_called_for_with_figures():
-    reason = EFFECT.called_for(facts_of(10.0), Frame(), BLIND)
+    reason = EFFECT.applicability(facts_of(10.0), Frame(), BLIND)
     # 1 - exp(-2 * 1.555e-3 * 30) = 0.089
     assert reason == "rain 10 mm/h: 8.9 % of the light is lost at 30 m and back"
 
 
 def test_not_called_for_where_it_cannot_matter():
-    assert EFFECT.called_for(facts_of(0.0), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.0), Frame(), BLIND) is None
     # 0.9 % of the light at 50 m, and 1.1 %.
-    assert EFFECT.called_for(facts_of(0.1), Frame(), BLIND) is None
-    assert EFFECT.called_for(facts_of(0.15), Frame(), BLIND) is not None
+    assert EFFECT.applicability(facts_of(0.1), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.15), Frame(), BLIND) is not None
 
 
 def test_recordings_have_their_rain_already():

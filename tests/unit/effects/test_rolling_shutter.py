@@ -8,7 +8,7 @@ import pytest
 import torch
 from analytic_fields import Frame, box, in_frame
 
-from shift3d.effects.base import Cast, Situation
+from shift3d.effects.base import Cast, EffectContext
 from shift3d.effects.chain import EffectChain
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.rolling_shutter import ASSUMED_NOISE_M, EFFECT, relative_velocity
@@ -83,10 +83,10 @@ def test_hits_lie_on_their_beams_and_the_other_rows_are_the_scenes_bit_for_bit()
 def test_the_sensors_own_motion_counts_where_points_do_not_contain_it(compensated: bool) -> None:
     conditions = Conditions(ego_velocity_m_s=(8.0, 1.0, 0.0), motion_compensated=compensated)
     scene = scene_of(conditions)
-    situation = Situation(scene, Beams.of_main_sensor(scene), FRAME, 1, 5.0, math.pi / 2)
+    context = EffectContext(scene, Beams.of_main_sensor(scene), FRAME, 1, 5.0, math.pi / 2)
     expected = (0.0, 5.0, 0.0) if compensated else (-8.0, 4.0, 0.0)
-    assert relative_velocity(situation) == pytest.approx(expected, abs=1e-12)
-    shift = EFFECT.bind(situation)(Cast(situation.beams)).shift_m
+    assert relative_velocity(context) == pytest.approx(expected, abs=1e-12)
+    shift = EFFECT.bind(context)(Cast(context.beams)).shift_m
     assert shift is not None and scene.time_s is not None
     assert shift.numpy() == pytest.approx(scene.time_s[:, None].astype(np.float64) * np.array(expected), abs=1e-12)
 
@@ -94,19 +94,19 @@ def test_the_sensors_own_motion_counts_where_points_do_not_contain_it(compensate
 def test_object_and_sensor_at_the_same_speed_stand_still() -> None:
     scene = scene_of(Conditions(ego_velocity_m_s=(9.0, 0.0, 0.0), motion_compensated=False))
     cast = Cast(Beams.of_main_sensor(scene))
-    assert EFFECT.bind(Situation(scene, cast.beams, FRAME, 1, 9.0, 0.0))(cast) is cast
+    assert EFFECT.bind(EffectContext(scene, cast.beams, FRAME, 1, 9.0, 0.0))(cast) is cast
 
 
 def test_zero_speed_is_the_identity_bit_for_bit() -> None:
     scene = scene_of(Conditions(ego_velocity_m_s=(9.0, 0.0, 0.0)))
     cast = Cast(Beams.of_main_sensor(scene))
-    assert EFFECT.bind(Situation(scene, cast.beams, FRAME, 1, 0.0, 1.0))(cast) is cast
+    assert EFFECT.bind(EffectContext(scene, cast.beams, FRAME, 1, 0.0, 1.0))(cast) is cast
 
 
 def test_time_zero_is_not_displaced_and_displacement_grows_with_time() -> None:
     scene = scene_of()
-    situation = Situation(scene, Beams.of_main_sensor(scene), FRAME, 1, 20.0)
-    shift = EFFECT.bind(situation)(Cast(situation.beams)).shift_m
+    context = EffectContext(scene, Beams.of_main_sensor(scene), FRAME, 1, 20.0)
+    shift = EFFECT.bind(context)(Cast(context.beams)).shift_m
     assert shift is not None and scene.time_s is not None
     assert bool((shift[scene.time_s == 0.0] == 0.0).all())
     assert float(shift[:, 0].max()) == pytest.approx(20.0 * SCAN_S, rel=1e-6)
@@ -134,16 +134,16 @@ def test_called_for_where_the_displacement_exceeds_the_range_noise() -> None:
     scene = dataclasses.replace(scene_of(), sensor=SensorModel(range_noise_m=0.5))
     for speed, expected in ((4.9, False), (5.1, True), (-5.1, True)):
         facts = SceneFacts.of(scene, EffectSettings(object_speed_m_s=speed))
-        assert (EFFECT.called_for(facts, FRAME, DETECTOR) is not None) == expected
+        assert (EFFECT.applicability(facts, FRAME, DETECTOR) is not None) == expected
     unknown = ASSUMED_NOISE_M / SCAN_S
     for factor, expected in ((0.9, False), (1.1, True)):
         facts = SceneFacts.of(scene_of(), EffectSettings(object_speed_m_s=factor * unknown))
-        assert (EFFECT.called_for(facts, FRAME, DETECTOR) is not None) == expected
+        assert (EFFECT.applicability(facts, FRAME, DETECTOR) is not None) == expected
 
 
 def test_called_for_by_a_moving_sensor_only_where_points_do_not_contain_its_motion() -> None:
     for compensated in (True, False):
         conditions = Conditions(ego_velocity_m_s=(10.0, 0.0, 0.0), motion_compensated=compensated)
-        reason = EFFECT.called_for(SceneFacts.of(scene_of(conditions)), FRAME, DETECTOR)
+        reason = EFFECT.applicability(SceneFacts.of(scene_of(conditions)), FRAME, DETECTOR)
         assert (reason is None) == compensated
         assert reason is None or ("10.0 m/s" in reason and "1.00 m" in reason)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from analytic_fields import Frame, box, in_frame
 
-from shift3d.effects.base import Returns, Situation
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.second_returns import EFFECT
@@ -31,12 +31,12 @@ def scene_of(number, pixel, points=None, origins=None) -> Scene:
     )
 
 
-def situation_of(scene: Scene) -> Situation:
-    return Situation(scene, Beams.from_scene(scene), Frame(), 3)
+def situation_of(scene: Scene) -> EffectContext:
+    return EffectContext(scene, Beams.from_scene(scene), Frame(), 3)
 
 
-def returns_of(situation: Situation, on_object, rows=None) -> Returns:
-    beams = situation.beams
+def returns_of(context: EffectContext, on_object, rows=None) -> Returns:
+    beams = context.beams
     row = torch.arange(len(beams)) if rows is None else rows
     yes, half = torch.ones(len(row), dtype=torch.bool), torch.full((len(row),), 0.5, dtype=torch.float64)
     on = torch.as_tensor(on_object)[row]
@@ -46,8 +46,8 @@ def returns_of(situation: Situation, on_object, rows=None) -> Returns:
 
 
 def kept(scene: Scene, on_object) -> list[bool]:
-    situation = situation_of(scene)
-    return EFFECT.bind(situation)(returns_of(situation, on_object)).returned.tolist()
+    context = situation_of(scene)
+    return EFFECT.bind(context)(returns_of(context, on_object)).returned.tolist()
 
 
 SAME, OTHER = (3, 70), (70, 3)
@@ -113,37 +113,37 @@ def test_against_a_plain_double_loop():
 
 def test_whole_beams_come_out_the_same_whatever_else_is_hit():
     scene = random_scene(300, 5)
-    situation = situation_of(scene)
+    context = situation_of(scene)
     on_object = np.random.default_rng(6).random(len(scene.points)) < 0.5
-    step = EFFECT.bind(situation)
-    whole = step(returns_of(situation, on_object)).returned
+    step = EFFECT.bind(context)
+    whole = step(returns_of(context, on_object)).returned
     # Rows that are not on the object stop nothing: as in the chain, which hands over the object's rows alone.
     rows = torch.from_numpy(np.flatnonzero(on_object))
-    assert torch.equal(step(returns_of(situation, on_object, rows)).returned, whole[rows])
+    assert torch.equal(step(returns_of(context, on_object, rows)).returned, whole[rows])
     assert scene.range_image_index is not None
     rows = torch.from_numpy(np.flatnonzero(scene.range_image_index[:, 0] < 20))
-    assert torch.equal(step(returns_of(situation, on_object, rows)).returned, whole[rows])
+    assert torch.equal(step(returns_of(context, on_object, rows)).returned, whole[rows])
 
 
 def test_nothing_but_returned_is_changed_and_nothing_where_no_beam_has_two():
     scene = random_scene(100, 7)
-    situation = situation_of(scene)
-    before = returns_of(situation, np.ones(len(scene.points), bool))
-    after = EFFECT.bind(situation)(before)
+    context = situation_of(scene)
+    before = returns_of(context, np.ones(len(scene.points), bool))
+    after = EFFECT.bind(context)(before)
     assert all(getattr(after, name) is part for name, part in vars(before).items() if name != "returned")
     first = scene_of([0, 0], [SAME, OTHER])
     before = returns_of(situation_of(first), [True, True])
     assert EFFECT.bind(situation_of(first))(before) is before
     bare = dataclasses.replace(first, return_number=None)
     assert EFFECT.bind(situation_of(bare))(before) is before
-    assert not EFFECT.on_scene(situation)
+    assert not EFFECT.on_scene(context)
 
 
 def test_what_is_gone_already_stays_gone_and_still_stops_the_beam():
     scene = scene_of([0, 1], [SAME, SAME])
-    situation = situation_of(scene)
-    before = dataclasses.replace(returns_of(situation, [True, True]), returned=torch.tensor([False, True]))
-    assert EFFECT.bind(situation)(before).returned.tolist() == [False, False]
+    context = situation_of(scene)
+    before = dataclasses.replace(returns_of(context, [True, True]), returned=torch.tensor([False, True]))
+    assert EFFECT.bind(context)(before).returned.tolist() == [False, False]
 
 
 def test_one_return_a_beam_from_an_inserted_box():
@@ -171,7 +171,7 @@ def test_one_return_a_beam_from_an_inserted_box():
 def test_called_for_where_beams_have_more_than_one_return():
     two = scene_of([0, 1], [SAME, SAME])
     detector = DetectorFacts("reader")
-    assert "2 returns" in (EFFECT.called_for(SceneFacts.of(two), Frame(), detector) or "")
+    assert "2 returns" in (EFFECT.applicability(SceneFacts.of(two), Frame(), detector) or "")
     one = dataclasses.replace(two, return_number=np.zeros(2, np.uint8))
     for scene in (one, dataclasses.replace(two, return_number=None), dataclasses.replace(two, range_image_index=None)):
-        assert EFFECT.called_for(SceneFacts.of(scene), Frame(), detector) is None
+        assert EFFECT.applicability(SceneFacts.of(scene), Frame(), detector) is None

@@ -10,7 +10,7 @@ from analytic_fields import Frame
 from scipy.integrate import quad
 
 from shift3d.effects.applicability import NEEDS, effect_named
-from shift3d.effects.base import Returns, Situation
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.fog import extinction_per_m
 from shift3d.effects.rain import DIVERGENCE_RAD, EXIT_M, drops
@@ -24,22 +24,22 @@ COUNT = 40_000
 BLIND = DetectorFacts("xyz")
 
 
-def situation_of(conditions: Conditions, sensor: SensorModel | None = None, seed: int = 4) -> Situation:
+def situation_of(conditions: Conditions, sensor: SensorModel | None = None, seed: int = 4) -> EffectContext:
     directions = np.random.default_rng(1).standard_normal((COUNT, 3))
     points = (60.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     scene = Scene("white", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, conditions=conditions, sensor=sensor)
-    return Situation(scene, Beams.from_scene(scene), Frame(), seed)
+    return EffectContext(scene, Beams.from_scene(scene), Frame(), seed)
 
 
-def snowing(snow_mm_h: float, sensor: SensorModel | None = None, in_points: bool = False) -> Situation:
+def snowing(snow_mm_h: float, sensor: SensorModel | None = None, in_points: bool = False) -> EffectContext:
     return situation_of(Conditions("snow", snow_mm_h=snow_mm_h, weather_in_points=in_points), sensor)
 
 
 def returns_of(
-    situation: Situation, range_m: float, albedo: float | torch.Tensor = 0.5, cosine: float = 1.0
+    context: EffectContext, range_m: float, albedo: float | torch.Tensor = 0.5, cosine: float = 1.0
 ) -> Returns:
     """Every beam on the object, at one range."""
-    beams, one = situation.beams, torch.ones(COUNT, dtype=torch.float64)
+    beams, one = context.beams, torch.ones(COUNT, dtype=torch.float64)
     yes = torch.ones(COUNT, dtype=torch.bool)
     points = beams.origins + range_m * beams.directions
     return Returns(
@@ -78,8 +78,8 @@ def test_flakes_are_as_many_as_the_drops_they_melt_to():
 
 @pytest.mark.parametrize("range_m", [1.5, 2.5, 4.0])
 def test_in_front_of_nothing_every_flake_counts(range_m):
-    situation = snowing(1.0)
-    after = EFFECT.bind(situation)(returns_of(situation, range_m, cosine=0.0))
+    context = snowing(1.0)
+    after = EFFECT.bind(context)(returns_of(context, range_m, cosine=0.0))
     width = [EXIT_M + DIVERGENCE_RAD * r for r in (0.9, range_m)]
     volume = math.pi / 12.0 * (width[1] ** 3 - width[0] ** 3) / DIVERGENCE_RAD
     expected = -math.expm1(-7600.0 / 2.55 * volume)
@@ -89,8 +89,8 @@ def test_in_front_of_nothing_every_flake_counts(range_m):
 
 @pytest.mark.parametrize(("snow_mm_h", "range_m", "albedo"), [(0.3, 20.0, 0.4), (2.0, 40.0, 0.1)])
 def test_flakes_that_cover_enough_of_the_beam(snow_mm_h, range_m, albedo):
-    situation = snowing(snow_mm_h)
-    after = EFFECT.bind(situation)(returns_of(situation, range_m, albedo))
+    context = snowing(snow_mm_h)
+    after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     alpha, slope = extinction(snow_mm_h), 2.55 * snow_mm_h**-0.48
     power = albedo / range_m**2 * math.exp(-2.0 * alpha * range_m)
 
@@ -109,15 +109,15 @@ def test_flakes_that_cover_enough_of_the_beam(snow_mm_h, range_m, albedo):
     near = float(after.range_m[flake].median())
     share = -math.expm1(-quad(rate, 0.9, near, points=[min(1.0, near)], limit=500)[0]) / expected
     assert abs(share - 0.5) < 3.0 * 0.5 / math.sqrt(int(flake.sum()))
-    assert torch.equal(after.points[~flake], returns_of(situation, range_m).points[~flake])
+    assert torch.equal(after.points[~flake], returns_of(context, range_m).points[~flake])
 
 
 @pytest.mark.parametrize("range_m", [10.0, 20.0])
 def test_beer_and_lambert_in_what_survives(range_m):
     """Albedo uniform in [0, 1]; a narrow beam and a poor sensor, so that flakes cannot come in between."""
-    situation = snowing(2.0, SensorModel(limit_range_m=25.0, divergence_rad=1e-5))
+    context = snowing(2.0, SensorModel(limit_range_m=25.0, divergence_rad=1e-5))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
-    after = EFFECT.bind(situation)(returns_of(situation, range_m, albedo))
+    after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     alone = after.on_object  # neither it nor a flake's draw depends on the albedo of what is lost
     noticed = albedo >= 0.9 / 25.0**2 * range_m**2 * math.exp(2.0 * extinction(2.0) * range_m)
     assert torch.equal(after.returned[alone], noticed[alone])
@@ -126,31 +126,31 @@ def test_beer_and_lambert_in_what_survives(range_m):
 
 
 def test_no_snow_is_the_identity():
-    situation = snowing(0.0, SensorModel(limit_range_m=20.0))
-    before = returns_of(situation, 60.0)
-    assert_same(before, EFFECT.bind(situation)(before))
+    context = snowing(0.0, SensorModel(limit_range_m=20.0))
+    before = returns_of(context, 60.0)
+    assert_same(before, EFFECT.bind(context)(before))
 
 
 def test_a_beam_gets_the_same_in_any_batch():
-    situation = snowing(1.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
-    before, rows = returns_of(situation, 50.0, 0.3), torch.arange(3, COUNT, 7)
-    assert_same(rows_of(EFFECT.bind(situation)(before), rows), EFFECT.bind(situation)(rows_of(before, rows)))
+    context = snowing(1.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
+    before, rows = returns_of(context, 50.0, 0.3), torch.arange(3, COUNT, 7)
+    assert_same(rows_of(EFFECT.bind(context)(before), rows), EFFECT.bind(context)(rows_of(before, rows)))
 
 
 def test_flakes_lie_on_their_beams():
-    situation = snowing(2.0)
-    before = returns_of(situation, 50.0)
-    after = EFFECT.bind(situation)(before)
+    context = snowing(2.0)
+    before = returns_of(context, 50.0)
+    after = EFFECT.bind(context)(before)
     across = after.points - (after.points * before.directions).sum(-1, keepdim=True) * before.directions
     assert float(across.norm(dim=-1).max()) < 1e-12
     assert bool((after.range_m[~after.on_object] > 0.9).all())
 
 
 def test_gradients_pass_where_the_surface_stays_and_nowhere_else():
-    situation = snowing(2.0)
-    before = returns_of(situation, 50.0)
+    context = snowing(2.0)
+    before = returns_of(context, 50.0)
     points = before.points.clone().requires_grad_()
-    after = EFFECT.bind(situation)(dataclasses.replace(before, points=points))
+    after = EFFECT.bind(context)(dataclasses.replace(before, points=points))
     weight = torch.rand(COUNT, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     (after.points * weight).sum().backward()
     assert torch.equal(points.grad, torch.where(after.on_object[:, None], weight, 0.0))
@@ -159,13 +159,13 @@ def test_gradients_pass_where_the_surface_stays_and_nowhere_else():
 def test_extinctions_of_all_weather_add_up():
     """Fog, rain and snow in turn: what is left of a surface's echo is exp(-2 (sum of alphas) R)."""
     conditions = Conditions("fog", rain_mm_h=5.0, snow_mm_h=0.3, visibility_m=300.0, weather_in_points=False)
-    situation = situation_of(conditions)
-    before = returns_of(situation, 15.0, 0.9)
+    context = situation_of(conditions)
+    before = returns_of(context, 15.0, 0.9)
     after = before
     names = [name for name in NEEDS if name in ("snow", "rain", "fog")]
     assert names == ["fog", "rain", "snow"]
     for name in names:
-        after = effect_named(name).bind(situation)(after)  # type: ignore[operator]
+        after = effect_named(name).bind(context)(after)  # type: ignore[operator]
     surface = after.on_object & after.returned
     assert float(surface.double().mean()) > 0.5
     total = extinction_per_m(300.0) + drops(5.0).extinction_per_m + extinction(0.3)
@@ -177,11 +177,11 @@ def test_extinctions_of_all_weather_add_up():
 def test_all_weather_loses_by_the_sum_of_extinctions():
     """A sharp limit, met by each in turn, loses on the object what the whole extinction loses at once."""
     conditions = Conditions("fog", snow_mm_h=0.5, visibility_m=200.0, weather_in_points=False)
-    situation = situation_of(conditions, SensorModel(limit_range_m=40.0, divergence_rad=1e-5))
+    context = situation_of(conditions, SensorModel(limit_range_m=40.0, divergence_rad=1e-5))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
-    after = returns_of(situation, 15.0, albedo)
+    after = returns_of(context, 15.0, albedo)
     for name in ("fog", "snow"):
-        after = effect_named(name).bind(situation)(after)  # type: ignore[operator]
+        after = effect_named(name).bind(context)(after)  # type: ignore[operator]
     total = extinction_per_m(200.0) + extinction(0.5)
     noticed = albedo * math.exp(-2.0 * total * 15.0) / 15.0**2 >= 0.9 / 40.0**2
     assert torch.equal(after.returned[after.on_object], noticed[after.on_object])
@@ -192,12 +192,12 @@ def facts_of(snow_mm_h: float) -> SceneFacts:
 
 
 def test_called_for_with_figures():
-    reason = EFFECT.called_for(facts_of(1.0), Frame(), BLIND)
+    reason = EFFECT.applicability(facts_of(1.0), Frame(), BLIND)
     # 1 - exp(-2 * 3.24e-3 * 30) = 0.177
     assert reason == "snow 1 mm/h: 18 % of the light is lost at 30 m and back"
-    assert EFFECT.called_for(facts_of(0.0), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.0), Frame(), BLIND) is None
     # 2 * 50 m * 3.24e-3 Rr^0.57 = 1 % at 0.0023 mm/h.
-    assert EFFECT.called_for(facts_of(0.001), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.001), Frame(), BLIND) is None
 
 
 def test_recordings_have_their_snow_already():

@@ -9,7 +9,7 @@ import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
 
-from shift3d.effects.base import Returns, Situation
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.power import survival
 from shift3d.effects.wet_ground import EFFECT, GROUND_BAND_M, WATER_INDEX, reflected, trapped, wet_albedo
@@ -29,7 +29,7 @@ def values(*numbers: float) -> torch.Tensor:
 
 def situation_of(
     rain_mm_h: float = 5.0, sensor: SensorModel | None = LIMIT, in_points: bool = False, range_m: float = 20.0
-) -> Situation:
+) -> EffectContext:
     """A ring of ground, walls behind it, points overhead: a third each."""
     angle = np.linspace(0.0, 2.0 * math.pi, COUNT, endpoint=False)
     z = np.choose(np.arange(COUNT) % 3, [np.full(COUNT, GROUND_Z_M), np.full(COUNT, 0.5), np.full(COUNT, 4.0)])
@@ -37,11 +37,11 @@ def situation_of(
     conditions = Conditions("rain", rain_mm_h=rain_mm_h, weather_in_points=in_points)
     origins = np.zeros((COUNT, 3), np.float32)
     scene = Scene("street", "made", points, origins, GROUND_Z_M, conditions=conditions, sensor=sensor)
-    return Situation(scene, Beams.from_scene(scene), Frame(), 4)
+    return EffectContext(scene, Beams.from_scene(scene), Frame(), 4)
 
 
-def returns_of(situation: Situation, on_object: bool = False, albedo: float = 0.3) -> Returns:
-    beams, one = situation.beams, torch.ones(COUNT, dtype=torch.float64)
+def returns_of(context: EffectContext, on_object: bool = False, albedo: float = 0.3) -> Returns:
+    beams, one = context.beams, torch.ones(COUNT, dtype=torch.float64)
     there, yes = torch.full((COUNT,), on_object), torch.ones(COUNT, dtype=torch.bool)
     points = beams.points.double()
     shown = albedo * one
@@ -114,9 +114,9 @@ def test_water_darkens_all_but_the_whitest_ground():
 
 
 def test_only_ground_is_wet_and_its_echoes_are_lost_by_their_power():
-    situation = situation_of()
-    before = returns_of(situation)
-    after = EFFECT.bind(situation)(before)
+    context = situation_of()
+    before = returns_of(context)
+    after = EFFECT.bind(context)(before)
     ground = torch.arange(COUNT) % 3 == 0
     assert torch.equal(after.points, before.points)
     assert bool(after.returned[~ground].all())
@@ -133,39 +133,39 @@ def test_only_ground_is_wet_and_its_echoes_are_lost_by_their_power():
 
 
 def test_the_object_is_left_alone_with_its_gradients():
-    situation = situation_of()
-    before = returns_of(situation, on_object=True)
+    context = situation_of()
+    before = returns_of(context, on_object=True)
     before = dataclasses.replace(before, points=before.points.requires_grad_())
-    after = EFFECT.bind(situation)(before)
+    after = EFFECT.bind(context)(before)
     assert_same(before, after)
     assert after.points.requires_grad
 
 
 @pytest.mark.parametrize(
-    "situation", [situation_of(rain_mm_h=0.0), situation_of(in_points=True)], ids=["no rain", "a recording's rain"]
+    "context", [situation_of(rain_mm_h=0.0), situation_of(in_points=True)], ids=["no rain", "a recording's rain"]
 )
-def test_identity(situation):
-    before = returns_of(situation)
-    assert_same(before, EFFECT.bind(situation)(before))
+def test_identity(context):
+    before = returns_of(context)
+    assert_same(before, EFFECT.bind(context)(before))
 
 
 def test_what_lies_above_the_band_or_is_met_from_below_is_no_ground():
-    situation = situation_of()
-    before = returns_of(situation)
+    context = situation_of()
+    before = returns_of(context)
     lifted = dataclasses.replace(before, points=before.points + values(0.0, 0.0, GROUND_BAND_M + 1e-6))
-    assert_same(lifted, EFFECT.bind(situation)(lifted))
+    assert_same(lifted, EFFECT.bind(context)(lifted))
     rising = dataclasses.replace(before, directions=before.directions * values(1.0, 1.0, -1.0))
-    after = EFFECT.bind(situation)(rising)
+    after = EFFECT.bind(context)(rising)
     assert torch.equal(after.albedo[::3], rising.albedo[::3])
 
 
 def test_a_beam_gets_the_same_in_any_batch():
-    situation = situation_of()
-    before, rows = returns_of(situation), torch.arange(3, COUNT, 7)
+    context = situation_of()
+    before, rows = returns_of(context), torch.arange(3, COUNT, 7)
     part = Returns(**{name: None if value is None else value[rows] for name, value in vars(before).items()})
-    whole = EFFECT.bind(situation)(before)
+    whole = EFFECT.bind(context)(before)
     expected = Returns(**{name: None if value is None else value[rows] for name, value in vars(whole).items()})
-    assert_same(expected, EFFECT.bind(situation)(part))
+    assert_same(expected, EFFECT.bind(context)(part))
 
 
 def facts_of(in_points: bool = False, **known: object) -> SceneFacts:
@@ -175,8 +175,8 @@ def facts_of(in_points: bool = False, **known: object) -> SceneFacts:
 
 def test_called_for_in_rain_over_ground_in_view():
     detector = DetectorFacts("xyz")
-    reason = EFFECT.called_for(facts_of(), Frame(), detector)
+    reason = EFFECT.applicability(facts_of(), Frame(), detector)
     share = float(wet_albedo(values(0.3), values(1.73 / 20.0))) / 0.3
     assert reason == f"rain 5 mm/h wets the ground: {100.0 * share:.0f} % of its echo is left at 20 m"
-    assert EFFECT.called_for(facts_of(ground_in_view=False), Frame(), detector) is None
-    assert EFFECT.called_for(facts_of(in_points=True), Frame(), detector) is None
+    assert EFFECT.applicability(facts_of(ground_in_view=False), Frame(), detector) is None
+    assert EFFECT.applicability(facts_of(in_points=True), Frame(), detector) is None

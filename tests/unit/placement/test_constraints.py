@@ -9,7 +9,7 @@ from analytic_fields import SHAPENET_FRAME, box, ground_scan, in_frame
 from torch import Tensor
 
 from shift3d.geometry.se3 import scene_from_object, scene_R_object
-from shift3d.placement.constraints import Constraints, check, points_near, settle
+from shift3d.placement.constraints import Constraints, check, points_near, snap_to_ground
 from shift3d.placement.ground import fit_ground
 from shift3d.placement.sampling import pose_on_plane
 from shift3d.render import Beams
@@ -66,7 +66,7 @@ def test_settling_ends_in_touch(start_m: float) -> None:
     ground = torch.cartesian_prod(torch.linspace(-3, 3, 25), torch.linspace(-3, 3, 25)).double()
     points = torch.cat((ground, torch.full((len(ground), 1), -1.73).double()), 1)
     theta = torch.tensor([0.0, 0.0, -0.98 + start_m, 0.4, 0.0, 0.0], dtype=torch.float64)
-    found = settle(FIELD, points, theta, SIZE)
+    found = snap_to_ground(FIELD, points, theta, SIZE)
     assert found is not None
     assert float(found[2]) == pytest.approx(-0.98, abs=0.004)
     assert torch.equal(found[[0, 1, 3, 4, 5]], theta[[0, 1, 3, 4, 5]])
@@ -76,9 +76,9 @@ def test_settling_ends_in_touch(start_m: float) -> None:
 
 def test_settling_gives_up_without_ground_and_beyond_reach() -> None:
     theta = torch.zeros(6, dtype=torch.float64)
-    assert settle(FIELD, torch.zeros(0, 3).double(), theta, SIZE) is None
+    assert snap_to_ground(FIELD, torch.zeros(0, 3).double(), theta, SIZE) is None
     deep = torch.tensor([[0.0, 0.0, -0.3]], dtype=torch.float64)
-    assert settle(FIELD, deep, theta, SIZE, reach_m=0.1) is None
+    assert snap_to_ground(FIELD, deep, theta, SIZE, reach_m=0.1) is None
 
 
 def test_ground_plane_of_a_slope_under_a_wall() -> None:

@@ -71,12 +71,12 @@ def test_page_and_what_auto_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     found = effect_worths(scores, effect_milliseconds(scores, timings))
     text = write_effects_page(tmp_path / "effects.html", "effects", found).read_text()
     assert "fog: 0.200 for 20 ms" in text and "data:image/png" in text
-    monkeypatch.setattr(applicability, "WORTH", write_worth(tmp_path / "worth.json", "effects", found))
-    applicability.measured_worth.cache_clear()
+    monkeypatch.setattr(applicability, "MEASURED_IMPACT", write_worth(tmp_path / "worth.json", "effects", found))
+    applicability.measured_impact.cache_clear()
     try:
-        assert applicability.measured_worth()["fog"].score_change == 0.2
+        assert applicability.measured_impact()["fog"].score_change == 0.2
     finally:
-        applicability.measured_worth.cache_clear()
+        applicability.measured_impact.cache_clear()
     assert json.loads((tmp_path / "worth.json").read_text())["effects"]["fog"]["objects"] == 12
 
 

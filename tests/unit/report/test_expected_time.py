@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from valid_sweeps import catalogue, plan, write_sweep
 
-from shift3d.effects.applicability import measured_worth
+from shift3d.effects.applicability import measured_impact
 from shift3d.errors import InputError
 from shift3d.report.expected import expected, expected_lines
 from shift3d.report.task_parts import TaskParts, measured_parts, shipped_parts
@@ -64,7 +64,7 @@ def test_the_figures_that_ship() -> None:
     assert found.seconds == pytest.approx(2 * (parts.once_ms["pose"] + 41 * step + 3 * scored) / 1e3)
     assert found.guessed == 2 and parts.source in found.source
     foggy = expected(plan_of(*pose, "effects=fog", "effects.visibility_m=30").tasks, [])
-    more = 2 * (41 + 3) * measured_worth()["fog"].milliseconds / 1e3
+    more = 2 * (41 + 3) * measured_impact()["fog"].milliseconds / 1e3
     assert foggy.seconds - found.seconds == pytest.approx(more)
 
 

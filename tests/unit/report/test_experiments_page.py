@@ -50,10 +50,10 @@ def test_a_section_says_what_was_run_and_sweeps_keep_their_order(sweep: Sweep) -
 
 
 def test_an_attack_run_again_with_other_settings_has_them_in_its_heading(sweep: Sweep) -> None:
-    given = ("size=small", "attack.steady_steps=1", "attack.noise_replicates=2", "out=elsewhere")
+    given = ("size=small", "attack.selection_window=1", "attack.noise_replicates=2", "out=elsewhere")
     again = dataclasses.replace(sweep, plan=dataclasses.replace(sweep.plan, overrides=given))
     headings = [line for line in experiments([sweep, again]).splitlines() if line.startswith("## ")]
-    assert headings == [f"## `{sweep.plan.sweep}`", f"## `{sweep.plan.sweep}`, `attack.steady_steps=1`"]
+    assert headings == [f"## `{sweep.plan.sweep}`", f"## `{sweep.plan.sweep}`, `attack.selection_window=1`"]
     assert experiments([again]).count("## ") == 1 and "steady" not in experiments([again]).split("Given")[0]
 
 

@@ -56,6 +56,10 @@ def test_what_is_gone_says_why_and_a_solver_what_it_is_called(render: dict[str, 
         ("accuracy.render.root=itp", "accuracy.render.root is gone"),
         ("accuracy.render.solver=hybrid", "is called sphere_tracing"),
         ("accuracy.render.grazing=0", "One of: "),
+        ("attack.steady_steps=1", "attack.steady_steps is called selection_window"),
+        ("attack.sphere_m=7", "attack.sphere_m is gone"),
+        ("effects=silent_beams", "effects=silent_beams is called no_return_beams"),
+        ("effects=[fog,silent_beams]", "effects=silent_beams is called no_return_beams"),
     ],
 )
 def test_the_command_says_it_in_one_line(override: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:

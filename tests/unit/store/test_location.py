@@ -11,7 +11,7 @@ from bucket_server import new_bucket
 
 from shift3d.store.local_files import LocalLocation
 from shift3d.store.location import Location
-from shift3d.store.places import as_location, local_copy
+from shift3d.store.resolve import as_location, local_copy
 
 
 @pytest.fixture(params=["folder", "bucket"])

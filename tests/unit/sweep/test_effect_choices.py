@@ -60,7 +60,7 @@ def test_an_effect_without_data_is_refused_with_what_would_supply_it() -> None:
 
 def test_settings_of_effects_as_an_axis_and_a_task_that_two_of_them_share() -> None:
     plan = plan_of("effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25")
-    asked = {(task.spec.scene, task.spec.effects): task.effects_asked for task in plan.tasks}
+    asked = {(task.spec.scene, task.spec.effects): task.effects_requested for task in plan.tasks}
     assert asked["south", ()] == ("none",) and asked["south", ("rain", "range_noise")] == ("auto", "rain+range_noise")
 
 

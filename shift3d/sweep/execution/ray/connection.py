@@ -136,14 +136,14 @@ def _on_loopback() -> Iterator[None]:
     from ray._private import ray_constants
 
     name, before = ray_constants.ENABLE_RAY_CLUSTERS_ENV_VAR, ray_constants.ENABLE_RAY_CLUSTER
-    said = os.environ.get(name)
+    former = os.environ.get(name)
     os.environ[name] = "0"  # for the processes that Ray starts
     ray_constants.ENABLE_RAY_CLUSTER = False  # for this one, which has read the variable already
     try:
         yield
     finally:
         ray_constants.ENABLE_RAY_CLUSTER = before
-        if said is None:
+        if former is None:
             del os.environ[name]
         else:
-            os.environ[name] = said
+            os.environ[name] = former

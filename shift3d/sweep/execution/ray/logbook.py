@@ -97,8 +97,8 @@ def _stack(file: int, pid: int, process: int | None, thread: int) -> str:
         size, last = os.fstat(file).st_size, size
         if before < size == last:
             break
-    said = os.pread(file, max(size - before, 0), before).decode(errors="replace")
-    of_thread = said.partition(f"0x{thread:016x} ")[2].partition("\n\n")[0]
+    stacks = os.pread(file, max(size - before, 0), before).decode(errors="replace")
+    of_thread = stacks.partition(f"0x{thread:016x} ")[2].partition("\n\n")[0]
     of_thread = re.split(r"\n(?:Current thread|Thread) ", of_thread)[0]
     frames = [traceback.FrameSummary(name, int(line), where) for name, line, where in _FRAME.findall(of_thread)]
     return "".join(traceback.StackSummary.from_list(frames[29::-1]).format())

@@ -19,7 +19,7 @@ _MODE, _TOKEN, _PATH = "RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"
 def require_token(private: bool) -> bool:
     """Turn Ray's token authentication on for this process and those that it starts. True where it is on.
 
-    What the user said in Ray's own variables stands: RAY_AUTH_MODE=disabled turns it off, RAY_AUTH_TOKEN or
+    What the user set in Ray's own variables stands: RAY_AUTH_MODE=disabled turns it off, RAY_AUTH_TOKEN or
     RAY_AUTH_TOKEN_PATH name the token. Otherwise a private Ray has the token of :func:`token_file`, made where there
     is none, and a cluster the one where Ray's own commands keep it, ``~/.ray/auth_token``. A cluster of which no token
     is known may still be one that asks for none: False.
@@ -32,11 +32,11 @@ def require_token(private: bool) -> bool:
     if os.environ.get(_MODE, "token").lower() != "token":
         return False
     if not os.environ.get(_TOKEN):
-        said = os.environ.get(_PATH)
-        path = Path(said) if said else token_file() if private else Path.home() / ".ray" / "auth_token"
+        path_text = os.environ.get(_PATH)
+        path = Path(path_text) if path_text else token_file() if private else Path.home() / ".ray" / "auth_token"
         if private:
             _create(path)
-        elif not said and not path.exists():
+        elif not path_text and not path.exists():
             return False
         _check(path)
         os.environ[_PATH] = str(path)

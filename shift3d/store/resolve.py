@@ -11,13 +11,13 @@ from shift3d.errors import InputError
 from shift3d.store.local_files import LocalLocation
 from shift3d.store.location import Location
 
-__all__ = ["Place", "as_location", "local_copy"]
+__all__ = ["LocationLike", "as_location", "local_copy"]
 
-Place = Location | Path | str
+LocationLike = Location | Path | str
 """What functions that read or write a sweep's folder take: a location, a path, or either of them as text."""
 
 
-def as_location(place: Place) -> Location:
+def as_location(place: LocationLike) -> Location:
     """A path, ``s3://bucket/prefix`` or ``gs://bucket/prefix`` as a location. Of text, ~ is the home folder.
 
     Raises:
@@ -36,7 +36,7 @@ def as_location(place: Place) -> Location:
 
 
 @contextlib.contextmanager
-def local_copy(folder: Place, names: Sequence[str]) -> Iterator[Path]:
+def local_copy(folder: LocationLike, names: Sequence[str]) -> Iterator[Path]:
     """A folder of this machine that holds the named files and folders of a location, while this is open.
 
     For libraries that read paths alone. A local folder is given as it is, with whatever else it holds.
