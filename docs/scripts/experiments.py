@@ -8,20 +8,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from shift3d.analysis.html.sections.bev import pooled_cells
 from shift3d.analysis.html.sections.paths import mean_path, searched
-from shift3d.analysis.results import METHODS, Sweep, Variant, read_sweep, variants
-from shift3d.analysis.statistics.areas import area, mean_area, ratio_interval
+from shift3d.analysis.results import Sweep, read_sweep
+from shift3d.analysis.tables.auc import auc_table, plausible_sentence
 from shift3d.analysis.tables.choices import reasons
-from shift3d.analysis.tables.paper import paper_table
-from shift3d.vehicles.outline import CAR_RULE
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from shift3d.analysis.statistics.intervals import Interval
+from shift3d.analysis.tables.table import Cell
+from shift3d.analysis.variants import Variant, variants
 
 __all__ = ["experiments"]
 
@@ -44,17 +38,18 @@ def experiments(sweeps: Sequence[Sweep]) -> str:
     for sweep in sweeps:
         name = sweep.plan.sweep
         attack = [word for word in sweep.plan.overrides if word.startswith("attack.") and "replicates" not in word]
-        told_by = attack if name in before else []
-        sections.append("\n".join(_section(sweep, ", ".join(f"`{word}`" for word in (name, *told_by)))))
+        settings = attack if name in before else []
+        sections.append("\n".join(_section(sweep, ", ".join(f"`{word}`" for word in (name, *settings)))))
         before.add(name)
     return "\n".join([_LEAD, *sections])
 
 
 def _section(sweep: Sweep, heading: str) -> list[str]:
-    found = variants(sweep)
     lines = [f"## {heading}", "", _run(sweep)]
-    for variant in found:
-        lines += ["", f"**{variant.label[0].upper()}{variant.label[1:]}**", "", *_table(variant), *_cars(variant)]
+    for variant in variants(sweep.auc, sweep.scored):
+        lines += ["", f"**{variant.title}**", "", *_table(variant)]
+        if plausible := plausible_sentence(variant):
+            lines += ["", plausible]
         lines += [*_cells(sweep, variant), *_path(sweep, variant)]
     if not sweep.choices.empty:
         lines += ["", *(f"- {why}" for why in reasons(sweep.choices))]
@@ -73,52 +68,19 @@ def _run(sweep: Sweep) -> str:
 
 
 def _table(variant: Variant) -> list[str]:
-    paper = paper_table(variant.mode, variant.detector, variant.scored_by)
-    names = [name.replace("_", " ") for name in variant.vehicles]
-    lines = [_row(["", *names, "mean", "of baseline"]), _row(["---"] * (len(names) + 3))]
-    for method in variant.methods:
-        lines.append(_row(_ours(variant, method)))
-        if paper and method in paper.auc:
-            auc = paper.auc[method]
-            mean = sum(auc.values()) / len(auc)
-            whole = paper.auc.get("baseline", {})
-            of = f"*{mean / (sum(whole.values()) / len(whole)):.2f}*" if whole else ""
-            each = [f"*{auc[name]:.3f}*" if name in auc else "" for name in variant.vehicles]
-            lines.append(_row([f"*{METHODS[method]}, paper*", *each, f"*{mean:.3f}*", of]))
+    """The AUC table: the paper's lines in italics, intervals of the means beside them."""
+    table = auc_table(variant, in_full=True)
+    lines = [_row(table.header), _row(["---"] * len(table.header))]
+    for line, kind in zip(table.lines, table.kinds):
+        cells = [_cell(cell, with_interval=at >= len(line) - 2) for at, cell in enumerate(line)]
+        lines.append(_row([f"*{cell}*" for cell in cells] if kind == "paper" else cells))
     return lines
 
 
-def _ours(variant: Variant, method: str) -> list[str]:
-    rows = variant.rows[variant.rows["method"] == method]
-    baseline = variant.rows[variant.rows["method"] == "baseline"]
-    areas = [area(rows[rows["vehicle"] == name]) for name in variant.vehicles]
-    whole = mean_area(rows)
-    ratio = ratio_interval(rows, baseline) if method != "baseline" else None
-    return [
-        METHODS[method],
-        *("" if each is None else f"{each.interval.mean:.3f}" for each in areas),
-        "" if whole is None else _with_interval(whole.interval, 3),
-        "" if ratio is None else f"**{_with_interval(ratio, 2)}**",
-    ]
-
-
-def _with_interval(found: Interval, digits: int) -> str:
-    return f"{found.mean:.{digits}f} [{found.low:.{digits}f}, {found.high:.{digits}f}]"
-
-
-def _cars(variant: Variant) -> list[str]:
-    if variant.mode != "shape" or not variant.rows["still_a_car"].notna().any():
-        return []
-    rows: pd.DataFrame = variant.rows[variant.rows["still_a_car"].eq(True)]
-    tasks, cars = variant.rows["task_id"].nunique(), rows["task_id"].nunique()
-    parts = [mean_area(rows[rows["method"] == method]) for method in ("baseline", "adversarial")]
-    if None in parts:
-        return ["", f"Still a car: none of {tasks}."]
-    before, after = (f"{part.interval.mean:.3f}" for part in parts if part)
-    return [
-        "",
-        f"Still a car ({CAR_RULE}): {cars} of {tasks}; {before} → {after}.",
-    ]
+def _cell(cell: Cell, with_interval: bool) -> str:
+    if isinstance(cell, str):
+        return cell
+    return f"{cell[0]} {cell[1]}" if with_interval and cell[1].startswith("[") else cell[0]
 
 
 def _cells(sweep: Sweep, variant: Variant) -> list[str]:

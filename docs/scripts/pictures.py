@@ -1,7 +1,7 @@
 """The README's pictures, drawn from the shipped weights and finished sweeps.
 
 ``python docs/scripts/pictures.py OUT ... [task=ID] [folder=FOLDER]``: OUTs are folders of sweeps before one detector,
-one of shapes and one of poses say; ID (the hardest that is still a car by the rule) is the task that is shown; FOLDER
+one of shapes and one of poses say; ID (the hardest whose shape is plausible) is the task that is shown; FOLDER
 (docs/pictures) gets the PNGs.
 """
 
@@ -14,7 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shift3d.analysis.cases.rendered import POSE
+from shift3d.analysis.figures.picture import COLOURS
 from shift3d.errors import InputError
+from shift3d.methods import METHODS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,8 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_case", "draw_curves", "draw_family", "draw_training", "draw_vehicles"]
 
-_POSE = ["x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad"]
-_COLOURS = {"baseline": "#4878a8", "random": "#7f7f7f", "adversarial_noise": "#e0a030", "adversarial": "#c03030"}
 _RED = (0.75, 0.3, 0.27)
 _SIDE, _THREE_QUARTERS = (np.pi / 2, 0.05), (0.7, 0.3)
 
@@ -112,7 +113,7 @@ def _draw_points(axes: Axes, assets: Assets, spec: Any, solution: pd.Series) -> 
 
     from shift3d.task.run import build_problem
 
-    theta = torch.tensor([float(solution[name]) for name in _POSE], dtype=torch.float64)
+    theta = torch.tensor([float(solution[name]) for name in POSE], dtype=torch.float64)
     problem = build_problem(spec, assets, theta)
     code = torch.tensor(np.asarray(solution["latent_code"], np.float32)).to(problem.settings.dtype)
     with torch.no_grad():
@@ -156,11 +157,12 @@ def draw_curves(scores: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
     for (mode, vehicle, method), group in kept.groupby(["mode", "vehicle", "method"], sort=False):
         panel = axes[("shape", "pose").index(mode), vehicles.index(vehicle)]
         curve = recall_curve(group["score"].to_numpy())
-        label = f"{method.replace('_', ' + ')} {group['score'].mean():.2f}"
-        panel.step(curve.score_threshold, curve.recall, where="post", c=_COLOURS[method], lw=1.2, label=label)
+        label = f"{METHODS[method]} {group['score'].mean():.2f}"
+        panel.step(curve.score_threshold, curve.recall, where="post", c=COLOURS[method], lw=1.2, label=label)
         panel.set_title(f"{vehicle.replace('_', ' ')}, {mode}", fontsize=8)
     for panel in axes.flat:
-        panel.legend(fontsize=6, loc="lower left", frameon=False)
+        if panel.lines:
+            panel.legend(fontsize=6, loc="lower left", frameon=False)
     figure.supxlabel("score threshold", fontsize=9)
     figure.supylabel("recall", fontsize=9)
     figure.savefig(path)
@@ -188,13 +190,13 @@ def draw_training(path: Path) -> None:
     figure.savefig(path)
 
 
-def _hardest_car(scores: pd.DataFrame, shapes: pd.DataFrame) -> str:
-    """Id of the shape task whose score fell furthest, of those whose shape still is a car (`vehicles.outline`)."""
+def _hardest_plausible(scores: pd.DataFrame, shapes: pd.DataFrame) -> str:
+    """Id of the shape task whose score fell furthest, of those whose shape is plausible."""
     first = scores[(scores["replicate"] == 0) & (scores["mode"] == "shape")]
     table = first.pivot(index="task_id", columns="method", values="score").dropna()
     cars = table[table.index.isin(shapes.loc[shapes["still_a_car"].eq(True), "task_id"])]
     if cars.empty:
-        raise InputError("no adversarial shape is a car", "final/shapes.parquet", "Give the sweep a larger lambda")
+        raise InputError("no adversarial shape is plausible", "final/shapes.parquet", "Give the sweep a larger lambda")
     return str((cars["adversarial"] - cars["baseline"]).idxmin())
 
 
@@ -225,7 +227,7 @@ def main(arguments: list[str]) -> None:
     for name in ("scores", "auc"):
         tables[name] = tables[name][tables[name]["scored_by"] == tables[name]["detector"]]
     draw_curves(tables["scores"], tables["auc"], folder / "curves.png")
-    shown = given.get("task") or _hardest_car(tables["scores"], tables["shapes"])
+    shown = given.get("task") or _hardest_plausible(tables["scores"], tables["shapes"])
     found = [(plan, task) for plan in map(read_plan, outs) for task in plan.tasks.starting_with(shown)]
     if len(found) != 1:
         raise InputError(f"{len(found)} tasks have an id that begins with {shown}", "task=", "Give one of final/scores")

@@ -10,7 +10,7 @@ from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
-    from shift3d.analysis.detectors import KittiChoice, StreetChoice
+    from shift3d.analysis.detector_evaluation import KittiChoice, StreetChoice
 
 __all__ = ["COMMAND", "evaluate_words"]
 
@@ -70,7 +70,7 @@ def _run(arguments: argparse.Namespace) -> int:
     count = _whole_number(values, "count")
     workers = _whole_number(values, "workers") or 1
     score_threshold = _probability(values)
-    from shift3d.analysis.detectors import evaluate_detector
+    from shift3d.analysis.detector_evaluation import evaluate_detector
 
     scenes = _scenes(values, count)
     name, tail = values["detector"], f"-{count}" if count else ""
@@ -80,7 +80,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _scenes(values: dict[str, str], count: int | None) -> StreetChoice | KittiChoice:
-    from shift3d.analysis.detectors import KittiChoice, StreetChoice
+    from shift3d.analysis.detector_evaluation import KittiChoice, StreetChoice
 
     kind = values.get("scenes", "street")
     foreign = {"street": ("root",), "kitti": ("sensor", "split")}

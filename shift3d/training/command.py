@@ -101,7 +101,7 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
 def evaluate(model: str) -> int:
     """Print how good the shipped shape model is: Chamfer distance to vehicles it was trained on and to unseen ones.
 
-    Detectors have :func:`shift3d.analysis.detectors.evaluate_detector`.
+    Detectors have :func:`shift3d.analysis.detector_evaluation.evaluate_detector`.
 
     Raises:
         InputError: another model, or missing weights.

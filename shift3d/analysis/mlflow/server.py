@@ -7,7 +7,7 @@ import socket
 import warnings
 
 from shift3d.analysis.mlflow.auc_view import shared_views
-from shift3d.analysis.mlflow.sweep import patience
+from shift3d.analysis.mlflow.client import patience
 from shift3d.errors import InputError
 
 __all__ = ["HOST", "open_port", "serve"]

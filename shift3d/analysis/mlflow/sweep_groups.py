@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,16 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from shift3d.analysis.mlflow.client import metric_name
+from shift3d.analysis.variants import SETTINGS, variants
+
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MOST_GROUPS", "Group", "groups", "metric_name", "overall"]
+__all__ = ["MOST_GROUPS", "Group", "groups", "overall"]
 
 MOST_GROUPS = 200
-"""Groups that get a run of their own: beyond that, MLflow's lists show nothing to anybody (issue: at most 200)."""
+"""Groups that get a run of their own: beyond that, MLflow's lists show nothing to anybody."""
 
 _KEY = ("mode", "vehicle", "method")
-_VARIANTS = ("dataset", "lambda", "alpha", "detector", "scored_by", "accuracy", "effects")
+_VARIANTS = ("dataset", "lambda", *SETTINGS)
 _NUMBERS = ("auc", "scores", "tasks_scored", "tasks_planned", "mean_adversarial_loss", "mean_latent_distance")
 _PERCENT = np.arange(101) / 100.0
 
@@ -67,32 +69,31 @@ def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], 
         ``auc/shape/coupe/adversarial`` and ``auc/shape/mean/adversarial`` to a number; ``recall/shape/adversarial``
         to (101,), the mean over vehicles.
     """
-    rows = auc[auc["selected"] & auc["auc"].notna()]
-    if rows.empty:
-        return {}, {}
     recalls = dict(_recalls(curves))
-    several = [name for name in _several(rows) if name not in ("lambda", "dataset")]
-    by_vehicle: dict[str, float] = {}
-    means: dict[str, list[float]] = {}
-    mean_recalls: dict[str, list[Recall]] = {}
-    for key, group in rows.groupby(["mode", "vehicle", "method", *several], sort=False, dropna=False):
-        mode, vehicle, method, *variant = (_text(part) for part in key)
-        tail = "/".join([method, *variant])
-        value = float((group["auc"] * group["scores"]).sum() / group["scores"].sum())
-        by_vehicle[metric_name(f"auc/{mode}/{vehicle}/{tail}")] = value
-        means.setdefault(metric_name(f"auc/{mode}/mean/{tail}"), []).append(value)
-        found = [(recalls.get(_identity(row)), row["scores"]) for row in group.to_dict("records")]
-        known = [(recall, count) for recall, count in found if recall is not None]
-        if known:
-            mean = np.average([recall for recall, _ in known], axis=0, weights=[count for _, count in known])
-            mean_recalls.setdefault(metric_name(f"recall/{mode}/{tail}"), []).append(mean)
-    values = by_vehicle | {name: sum(found) / len(found) for name, found in means.items()}
-    return values, {name: np.mean(found, axis=0) for name, found in mean_recalls.items()}
+    values: dict[str, float] = {}
+    mean_recalls: dict[str, Recall] = {}
+    for variant in variants(auc):
+        for method in variant.methods:
+            tail = "/".join([method, *variant.differing.values()])
+            found = {vehicle: variant.aucs.of(method, vehicle) for vehicle in variant.vehicles}
+            found["mean"] = variant.aucs.mean(method, variant.vehicles)
+            named = {metric_name(f"auc/{variant.mode}/{name}/{tail}"): value for name, value in found.items()}
+            values |= {name: value for name, value in named.items() if value is not None}
+            rows = variant.auc[variant.auc["method"] == method]
+            means = [mean for _, group in rows.groupby("vehicle") if (mean := _mean(group, recalls)) is not None]
+            if means:
+                mean_recalls[metric_name(f"recall/{variant.mode}/{tail}")] = np.mean(means, axis=0)
+    return values, mean_recalls
 
 
-def metric_name(text: str) -> str:
-    """A name that MLflow takes."""
-    return re.sub(r"[^\w\-. /]", "_", text)
+def _mean(group: pd.DataFrame, recalls: Mapping[tuple[str, ...], Recall]) -> Recall | None:
+    """The recall of one vehicle over its data sets, by their number of scores."""
+    found = [(recalls.get(_identity(row)), row["scores"]) for row in group.to_dict("records")]
+    known = [(recall, count) for recall, count in found if recall is not None]
+    if not known:
+        return None
+    mean: Recall = np.average([recall for recall, _ in known], axis=0, weights=[count for _, count in known])
+    return mean
 
 
 def _several(table: pd.DataFrame) -> list[str]:

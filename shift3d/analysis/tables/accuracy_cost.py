@@ -10,13 +10,12 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["LADDER", "MEASURED", "accuracy_cost", "keep_as_shipped", "measured_presets"]
+__all__ = ["LADDER", "MEASURED", "accuracy_cost", "measured_presets"]
 
 LADDER = ("draft", "standard", "reference")
 """Presets by rising accuracy and cost. `paper` costs more than its accuracy is worth and stands beside them."""
 MEASURED = Path(__file__).resolve().parent.parent / "measured" / "presets.json"
-"""The presets' rows of a frontier that was measured when this version was made: `python -m
-shift3d.analysis.tables.accuracy_cost FOLDER` writes them from a frontier's folder."""
+"""The presets' rows of a measured frontier: `docs/scripts/shipped.py` writes them from its folder."""
 _ERRORS = ("missed_hits", "false_hits", "wrong_surface")
 
 
@@ -28,31 +27,16 @@ def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
     """
     import pandas as pd
 
-    from shift3d.store.frontier_table import read_frontier
+    from shift3d.store.frontier_table import FRONTIER_SCHEMA, read_frontier
 
     file = (folder or Path("outputs") / "frontier") / "frontier.parquet"
     if file.is_file():
         rows, whose = read_frontier(file).to_pandas(), "this machine's frontier"
     else:
-        rows, whose = (
-            pd.read_json(MEASURED),
-            "the frontier that ships (another machine; make frontier measures this one)",
-        )
+        rows = pd.read_json(MEASURED).reindex(columns=FRONTIER_SCHEMA.names)
+        whose = "the frontier that ships (another machine; make frontier measures this one)"
     rows = rows[rows["preset"].notna() & (rows["scenes"] == "street")]
     return rows.drop_duplicates("preset").set_index("preset"), whose
-
-
-def keep_as_shipped(folder: Path) -> None:
-    """Write the presets' rows of a frontier's folder to the file that ships.
-
-    Raises: InputError for a frontier that cannot be read.
-    """
-    from shift3d.store.atomic import write_atomic
-    from shift3d.store.frontier_table import read_frontier
-
-    rows = read_frontier(folder / "frontier.parquet").to_pandas()
-    text = rows[rows["preset"].notna()].to_json(orient="records", indent=2, double_precision=15)
-    write_atomic(MEASURED, (text + "\n").encode())
 
 
 def accuracy_cost(scores: pd.DataFrame, timings: pd.DataFrame, presets: pd.DataFrame, whose: str) -> str:
@@ -119,9 +103,3 @@ def _compared(name: str, here: pd.Series, there: pd.Series) -> str:
         f"{1e3 * float(there['depth_p99_m']):.2g} mm for {1e3 * float(here['depth_p99_m']):.2g} mm, hits lost or wrong "
         f"{lost_there:.2%} for {lost_here:.2%}"
     )
-
-
-if __name__ == "__main__":
-    import sys
-
-    keep_as_shipped(Path(sys.argv[1]))

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from shift3d.analysis.effects import effect_lines, effect_milliseconds, effect_worths, write_effects_page, write_worth
+from shift3d.analysis.html.pages import write_effects_page
 from shift3d.analysis.statistics.intervals import mean_interval
+from shift3d.analysis.tables.effects import effect_milliseconds, effect_table, effect_worths, write_worth
 from shift3d.errors import InputError
 
 SCENES = [f"street-{number}" for number in range(12)]
@@ -46,7 +47,7 @@ def test_changes_are_paired_and_absolute_and_auto_follows_the_bound() -> None:
     assert fog.auc_adversarial is not None and fog.auc_adversarial.low < 0.0 < fog.auc_adversarial.high
     assert (fog.milliseconds, noise.milliseconds) == (pytest.approx(20.0), pytest.approx(3.0))
     assert fog.worth.matters and not noise.worth.matters
-    assert "left out" in effect_lines(found).splitlines()[-1]
+    assert "left out" in str(effect_table(found)).splitlines()[-1]
 
 
 def test_one_scene_says_nothing_so_the_effect_stays() -> None:

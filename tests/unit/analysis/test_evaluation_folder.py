@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from shift3d.analysis.detectors import write_evaluation
+from shift3d.analysis.detector_evaluation import write_evaluation
 from shift3d.analysis.tables.detector_metrics import metric_table
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth
 from shift3d.evaluation.metrics import evaluate
@@ -104,7 +104,7 @@ def test_tables_carry_their_schema_and_null_where_nothing_was_to_be_found(tmp_pa
 
 def test_the_printed_table_names_what_each_line_is(tmp_path: Path) -> None:
     metrics = list(evaluate([answer.frame for answer in _answers(graded=True)]))
-    lines = metric_table("toy on small", metrics).splitlines()
+    lines = str(metric_table("toy on small", metrics)).splitlines()
     assert lines[0] == "toy on small"
     assert " ".join(lines[1].split()) == "IoU objects range m BEV AP BEV APH 3D AP 3D APH number"
     first = next(m for m in metrics if (m.protocol, m.view) == ("waymo", "BEV"))

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from scripts.shipped import measured_parts
 from valid_sweeps import catalogue, plan, write_sweep
 
 from shift3d.analysis.forecast.expected import expected, expected_lines
-from shift3d.analysis.forecast.task_parts import TaskParts, measured_parts, shipped_parts
+from shift3d.analysis.forecast.task_parts import TaskParts, shipped_parts
 from shift3d.effects.applicability import measured_impact
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep

@@ -37,7 +37,7 @@ def test_an_auc_is_the_mean_score_and_the_papers_stands_below(sweep: Sweep) -> N
     ours, papers = cells(page, "adversarial"), cells(page, "adversarial, paper")
     assert ours[1] == f"{rows['score'].mean():.3f}" and ours[2].startswith(ours[1])
     paper = paper_table("shape", "pointpillars", "pointpillars")
-    assert paper is not None and papers[1] == f"{paper.auc['adversarial']['suv']:.3f}"
+    assert paper is not None and papers[1] == f"{paper.aucs.of('adversarial', 'suv'):.3f}"
     assert cells(page, "baseline, paper")[-1] == "1.00"
 
 

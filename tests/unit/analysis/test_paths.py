@@ -10,8 +10,10 @@ import pandas as pd
 import pytest
 import valid_sweeps
 
+from shift3d.analysis.html.document import blocks_html
 from shift3d.analysis.html.sections.paths import case_path, mean_path, paths
-from shift3d.analysis.results import read_sweep, variants
+from shift3d.analysis.results import read_sweep
+from shift3d.analysis.variants import variants
 from shift3d.store.log import CommitLog, read_log
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.folder import read_plan
@@ -44,10 +46,10 @@ def test_a_search_that_ended_early_stays_at_its_last_score() -> None:
     assert mean_path(path_rows({"a": [0.8, 0.4]}))[2] is None
 
 
-def test_the_kept_step_of_a_case_is_said_and_marked() -> None:
-    shown = case_path("case-1", path_rows({"a": [0.8, 0.4, 0.2]}))
-    assert "0.80 at the start, step 1 kept" in shown and "breaks a constraint" in shown
-    assert "kept no scores" in case_path("case-1", path_rows({"a": [None, None]}))
+def test_the_best_step_of_a_case_is_named_and_marked() -> None:
+    shown = blocks_html([case_path("case-1", path_rows({"a": [0.8, 0.4, 0.2]}))])
+    assert "0.80 at the start, step 1 is the best" in shown and "breaks a constraint" in shown
+    assert "kept no scores" in blocks_html([case_path("case-1", path_rows({"a": [None, None]}))])
 
 
 def test_folders_with_and_without_paths(tmp_path: Path) -> None:
@@ -72,7 +74,7 @@ def test_folders_with_and_without_paths(tmp_path: Path) -> None:
     (old / "final" / "trajectories.parquet").unlink()
     for folder, said in ((old, "kept no scores along the steps"), (new, "0.900 → 0.400 in 2 steps")):
         sweep = read_sweep(folder)
-        shown = "\n".join(paths(sweep, variants(sweep)).body)
+        shown = blocks_html(paths(sweep, variants(sweep.auc, sweep.scored)).blocks)
         assert said in shown
-    other = [dataclasses.replace(variant, scored_by="sst") for variant in variants(sweep)]
-    assert "kept no scores" in "\n".join(paths(sweep, other).body)
+    other = [dataclasses.replace(variant, scored_by="sst") for variant in variants(sweep.auc, sweep.scored)]
+    assert "kept no scores" in blocks_html(paths(sweep, other).blocks)

@@ -6,13 +6,19 @@ from typing import Any
 
 import pandas as pd
 
-from shift3d.analysis.tables.printed import auc_tables, coverage, stage_times
+from shift3d.analysis.tables.auc import auc_table
+from shift3d.analysis.tables.coverage import coverage_lines, stage_times
+from shift3d.analysis.variants import variants
 
 
 def auc_row(vehicle: str, method: str, auc: float | None, scores: int = 4, **more: Any) -> dict[str, Any]:
     row = {"dataset": "street-hdl64", "vehicle": vehicle, "mode": "shape", "lambda": 1.0, "alpha": 0.01}
     row |= {"detector": "pointpillars", "scored_by": "pointpillars", "accuracy": "standard", "effects": "auto"}
     return {**row, "method": method, "auc": auc, "scores": scores, "selected": True, **more}
+
+
+def auc_tables(rows: pd.DataFrame) -> list[str]:
+    return [str(auc_table(variant)) for variant in variants(rows)]
 
 
 def cells(table: str, label: str) -> list[str]:
@@ -50,9 +56,9 @@ def test_shape_before_pose_and_a_table_for_each_variant() -> None:
     ]
     titles = [table.splitlines()[0] for table in auc_tables(pd.DataFrame(rows))]
     assert titles == [
-        "AUC, adversarial shape (accuracy paper)",
-        "AUC, adversarial shape (accuracy standard)",
-        "AUC, adversarial pose (accuracy standard)",
+        "AUC, adversarial shape, accuracy paper",
+        "AUC, adversarial shape, accuracy standard",
+        "AUC, adversarial pose, accuracy standard",
     ]
 
 
@@ -73,8 +79,8 @@ def test_long_names_are_cut_where_they_still_differ() -> None:
 def test_a_table_for_each_detector_that_scores() -> None:
     rows = [auc_row("suv", "baseline", 0.5), auc_row("suv", "baseline", 0.7, scored_by="sst")]
     first, second = auc_tables(pd.DataFrame(rows))
-    assert first.splitlines()[0] == "AUC, adversarial shape (scored by pointpillars)"
-    assert second.splitlines()[0] == "AUC, adversarial shape (scored by sst)"
+    assert first.splitlines()[0] == "AUC, adversarial shape, scored by pointpillars"
+    assert second.splitlines()[0] == "AUC, adversarial shape, scored by sst"
     assert cells(second, "baseline")[0] == "0.700"
 
 
@@ -85,8 +91,7 @@ def test_coverage_names_what_did_not_run() -> None:
     attempts = pd.DataFrame(
         {"task_id": ["a", "b", "c"], "quarantined": [False, False, True], "error": [None, None, "ValueError: no root"]}
     )
-    text = coverage(scores, attempts, planned=3)
-    assert text.splitlines() == [
+    assert coverage_lines(scores, attempts, planned=3) == [
         "1 of 3 tasks scored",
         "  1 without a score: no_placement",
         "  1 quarantined (tracebacks in final/attempts.parquet):",
@@ -101,8 +106,9 @@ def test_stage_times_are_means_over_tasks() -> None:
             "task_id": ["a", "b", "a", "b"],
             "stage": ["render", "render", "total", "total"],
             "milliseconds": [30.0, 50.0, 100.0, 100.0],
+            "calls": [2, 4, 1, 1],
         }
     )
-    lines = stage_times(timings, scores).splitlines()
-    assert lines[-2].split() == ["shape", "total", "100", "100%"]
-    assert lines[-1].split() == ["shape", "render", "40", "40%"]
+    lines = str(stage_times(timings, scores)).splitlines()
+    assert lines[-2].split() == ["shape", "total", "100", "100%", "1"]
+    assert lines[-1].split() == ["shape", "render", "40", "40%", "3"]

@@ -12,8 +12,10 @@ import trimesh
 import valid_sweeps
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from shift3d.analysis.cases.hardest import Case, Seen
-from shift3d.analysis.html.document import Section, document
+from shift3d.analysis.cases.chosen import Case
+from shift3d.analysis.cases.rendered import Rendered
+from shift3d.analysis.html.blocks import Section
+from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
 from shift3d.analysis.html.report import write_report
 from shift3d.analysis.html.sections.case_figures import turnable
@@ -48,9 +50,11 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def two_cars(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page of one hard case: two vehicles side by side, to be turned."""
     mesh = trimesh.creation.box((4.0, 2.0, 1.5))
-    box = Seen(mesh, np.zeros(6), np.zeros((0, 2)), np.zeros((0, 2)), 0, np.array([0, 0, 0, 4, 2, 1.5, 0]), None, 0.0)
+    box = Rendered(
+        mesh, np.zeros(6), np.zeros((0, 2)), np.zeros((0, 2)), 0, np.array([0, 0, 0, 4, 2, 1.5, 0]), None, 0.0
+    )
     case = Case("id", "suv", "north", "shape", 0.9, 0.1)
-    page = document("t", "l", [Section("k", "s", [turnable("x", case, box, box)])], plotly_library())
+    page = document("t", [Section("k", "s", turnable("x", case, box, box))], "l", plotly_library())
     file = tmp_path_factory.mktemp("cars") / "page.html"
     file.write_text(page)
     return file
@@ -66,6 +70,7 @@ def opened(browser: Browser, file: Path, width: int = 1280, scheme: str = "light
         f"asked the network for {request.url}"
     ))  # fmt: skip
     page.goto(file.as_uri())
+    page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
     # Figures are drawn once they come into view.
     for plot in page.locator(".plot").all():
         plot.scroll_into_view_if_needed()

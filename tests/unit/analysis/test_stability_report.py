@@ -7,8 +7,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from shift3d.analysis.stability import stability_lines, write_stability_page
+from shift3d.analysis.html.pages import write_stability_page
 from shift3d.analysis.tables.numerics import diagnostics
+from shift3d.analysis.tables.stability import stability_lines
 
 
 def verification(unstable: int, stable: int) -> pd.DataFrame:

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from shift3d.analysis.html.document import Section, escape, paragraph, table
+from shift3d.analysis.html.blocks import Fold, Items, Paragraph, Section
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.choices import candidate_tables, reasons
+from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.sweep.results.hyperparameters import NEARLY_EQUAL
 
 __all__ = ["choices"]
 
 _TITLE = "Choice of hyper-parameters"
+_RULE = (
+    "The paper's rules: alpha by the lowest AUC of what the search found; lambda for each vehicle by the lowest mean "
+    f"adversarial loss, the larger one of those within {NEARLY_EQUAL:.0%} of it (the paper says 'very similar' and no "
+    "number). Over the scenes that have a score under every candidate."
+)
 
 
 def choices(sweep: Sweep) -> Section:
     """The section: a table a parameter, and a sentence a choice."""
     if sweep.choices.empty:
-        return Section("choices", _TITLE, [paragraph("This sweep holds no two values of alpha or lambda.", "missing")])
-    rule = (
-        "The paper's rules: alpha by the lowest AUC of what the search found; lambda for each vehicle by the lowest "
-        f"mean adversarial loss, the larger one of those within {NEARLY_EQUAL:.0%} of it (the paper says 'very "
-        "similar' and no number). Over the scenes that have a score under every candidate."
-    )
-    tables = [table(title, header, lines) for title, header, lines in candidate_tables(sweep.choices)]
-    said = "".join(f"<li>{escape(why)}</li>" for why in reasons(sweep.choices))
-    return Section("choices", _TITLE, [paragraph(rule), *tables, f"<ul>{said}</ul>"])
+        text = "This sweep holds no two values of alpha or lambda."
+        return Section("choices", _TITLE, [Paragraph(text, "missing")])
+    why = Fold("Why each was chosen", [Items(reasons(sweep.choices))])
+    return Section("choices", _TITLE, [Paragraph(_RULE), *choice_tables(sweep.choices), why])

@@ -1,45 +1,24 @@
-"""What did not run, and what each task came to."""
+"""What ran and what did not, what each task came to, and where the time went."""
 
 from __future__ import annotations
 
-from shift3d.analysis.html.document import Section, paragraph, table
-from shift3d.analysis.results import METHODS, Sweep
+from shift3d.analysis.html.blocks import Fold, Items, Paragraph, Section
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.coverage import coverage_lines, rows_by_status
 from shift3d.sweep.planning.plan_view import skipped_lines
 
-__all__ = ["coverage_section"]
-
-_SHOWN = 20
+__all__ = ["coverage"]
 
 
-def coverage_section(sweep: Sweep) -> Section:
-    """The section: tasks planned, scored, without a score by reason, retried and given up."""
-    scores, attempts, planned = sweep.scores, sweep.attempts, len(sweep.plan.tasks)
-    scored = set(scores.loc[scores["score"].notna(), "task_id"])
-    rest = scores[~scores["task_id"].isin(scored)]
-    lines = [["planned", str(planned)], ["scored", str(len(scored))]]
-    lines += [
-        [f"without a score: {status}", str(count)]
-        for status, count in rest.groupby("status", sort=True)["task_id"].nunique().items()
-    ]
-    given_up = attempts[attempts["quarantined"] & ~attempts["task_id"].isin(scores["task_id"])]
-    lines.append(["quarantined", str(given_up["task_id"].nunique())])
-    failed = attempts[attempts["outcome"] != "done"]
-    lines.append(["attempts that failed", str(len(failed))])
-    body = [table("Tasks", ["what", "tasks"], lines), _rows(sweep)]
-    body += [paragraph(f"Quarantined: {row.task_id}: {row.error}"[:400]) for row in given_up.head(_SHOWN).itertuples()]
-    if len(given_up) > _SHOWN:
-        body.append(paragraph(f"And {len(given_up) - _SHOWN} more in final/attempts.parquet."))
-    body += [paragraph(line.strip()) for line in skipped_lines(sweep.plan)]
-    if given_up.empty and failed.empty and len(scored) == planned:
-        body.append(paragraph("Nothing failed and nothing is missing."))
-    return Section("coverage", "Failures and coverage", body)
-
-
-def _rows(sweep: Sweep) -> str:
-    """What rows say of the search: their status, and whether the object may stand there."""
-    lines = []
-    for (method, status), rows in sweep.scores.groupby(["method", "status"], sort=False):
-        may = rows[["overlap_ok", "contact_ok"]].dropna()
-        held = f"{float(may.astype(bool).all(axis=1).mean()):.0%}" if len(may) else "-"
-        lines.append([METHODS.get(method, method), str(status).replace("_", " "), str(len(rows)), held])
-    return table("Rows by method and status", ["method", "status", "rows", "constraints held"], lines)
+def coverage(sweep: Sweep) -> Section:
+    """The section: tasks scored, without a score by reason, quarantined, and attempts that failed."""
+    planned = len(sweep.plan.tasks)
+    lines = [line.strip() for line in coverage_lines(sweep.scores, sweep.attempts, planned, shown=20)]
+    failed = sweep.attempts[sweep.attempts["outcome"] != "done"]
+    if len(failed):
+        lines.append(f"{len(failed)} attempts failed, in {failed['seconds'].sum():.0f} s")
+    lines += [line.strip() for line in skipped_lines(sweep.plan)]
+    complete = len(lines) == 1 and sweep.scored["task_id"].nunique() == planned
+    lead = "Nothing failed and nothing is missing." if complete else "What is missing, and why."
+    rows = Fold("Rows by method and status", [rows_by_status(sweep.scores)])
+    return Section("coverage", "Failures and coverage", [Paragraph(lead), Items(lines), rows])

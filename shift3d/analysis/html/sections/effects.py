@@ -1,25 +1,17 @@
-"""What each effect is worth, where the sweep ran with and without it."""
+"""The measured impact of effects, where the sweep ran with and without them."""
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from collections.abc import Sequence
 
-import numpy as np
-
-from shift3d.analysis.effects import EffectWorth, effect_milliseconds, effect_worths
-from shift3d.analysis.html.document import Section, paragraph, table
-from shift3d.analysis.html.figure import axis, figure_html
+from shift3d.analysis.figures.effects import effects_figure
+from shift3d.analysis.figures.picture import png
+from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Picture, Section, Terms
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.statistics.intervals import Interval
-from shift3d.effects.applicability import IMPACT_BOUND
+from shift3d.analysis.tables.effects import MEANINGS, EffectWorth, effect_milliseconds, effect_table, effect_worths
 from shift3d.errors import InputError
 
-__all__ = ["effects"]
-
-_HEADER = ["effect", "scenes", "objects", "|change| of baseline score", "change of baseline AUC",
-           "change of adversarial AUC", "ms a rendering", "effects=auto"]  # fmt: skip
-_LEAST, _LEAST_MS = 1e-4, 0.5
+__all__ = ["effects", "impact_blocks"]
 
 
 def effects(sweep: Sweep) -> Section:
@@ -28,67 +20,16 @@ def effects(sweep: Sweep) -> Section:
         worths = effect_worths(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
     except InputError as error:
         text = f"Not measured by this sweep: {error.what}. {error.remedy}."
-        return Section("effects", "Effects", [paragraph(text, "missing")])
-    lead = (
-        "The same vehicles at the same places, without effects and with one at a time; 95 % intervals, scenes redrawn. "
-        f"effects=auto leaves out what moves the score by less than {IMPACT_BOUND:g} with 95 % confidence."
-    )
-    lines = [_line(worth) for worth in worths]
-    kinds = ["ours" if worth.worth.matters else "" for worth in worths]
-    body = [paragraph(lead), table("What each effect is worth", _HEADER, lines, kinds), _figure(worths)]
-    return Section("effects", "Effects", body)
+        return Section("effects", "Effects", [Paragraph(text, "missing")])
+    return Section("effects", "Effects", impact_blocks(worths))
 
 
-def _line(worth: EffectWorth) -> list[str]:
+def impact_blocks(worths: Sequence[EffectWorth]) -> list[Block]:
+    """The figure, the table and what its columns mean."""
+    alt = "; ".join(f"{each.effect}: {each.score_change.mean:.3f} for {each.milliseconds:.0f} ms" for each in worths)
     return [
-        worth.effect.replace("_", " "),
-        str(worth.scenes),
-        str(worth.objects),
-        _interval(worth.score_change, sign=""),
-        _interval(worth.auc_baseline),
-        "-" if worth.auc_adversarial is None else _interval(worth.auc_adversarial),
-        f"{worth.milliseconds:.0f}",
-        "takes it" if worth.worth.matters else "leaves it out",
+        Paragraph("The same vehicles at the same places, without effects and with one at a time."),
+        Picture(png(effects_figure(worths)), alt, "Below the dashed line effects=auto leaves an effect out."),
+        effect_table(worths),
+        Fold("What the columns mean", [Terms(MEANINGS)]),
     ]
-
-
-def _interval(interval: Interval, sign: str = "+") -> str:
-    if not math.isfinite(interval.low):
-        return f"{interval.mean:{sign}.3f} (one scene)"
-    return f"{interval.mean:{sign}.3f} [{interval.low:{sign}.3f}, {interval.high:{sign}.3f}]"
-
-
-def _figure(worths: list[EffectWorth]) -> str:
-    x = [round(max(worth.milliseconds, _LEAST_MS), 3) for worth in worths]
-    y = [round(max(worth.score_change.mean, _LEAST), 6) for worth in worths]
-    points: dict[str, Any] = {
-        "type": "scatter",
-        "mode": "markers+text",
-        "x": x,
-        "y": y,
-        "text": [worth.effect.replace("_", " ") for worth in worths],
-        "textposition": "top center",
-        "marker": {"size": 9, "color": ["#d55e00" if worth.worth.matters else "#7d7d7d" for worth in worths]},
-        "hovertemplate": "%{text}: |change| %{y:.4f} for %{x:.0f} ms<extra></extra>",
-    }
-    if all(math.isfinite(worth.score_change.high) for worth in worths):
-        upper = [max(worth.score_change.high, _LEAST) - at for worth, at in zip(worths, y)]
-        lower = [at - max(worth.score_change.low, _LEAST) for worth, at in zip(worths, y)]
-        points["error_y"] = {
-            "type": "data",
-            "color": "#7d7d7d",
-            "array": np.round(upper, 6),
-            "arrayminus": np.round(lower, 6),
-        }
-    bound = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": IMPACT_BOUND, "y1": IMPACT_BOUND}
-    layout = {
-        "xaxis": axis("milliseconds a rendering, more", type="log"),
-        "yaxis": axis("mean |change of score|", type="log"),
-        "shapes": [{**bound, "line": {"dash": "dash", "width": 1, "color": "#7d7d7d"}}],
-        "showlegend": False,
-    }
-    caption = (
-        f"Below the dashed line effects=auto leaves an effect out; under {_LEAST_MS:g} ms or {_LEAST:g} drawn there."
-    )
-    label = "Change of the score by effect against its time; the table before it has the numbers"
-    return figure_html("effects", [points], layout, label, caption, height_px=420)

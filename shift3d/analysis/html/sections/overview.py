@@ -1,4 +1,4 @@
-"""What was run: axes, accuracy, effects, scenes, vehicles, versions, and what it cost."""
+"""What was run: axes, accuracy, effects, scenes, vehicles, versions, and how long it took."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from shift3d.analysis.html.document import Section, aside, paragraph, table, terms
+from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Section, Terms
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.caveats import trial_caveat
-from shift3d.analysis.tables.placement import nothing_placed
+from shift3d.analysis.tables.coverage import stage_times
+from shift3d.analysis.tables.table import Table
 from shift3d.sweep.planning.tasks import TaskGroup
 from shift3d.wording import counted
 
@@ -20,24 +20,16 @@ _SETTINGS = ("steps", "alpha", "lambda", "random_replicates", "noise_replicates"
 
 def overview(sweep: Sweep) -> Section:
     """The section."""
-    plan = sweep.plan
-    caveat = None if nothing_placed(sweep.scores, plan.settings) else trial_caveat(plan.tasks)
-    body = [
-        *([paragraph(caveat)] if caveat else []),
-        terms(_facts(sweep)),
-        _axes(plan.axes),
-        *_cost(sweep),
-        _versions(sweep),
-    ]
-    return Section("run", "What was run", body)
+    blocks: list[Block] = [Terms(_facts(sweep)), _axes(sweep.plan.axes), *_cost(sweep), _versions(sweep)]
+    return Section("run", "What was run", blocks)
 
 
 def _facts(sweep: Sweep) -> dict[str, str]:
     plan = sweep.plan
     groups = plan.tasks.groups()
     specs = [group.template for group in groups]
-    modes = _counted((group.tasks, (group.template.mode,)) for group in groups)
-    asked = _counted((group.tasks, group.effects_requested) for group in groups)
+    modes = _counts((group.tasks, (group.template.mode,)) for group in groups)
+    asked = _counts((group.tasks, group.effects_requested) for group in groups)
     by_dataset = Counter(dataset for dataset, _ in sorted(plan.tasks.scenes()))
     attack = plan.settings.get("attack", {})
     return {
@@ -59,7 +51,7 @@ def _detectors(specs: list[Any]) -> list[str]:
     return [f"{attacked} attacked, scored by {', '.join(by)}" for attacked, by in pairs]
 
 
-def _counted(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
+def _counts(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
     """How many tasks there are of each name."""
     counts: Counter[str] = Counter()
     for tasks, names in named:
@@ -69,61 +61,41 @@ def _counted(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
 
 
 def _ran(groups: list[TaskGroup]) -> str:
-    ran = _counted((group.tasks, group.template.effects) for group in groups)
+    ran = _counts((group.tasks, group.template.effects) for group in groups)
     return ", ".join(f"{name} ({count})" for name, count in ran.items()) or "none: occlusion alone, as the paper"
 
 
-def _axes(axes: dict[str, list[str]]) -> str:
+def _axes(axes: dict[str, list[str]]) -> Block:
     if not axes:
-        return paragraph("No axis: one setting.", "missing")
+        return Paragraph("No axis: one setting.", "missing")
     lines = [[name, str(len(values)), ", ".join(values)] for name, values in axes.items()]
-    return table("Axes of the sweep", ["axis", "values", "which"], lines)
+    return Table("Axes of the sweep", ["axis", "values", "which"], lines)
 
 
-def _cost(sweep: Sweep) -> list[str]:
+def _cost(sweep: Sweep) -> list[Block]:
     timings = sweep.timings
     if timings.empty:
-        return [paragraph("Cost: the sweep has no timings.", "missing")]
+        return [Paragraph("Cost: the sweep has no timings.", "missing")]
     tasks = timings["task_id"].nunique()
-    seconds = timings.groupby("stage")["milliseconds"].sum() / 1e3
-    calls = timings.groupby("stage")["calls"].sum()
-    total = float(seconds.get("total", seconds.sum()))
-    stages = seconds.drop("total", errors="ignore").sort_values(ascending=False)
-    lines = [
-        [str(stage).replace("_", " "), _seconds(value), f"{value / total:.1%}", f"{int(calls[stage])}"]
-        for stage, value in stages.items()
-    ]
-    rest = total - float(stages.sum())
-    if rest > 0:
-        lines.append(["everything else", _seconds(rest), f"{rest / total:.1%}", ""])
-    caption = (
-        f"Time by stage over {counted(tasks, 'task')}, one thread each: {_seconds(total)} in all, "
-        f"{total / tasks:.1f} s a task"
-    )
-    failed = sweep.attempts[sweep.attempts["outcome"] != "done"]
-    wasted = f"Attempts that failed took {_seconds(float(failed['seconds'].sum()))} more." if len(failed) else ""
-    return [table(caption, ["stage", "time", "share", "calls"], lines), paragraph(wasted) if wasted else ""]
+    seconds = float(timings.loc[timings["stage"] == "total", "milliseconds"].sum()) / 1e3
+    text = f"{counted(tasks, 'task')} took {_duration(seconds)} on one thread each, {seconds / tasks:.1f} s a task."
+    return [Paragraph(text), Fold("Time by stage", [stage_times(timings, sweep.scores)])]
 
 
-def _seconds(value: float) -> str:
-    if value < 120:
-        return f"{value:.1f} s"
-    return f"{value / 60:.1f} min" if value < 7200 else f"{value / 3600:.1f} h"
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
-def _versions(sweep: Sweep) -> str:
+def _versions(sweep: Sweep) -> Fold:
     env = sweep.environment
-    libraries = env.get("libraries", {})
     lines = [["shift3d", str(env.get("shift3d", "-"))], ["Python", str(env.get("python", "-"))]]
-    lines += [[str(name), str(version)] for name, version in sorted(libraries.items())]
+    lines += [[str(name), str(version)] for name, version in sorted(env.get("libraries", {}).items())]
     machine = f"Processor {env.get('machine', '-')}, {env.get('cpus', '-')} cores."
-    hashes = dict(pair for assets in sweep.plan.assets for pair in assets.hashes.items())
-    weights = [[name, value] for name, value in sorted(hashes.items())]
-    return aside(
-        "Versions and weights",
-        [
-            paragraph(machine),
-            table("Versions", ["what", "version"], lines),
-            table("Weights, BLAKE2b", ["what", "hash"], weights),
-        ],
-    )
+    weights = sorted({pair for assets in sweep.plan.assets for pair in assets.hashes.items()})
+    tables = [
+        Table("Versions", ["what", "version"], lines),
+        Table("Weights, BLAKE2b", ["what", "hash"], [list(pair) for pair in weights]),
+    ]
+    return Fold("Versions and weights", [Paragraph(machine), *tables])

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from shift3d.analysis.html.document import Section, aside, paragraph
-from shift3d.analysis.html.figure import COLOURS, LEGEND_BELOW, axis, figure_html, filled
-from shift3d.analysis.results import Sweep, Variant
-from shift3d.analysis.statistics.areas import resampled_band
+from shift3d.analysis.figures.picture import COLOURS
+from shift3d.analysis.html.blocks import Block, Paragraph, Plot, Section, folded
+from shift3d.analysis.html.figure import LEGEND_BELOW, axis, band, line, plot, short
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.statistics.intervals import resampled_band
+from shift3d.analysis.variants import Variant
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,28 +19,22 @@ if TYPE_CHECKING:
 __all__ = ["case_path", "mean_path", "paths", "searched"]
 
 _TITLE = "The score along the steps"
-_OPEN = 2  # variants in sight; the others fold
+_MISSING = Paragraph("This sweep kept no scores along the steps.", "missing")
 _DASHES = ("dot", "dash", "dashdot", "longdash", "longdashdot")
+_LEAD = (
+    "What the search sees at every step, step 0 being the unchanged vehicle: the score of the best box within 5 m "
+    "before non-maximum suppression, at the search's own precision; so it may differ a little from the scores in the "
+    "tables. Mean over tasks; band: 95 %, pointwise, scenes redrawn. The solution is the best valid step, not the last."
+)
 
 
-def paths(sweep: Sweep, found: list[Variant]) -> Section:
+def paths(sweep: Sweep, found: Sequence[Variant]) -> Section:
     """The section: the mean path of each search, with a band. Searches are those of the attacked detector."""
-    own = [variant for variant in found if variant.detector == variant.scored_by]
-    drawn = [(variant, rows) for variant in own if len(rows := searched(sweep, variant))]
-    if not drawn:
-        return Section("paths", _TITLE, [paragraph("This sweep kept no scores along the steps.", "missing")])
-    body = [
-        paragraph(
-            "What the search saw at every step, step 0 being the unchanged vehicle: the score of the best box within "
-            "5 m before boxes suppress each other, at the search's own precision; so it may differ a little from the "
-            "scores in the tables. Mean over tasks; band: 95 %, pointwise, scenes redrawn. A search reports its best "
-            "valid step, not its last."
-        )
-    ]
-    for number, (variant, rows) in enumerate(drawn):
-        figure = _figure(variant, rows)
-        body.append(figure if number < _OPEN else aside(f"Steps: {variant.label}", [figure]))
-    return Section("paths", _TITLE, body)
+    own = [(variant, searched(sweep, variant)) for variant in found if variant.is_own]
+    parts = [(f"Steps: {variant.label}", [_plot(variant, rows)]) for variant, rows in own if len(rows)]
+    if not parts:
+        return Section("paths", _TITLE, [_MISSING])
+    return Section("paths", _TITLE, [Paragraph(_LEAD), *folded(parts, shown=2)])
 
 
 def searched(sweep: Sweep, variant: Variant) -> pd.DataFrame:
@@ -53,55 +49,42 @@ def mean_path(rows: pd.DataFrame) -> tuple[Any, Any, Any, Any]:
     rows: columns task_id, place, step, proposal_score. A search that ended early stays at its last score.
     """
     table = rows.pivot_table(index=["place", "task_id"], columns="step", values="proposal_score").sort_index(axis=1)
-    filled_up = table.ffill(axis=1)
-    places = list(filled_up.index.get_level_values("place"))
-    return table.columns.to_numpy(), *resampled_band(filled_up.to_numpy(), places, "path band")
+    table = table.ffill(axis=1)
+    places = list(table.index.get_level_values("place"))
+    return table.columns.to_numpy(), *resampled_band(table.to_numpy(), places, "path band")
 
 
-def _figure(variant: Variant, rows: pd.DataFrame) -> str:
+def _plot(variant: Variant, rows: pd.DataFrame) -> Plot:
     steps, mean, low, high = mean_path(rows)
     colour = COLOURS["adversarial"]
-    traces: list[dict[str, Any]] = []
-    if low is not None and high is not None:
-        edge = {"type": "scatter", "mode": "lines", "x": steps, "line": {"width": 0, "color": colour}}
-        hidden = {**edge, "hoverinfo": "skip", "showlegend": False}
-        traces += [{**hidden, "y": _short(low)}, {**hidden, "y": _short(high), "fill": "tonexty",
-                                                  "fillcolor": filled(colour)}]  # fmt: skip
-    for number, vehicle in enumerate(variant.vehicles if len(variant.vehicles) > 1 else []):
+    traces = band(steps, low, high, colour)
+    vehicles = [name for name in variant.vehicles if rows["vehicle"].eq(name).any()]
+    for number, vehicle in enumerate(vehicles if len(vehicles) > 1 else []):
         at, own, *_ = mean_path(rows[rows["vehicle"] == vehicle])
-        line = {"color": "#8a8a8a", "width": 1.5, "dash": _DASHES[number % len(_DASHES)]}
-        traces.append(_line(at, own, vehicle.replace("_", " "), line))
-    traces.append(_line(steps, mean, "mean", {"color": colour, "width": 3}))
-    tasks, scenes = rows["task_id"].nunique(), rows["place"].nunique()
-    text = f"{variant.label[0].upper()}{variant.label[1:]}: mean score {mean[0]:.3f} → {mean[-1]:.3f} in {steps[-1]} "
-    text += f"steps; {tasks} task{'s' if tasks != 1 else ''}, {scenes} scene{'s' if scenes != 1 else ''}"
-    return figure_html(f"path-{variant.key}", traces, _layout(int(steps[-1])), f"Score by step. {text}", text, 360)
+        style = {"color": "#8a8a8a", "width": 1.5, "dash": _DASHES[number % len(_DASHES)]}
+        traces.append(line(at, own, vehicle.replace("_", " "), style))
+    traces.append(line(steps, mean, "mean", {"color": colour, "width": 3}))
+    counts = f"{counted(rows['task_id'].nunique(), 'task')}, {counted(rows['place'].nunique(), 'scene')}"
+    text = f"{variant.title}: mean score {mean[0]:.3f} → {mean[-1]:.3f} in {steps[-1]} steps; {counts}"
+    return plot(f"path-{variant.key}", traces, _layout(int(steps[-1])), f"Score by step. {text}", text, 360)
 
 
-def case_path(key: str, rows: pd.DataFrame) -> str:
-    """The figure of one task's steps, the kept one marked; a sentence where the sweep kept none."""
+def case_path(key: str, rows: pd.DataFrame) -> Block:
+    """The figure of one task's steps, the best one marked; a sentence where the sweep kept none."""
     rows = rows[rows["proposal_score"].notna()]
     if rows.empty:
-        return paragraph("This sweep kept no scores along the steps.", "missing")
+        return _MISSING
     steps, scores = rows["step"].to_numpy(), rows["proposal_score"].to_numpy()
-    kept, broken = rows[rows["kept"]], rows[~rows["valid"]]
-    traces = [_line(steps, scores, "score", {"color": COLOURS["adversarial"], "width": 2})]
-    for part, name, symbol in ((broken, "breaks a constraint", "x"), (kept, "kept", "circle")):
-        marker = {"size": 10, "symbol": symbol, "color": "#9b5de5" if name == "kept" else "#8a8a8a"}
-        at = {"x": part["step"].to_numpy(), "y": _short(part["proposal_score"].to_numpy())}
+    best, broken = rows[rows["kept"]], rows[~rows["valid"]]
+    traces = [line(steps, scores, "score", {"color": COLOURS["adversarial"], "width": 2})]
+    marks = ((broken, "breaks a constraint", "x", "#8a8a8a"), (best, "best step", "circle", "#9b5de5"))
+    for part, name, symbol, colour in marks:
+        at = {"x": part["step"].to_numpy(), "y": short(part["proposal_score"])}
+        marker = {"size": 10, "symbol": symbol, "color": colour}
         traces += [{"type": "scatter", "mode": "markers", **at, "marker": marker, "name": name}] if len(part) else []
-    best = int(kept["step"].iloc[0]) if len(kept) else 0
-    caption = f"Score along the steps, as the search saw it: {scores[0]:.2f} at the start, step {best} kept"
-    return figure_html(f"{key}-path", traces, _layout(int(steps[-1])), caption, caption, 260)
-
-
-def _line(steps: Any, scores: Any, name: str, line: dict[str, Any]) -> dict[str, Any]:
-    hover = {"hovertemplate": f"{name} %{{y:.3f}}<extra></extra>"}
-    return {"type": "scatter", "mode": "lines", "x": steps, "y": _short(scores), "line": line, "name": name, **hover}
-
-
-def _short(values: Any) -> Any:
-    return np.round(values, 4).astype(np.float32)
+    at_best = int(best["step"].iloc[0]) if len(best) else 0
+    caption = f"Score along the steps, as the search sees it: {scores[0]:.2f} at the start, step {at_best} is the best"
+    return plot(f"{key}-path", traces, _layout(int(steps[-1])), caption, caption, 260)
 
 
 def _layout(last: int) -> dict[str, Any]:

@@ -81,16 +81,15 @@ def test_a_run_with_aucs_curves_settings_and_files_and_a_run_a_group(tmp_path: P
     client, run, groups = runs_in(uri)
     assert run.info.status == "FINISHED" and run.info.run_name == "default-0123"
     aucs = {name: value for name, value in run.data.metrics.items() if not name.startswith("recall/")}
-    assert aucs == pytest.approx(
-        {
-            "auc/shape/coupe/baseline": 0.8,
-            "auc/shape/coupe/adversarial": 0.4,
-            "auc/shape/suv/adversarial": 0.2,
-            "auc/shape/mean/baseline": 0.8,
-            "auc/shape/mean/adversarial": 0.3,
-            "tasks_done": 60.0,
-        }
-    )
+    # To the digit: a mean of 0.4 and 0.2 is shown as 0.3.
+    assert aucs == {
+        "auc/shape/coupe/baseline": 0.8,
+        "auc/shape/coupe/adversarial": 0.4,
+        "auc/shape/suv/adversarial": 0.2,
+        "auc/shape/mean/baseline": 0.8,
+        "auc/shape/mean/adversarial": 0.3,
+        "tasks_done": 60.0,
+    }
     assert run.data.params["attack.steps"] == "40" and run.data.params["axes.vehicle"] == "['coupe', 'suv']"
     assert [file.path for file in client.list_artifacts(run.info.run_id, "final")] == ["final/scores.parquet"]
     assert "auc.csv" in {file.path for file in client.list_artifacts(run.info.run_id)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -13,19 +12,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
 
 import shift3d
-from shift3d.analysis.tables.detector_metrics import draw_curves, metric_table
+from shift3d.analysis.figures.picture import png
+from shift3d.analysis.figures.precision_recall import precision_recall_figure
+from shift3d.analysis.tables.detector_metrics import metric_table
+from shift3d.analysis.tables.detector_tables import evaluation_tables
 from shift3d.detectors.loading import load_detector
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
-from shift3d.evaluation.frames import DetectedFrame
-from shift3d.evaluation.metrics import Metric, evaluate
+from shift3d.evaluation.metrics import evaluate
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.store.atomic import write_atomic
-from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION, evaluation_table
+from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
 from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, detect_scenes
 from shift3d.training.detector.stored_answers import answers_of
@@ -34,7 +34,7 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.detectors.base import Detector
 
-__all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "evaluation_tables", "write_evaluation"]
+__all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "write_evaluation"]
 
 
 @dataclass(frozen=True)
@@ -131,9 +131,8 @@ def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out
     metrics = list(evaluate([answer.frame for answer in answers]))
     for name, table in evaluation_tables(detector, dataset, answers, metrics).items():
         write_table(out / f"{name}.parquet", table)
-    picture = io.BytesIO()
-    draw_curves(metrics, f"{detector} on {dataset}, {counted(len(answers), 'scene')}", picture)
-    write_atomic(out / "curves.png", picture.getvalue())
+    figure = precision_recall_figure(metrics, f"{detector} on {dataset}, {counted(len(answers), 'scene')}")
+    write_atomic(out / "curves.png", png(figure))
     took = np.median([answer.detect_ms for answer in answers])
     title = f"{detector} on {dataset}: {counted(len(answers), 'scene')}, {took:.0f} ms a detection (median, one thread)"
     return f"{metric_table(title, metrics)}\n{out}: every metric, curves, detections and truth as Parquet"
@@ -145,80 +144,6 @@ def _claim(file: Path, spec: dict[str, object]) -> None:
     if file.exists() and file.read_bytes() != content:
         raise InputError("holds another evaluation", str(file.parent), "Give another out=, or remove the folder")
     write_atomic(file, content)
-
-
-def evaluation_tables(
-    detector: str, dataset: str, answers: Sequence[Answer], metrics: Sequence[Metric]
-) -> dict[str, pa.Table]:
-    """The tables of an evaluation by name, rows in the order of the scenes and of the metrics."""
-    frames = [answer.frame for answer in answers]
-    run = {"detector": detector, "dataset": dataset}
-    return {
-        "metrics": _metrics(run, metrics, len(frames)),
-        "curves": _curves(run, metrics),
-        "detections": _detections(run, frames),
-        "truth": _truth(dataset, frames),
-        "timings": evaluation_table(
-            "timings",
-            {
-                **{key: [value] * len(frames) for key, value in run.items()},
-                "scene": [frame.scene for frame in frames],
-                "scene_ms": [answer.scene_ms for answer in answers],
-                "detect_ms": [answer.detect_ms for answer in answers],
-            },
-        ),
-    }
-
-
-_WHICH = ("protocol", "view", "subset", "iou_threshold", "min_range_m", "max_range_m")
-_BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
-
-
-def _metrics(run: dict[str, str], metrics: Sequence[Metric], num_scenes: int) -> pa.Table:
-    rows = []
-    for metric in metrics:
-        which = run | {key: getattr(metric, key) for key in _WHICH}
-        recall = float(metric.curve.recall.max(initial=0.0))
-        counts = {"recall": recall, "num_truth": metric.curve.num_truth, "num_scenes": num_scenes}
-        rows.append(which | counts | {"metric": "AP", "value": metric.curve.average_precision})
-        rows.append(which | counts | {"metric": "APH", "value": metric.curve.average_precision_heading})
-    return evaluation_table("metrics", {key: [row[key] for row in rows] for key in rows[0]})
-
-
-def _curves(run: dict[str, str], metrics: Sequence[Metric]) -> pa.Table:
-    lengths = [len(metric.curve.recall) for metric in metrics]
-    columns: dict[str, list[object] | np.ndarray] = {key: [value] * sum(lengths) for key, value in run.items()}
-    for key in _WHICH:
-        columns[key] = [getattr(metric, key) for metric, length in zip(metrics, lengths) for _ in range(length)]
-    for key in ("score_threshold", "recall", "precision", "heading_precision"):
-        columns[key] = np.concatenate([getattr(metric.curve, key) for metric in metrics])
-    return evaluation_table("curves", columns)
-
-
-def _detections(run: dict[str, str], frames: Sequence[DetectedFrame]) -> pa.Table:
-    found = [frame.found for frame in frames]
-    boxes = np.concatenate([item.boxes for item in found])
-    columns: dict[str, list[object] | np.ndarray] = {key: [value] * len(boxes) for key, value in run.items()}
-    columns |= {name: boxes[:, index] for index, name in enumerate(_BOX)}
-    columns["scene"] = [frame.scene for frame in frames for _ in range(len(frame.found.scores))]
-    columns["score"] = np.concatenate([item.scores for item in found])
-    columns["labelled"] = np.concatenate([item.labelled for item in found])
-    columns["image_height_px"] = np.concatenate([item.image_height_px for item in found])
-    return evaluation_table("detections", columns)
-
-
-def _truth(dataset: str, frames: Sequence[DetectedFrame]) -> pa.Table:
-    truths = [frame.truth for frame in frames]
-    boxes = np.concatenate([truth.boxes for truth in truths])
-    difficulty = [int(value) for truth in truths for value in truth.difficulty]
-    columns: dict[str, list[object] | np.ndarray] = {"dataset": [dataset] * len(boxes)}
-    columns |= {name: boxes[:, index] for index, name in enumerate(_BOX)}
-    columns["scene"] = [frame.scene for frame in frames for _ in frame.truth.names]
-    columns["name"] = [name for truth in truths for name in truth.names]
-    columns["num_points"] = np.concatenate([truth.num_points for truth in truths])
-    columns["counts"] = np.concatenate([truth.counts for truth in truths])
-    columns["difficulty"] = [value if value >= 0 else None for value in difficulty]
-    return evaluation_table("truth", columns)
 
 
 def _digest(path: Path) -> str:

@@ -1,8 +1,3 @@
-"""What the page does: draws a figure when it comes into view, in the colours of the page, and turns 3D views."""
-
-__all__ = ["SCRIPT"]
-
-SCRIPT = """
 (() => {
   "use strict";
   const colour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -57,5 +52,3 @@ SCRIPT = """
     Plotly.relayout(plot, {"scene.camera": {eye: turned(eyeOf(plot), azimuth, tilt, zoom)}});
   });
 })();
-"""
-"""JavaScript, beside plotly's own."""

@@ -1,4 +1,4 @@
-"""AUC over shapes that are still cars, the ratio's interval, and the grid of other scenes."""
+"""AUC over plausible shapes, the ratio's interval, and the grid of other scenes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import numpy as np
 import pandas as pd
 import pytest
 import valid_sweeps
+from analysed import variant
 
-from shift3d.analysis.html.sections.areas import areas, in_short
+from shift3d.analysis.html.document import blocks_html
+from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import transfer_grid
-from shift3d.analysis.results import Sweep, Variant, read_sweep, variants
-from shift3d.analysis.statistics.areas import ratio_interval
+from shift3d.analysis.results import Sweep, read_sweep
+from shift3d.analysis.statistics.intervals import ratio_interval
+from shift3d.analysis.tables.auc import auc_table
 from shift3d.analysis.tables.paper import paper_table
-from shift3d.analysis.tables.printed import still_cars
+from shift3d.analysis.tables.shapes import plausible_table
+from shift3d.analysis.variants import variants
 from shift3d.store.log import read_log
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.folder import read_plan
@@ -66,38 +70,38 @@ def shapes_and_scores() -> tuple[pd.DataFrame, pd.DataFrame]:
     return pd.DataFrame(shapes), pd.DataFrame(scores)
 
 
-def test_printed_still_cars() -> None:
+def last_line(scores: pd.DataFrame, shapes: pd.DataFrame) -> list[str]:
+    return str(plausible_table(scores, shapes)).splitlines()[-1].split()
+
+
+def test_plausible_shapes_by_lambda() -> None:
     shapes, scores = shapes_and_scores()
-    (text,) = still_cars(scores, shapes)
-    line = text.splitlines()[-1]
-    assert line.split()[-9:] == ["2", "of", "4", "0.800", "0.300", "0.37", "0.800", "0.600", "0.75"]
-    assert still_cars(scores, shapes.iloc[:0]) == []
-    (none,) = still_cars(scores, shapes.assign(still_a_car=False))
-    assert none.splitlines()[-1].split()[-3:] == ["-", "-", "-"]
+    line = last_line(scores, shapes)
+    assert line[-9:] == ["2", "of", "4", "0.800", "0.300", "0.37", "0.800", "0.600", "0.75"]
+    assert plausible_table(scores, shapes.iloc[:0]) is None
+    assert last_line(scores, shapes.assign(still_a_car=False))[-3:] == ["-", "-", "-"]
 
 
-def test_printed_means_are_those_of_the_vehicles_as_on_the_page() -> None:
+def test_means_are_those_of_the_vehicles_as_in_the_table_of_aucs() -> None:
     """A suv that falls from 0.8 to 0.6 twice, and a coupe once from 0.4 to 0.1."""
     shapes, scores = shapes_and_scores()
     shapes["still_a_car"] = [True, True, True, False]
     coupe = scores["task_id"].eq("t2")
     scores.loc[coupe, "score"] = np.where(scores.loc[coupe, "method"] == "baseline", 0.4, 0.1)
     shapes.loc[shapes["task_id"] == "t2", "vehicle"] = scores.loc[coupe, "vehicle"] = "coupe"
-    line = still_cars(scores, shapes)[0].splitlines()[-1]
-    assert line.split()[-3:] == ["0.600", "0.350", "0.58"]
+    assert last_line(scores, shapes)[-3:] == ["0.600", "0.350", "0.58"]
 
 
-def test_the_page_has_auc_over_still_cars_beside_that_over_all() -> None:
-    shapes, scores = shapes_and_scores()
-    cars = dict(zip(shapes["task_id"], shapes["still_a_car"]))
-    rows = scores.assign(place=scores["task_id"], still_a_car=scores["task_id"].map(cars).astype(object))
-    found = Variant("shape", "p", "p", 0.01, "standard", "none", "adversarial shape", "shape-0", rows)
-    shown = "\n".join(areas([found]).body)
-    assert "adversarial, still a car" in shown and "2 of 4 adversarial shapes (suv 2 of 4)" in shown
+def test_auc_over_plausible_shapes_stands_beside_that_over_all() -> None:
+    scores = {("baseline", "suv"): [0.8] * 4, ("adversarial", "suv"): [0.6, 0.6, 0.0, 0.0]}
+    found = variant(scores, plausible={f"suv-{number}": number < 2 for number in range(4)})
+    shown = blocks_html(auc_blocks(found))
+    assert "adversarial, plausible shapes" in shown and "2 of 4 adversarial shapes (suv 2 of 4)" in shown
     assert "<td>0.300<small>" in shown and "<td>0.600" in shown and "<td>0.75</td>" in shown
-    assert "0.37 [" in in_short([found]).body[0]
-    unknown = dataclasses.replace(found, rows=rows.assign(still_a_car=None))
-    assert "still a car</th>" not in "\n".join(areas([unknown]).body)
+    printed = str(auc_table(found)).splitlines()
+    assert printed[-2].split()[-3:] == ["0.600", "0.600", "0.75"]
+    unknown = dataclasses.replace(found, rows=found.rows.assign(plausible=None))
+    assert "plausible shapes" not in blocks_html(auc_blocks(unknown))
 
 
 def test_the_papers_sst_stands_beside_the_small_one() -> None:
@@ -114,8 +118,8 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
 
 
 def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -> None:
-    found = variants(sweep)
-    assert "No shape was put into another scene" in "\n".join(transfer_grid(sweep, found).body)
+    found = variants(sweep.auc, sweep.scored)
+    assert "No shape was put into another scene" in blocks_html(transfer_grid(sweep, found).blocks)
     row = found[0].rows.iloc[0]
     group: dict[str, Any] = {name: row[name] for name in ("sweep", "dataset", "vehicle", "mode", "lambda", "alpha",
                                                           "detector", "accuracy", "effects", "scored_by")}  # fmt: skip
@@ -126,5 +130,5 @@ def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -
         values |= {"mean_score": 0.5 if filled else None, "mean_reduction": 0.4 if filled else None}
         cells.append({**group, "method": "adversarial", "cell_x_m": x, "cell_y_m": 0.0, "cell_size_m": 10.0, **values})
     grid = table_from_rows("bev_transfer", cells).to_pandas()
-    shown = "\n".join(transfer_grid(dataclasses.replace(sweep, bev_transfer=grid), found).body)
+    shown = blocks_html(transfer_grid(dataclasses.replace(sweep, bev_transfer=grid), found).blocks)
     assert "falls in 1 of 1 cells of 10 m" in shown and '"x-thin"' in shown and "+0.400" in shown

@@ -1,4 +1,4 @@
-"""What each effect is worth: how far it moves scores and AUC, against its milliseconds.
+"""The measured impact of each effect: how far it moves scores and AUC, against its milliseconds.
 
 Made from the tables of a sweep that ran the same tasks without effects and with one of them at a time
 (``sweeps/effects.yaml``): the same vehicle at the same place of the same scene, so that differences are paired.
@@ -6,35 +6,29 @@ Made from the tables of a sweep that ran the same tasks without effects and with
 
 from __future__ import annotations
 
-import html
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import log, nan
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from shift3d.analysis.html.page import html_image, html_table, page
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
-from shift3d.analysis.tables.printed import aligned
+from shift3d.analysis.tables.table import Table
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
-from shift3d.store.location import Location
-from shift3d.store.resolve import LocationLike, as_location
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 __all__ = [
     "LEAST_SCENES",
+    "MEANINGS",
     "EffectWorth",
-    "effect_lines",
     "effect_milliseconds",
+    "effect_table",
     "effect_worths",
-    "effects_figure",
-    "write_effects_page",
     "write_worth",
 ]
 
@@ -42,13 +36,12 @@ LEAST_SCENES = 8
 """Fewer say too little for `auto` to go by (our choice: at 8 the intervals hold in 88 % of the cases, not in 95 %)."""
 
 _PAIR = ["vehicle", "dataset", "scene", "mode", "lambda", "alpha", "detector", "accuracy", "scored_by"]
-_HEADER = ["effect", "scenes", "objects", "|change| of baseline score", "AUC baseline", "AUC adversarial", "ms", "auto"]
-_MEANINGS = (
-    ("|change|", "mean absolute change of the unchanged vehicle's score, with its 95 % interval (scenes resampled)"),
-    ("AUC", "change of the mean score, baseline and adversarial (searched again under the effect), likewise"),
-    ("ms", "what one rendering costs more; what is done once for a scene is not in it"),
-    ("auto", f"whether the change cannot be said to lie below {IMPACT_BOUND:g}: only then does effects=auto take it"),
-)
+MEANINGS = {
+    "|change|": "mean absolute change of the unchanged vehicle's score, with its 95 % interval (scenes resampled)",
+    "AUC": "change of the mean score, baseline and adversarial (searched again under the effect), likewise",
+    "ms": "what one rendering costs more; what is done once for a scene is not in it",
+    "auto": f"whether the change cannot be said to lie below {IMPACT_BOUND:g}: only then does effects=auto take it",
+}
 
 
 @dataclass(frozen=True)
@@ -129,78 +122,35 @@ def effect_milliseconds(scores: pd.DataFrame, timings: pd.DataFrame) -> dict[str
     return {str(name): float((of_object[name] - of_object[""]).median()) for name in of_object if name != ""}
 
 
-def effect_lines(worths: list[EffectWorth]) -> str:
-    """The printed table."""
-    return aligned("What effects are worth", _HEADER, _cells(worths))
-
-
-def _cells(worths: list[EffectWorth]) -> list[list[str]]:
-    return [
+def effect_table(worths: Sequence[EffectWorth]) -> Table:
+    """A line an effect."""
+    lines = [
         [
-            worth.effect,
+            worth.effect.replace("_", " "),
             str(worth.scenes),
             str(worth.objects),
-            _unsigned(worth.score_change),
-            str(worth.auc_baseline),
-            "-" if worth.auc_adversarial is None else str(worth.auc_adversarial),
+            _interval(worth.score_change, sign=""),
+            _interval(worth.auc_baseline),
+            "-" if worth.auc_adversarial is None else _interval(worth.auc_adversarial),
             f"{worth.milliseconds:.0f}",
             "yes" if worth.worth.matters else "left out",
         ]
         for worth in worths
     ]
+    header = ["effect", "scenes", "objects", "|change| of baseline score", "AUC baseline", "AUC adversarial", "ms",
+              "auto"]  # fmt: skip
+    kinds = ["ours" if worth.worth.matters else "dominated" for worth in worths]
+    return Table("Measured impact of effects", header, lines, kinds)
 
 
-def _unsigned(interval: Interval) -> str:
-    return f"{interval.mean:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
-
-
-def effects_figure(worths: list[EffectWorth]) -> Figure:
-    """Change of the baseline's score against milliseconds; what lies below the line is left out by auto."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
-    axes = figure.subplots()
-    least_ms, least = 0.5, 1e-4
-    drawn: list[tuple[float, float]] = []
-    for worth in sorted(worths, key=lambda worth: -worth.milliseconds):  # from the right, so that labels make room
-        change = worth.score_change
-        x, y = max(worth.milliseconds, least_ms), max(change.mean, least)
-        colour = "#d55e00" if worth.worth.matters else "#707070"
-        axes.plot([x, x], [max(change.low, least), max(change.high, least)], color=colour, lw=1.2)
-        axes.plot(x, y, "o", color=colour, ms=5)
-        to_left = any(abs(log(x / a)) < 0.7 and abs(log(y / b)) < 0.5 and x <= a for a, b in drawn) or x > 500.0
-        offset, side = ((-5, 3), "right") if to_left else ((5, 3), "left")
-        label = worth.effect.replace("_", " ")
-        axes.annotate(label, (x, y), xytext=offset, textcoords="offset points", fontsize=8, ha=side)
-        drawn.append((x, y))
-    axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_xlabel(f"milliseconds a rendering, more (less than {least_ms:g} drawn there)")
-    axes.set_ylabel(f"mean |change of score| (less than {least:g} drawn there)")
-    axes.grid(True, which="major", color="#e4e4e4", lw=0.6)
-    return figure
-
-
-def write_effects_page(path: LocationLike, sweep: str, worths: list[EffectWorth]) -> Location:
-    """The page: figure, table, what the columns mean. Written whole or not at all; returns its path."""
-    kinds = ["preset" if worth.worth.matters else "dominated" for worth in worths]
-    meanings = "".join(f"<dt>{html.escape(word)}</dt><dd>{html.escape(text)}</dd>" for word, text in _MEANINGS)
-    alt = "; ".join(f"{w.effect}: {w.score_change.mean:.3f} for {w.milliseconds:.0f} ms" for w in worths)
-    body = [
-        f"<p>Sweep {html.escape(sweep)}: the same vehicles at the same places, "
-        "without effects and with one at a time.</p>",
-        html_image(effects_figure(worths), alt),
-        html_table(_HEADER, _cells(worths), kinds),
-        f"<dl>{meanings}</dl>",
-    ]
-    location = as_location(path)
-    location.write_atomic(page("What effects are worth", body).encode())
-    return location
+def _interval(interval: Interval, sign: str = "+") -> str:
+    if not isfinite(interval.low):
+        return f"{interval.mean:{sign}.3f} (one scene)"
+    return f"{interval.mean:{sign}.3f} [{interval.low:{sign}.3f}, {interval.high:{sign}.3f}]"
 
 
 def write_worth(path: Path, sweep: str, worths: list[EffectWorth]) -> Path:
-    """What ``effects=auto`` reads, as JSON (`effects.applicability.MEASURED_IMPACT`). Returns its path."""
+    """What ``effects=auto`` reads, as JSON (`effects.applicability.MEASURED_IMPACT` tells where). Returns its path."""
     rows = {
         worth.effect: {
             "score_change": round(worth.score_change.mean, 5),

@@ -1,26 +1,18 @@
-"""What people read of a measured frontier: the printed table, the page, the picture and the advice."""
+"""Measured settings as tables: each one's time and errors, and what the columns mean."""
 
 from __future__ import annotations
 
-import html
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from shift3d.accuracy_time.pareto import MISPLACED_M, effective_error_m
-from shift3d.analysis.figures.work_precision import work_precision_figure
-from shift3d.analysis.html.page import html_image, html_table, page, png
-from shift3d.analysis.tables.advice import advice
 from shift3d.analysis.tables.numbers import factor, length, milliseconds, share
-from shift3d.analysis.tables.printed import aligned
-from shift3d.errors import InputError
-from shift3d.store.atomic import write_atomic
-from shift3d.store.frontier_table import machine_of, read_frontier
+from shift3d.analysis.tables.table import Table
 
-__all__ = ["advice", "frontier_html", "frontier_lines", "work_precision_figure", "write_report"]
+__all__ = ["RULE", "frontier_lines", "meanings", "settings_table", "settings_tables"]
 
 
 @dataclass(frozen=True)
@@ -64,7 +56,7 @@ _COLUMNS = (
     _Column("open", "unresolved_beams", "{:,}".format, "beams that could not be decided", False),
     _Column("front", "pareto", lambda flag: "*" if flag else "", "no setting that could be used instead is better"),
 )
-_RULE = (
+RULE = (
     "A setting is dominated, and grey, where another one on the same scenes takes no more time, has no larger error, "
     "and is better in one of the two. A setting that needs a previous rendering (warm) or an SDF grid dominates only "
     "such as have it, too, and what is ready for a gradient is dominated only by what is ready for the same. "
@@ -75,30 +67,47 @@ _RULE = (
 
 
 def frontier_lines(frame: pd.DataFrame) -> str:
-    """The printed table: a block a scene set, the fastest setting first.
+    """The printed tables, without the columns that a terminal has no room for. frame: the frontier's table."""
+    printed = [column.header for column in _COLUMNS if column.printed]
+    return "\n\n".join(str(table) for _, table in settings_tables(frame, printed))
 
-    Columns for which nothing was measured are left out, and some that only the page and the Parquet file show.
 
-    Args:
-        frame: the frontier's table.
+def settings_tables(frame: pd.DataFrame, headers: Collection[str] = ()) -> list[tuple[str, Table]]:
+    """Each scene set and its table, the fastest setting first. headers: of the columns that are wanted, default all.
+
+    Columns for which nothing was measured are left out.
     """
-    blocks = []
-    for scenes, rows, columns in _sets(frame):
-        columns = [column for column in columns if column.printed]
+    columns = [column for column in _columns(frame) if not headers or column.header in headers]
+    found = []
+    for scenes in dict.fromkeys(frame["scenes"]):
+        rows = frame[frame["scenes"] == scenes].sort_values("ms_median", kind="stable")
         renders, beams = rows["renders"].max(), rows["beams"].max()
         title = f"What accuracy costs on the {scenes} scenes ({renders:,} renderings, {beams:,} beams; * on the front)"
-        header = [scenes, *(column.header for column in columns)]
-        blocks.append(aligned(title, header, [[str(row["setting"]), *_cells(row, columns)] for row in rows.iloc]))
-    return "\n\n".join(blocks)
+        found.append((str(scenes), settings_table(rows, title, str(scenes), [column.header for column in columns])))
+    return found
 
 
-def _sets(frame: pd.DataFrame) -> list[tuple[str, pd.DataFrame, list[_Column]]]:
-    frame = frame.assign(error_m=effective_error_m(frame), conditions=[_conditions(row) for row in frame.iloc])
-    columns = [column for column in _COLUMNS if frame[column.source].notna().any()]
-    return [
-        (str(scenes), frame[frame["scenes"] == scenes].sort_values("ms_median", kind="stable"), columns)
-        for scenes in dict.fromkeys(frame["scenes"])
-    ]
+def settings_table(rows: pd.DataFrame, title: str, first: str, headers: Collection[str]) -> Table:
+    """Rows as they come. first: the head of their names. headers: of the columns."""
+    rows, columns = _completed(rows), [column for column in _COLUMNS if column.header in headers]
+    lines = [[str(row["setting"]), *_cells(row, columns)] for row in rows.iloc]
+    kinds = [" ".join(["dominated"] * (not row["pareto"]) + ["ours"] * pd.notna(row["preset"])) for row in rows.iloc]
+    return Table(title, [first, *(column.header for column in columns)], lines, kinds)
+
+
+def meanings(frame: pd.DataFrame) -> dict[str, str]:
+    """What the columns mean for which something was measured."""
+    return {column.header: column.meaning for column in _columns(frame)}
+
+
+def _columns(frame: pd.DataFrame) -> list[_Column]:
+    frame = _completed(frame)
+    return [column for column in _COLUMNS if frame[column.source].notna().any()]
+
+
+def _completed(frame: pd.DataFrame) -> pd.DataFrame:
+    conditions = pd.Series([_conditions(row) for row in frame.iloc], index=frame.index, dtype=object)
+    return frame.assign(error_m=effective_error_m(frame), conditions=conditions)
 
 
 def _conditions(row: pd.Series) -> str | None:
@@ -111,58 +120,3 @@ def _conditions(row: pd.Series) -> str | None:
 
 def _cells(row: pd.Series, columns: list[_Column]) -> list[str]:
     return ["-" if pd.isna(row[column.source]) else column.cell(row[column.source]) for column in columns]
-
-
-def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
-    """A page that needs nothing but itself: diagrams, advice, the table and what its columns mean.
-
-    Args:
-        frame: the frontier's table.
-        machine: what it was measured on, by name.
-    """
-    told = advice(frame).split("\n\n")
-    measured = ", ".join(f"{name} {value}" for name, value in machine.items()) or "not recorded"
-    parts = [f"<p>Measured on: {html.escape(measured)}.</p>"]
-    for (scenes, rows, columns), paragraph in zip(_sets(frame), told):
-        parts += [
-            f"<h2>{html.escape(scenes)}</h2>",
-            f"<p>{html.escape(paragraph)}</p>",
-            html_image(work_precision_figure(frame, scenes), f"Time of a rendering against its error, {scenes} scenes"),
-            _html_table(rows, columns),
-        ]
-    meanings = "".join(
-        f"<dt>{html.escape(column.header)}</dt><dd>{html.escape(column.meaning)}</dd>" for column in _sets(frame)[0][2]
-    )
-    parts += ["<h2>What the numbers mean</h2>", f"<p>{html.escape(_RULE)}</p>", f"<dl>{meanings}</dl>"]
-    return page("What accuracy costs in time", parts)
-
-
-def _html_table(rows: pd.DataFrame, columns: list[_Column]) -> str:
-    kinds = [
-        (("" if row["pareto"] else "dominated ") + ("preset" if pd.notna(row["preset"]) else "")).strip()
-        for row in rows.iloc
-    ]
-    lines = [[str(row["setting"]), *_cells(row, columns)] for row in rows.iloc]
-    return html_table(["setting", *(column.header for column in columns)], lines, kinds)
-
-
-def write_report(folder: Path) -> str:
-    """Write report.html, frontier.png and advice.txt beside folder/frontier.parquet, each whole or not at all.
-
-    The same table gives the same bytes. The report can be written again from the table alone.
-
-    Returns:
-        What is printed: the table and the advice.
-
-    Raises:
-        InputError: no frontier there, or not one of this version; a disk that is full or not writable.
-    """
-    table = read_frontier(folder / "frontier.parquet")
-    if not table.num_rows:
-        raise InputError("holds no setting", str(folder / "frontier.parquet"), "Run make frontier again")
-    frame = table.to_pandas()
-    told = advice(frame)
-    write_atomic(folder / "advice.txt", f"{told}\n".encode())
-    write_atomic(folder / "frontier.png", png(work_precision_figure(frame)))
-    write_atomic(folder / "report.html", frontier_html(frame, machine_of(table)).encode())
-    return f"{frontier_lines(frame)}\n\n{told}"

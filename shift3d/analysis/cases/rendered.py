@@ -1,23 +1,23 @@
-"""Which solutions are shown as hard cases, and each of them rendered again."""
+"""Solutions rendered again, as the sweep rendered them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    import pandas as pd
     import trimesh
 
     from shift3d.detectors.base import Proposals
+    from shift3d.sweep.planning.plan import Plan
+    from shift3d.sweep.planning.tasks import PlannedTask
     from shift3d.task.assets import Assets
-    from shift3d.task.spec import TaskSpec
 
-__all__ = ["POSE", "VIEW_M", "Case", "Seen", "hardest", "see", "simplified"]
+__all__ = ["POSE", "VIEW_M", "Loaded", "Rendered", "render_again", "simplified", "standing"]
 
 FloatArray = NDArray[np.float64]
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
@@ -28,59 +28,7 @@ _FACES = 5000
 
 
 @dataclass(frozen=True)
-class Case:
-    """A task whose score fell. before, after: scores of the baseline and of what was found."""
-
-    task_id: str
-    vehicle: str
-    scene: str
-    mode: str
-    before: float
-    after: float
-
-    @property
-    def fall(self) -> float:
-        """How far the score fell."""
-        return self.before - self.after
-
-
-def hardest(scores: pd.DataFrame, count: int = 4, broken: Collection[str] = ()) -> list[Case]:
-    """The tasks whose score fell furthest before the attacked detector, other vehicles and scenes first.
-
-    scores: of ``final/``. Of equal falls the first in the plan's order. broken: tasks whose shape is no car any more;
-    they are chosen only where there are not `count` others, and stand last.
-    """
-    rows = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
-    first = rows.drop_duplicates("task_id")
-    table = rows.pivot_table(index="task_id", columns="method", values="score")
-    if not {"baseline", "adversarial"} <= set(table.columns):
-        return []
-    both = table.dropna(subset=["baseline", "adversarial"])
-    cases = [
-        Case(row.task_id, row.vehicle, row.scene, row.mode, *map(float, both.loc[row.task_id, _TWO]))
-        for row in first.itertuples()
-        if row.task_id in both.index
-    ]
-    left = sorted((case for case in cases if case.fall > 0), key=lambda case: -case.fall)
-    chosen: list[Case] = []
-    while left and len(chosen) < count:
-        # Of those that repeat least, the first is the one that fell furthest.
-        best = min(left, key=lambda case: (case.task_id in broken, _repeats(case, chosen)))
-        chosen.append(best)
-        left.remove(best)
-    return sorted(chosen, key=lambda case: (case.task_id in broken, -case.fall))
-
-
-_TWO = ["baseline", "adversarial"]
-
-
-def _repeats(case: Case, chosen: list[Case]) -> int:
-    vehicles = sum(case.vehicle == other.vehicle for other in chosen)
-    return vehicles + sum(case.scene == other.scene for other in chosen)
-
-
-@dataclass(frozen=True)
-class Seen:
+class Rendered:
     """An object rendered again, and what the detector makes of it.
 
     mesh: object frame, metres, as measured. theta: (6,) pose. scene_xy: (P, 2) thinned points around the place that
@@ -99,16 +47,37 @@ class Seen:
     score: float
 
 
-def see(
-    spec: TaskSpec,
-    assets: Assets,
-    solution: Mapping[str, Any],
-    centre_xy: FloatArray,
-    meshes: dict[tuple[str, bytes], trimesh.Trimesh],
-) -> Seen:
+@dataclass
+class Loaded:
+    """What the objects of one page share. meshes: by vehicle, code and resolution: a fine mesh takes seconds."""
+
+    plan: Plan
+    _assets: dict[int, Assets] = field(default_factory=dict)
+    _meshes: dict[tuple[str, bytes, int], trimesh.Trimesh] = field(default_factory=dict)
+
+    def assets(self, task: PlannedTask) -> Assets:
+        """Raises InputError for what cannot be loaded, or is not what was planned with."""
+        from shift3d.task.assets import load_assets
+
+        if task.assets not in self._assets:
+            self._assets[task.assets] = load_assets(self.plan.assets[task.assets])
+        return self._assets[task.assets]
+
+    def mesh(self, task: PlannedTask, latent_code: Any, resolution: int = 128) -> trimesh.Trimesh:
+        """The mesh of a code, object frame, metres. Raises InputError for a code without a surface."""
+        from shift3d.vehicles.vehicle import vehicle_mesh
+
+        assets, code = self.assets(task), np.array(latent_code, dtype=np.float32)
+        key = (task.spec.vehicle, code.tobytes(), resolution)
+        if key not in self._meshes:
+            self._meshes[key] = vehicle_mesh(assets.vehicle(task.spec), assets.decoder, code, resolution)
+        return self._meshes[key]
+
+
+def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: FloatArray, loaded: Loaded) -> Rendered:
     """Render a row of ``solutions.parquet`` as the sweep did, effects included.
 
-    centre_xy: (2,) middle of the view. meshes: those made already, by vehicle and code: a mesh takes seconds.
+    centre_xy: (2,) middle of the view.
     Raises: InputError for what cannot be loaded, or is not what was planned with, and for a code without a surface.
     """
     import torch
@@ -116,23 +85,20 @@ def see(
     from shift3d.attack.objective import SCORE_RADIUS_M, object_box
     from shift3d.attack.problem import measure
     from shift3d.task.run import build_problem
-    from shift3d.vehicles.vehicle import vehicle_mesh
 
+    spec = task.spec
     theta = torch.tensor([float(solution[name]) for name in POSE], dtype=torch.float64)
-    problem = build_problem(spec, assets, theta)
+    problem = build_problem(spec, loaded.assets(task), theta)
     code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
     with torch.no_grad():
         measured = measure(problem, code, theta, radius_m=SCORE_RADIUS_M)
     rendering = measured.rendering
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
     found, score = _best(measured.proposals, box, spec.attack.detection_radius_m)
-    known = (spec.vehicle, code.float().numpy().tobytes())
-    if known not in meshes:
-        meshes[known] = vehicle_mesh(assets.vehicle(spec), assets.decoder, code.float())
     here = np.ones(len(rendering.points), bool) if rendering.returned is None else rendering.returned.numpy()
     points, hits = rendering.points.double().numpy()[:, :2], rendering.hit_mask.numpy()
-    return Seen(
-        mesh=meshes[known],
+    return Rendered(
+        mesh=loaded.mesh(task, solution["latent_code"]),
         theta=theta.numpy(),
         scene_xy=_thinned(points[here & ~hits], centre_xy),
         object_xy=points[here & hits],
@@ -171,3 +137,18 @@ def simplified(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float32], NDArray[np.i
     if len(faces) > _FACES:
         vertices, faces = fast_simplification.simplify(vertices, faces, target_count=_FACES)
     return np.round(vertices, 4).astype(np.float32), np.asarray(faces, np.int32)
+
+
+def standing(vertices: NDArray[np.floating[Any]], theta: FloatArray, yaw_rad: float = 0.0) -> FloatArray:
+    """Vertices (V, 3) of the object frame as they stand in the scene, tilt and heading included, around the object.
+
+    theta: (6,) pose. yaw_rad: by how much they are turned back.
+    """
+    import torch
+
+    from shift3d.geometry.se3 import scene_from_object
+
+    pose = torch.from_numpy(np.array(theta, dtype=np.float64))
+    pose[:3], pose[3] = 0.0, pose[3] - yaw_rad
+    turned = scene_from_object(torch.from_numpy(np.asarray(vertices, dtype=np.float64)), pose)
+    return np.asarray(turned.numpy())
