@@ -1,6 +1,6 @@
 """The paper's experiments as one page of Markdown: what sweeps found, the paper's numbers beside.
 
-``python docs/scripts/experiments.py OUT ... > docs/experiments.md``: each OUT is a finished sweep's folder.
+``python docs/scripts/experiments.py OUT ... > docs/why/experiments.md``: each OUT is a finished sweep's folder.
 """
 
 from __future__ import annotations

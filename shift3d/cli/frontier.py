@@ -249,7 +249,7 @@ def _mirror(config: FrontierSweep, folder: Path) -> None:
     if problem := mirror_frontier(folder, uri, config.tracking.experiment):
         print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
     else:
-        print(f"in MLflow, {uri}: make ui")
+        print(f"in MLflow, {uri}: shift3d ui")
 
 
 COMMAND = Command("frontier", "measure what accuracy costs in time", _DESCRIPTION, _EPILOG, _add_arguments, _run)

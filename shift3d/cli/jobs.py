@@ -10,10 +10,9 @@ import yaml  # type: ignore[import-untyped]
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from shift3d.errors import InputError
+from shift3d.settings.folders import files, find, looked_in
 
 __all__ = ["JobSpec", "read_job", "take_job"]
-
-_JOBS = Path(__file__).resolve().parents[2] / "jobs"
 
 
 class JobSpec(BaseModel):
@@ -62,13 +61,14 @@ def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
 
 
 def read_job(name: str) -> JobSpec:
-    """A spec by the name of its file in jobs/, or by the path of another file.
+    """A spec by the name of its file in jobs/ (the current folder's first), or by the path of another file.
 
     Raises:
         InputError: there is none, another tool reads it, or it does not hold what a spec holds.
     """
-    path = Path(name).expanduser() if name.endswith((".yaml", ".yml")) else _JOBS / f"{name}.yaml"
-    remedy = f"One of: {', '.join(job_names())}, or the path of a file like them"
+    remedy = f"One of: {', '.join(job_names())}, or the path of a file like them. {looked_in('jobs')}"
+    named = Path(name).expanduser() if name.endswith((".yaml", ".yml")) else find("jobs", name)
+    path = named or Path("jobs") / f"{name}.yaml"
     try:
         values = yaml.safe_load(path.read_text())
     except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
@@ -86,4 +86,4 @@ def read_job(name: str) -> JobSpec:
 
 def job_names() -> list[str]:
     """Names of the specs that ``job=`` takes."""
-    return sorted(path.stem for path in _JOBS.glob("*.yaml") if path.read_text().find("\nrunner:") >= 0)
+    return [name for name, path in files("jobs").items() if "\nrunner:" in path.read_text()]

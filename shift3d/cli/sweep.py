@@ -26,12 +26,17 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND", "run_with"]
 
 _DESCRIPTION = """\
-Runs sweeps/NAME.yaml (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
+Runs the sweep NAME (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
 or gs://BUCKET/PREFIX: workers then need no common folder.
 The same command again resumes: what is done is not run again.
 
 An override changes a setting (conf/ has them all) or picks an option of a group; several values
-separated by commas are an axis: a task for each."""
+separated by commas are an axis: a task for each.
+
+NAME is sweeps/NAME.yaml of the folder where the command runs, else of those that ship with shift3d. An option of a
+group, vehicle=NAME, is conf/vehicle/NAME.yaml, job=NAME is jobs/NAME.yaml, found likewise: your own file comes first,
+and takes the place of one of its name that ships. A sweep of your own begins with `defaults: [/config, _self_]`, or
+with a sweep that ships in the place of /config."""
 
 _EPILOG = """\
 examples:
@@ -130,13 +135,14 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
 
 def _submit(asked: Request, address: str, retry_quarantined: bool) -> int:
     """Hand the sweep to a cluster's Jobs API."""
+    from shift3d.settings.folders import own_folders
     from shift3d.sweep.execution.ray.job import submit_sweep
 
     folders = [f"out={asked.out}"] if asked.out else []
     folders += [f"reuse={other}" for other in asked.reuse]
     flags = ["--retry-quarantined"] if retry_quarantined else []
     environment = asked.job.runtime_env if asked.job else None
-    return submit_sweep([asked.name, *asked.overrides, *folders, *flags], address, environment)
+    return submit_sweep([asked.name, *asked.overrides, *folders, *flags], address, environment, own_folders())
 
 
 def _status(words: list[str]) -> int:
@@ -223,7 +229,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
         print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
         print("the same command again writes it there once MLflow answers", file=sys.stderr)
     else:
-        print(f"MLflow run {plan.sweep}-{plan.spec_hash} in {uri}: make ui")
+        print(f"MLflow run {plan.sweep}-{plan.spec_hash} in {uri}: shift3d ui")
 
 
 COMMAND = Command("sweep", "run a sweep, or resume it", _DESCRIPTION, _EPILOG, _add_arguments, _run)

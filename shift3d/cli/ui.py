@@ -24,7 +24,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     check_store(arguments.uri, "--uri")
     if arguments.uri.startswith("sqlite:///") and not Path(arguments.uri.removeprefix("sqlite:///")).exists():
-        raise InputError("there is no run yet", where=arguments.uri, remedy="Run a sweep first: make sweep")
+        raise InputError("there is no run yet", where=arguments.uri, remedy="Run a sweep first: shift3d sweep")
     with open_port(arguments.port) as listening:
         port = listening.getsockname()[1]
         print(f"MLflow on http://{HOST}:{port}, in some seconds (Ctrl-C ends it)", flush=True)

@@ -13,13 +13,14 @@ from pydantic import ValidationError
 
 from shift3d.errors import InputError
 from shift3d.settings import messages
+from shift3d.settings.folders import files, find, looked_in, places, shipped, shown
 from shift3d.settings.names import quoted, text_settings
 from shift3d.settings.schema import Config
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-__all__ = ["Axis", "Composed", "compose_sweep", "config_folder", "sweep_names", "sweeps_folder", "validate"]
+__all__ = ["Axis", "Composed", "compose_sweep", "sweep_names", "validate"]
 
 Values = dict[str, Any]
 _SMALL = "small"
@@ -50,30 +51,9 @@ class Composed:
     axes: tuple[Axis, ...]
 
 
-def config_folder() -> Path:
-    """The folder of the config groups. Raises InputError where this installation has none."""
-    return _folder("conf")
-
-
-def sweeps_folder() -> Path:
-    """The folder of the sweep files. Raises InputError where this installation has none."""
-    return _folder("sweeps")
-
-
 def sweep_names() -> list[str]:
     """Names of the sweeps that there are."""
-    return sorted(path.stem for path in sweeps_folder().glob("*.yaml"))
-
-
-def _folder(name: str) -> Path:
-    folder = Path(__file__).resolve().parents[2] / name
-    if not folder.is_dir():
-        raise InputError(
-            f"the folder {name}/ is missing",
-            where=str(folder.parent),
-            remedy="Install from the repository: make setup",
-        )
-    return folder
+    return list(files("sweeps"))
 
 
 def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
@@ -88,9 +68,10 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
             of a sweep that has none.
     """
     where = f"sweep {name}"
-    if name not in sweep_names():
-        raise messages.choice_error("sweep", name, sweep_names(), "sweeps/")
-    compose, parse = _hydra(name, where)
+    file = find("sweeps", name)
+    if file is None:
+        raise messages.choice_error("sweep", name, sweep_names(), "sweeps/", looked_in("sweeps"))
+    compose, parse = _hydra(file, where)
     stated = compose([])
     params = stated["hydra"]["sweeper"]["params"] or {}
     own = [f"{key}={value}" for key, value in params.items()]
@@ -104,7 +85,7 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     _refuse_interpolations(base, where)
     axes = []
     for key, texts in axis_texts.items():
-        is_group = (config_folder() / key).is_dir()
+        is_group = any(folder.is_dir() for folder in places(f"conf/{key}"))
         if is_group:
             rest = [text for text in first if not text.startswith(f"{key}=")]
             values = tuple(compose([*fixed, *rest, f"{key}={text}"])[key] for text in texts)
@@ -129,18 +110,18 @@ def _small(listed: Any, given: Sequence[Any], where: str) -> list[str]:
     return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in listed.items()]
 
 
-def _hydra(name: str, where: str) -> tuple[Any, Any]:
+def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
     """Two functions: overrides to plain settings (``hydra`` included), and texts to parsed overrides."""
     from hydra import compose, initialize_config_dir
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from omegaconf import OmegaConf
 
-    search = f"hydra.searchpath=[file://{config_folder()}]"
+    search = f"hydra.searchpath=[{','.join(_search_path())}]"
 
     def run(overrides: Sequence[str]) -> Values:
         def composed(texts: Sequence[str]) -> DictConfig:
-            with initialize_config_dir(config_dir=str(sweeps_folder()), version_base=None):
-                return compose(name, overrides=[search, *texts], return_hydra_config=True)
+            with initialize_config_dir(config_dir=str(sweep.parent.absolute()), version_base=None):
+                return compose(sweep.stem, overrides=[search, *texts], return_hydra_config=True)
 
         def plain(texts: Sequence[str]) -> Values:
             config = composed(texts)
@@ -166,11 +147,25 @@ def _hydra(name: str, where: str) -> tuple[Any, Any]:
     return run, parse
 
 
+def _search_path() -> list[str]:
+    """Where Hydra looks for groups, and then for sweeps that a sweep is made of, quoted for its grammar.
+
+    Raises:
+        InputError: another program's settings stand where shift3d's own would be taken from.
+    """
+    folders = [folder.absolute() for folder in [*places("conf"), *places("sweeps")] if folder.is_dir()]
+    own, theirs = folders[0] / "config.yaml", shipped("conf") / "config.yaml"
+    if own.is_file() and own.read_bytes() != theirs.read_bytes():
+        remedy = "Keep the groups that you add or change in conf/, without config.yaml; or run in another folder"
+        raise InputError("it would take the place of shift3d's own", where=shown(own), remedy=remedy)
+    return ["'file://" + str(folder).replace("'", "\\'") + "'" for folder in folders]
+
+
 class _Groups:
     """What Hydra asks to expand ``glob()``: the options of a group. What begins with _ is what they have in common."""
 
     def get_group_options(self, group_name: str, *_: object, **__: object) -> list[str]:
-        return sorted(path.stem for path in (config_folder() / group_name).glob("[!_]*.yaml"))
+        return list(files(f"conf/{group_name}"))
 
 
 def _no_hydra(config: Any) -> list[str]:
@@ -217,7 +212,8 @@ def _refuse_no_names(group: str, override: Any, where: str) -> None:
     options, value = _Groups().get_group_options(group), override.value()
     for name in value if isinstance(value, list) else [value]:
         if options and not isinstance(name, str | QuotedString):
-            raise messages.choice_error(group, "null" if name is None else str(name), options, where)
+            written = "null" if name is None else str(name)
+            raise messages.choice_error(group, written, options, where, looked_in(f"conf/{group}"))
 
 
 def _refuse_interpolations(values: Any, where: str, path: str = "") -> None:

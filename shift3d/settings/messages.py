@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from shift3d.errors import InputError
+from shift3d.settings.folders import looked_in, shipped, shown
 from shift3d.settings.renamed import renamed_error
 
 __all__ = ["choice_error", "from_hydra", "from_validation", "one_of", "unreadable"]
@@ -23,9 +24,10 @@ def one_of(value: str, allowed: Iterable[str]) -> str:
     return f"{hint}One of: {', '.join(names)}"
 
 
-def choice_error(what: str, value: str, allowed: Iterable[str], where: str) -> InputError:
-    """The error for an unknown name."""
-    return InputError(f"unknown {what} {value!r}", where=where, remedy=one_of(value, allowed))
+def choice_error(what: str, value: str, allowed: Iterable[str], where: str, looked: str = "") -> InputError:
+    """The error for an unknown name. looked: where it was looked for, as :func:`~.folders.looked_in` has it."""
+    known = one_of(value, allowed)
+    return InputError(f"unknown {what} {value!r}", where=where, remedy=f"{known}. {looked}" if looked else known)
 
 
 def from_validation(error: ValidationError, where: str) -> InputError:
@@ -39,7 +41,8 @@ def from_validation(error: ValidationError, where: str) -> InputError:
     if value == "???" or kind == "missing":
         return InputError(f"{field} is required", where=where, remedy=f"Add {field}=VALUE to the command")
     if kind == "extra_forbidden":
-        return InputError(f"there is no setting {field}", where=where, remedy="See conf/ for all of them")
+        remedy = f"See {shown(shipped('conf'))} for all of them"
+        return InputError(f"there is no setting {field}", where=where, remedy=remedy)
     if kind == "literal_error":
         return choice_error(field, str(value), re.findall(r"'([^']+)'", first["ctx"]["expected"]), where)
     if kind == "union_tag_invalid":
@@ -71,7 +74,7 @@ def from_hydra(
         group, _, name = match.group(1).rpartition("/")
         if (renamed := renamed_error(group, name)) is not None:
             return renamed
-        return choice_error(group or "sweep", name, options(group), where)
+        return choice_error(group or "sweep", name, options(group), where, looked_in(f"conf/{group}"))
     if match := re.search(r"Could not override '([^']+)'", text):
         key, siblings = match.group(1), _siblings(match.group(1), config or {})
         if (renamed := renamed_error(key)) is not None:
@@ -79,7 +82,8 @@ def from_hydra(
         if key in siblings:
             return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
         return choice_error("setting", key, siblings, where)
-    return InputError(" ".join(text.split())[:300], where=where, remedy="See conf/ for all settings")
+    remedy = f"See {shown(shipped('conf'))} for all settings"
+    return InputError(" ".join(text.split())[:300], where=where, remedy=remedy)
 
 
 def unreadable(error: Exception, where: str) -> InputError:

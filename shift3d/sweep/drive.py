@@ -20,6 +20,7 @@ from shift3d.store.location import Location
 from shift3d.store.log import Commit, CommitLog, TakenOverError
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.execution.abort import AbortRule
+from shift3d.sweep.execution.order import cheapest_first
 from shift3d.sweep.execution.progress import Progress
 from shift3d.sweep.execution.runner import Runner, make_runner
 from shift3d.sweep.execution.worker import BatchOutcome
@@ -97,7 +98,7 @@ def run_sweep(
         ):
             rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
             watchers = _Watchers(progress, status, rule)
-            _run(runner, left, Committer(log, runner_config.commit_seconds), watchers)
+            _run(runner, cheapest_first(plan.tasks, left), Committer(log, runner_config.commit_seconds), watchers)
     done, quarantined = log.done(), log.quarantined()
     complete = len(done) + len(quarantined) == len(plan.tasks)
     final = finish(folder, plan, log.entries) if complete else None

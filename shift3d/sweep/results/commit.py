@@ -58,9 +58,9 @@ class Committer:
 
     def flush(self) -> None:
         """Commit what there is. Raises as :meth:`add`."""
-        self._last = time.monotonic()
         if not (self._done or self._quarantined or any(self._tables.values())):
-            return
+            return  # and the first result that comes later waits for no clock
+        self._last = time.monotonic()
         tables = {name: pa.concat_tables(parts) for name, parts in self._tables.items() if parts}
         self.busy = True
         self._log.commit(tuple(self._done), tuple(self._quarantined), tables)

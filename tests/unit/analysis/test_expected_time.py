@@ -8,7 +8,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from scripts.shipped import measured_parts
-from shift3d.sweep.worker import attempt_row
 from valid_sweeps import catalogue, plan, write_sweep
 
 from shift3d.analysis.forecast.expected import expected, expected_lines
@@ -18,6 +17,7 @@ from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.log import CommitLog
 from shift3d.store.tables import table_from_rows
+from shift3d.sweep.execution.worker import attempt_row
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.plan import Plan, make_plan
 from shift3d.task.spec import AttackSpec, TransferScene

@@ -15,8 +15,9 @@ from omegaconf import OmegaConf
 
 from shift3d.errors import InputError
 from shift3d.render.settings import RenderSettings
-from shift3d.settings.compose import compose_sweep, config_folder, sweep_names, sweeps_folder, validate
+from shift3d.settings.compose import compose_sweep, sweep_names, validate
 from shift3d.settings.expand import expand
+from shift3d.settings.folders import shipped
 
 ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1"]  # the sweep file's own axes, each at one value
 SWEEPS = [
@@ -46,14 +47,14 @@ SWEEPS = [
 
 def hydra_multirun(name: str, overrides: list[str]) -> list[dict[str, Any]]:
     """Settings of every job as Hydra's multirun makes them: its sweeper's split, then one composition a job."""
-    search = f"hydra.searchpath=[file://{config_folder()}]"
-    with initialize_config_dir(config_dir=str(sweeps_folder()), version_base=None):
+    search = f"hydra.searchpath=[file://{shipped('conf')}]"
+    with initialize_config_dir(config_dir=str(shipped("sweeps")), version_base=None):
         first = compose(name, overrides=[search], return_hydra_config=True)
         params = [f"{key}={value}" for key, value in first.hydra.sweeper.params.items()]
         # compose() alone knows no options of groups on the search path, and glob() asks for them.
         loader = GlobalHydra.instance().config_loader()
         loader.get_group_options = lambda group, *_, **__: sorted(
-            p.stem for p in (config_folder() / group).glob("*.yaml")
+            p.stem for p in (shipped("conf") / group).glob("*.yaml")
         )
         parsed = OverridesParser.create(config_loader=loader).parse_overrides([*params, *overrides])
         jobs = BasicSweeper.split_arguments(parsed, None)[0]
@@ -107,7 +108,7 @@ def test_accuracy_lists_every_setting_of_the_renderer() -> None:
 
 
 def test_every_option_of_every_group_is_valid() -> None:
-    folders = [path for path in config_folder().iterdir() if path.is_dir()]
+    folders = [path for path in shipped("conf").iterdir() if path.is_dir()]
     for folder in sorted(path for path in folders if path.name != "size"):  # no axis: see test_sizes
         options = sorted(path.stem for path in folder.glob("[!_]*.yaml"))
         composed = compose_sweep("smoke", ["vehicle=suv", "mode=shape", f"{folder.name}={','.join(options)}"])
@@ -120,7 +121,7 @@ def test_every_option_of_every_group_is_valid() -> None:
 
 
 def test_configuration_names_no_code() -> None:
-    files = [*config_folder().rglob("*.yaml"), *sweeps_folder().glob("*.yaml")]
+    files = [*shipped("conf").rglob("*.yaml"), *shipped("sweeps").glob("*.yaml")]
     assert files
     for path in files:
         assert not re.search(r"_target_|_partial_|!!python|\beval\b", path.read_text()), path

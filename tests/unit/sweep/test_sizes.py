@@ -12,8 +12,9 @@ from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.settings.catalogue import Catalogue, SceneEntry
-from shift3d.settings.compose import compose_sweep, sweep_names, sweeps_folder
+from shift3d.settings.compose import compose_sweep, sweep_names
 from shift3d.settings.expand import expand
+from shift3d.settings.folders import shipped
 from shift3d.settings.schema import Config, StreetConfig
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.sweep.planning.plan_view import plan_summary
@@ -60,12 +61,12 @@ def test_full_is_what_the_file_states(name: str) -> None:
 
 @pytest.mark.parametrize("name", PAPERS)
 def test_every_file_names_its_source_in_the_paper(name: str) -> None:
-    first = (sweeps_folder() / f"{name}.yaml").read_text().splitlines()[0]
+    first = (shipped("sweeps") / f"{name}.yaml").read_text().splitlines()[0]
     assert first.startswith("# Source: ")
 
 
 def test_the_size_itself_changes_no_task() -> None:
-    small = yaml.safe_load((sweeps_folder() / "table_shape.yaml").read_text())["small"]
+    small = yaml.safe_load((shipped("sweeps") / "table_shape.yaml").read_text())["small"]
     by_hand = make_plan(compose_sweep("table_shape", [f"{key}={value}" for key, value in small.items()]), counted)[0]
     named = make_plan(compose_sweep("table_shape", ["size=small"]), counted)[0]
     assert [task.spec.task_id for task in named.tasks] == [task.spec.task_id for task in by_hand.tasks]

@@ -5,7 +5,10 @@ from __future__ import annotations
 import asyncio
 import re
 import shlex
+import shutil
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from shift3d.errors import InputError
@@ -17,7 +20,9 @@ __all__ = ["submit_sweep"]
 _INSTALL = "Install its parts: pip install -c constraints.txt 'ray[default]'"
 
 
-def submit_sweep(words: Sequence[str], address: str, runtime_env: dict[str, Any] | None) -> int:
+def submit_sweep(
+    words: Sequence[str], address: str, runtime_env: dict[str, Any] | None, folders: Sequence[Path] = ()
+) -> int:
     """Run ``shift3d sweep WORDS`` on a cluster, show what it prints, and return its exit code.
 
     Ctrl-C stops the showing; the sweep goes on.
@@ -26,6 +31,7 @@ def submit_sweep(words: Sequence[str], address: str, runtime_env: dict[str, Any]
         words: with an ``out=`` that the cluster's machines and this one mean the same by.
         address: of the cluster's dashboard, ``http://HOST:PORT``.
         runtime_env: Ray's own; what the job's processes get.
+        folders: copied into the job's working directory, which runtime_env then cannot name.
 
     Raises:
         InputError: no such ``out=``, the cluster does not answer or refuses us, or the job cannot start.
@@ -38,7 +44,8 @@ def submit_sweep(words: Sequence[str], address: str, runtime_env: dict[str, Any]
         )
     require_token(private=False)
     command = shlex.join(["shift3d", "sweep", *words])
-    client, job = _submit(address, command, runtime_env)
+    with tempfile.TemporaryDirectory() as copies:
+        client, job = _submit(address, command, _with_folders(runtime_env or {}, folders, Path(copies)))
     print(f"{job} on {address}: {command}", flush=True)
     try:
         asyncio.run(_show(client, job))
@@ -54,6 +61,19 @@ def submit_sweep(words: Sequence[str], address: str, runtime_env: dict[str, Any]
             f"{job} did not run ({details.status}): {what}", where=address, remedy="The same command again"
         )
     return int(details.driver_exit_code)
+
+
+def _with_folders(runtime_env: dict[str, Any], folders: Sequence[Path], copies: Path) -> dict[str, Any]:
+    """The environment with a working directory of copies, which Ray packs and sends when the job is submitted."""
+    if not folders:
+        return runtime_env
+    names = " and ".join(folder.name for folder in folders)
+    if "working_dir" in runtime_env:
+        remedy = f"Copy {names} into that folder and submit from another one, or leave runtime_env.working_dir out"
+        raise InputError(f"working_dir is given, and {names} of this folder would travel too", "job=ray_job", remedy)
+    for folder in folders:
+        shutil.copytree(folder, copies / folder.name)
+    return {**runtime_env, "working_dir": str(copies)}
 
 
 def _submit(address: str, command: str, runtime_env: dict[str, Any] | None) -> tuple[Any, str]:

@@ -1,4 +1,4 @@
-"""The README's three lines for pandas, polars and duckdb give the table of AUC that the sweep printed."""
+"""The guide's three lines for pandas, polars and duckdb give the table of AUC that the sweep printed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from shift3d.store.log import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import FinalTables, write_final
 
-README = Path(__file__).parents[3] / "README.md"
+ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "docs" / "guides" / "report.md"
 PLACE = "outputs/default-..."
 TO_ROWS = {
     "pandas": "rows = table.reset_index().to_dict('records')",
@@ -27,8 +28,8 @@ TO_ROWS = {
 
 
 def snippets() -> dict[str, str]:
-    """Library to its lines in the README."""
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), flags=re.DOTALL)
+    """Library to its lines in the guide."""
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
     return {name: block for block in blocks for name in TO_ROWS if re.match(rf"import {name}\b", block)}
 
 
@@ -58,9 +59,9 @@ def test_three_lines_reproduce_the_table(library: str, finished: tuple[Path, Fin
         assert math.isclose(row["suv"], expected[row["method"], "suv"], abs_tol=1e-12)
 
 
-def test_the_extra_that_the_readme_names_brings_what_its_lines_import() -> None:
-    text = README.read_text()
+def test_the_extra_that_the_guide_names_brings_what_its_lines_import() -> None:
+    text = PAGE.read_text()
     (extra,) = re.findall(r"pip install -c constraints\.txt -e '\.\[(\w+)\]'", text)
-    project = tomllib.loads((README.parent / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     brought = {re.split(r"\W", name)[0] for name in project["dependencies"] + project["optional-dependencies"][extra]}
     assert set(snippets()) <= brought
