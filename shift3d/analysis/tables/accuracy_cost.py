@@ -1,22 +1,23 @@
-"""What a sweep's accuracy cost, and what the next preset up or down would cost."""
+"""What a sweep's accuracy cost, and what other presets would cost."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from shift3d.analysis.tables.accuracy_time import settings_table
+from shift3d.analysis.tables.table import Table
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["LADDER", "MEASURED", "accuracy_cost", "measured_presets"]
+__all__ = ["MEASURED", "accuracy_cost", "measured_presets", "preset_table"]
 
-LADDER = ("draft", "standard", "reference")
-"""Presets by rising accuracy and cost. `paper` costs more than its accuracy is worth and stands beside them."""
 MEASURED = Path(__file__).resolve().parent.parent / "measured" / "presets.json"
 """The presets' rows of a measured frontier: `docs/scripts/shipped.py` writes them from its folder."""
 _ERRORS = ("missed_hits", "false_hits", "wrong_surface")
+_HEADERS = ("time", "x paper", "missed", "wrong", "false", "p99", "max", "cosine", "step", "AUC")
 
 
 def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
@@ -39,16 +40,19 @@ def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
     return rows.drop_duplicates("preset").set_index("preset"), whose
 
 
-def accuracy_cost(scores: pd.DataFrame, timings: pd.DataFrame, presets: pd.DataFrame, whose: str) -> str:
-    """A paragraph an accuracy preset. scores, timings: of ``final/``. presets, whose: see `measured_presets`."""
-    lines = ["What accuracy cost"]
-    for name, rows in scores.groupby("accuracy", sort=True):
-        spent = timings[timings["task_id"].isin(rows["task_id"])]
-        lines.append(f"{name}: {_audited(rows)} {_spent(spent)}")
-        lines += [f"  {line}" for line in _neighbours(str(name), presets)]
-    if len(presets):
-        lines.append(f"  (ratios and errors by {whose})")
-    return "\n".join(lines)
+def preset_table(folder: Path | None = None) -> Table:
+    """What each preset costs and gets wrong, see `measured_presets`."""
+    presets, whose = measured_presets(folder)
+    return settings_table(presets.reset_index(), f"What other presets would cost, by {whose}", "preset", _HEADERS)
+
+
+def accuracy_cost(scores: pd.DataFrame, timings: pd.DataFrame) -> list[str]:
+    """A line an accuracy preset: what the audits found, and where the time went. scores, timings: of ``final/``."""
+    by_preset = scores.groupby("accuracy", sort=True)
+    return [
+        f"{name}: {_audited(rows)} {_spent(timings[timings['task_id'].isin(rows['task_id'])])}"
+        for name, rows in by_preset
+    ]
 
 
 def _audited(rows: pd.DataFrame) -> str:
@@ -76,30 +80,3 @@ def _spent(timings: pd.DataFrame) -> str:
         f"{name} {stages[name] / total:.0%}" for name in ("render", "detector", "backward", "audit") if name in stages
     ]
     return f"A task took {total / tasks / 1e3:.1f} s: {', '.join(shares)}."
-
-
-def _neighbours(name: str, presets: pd.DataFrame) -> list[str]:
-    """What the presets next to this one would cost."""
-    if name not in presets.index:
-        return []
-    if name in LADDER:
-        place = LADDER.index(name)
-        next_to = [*LADDER[max(0, place - 1) : place], *LADDER[place + 1 : place + 2]]
-    else:
-        next_to = ["standard"]
-    here = presets.loc[name]
-    return [_compared(other, here, presets.loc[other]) for other in next_to if other in presets.index]
-
-
-def _compared(name: str, here: pd.Series, there: pd.Series) -> str:
-    import pandas as pd
-
-    ratio = float(there["ms_median"]) / float(here["ms_median"])
-    steps = [pd.to_numeric(row["step_ms_median"]) for row in (there, here)]
-    loop = f" ({steps[0] / steps[1]:.2g} x an attack step's)" if all(pd.notna(step) for step in steps) else ""
-    lost_here, lost_there = (sum(float(row[error]) for error in _ERRORS) for row in (here, there))
-    return (
-        f"{name} would take {ratio:.2g} x the rendering time{loop}: depth error p99 "
-        f"{1e3 * float(there['depth_p99_m']):.2g} mm for {1e3 * float(here['depth_p99_m']):.2g} mm, hits lost or wrong "
-        f"{lost_there:.2%} for {lost_here:.2%}"
-    )

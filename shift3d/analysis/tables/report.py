@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.accuracy_cost import accuracy_cost, measured_presets
+from shift3d.analysis.tables.accuracy_cost import accuracy_cost, preset_table
 from shift3d.analysis.tables.auc import auc_table
 from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.coverage import coverage_lines, stage_times
@@ -25,7 +25,8 @@ def sweep_report(sweep: Sweep) -> str:
             *(["\n".join(reasons(sweep.choices))] if len(sweep.choices) else []),
             "\n".join(coverage_lines(sweep.scores, sweep.attempts, len(sweep.plan.tasks))),
             str(stage_times(sweep.timings, sweep.scores)) if len(sweep.timings) else "no timings",
-            accuracy_cost(sweep.scores, sweep.timings, *measured_presets()),
+            "\n".join(["What accuracy cost", *accuracy_cost(sweep.scores, sweep.timings)]),
+            str(preset_table()),
             diagnostics(sweep.scores),
         ]
     )
