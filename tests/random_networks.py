@@ -2,11 +2,11 @@
 
 import torch
 
-from shift3d.detectors.backbone import BackboneSpec
-from shift3d.detectors.network import AnchorNet
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SstNet, SstSpec
-from shift3d.detectors.window_transformer import TransformerSpec
+from shift3d.detectors.models.backbone import BackboneSpec
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.sst import SstNet, SstSpec
+from shift3d.detectors.models.window_transformer import TransformerSpec
 from shift3d.sdf.decoder import Architecture, Decoder
 
 SLIM = {
@@ -15,7 +15,7 @@ SLIM = {
 }
 
 
-def random_net(name: str, seed: int = 0) -> AnchorNet:
+def random_net(name: str, seed: int = 0) -> DetectorNet:
     """Random weights with lively batch-norm statistics and logits of order one."""
     torch.manual_seed(seed)
     spec = SLIM[name]

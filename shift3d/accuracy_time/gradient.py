@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from shift3d.attack.problem import AttackProblem, measure
-from shift3d.detectors.incremental import Follower
+from shift3d.detectors.incremental.inference import IncrementalInference
 from shift3d.render.rendering import Rendering
 from shift3d.render.solvers.search import WarmStart
 
@@ -42,7 +42,7 @@ def attack_step(
     warm: WarmStart | None = None,
     of_code: bool = True,
     of_pose: bool = True,
-    follower: Follower | None = None,
+    incremental: IncrementalInference | None = None,
 ) -> AttackStep:
     """What an attack does between two values of its variable, but for the subtraction.
 
@@ -50,14 +50,14 @@ def attack_step(
         problem: with the detector at the precision of the search.
         code, theta: (d,), (6,). radius_m: of the detector's window; None: the whole scene.
         of_code, of_pose: what the gradient is taken of; an attack on the shape takes the first alone.
-        follower: that has seen the rendering before this one, as in an attack.
+        incremental: that has seen the rendering before this one, as in an attack.
 
     The way back is walked in two parts, points first, so that the detector's can be timed; the gradient is the same.
     """
     code = code.detach().clone().requires_grad_(of_code)
     theta = theta.detach().clone().requires_grad_(of_pose)
     start = time.perf_counter()
-    measured = measure(problem, code, theta, warm, radius_m, follower)
+    measured = measure(problem, code, theta, warm, radius_m, incremental)
     forward = time.perf_counter()
     points, loss = measured.rendering.points, measured.adversarial
     dz, dtheta = torch.zeros_like(code), torch.zeros_like(theta)

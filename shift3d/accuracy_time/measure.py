@@ -18,7 +18,7 @@ from shift3d.accuracy_time.timing import milliseconds
 from shift3d.accuracy_time.truth import Truth, score_of
 from shift3d.attack.objective import SCORE_RADIUS_M, to_network_frame, window_around
 from shift3d.attack.problem import AttackProblem
-from shift3d.detectors.incremental import Follower
+from shift3d.detectors.incremental.inference import IncrementalInference
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.culling import SPHERE_RADIUS_M, beams_near
 from shift3d.render.render import render
@@ -36,12 +36,12 @@ Outcome = dict[str, Any]
 class _Prepared:
     """A setting ready to render one shape of the case: all that it may find at hand.
 
-    before: where it is warm, the rendering that it starts from, and (6,) its pose. follower: of its detector.
+    before: where it is warm, the rendering that it starts from, and (6,) its pose. incremental: of its detector.
     """
 
     problem: AttackProblem
     before: tuple[Rendering, Tensor] | None = None
-    follower: Follower | None = None
+    incremental: IncrementalInference | None = None
 
     @property
     def warm(self) -> WarmStart | None:
@@ -104,8 +104,8 @@ class CaseInstrument:
         if key not in self._prepared:
             problem = problem_of(self.case, self.assets, setting.accuracy, self.truth.codes[shape], setting.grid)
             before = None if setting.warm == "no" else self._approach(setting, problem)
-            follower = problem.follower() if before is not None and setting.follow else None
-            self._prepared[key] = _Prepared(problem, before, follower)
+            incremental = problem.incremental_inference() if before is not None and setting.follow else None
+            self._prepared[key] = _Prepared(problem, before, incremental)
         return self._prepared[key]
 
     def _approach(self, setting: Setting, problem: AttackProblem) -> tuple[Rendering, Tensor]:
@@ -130,12 +130,14 @@ class CaseInstrument:
         return _rendered(problem, setting, problem.code0, problem.theta0, prepared.warm)
 
     def _step(self, setting: Setting, prepared: _Prepared) -> AttackStep:
-        problem, follower = prepared.problem, prepared.follower
-        if prepared.before is not None and follower is not None:
+        problem, incremental = prepared.problem, prepared.incremental
+        if prepared.before is not None and incremental is not None:
             with torch.no_grad():
                 rendering, theta = prepared.before
                 points = to_network_frame(rendering.points.detach(), problem.ground_z_m)
-                follower.proposals(points, window_around(problem.detector, theta, setting.crop_m), rendering.hit_mask)
+                incremental.proposals(
+                    points, window_around(problem.detector, theta, setting.crop_m), rendering.hit_mask
+                )
         return attack_step(
             problem,
             problem.code0,
@@ -144,7 +146,7 @@ class CaseInstrument:
             prepared.warm,
             of_code=setting.variable != "pose",
             of_pose=setting.variable != "shape",
-            follower=follower,
+            incremental=incremental,
         )
 
     def _times(self, step: AttackStep) -> Outcome:

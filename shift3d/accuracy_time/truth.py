@@ -96,9 +96,9 @@ def _hits(problem: AttackProblem, code: Tensor, rendering: Rendering) -> TrueHit
 
 def descended_code(problem: AttackProblem, lambda_: float, alpha: float, steps: int) -> Tensor:
     """(d,) float64: the code after so many steps of the attack on the shape, valid or not, the pose unchanged."""
-    code, warm, follower = problem.code0.detach().clone(), None, problem.follower()
+    code, warm, incremental = problem.code0.detach().clone(), None, problem.incremental_inference()
     for _ in range(steps):
-        step = attack_step(problem, code, problem.theta0, ATTACK_RADIUS_M, warm, of_pose=False, follower=follower)
+        step = attack_step(problem, code, problem.theta0, ATTACK_RADIUS_M, warm, of_pose=False, incremental=incremental)
         warm = step.rendering.warm
         code = code - alpha * (step.dz + 2.0 * lambda_ * (code - problem.code0))
     return code.double()

@@ -52,10 +52,10 @@ def descend(
     variable = search.start.detach().clone().requires_grad_()
     trace: list[StepRecord] = []
     tried: list[tuple[Tensor, Tensor]] = []
-    diverged, warm, follower = False, None, problem.follower()
+    diverged, warm, incremental = False, None, problem.incremental_inference()
     for step in range(steps + 1):
         code, theta = search.parameters(variable)
-        measurement = measure(problem, code, theta, warm, follower=follower)
+        measurement = measure(problem, code, theta, warm, incremental=incremental)
         warm = measurement.rendering.warm
         loss = measurement.adversarial + search.penalty(variable)
         gradient, milliseconds = _gradient(loss, variable) if step < steps else (None, 0.0)

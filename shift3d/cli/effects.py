@@ -71,16 +71,16 @@ def _measured(path: Path) -> dict[str, float]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.effects.applicability import MEASURED_IMPACT
-    from shift3d.report.effects import (
+    from shift3d.analysis.figures.effects import effects_figure
+    from shift3d.analysis.html.pages import write_effects_page
+    from shift3d.analysis.tables.effects import (
         LEAST_SCENES,
-        effect_lines,
         effect_milliseconds,
+        effect_table,
         effect_worths,
-        effects_figure,
-        write_effects_page,
         write_worth,
     )
+    from shift3d.effects.applicability import MEASURED_IMPACT
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.folder import read_plan
 
@@ -89,7 +89,7 @@ def _run(arguments: argparse.Namespace) -> int:
     scores, timings = _tables(folder)
     milliseconds = _measured(arguments.times) if arguments.times else effect_milliseconds(scores, timings)
     worths = effect_worths(scores, milliseconds)
-    print(f"{effect_lines(worths)}\n")
+    print(f"{effect_table(worths)}\n")
     print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, worths)} written")
     if arguments.picture:
         effects_figure(worths).savefig(arguments.picture, dpi=110, metadata={"Software": None})

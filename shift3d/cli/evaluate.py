@@ -10,7 +10,7 @@ from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
-    from shift3d.report.evaluation import KittiChoice, StreetChoice
+    from shift3d.analysis.detector_evaluation import KittiChoice, StreetChoice
 
 __all__ = ["COMMAND", "evaluate_words"]
 
@@ -70,7 +70,7 @@ def _run(arguments: argparse.Namespace) -> int:
     count = _whole_number(values, "count")
     workers = _whole_number(values, "workers") or 1
     score_threshold = _probability(values)
-    from shift3d.report.evaluation import evaluate_detector
+    from shift3d.analysis.detector_evaluation import evaluate_detector
 
     scenes = _scenes(values, count)
     name, tail = values["detector"], f"-{count}" if count else ""
@@ -80,7 +80,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _scenes(values: dict[str, str], count: int | None) -> StreetChoice | KittiChoice:
-    from shift3d.report.evaluation import KittiChoice, StreetChoice
+    from shift3d.analysis.detector_evaluation import KittiChoice, StreetChoice
 
     kind = values.get("scenes", "street")
     foreign = {"street": ("root",), "kitti": ("sensor", "split")}
@@ -106,7 +106,7 @@ def _whole_number(values: dict[str, str], key: str) -> int | None:
 
 
 def _probability(values: dict[str, str]) -> float:
-    from shift3d.training.detector_evaluation import SCORE_FLOOR
+    from shift3d.training.detector.detect_scenes import SCORE_FLOOR
 
     text = values.get("score_threshold")
     try:

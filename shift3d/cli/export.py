@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.completion import folder_words, key_words
 from shift3d.errors import InputError
+from shift3d.methods import METHODS
 
 if TYPE_CHECKING:
     from shift3d.store.location import Location
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND"]
 
 _KEYS = ("task", "method", "replicate", "to", "overwrite")
-_VALUES = {"method": ("baseline", "random", "adversarial", "adversarial_noise"), "overwrite": ("true",)}
+_VALUES = {"method": tuple(METHODS), "overwrite": ("true",)}
 
 _DESCRIPTION = """\
 Writes the edited scene of a solution as KITTI scene.bin (same point order as the scene) and scene.ply, which beams

@@ -69,7 +69,7 @@ def _run(arguments: argparse.Namespace) -> int:
     configure_runtime()
     import torch
 
-    from shift3d.tracking.store_uri import check_tracking
+    from shift3d.analysis.mlflow.store_uri import check_tracking
 
     torch.set_num_threads(1)
     words = [re.sub(r"^kitti=", "frontier.kitti=", word) for word in arguments.words]
@@ -219,8 +219,8 @@ def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: boo
     from shift3d.accuracy_time.drive import expected_minutes, measure_frontier
     from shift3d.accuracy_time.rows import frontier_rows
     from shift3d.accuracy_time.timing import machine
+    from shift3d.analysis.html.pages import write_frontier_report
     from shift3d.cli.progress import SecondsBar
-    from shift3d.report.frontier import write_report
     from shift3d.store.frontier_table import frontier_table
     from shift3d.store.tables import write_table
 
@@ -235,7 +235,7 @@ def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: boo
         print(f"warning: the reference could not decide {undecided} beams: what they hit is not known", file=sys.stderr)
     rows = frontier_rows(plan.settings, measured)
     write_table(folder / "frontier.parquet", frontier_table(rows, machine()))
-    print(f"\n{write_report(folder)}\n\n{folder / 'report.html'}, frontier.parquet, frontier.png, advice.txt")
+    print(f"\n{write_frontier_report(folder)}\n\n{folder / 'report.html'}, frontier.parquet, frontier.png, advice.txt")
 
 
 def _mirror(config: FrontierSweep, folder: Path) -> None:
@@ -243,7 +243,7 @@ def _mirror(config: FrontierSweep, folder: Path) -> None:
 
     if not isinstance(config.tracking, MlflowConfig):
         return
-    from shift3d.tracking.frontier import mirror_frontier
+    from shift3d.analysis.mlflow.accuracy_time import mirror_frontier
 
     uri = config.tracking.uri
     if problem := mirror_frontier(folder, uri, config.tracking.experiment):

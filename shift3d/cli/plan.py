@@ -56,13 +56,13 @@ def show(given: Sequence[str], kind: TaskKind, tasks: bool = False) -> int:
     Raises:
         InputError: the sweep itself would be refused.
     """
-    from shift3d.report.expected import expected_lines
+    from shift3d.analysis.forecast.expected import expected_lines
+    from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
     from shift3d.settings.schema import LocalRunnerConfig
     from shift3d.sweep.planning.folder import check_folder, default_folder
     from shift3d.sweep.planning.plan import make_plan
     from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
-    from shift3d.tracking.store_uri import check_tracking
 
     timings, rest = words.take_folders("timings", given)
     asked = words.read_words(rest)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
@@ -17,8 +16,7 @@ from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
-    import pandas as pd
-
+    from shift3d.analysis.results import Sweep
     from shift3d.settings.schema import Config
     from shift3d.store.location import Location
     from shift3d.sweep.drive import SweepResult
@@ -90,12 +88,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     """Run the command with a kind of task."""
+    from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
     from shift3d.sweep.drive import run_sweep
     from shift3d.sweep.planning.folder import default_folder
     from shift3d.sweep.planning.plan import make_plan
     from shift3d.sweep.planning.plan_view import plan_summary
-    from shift3d.tracking.store_uri import check_tracking
 
     if arguments.words[:1] == ["status"]:
         return _status(arguments.words[1:])
@@ -159,50 +157,53 @@ def _status(words: list[str]) -> int:
 
 def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
-    from shift3d.report.caveats import trial_caveat
-    from shift3d.report.placement import nothing_placed
-    from shift3d.report.tables import coverage, sweep_report
+    from shift3d.analysis.results import sweep_of
+    from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
+    from shift3d.analysis.tables.coverage import coverage_lines
+    from shift3d.analysis.tables.report import sweep_report
+    from shift3d.analysis.tables.stability import stability_lines
     from shift3d.sweep.planning.plan_view import skipped_lines
 
     final = result.final
     assert final is not None
-    frames = {name: final.frame(name) for name in final.tables}
-    unplaced = nothing_placed(frames["scores"], plan.settings)
+    sweep = sweep_of(plan, {name: final.frame(name) for name in final.tables}, environment={})
+    unplaced = nothing_placed(sweep.scores, plan.settings)
     if unplaced:
-        print(f"\n{unplaced}\n\n{coverage(frames['scores'], frames['attempts'], result.planned)}\n", flush=True)
+        covered = "\n".join(coverage_lines(sweep.scores, sweep.attempts, result.planned))
+        print(f"\n{unplaced}\n\n{covered}\n", flush=True)
     else:
         if caveat := trial_caveat(plan.tasks):
             print(f"\n{caveat}")
-        print(f"\n{sweep_report(frames, result.planned)}\n", flush=True)
-        _show_effects(plan, result.folder, frames)
+        print(f"\n{sweep_report(sweep)}\n", flush=True)
+        _show_effects(sweep, result.folder)
     for line in skipped_lines(plan):
         print(line)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
     if unplaced:
         pass  # there is nothing to verify
-    elif "verification" in frames:
-        from shift3d.report.stability import stability_lines
-
-        print(f"\n{stability_lines(frames['verification'])}\n")
+    elif sweep.verification is not None:
+        print(f"\n{stability_lines(sweep.verification)}\n")
     else:
         print(f"are its hard cases hard, or rounding? shift3d verify {result.folder}")
     _mirror(plan, config, result)
     return unplaced is None
 
 
-def _show_effects(plan: Plan, folder: Location, frames: Mapping[str, pd.DataFrame]) -> None:
-    """What effects are worth, where the sweep ran the same tasks with them and without."""
-    variants = {asked for group in plan.tasks.groups() for asked in group.effects_requested}
+def _show_effects(sweep: Sweep, folder: Location) -> None:
+    """The impact of effects, where the sweep ran the same tasks with them and without."""
+    variants = {asked for group in sweep.plan.tasks.groups() for asked in group.effects_requested}
     if "none" not in variants or len(variants) == 1:
         return
-    from shift3d.report.effects import effect_lines, effect_milliseconds, effect_worths, write_effects_page
+    from shift3d.analysis.html.pages import write_effects_page
+    from shift3d.analysis.tables.effects import effect_milliseconds, effect_table, effect_worths
 
     try:
-        worths = effect_worths(frames["scores"], effect_milliseconds(frames["scores"], frames["timings"]))
+        worths = effect_worths(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
     except InputError as error:
         print(f"nothing to compare: {error}\n")
         return
-    print(f"{effect_lines(worths)}\n\n{write_effects_page(folder / 'final' / 'effects.html', plan.sweep, worths)}")
+    page = write_effects_page(folder / "final" / "effects.html", sweep.plan.sweep, worths)
+    print(f"{effect_table(worths)}\n\n{page}")
 
 
 def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
@@ -210,7 +211,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
 
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return
-    from shift3d.tracking.mlflow import SweepRecord, mirror
+    from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
 
     counts = {
         "tasks_done": result.done,

@@ -15,7 +15,7 @@ from shift3d.errors import InputError
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
-    from shift3d.tracking.training import TrainingCurves
+    from shift3d.analysis.mlflow.training import TrainingCurves
     from shift3d.training.command import TrainOptions
 
 __all__ = ["COMMAND"]
@@ -121,12 +121,12 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
     uri = values.get("mlflow", _STORE)
     if uri == "none":
         return None
-    from shift3d.tracking.store_uri import check_store
+    from shift3d.analysis.mlflow.store_uri import check_store
 
     check_store(uri, "mlflow")
     from dataclasses import asdict
 
-    from shift3d.tracking.training import TrainingCurves
+    from shift3d.analysis.mlflow.training import TrainingCurves
     from shift3d.training.command import MODELS, detector_recipe
 
     words = {key: value for key, value in values.items() if key not in ("mlflow", "threads", "out")}
@@ -134,7 +134,7 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
     if model in MODELS and model != "sdf":
         params["recipe"] = asdict(detector_recipe(model, options))
     elif "vehicles" not in values and model == "sdf":
-        from shift3d.training.sdf import SdfRecipe
+        from shift3d.training.sdf.train import SdfRecipe
 
         params["recipe"] = asdict(SdfRecipe())
     # One run a folder and command: the same command again goes on with it.
@@ -171,7 +171,7 @@ def _train_on_meshes(values: dict[str, str]) -> int:
         if key in values:
             raise InputError(f"{key}= is for detectors", where="train", remedy=f"Leave out {key}=")
     frame = mesh_frame(values, "train")
-    from shift3d.training.sdf_on_meshes import STEPS, train_on_meshes
+    from shift3d.training.sdf.on_meshes import STEPS, train_on_meshes
 
     options = _options({**values, "out": values.get("out", "outputs/train-vehicles")})
     curves = _curves(values, "sdf", options)

@@ -19,8 +19,8 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.tracking.server import HOST, open_port, serve
-    from shift3d.tracking.store_uri import check_store
+    from shift3d.analysis.mlflow.server import HOST, open_port, serve
+    from shift3d.analysis.mlflow.store_uri import check_store
 
     check_store(arguments.uri, "--uri")
     if arguments.uri.startswith("sqlite:///") and not Path(arguments.uri.removeprefix("sqlite:///")).exists():

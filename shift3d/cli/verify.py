@@ -42,9 +42,10 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.html.pages import write_stability_page
+    from shift3d.analysis.tables.numerics import diagnostics
+    from shift3d.analysis.tables.stability import stability_lines
     from shift3d.processor import configure_runtime
-    from shift3d.report.numerics import diagnostics
-    from shift3d.report.stability import stability_lines, write_stability_page
     from shift3d.store.resolve import as_location
     from shift3d.sweep.verification import verification_plan, verify_sweep
 

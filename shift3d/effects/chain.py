@@ -12,7 +12,7 @@ from torch import Tensor
 
 from shift3d.effects.applicability import NEEDS, effect_named
 from shift3d.effects.base import Cast, CastStep, EffectContext, FootprintStep, Insertion, Returns, ReturnsStep
-from shift3d.effects.materials import albedo_of
+from shift3d.effects.physics.materials import albedo_of
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import Field, VehicleFrame
 from shift3d.render.field.sdf_grid import SdfGrid

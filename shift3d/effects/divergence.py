@@ -11,8 +11,8 @@ from torch import Tensor
 from shift3d.effects.base import EffectContext, FootprintStep, Insertion, Kind, Returns
 from shift3d.effects.chain import SCENE_ALBEDO
 from shift3d.effects.detector_facts import DetectorFacts
-from shift3d.effects.materials import albedo_of
-from shift3d.effects.silhouettes import at_silhouettes, sub_rays
+from shift3d.effects.physics.materials import albedo_of
+from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.render.implicit import cosine_of_incidence

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.detector_facts import DetectorFacts
-from shift3d.effects.power import PowerLimit, echo_power, unchanged
+from shift3d.effects.physics.power import PowerLimit, echo_power, unchanged
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 

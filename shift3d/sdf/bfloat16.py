@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from shift3d.processor import has_fast_bfloat16, pad_to_bucket
-from shift3d.sdf.decoder import Field as DecoderField
+from shift3d.sdf.field import Field as DecoderField
 
 
 class Bfloat16Field:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from shift3d.detectors.base import Detector
-from shift3d.detectors.weights import load_detector
+from shift3d.detectors.loading import load_detector
 from shift3d.errors import InputError
 from shift3d.render.beams import Beams
 from shift3d.render.field.sdf_grid import SdfGrid

@@ -14,7 +14,7 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
     from shift3d.training.compute import Compute
-    from shift3d.training.detector_recipe import Recipe
+    from shift3d.training.detector.recipe import Recipe
     from shift3d.training.progress import Report
 
 __all__ = ["MODELS", "TrainOptions", "detector_recipe", "evaluate", "train"]
@@ -82,7 +82,7 @@ def train(model: str, options: TrainOptions, report: Report | None = None) -> Pa
 
 def detector_recipe(name: str, options: TrainOptions) -> Recipe:
     """The recipe with the given numbers of steps and scenes, and a fifth of the learning rate for adapting weights."""
-    from shift3d.training.detector_recipe import RECIPES, scaled_to_steps
+    from shift3d.training.detector.recipe import RECIPES, scaled_to_steps
 
     recipe = RECIPES[name]
     if options.steps is not None:
@@ -101,7 +101,7 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
 def evaluate(model: str) -> int:
     """Print how good the shipped shape model is: Chamfer distance to vehicles it was trained on and to unseen ones.
 
-    Detectors have :func:`shift3d.report.evaluation.evaluate_detector`.
+    Detectors have :func:`shift3d.analysis.detector_evaluation.evaluate_detector`.
 
     Raises:
         InputError: another model, or missing weights.
@@ -114,8 +114,8 @@ def evaluate(model: str) -> int:
 
 
 def _train_sdf(options: TrainOptions, report: Report | None) -> Path:
-    from shift3d.training.sdf import train_sdf
-    from shift3d.training.sdf_export import export_sdf
+    from shift3d.training.sdf.export import export_sdf
+    from shift3d.training.sdf.train import train_sdf
 
     compute = options.compute()
     checkpoint = train_sdf(options.out, threads=compute.threads, compute=compute, report=report)
@@ -124,7 +124,7 @@ def _train_sdf(options: TrainOptions, report: Report | None) -> Path:
 
 
 def _train_detector(name: str, options: TrainOptions, report: Report | None) -> Path:
-    from shift3d.training.detector import train_detector
+    from shift3d.training.detector.train import train_detector
 
     weights = (WEIGHTS_FOLDER if options.shipped else options.out) / f"{name}.safetensors"
     start_from = None

@@ -22,10 +22,11 @@ from hard_echoes import (
     without_tables,
 )
 
-from shift3d.effects import fog, power, rain, snow
+from shift3d.effects import fog, rain, snow
 from shift3d.effects.applicability import effect_named
 from shift3d.effects.chain import NO_RETURN_M
-from shift3d.effects.power import PowerLimit
+from shift3d.effects.physics import power
+from shift3d.effects.physics.power import PowerLimit
 from shift3d.effects.wet_ground import reflected
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions

@@ -10,18 +10,18 @@ from catalogue import hard_case
 from torch import Tensor
 
 from shift3d.detectors.grid import WAYMO_GRID
-from shift3d.detectors.incremental import Follower
+from shift3d.detectors.incremental.inference import IncrementalInference
 
 AREA = "detector"
 
 
 def followed(*clouds: Tensor, name: str = "pointpillars", live: Tensor | None = None) -> None:
     """Whoever follows the scene through these editions sees what a fresh look at the last one shows."""
-    follower = detector(name=name).following(window(name))
+    follower = detector(name=name).incremental(window(name))
     for cloud in clouds[:-1]:
         follower.proposals(cloud)
     leaf = clouds[-1].clone().requires_grad_()
-    found = follower.proposals(leaf, live=live)
+    found = follower.proposals(leaf, requires_grad=live)
     logits, gradient = seen(clouds[-1], name)
     assert torch.allclose(found.logits, logits, rtol=0, atol=1e-12)
     if found.logits.requires_grad:
@@ -101,7 +101,7 @@ def a_followed_cloud_changes_its_length() -> None:
 def a_followed_point_moves_where_nobody_looks() -> None:
     wide = detector().window_for(CENTRE, 9.0)
     here, there = (detector().window_for((CENTRE[0] + d, CENTRE[1]), 2.0) for d in (-7.0, 7.0))
-    follower: Follower = detector().following(wide)
+    follower: IncrementalInference = detector().incremental(wide)
     points = cluster(600, size_m=1.0) + torch.tensor([11.0, 0.0, 0.0], dtype=torch.float64)
     moved = shifted(points, slice(0, 600), 0.3, 0.4, 0.1)
     follower.proposals(points, there)
@@ -135,7 +135,7 @@ def a_followed_token_comes_and_goes() -> None:
 def a_followed_token_is_live_among_others() -> None:
     points = cluster(600, size_m=12.0)
     live = torch.arange(len(points)) < 40
-    followed(points, shifted(points, slice(0, 40), 0.2, 0.1, 0.0), name="sst", live=live)
+    followed(points, shifted(points, slice(0, 40), 0.2, 0.1, 0.0), name="sst", requires_grad=live)
 
 
 @hard_case(
@@ -147,7 +147,7 @@ def a_followed_token_is_live_among_others() -> None:
 def a_followed_token_changes_where_nobody_looks() -> None:
     sst = detector(name="sst")
     here, there = (sst.window_for((CENTRE[0] + d, CENTRE[1]), 2.0) for d in (-7.0, 7.0))
-    follower: Follower = sst.following(sst.window_for(CENTRE, 12.0))
+    follower: IncrementalInference = sst.incremental(sst.window_for(CENTRE, 12.0))
     points = torch.cat((cluster(600, size_m=1.0) + torch.tensor([1.0, 0.0, 0.0]), cluster(900, size_m=24.0)))
     moved = shifted(points, slice(0, 600), 0.3, 0.4, 0.1)
     follower.proposals(points, there)

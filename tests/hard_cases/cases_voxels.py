@@ -11,10 +11,10 @@ from catalogue import hard_case
 from random_networks import random_net
 from torch import Tensor
 
-from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID, Pillars, assign_pillars, full_window
-from shift3d.detectors.pillar_net import PillarNet, decorate
+from shift3d.detectors.models.pillar_net import PillarNet, decorate
+from shift3d.detectors.trained_detector import TrainedDetector
 
 AREA = "voxelisation"
 CENTRE = (10.0, -7.3)
@@ -22,9 +22,9 @@ NAN, INF = float("nan"), float("inf")
 
 
 @cache
-def detector(precision: str = "float64", name: str = "pointpillars") -> AnchorDetector:
+def detector(precision: str = "float64", name: str = "pointpillars") -> TrainedDetector:
     """A slim network with random weights."""
-    return AnchorDetector(random_net(name), precision)  # type: ignore[arg-type]
+    return TrainedDetector(random_net(name), precision)  # type: ignore[arg-type]
 
 
 def window(name: str = "pointpillars") -> BevWindow:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from shift3d.render import Beams, Rendering, RenderSettings, SdfGrid, preset, render
 from shift3d.render.solvers.search import WarmStart
-from shift3d.sdf.decoder import Field as Network
+from shift3d.sdf.field import Field as Network
 from shift3d.sdf.pieces import Piece
 
 FAST = preset("standard").with_(dtype=torch.float64)

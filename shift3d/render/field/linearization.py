@@ -16,7 +16,7 @@ from torch import Tensor
 
 from shift3d.render.culling import Rays
 from shift3d.render.field.object_field import ObjectField
-from shift3d.sdf.decoder import Field as DecoderField
+from shift3d.sdf.field import Field as DecoderField
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from shift3d.sdf.bfloat16 import Bfloat16Field, bfloat16_twin
-from shift3d.sdf.decoder import Field as DecoderField
+from shift3d.sdf.field import Field as DecoderField
 from shift3d.sdf.pieces import Piece
 
 _WORTH_IT = 96

@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 
 from shift3d.errors import InputError
 from shift3d.evaluation.recall_curve import area_under, recall_curve
+from shift3d.methods import METHODS_OF_MODE
 from shift3d.store.log import Commit
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import GROUP_COLUMNS, SEGMENTS
@@ -29,15 +30,11 @@ from shift3d.sweep.results.verified_scores import read_verification, with_verifi
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["METHODS", "FinalTables", "committed_rows", "segments_in_plan_order", "write_final"]
+__all__ = ["FinalTables", "committed_rows", "segments_in_plan_order", "write_final"]
 
 # A verification lies in a folder of its own.
 _KEPT = tuple(name for name in SEGMENTS if name != "verification")
 
-METHODS = {
-    "shape": ("baseline", "random", "adversarial_noise", "adversarial"),
-    "pose": ("baseline", "random", "adversarial"),
-}
 _PLAN_GROUP = GROUP_COLUMNS[:10]  # what a task alone determines, and the detector that scores it
 
 
@@ -167,7 +164,7 @@ def _gaps(rows: list[dict[str, Any]], planned: dict[tuple[Any, ...], int]) -> li
     gaps = []
     for key, count in planned.items():
         group = dict(zip(_PLAN_GROUP, key))
-        for method in METHODS[group["mode"]]:
+        for method in METHODS_OF_MODE[group["mode"]]:
             if (*key, method) not in seen:
                 empty = {"auc": None, "scores": 0, "tasks_scored": 0, "tasks_planned": count}
                 losses = {"mean_adversarial_loss": None, "mean_latent_distance": None, "selected": False}

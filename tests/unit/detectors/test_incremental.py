@@ -9,14 +9,14 @@ import torch
 from random_networks import random_net, random_scene
 from torch.utils.flop_counter import FlopCounterMode
 
-from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.base import BevWindow, Proposals
-from shift3d.detectors.incremental import Follower, WindowFollower, follow
-from shift3d.detectors.pillar_follower import PillarFollower
-from shift3d.detectors.sst import SstNet
-from shift3d.detectors.token_follower import TokenFollower
-from shift3d.detectors.token_windows import Tokens
-from shift3d.detectors.weights import load_detector
+from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow, incremental_inference
+from shift3d.detectors.incremental.pillars import IncrementalPillars
+from shift3d.detectors.incremental.tokens import IncrementalTokens
+from shift3d.detectors.loading import load_detector
+from shift3d.detectors.models.sst import SstNet
+from shift3d.detectors.models.token_windows import Tokens
+from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.scenes.sets import StreetScenes
 
 CENTRE = (10.0, -7.3)
@@ -24,13 +24,13 @@ Edit = Callable[[torch.Tensor], torch.Tensor]
 
 
 @pytest.fixture(scope="module", params=["pointpillars", "sst"])
-def exact(request: pytest.FixtureRequest) -> AnchorDetector:
-    return AnchorDetector(random_net(request.param), "float64")
+def exact(request: pytest.FixtureRequest) -> TrainedDetector:
+    return TrainedDetector(random_net(request.param), "float64")
 
 
 @pytest.fixture(scope="module", params=["pointpillars", "sst"])
-def single(request: pytest.FixtureRequest) -> AnchorDetector:
-    return AnchorDetector(random_net(request.param))
+def single(request: pytest.FixtureRequest) -> TrainedDetector:
+    return TrainedDetector(random_net(request.param))
 
 
 def _scene() -> torch.Tensor:
@@ -63,8 +63,8 @@ def _seen(ask: Callable[[torch.Tensor], Proposals], points: torch.Tensor) -> tup
 
 
 def _assert_same(
-    detector: AnchorDetector,
-    follower: Follower,
+    detector: TrainedDetector,
+    follower: IncrementalInference,
     points: torch.Tensor,
     window: BevWindow,
     live: torch.Tensor | None = None,
@@ -103,47 +103,47 @@ EDITS: dict[str, Edit] = {
 
 
 @pytest.mark.parametrize("edit", EDITS)
-def test_an_edited_scene_gives_what_it_gives_afresh(exact: AnchorDetector, edit: str) -> None:
+def test_an_edited_scene_gives_what_it_gives_afresh(exact: TrainedDetector, edit: str) -> None:
     points, window = _scene().double(), exact.window_for(CENTRE, 5.0)
-    follower = exact.following(window)
-    assert isinstance(follower, PillarFollower | TokenFollower)
+    follower = exact.incremental(window)
+    assert isinstance(follower, IncrementalPillars | IncrementalTokens)
     edited = EDITS[edit](points)
     for cloud in (points, edited, points):
         _assert_same(exact, follower, cloud, window)
 
 
 @pytest.mark.parametrize("edit", ["nothing", "the car", "removed far away"])
-def test_in_single_precision(single: AnchorDetector, edit: str) -> None:
+def test_in_single_precision(single: TrainedDetector, edit: str) -> None:
     points, window = _scene(), single.window_for(CENTRE, 5.0)
-    follower = single.following(window)
+    follower = single.incremental(window)
     for cloud in (points, EDITS[edit](points)):
         _assert_same(single, follower, cloud, window, tolerance=1e-4)
 
 
 @pytest.mark.parametrize("name", ["pointpillars", "sst"])
 def test_in_bfloat16(name: str) -> None:
-    rough = AnchorDetector(random_net(name), "bfloat16")
+    rough = TrainedDetector(random_net(name), "bfloat16")
     points, window = _scene(), rough.window_for(CENTRE, 2.0)
-    follower = rough.following(window)
+    follower = rough.incremental(window)
     for cloud in (points, EDITS["the car"](points)):
         _assert_same(rough, follower, cloud, window, tolerance=0.05)  # eight bits, rounded in another order
 
 
 @pytest.mark.parametrize("centre", [(-73.0, 74.0), (70.0, 20.0), (0.0, -74.5)])
-def test_at_the_border_of_the_grid(exact: AnchorDetector, centre: tuple[float, float]) -> None:
+def test_at_the_border_of_the_grid(exact: TrainedDetector, centre: tuple[float, float]) -> None:
     """What lies beyond is zero to every layer; points move along the border, over it, and back."""
     points = random_scene().double()
     window = exact.window_for(centre, 5.0)
-    follower = exact.following(window)
+    follower = exact.incremental(window)
     near = _near(points, centre, 8.0)
     inwards = tuple(-0.9 if c > 0 else 0.9 for c in centre)
     for offset in ((0.0, 0.0), inwards, (-inwards[0], 0.2), (0.0, 0.0)):
         _assert_same(exact, follower, _moved(points, near, (*offset, 0.0)), window)
 
 
-def test_at_the_border_of_the_window(exact: AnchorDetector) -> None:
+def test_at_the_border_of_the_window(exact: TrainedDetector) -> None:
     points, window = _scene().double(), exact.window_for(CENTRE, 5.0)
-    follower = exact.following(window)
+    follower = exact.incremental(window)
     edge_x = exact.grid.x_min_m + window.x0 * exact.grid.cell_m
     along = (points[:, 0] - edge_x).abs() < 1.5
     assert int(along.sum()) > 50
@@ -151,9 +151,9 @@ def test_at_the_border_of_the_window(exact: AnchorDetector) -> None:
         _assert_same(exact, follower, _moved(points, along, (shift, 0.0, 0.0)), window)
 
 
-def test_the_core_moves_and_finds_what_changed_where_it_did_not_look(exact: AnchorDetector) -> None:
+def test_the_core_moves_and_finds_what_changed_where_it_did_not_look(exact: TrainedDetector) -> None:
     points = _scene().double()
-    follower = exact.following(exact.window_for(CENTRE, 9.0))
+    follower = exact.incremental(exact.window_for(CENTRE, 9.0))
     here, there = exact.window_for(CENTRE, 4.0), exact.window_for((CENTRE[0] - 4.5, CENTRE[1] + 4.5), 4.0)
     far_side = _near(points, (CENTRE[0] - 18.0, CENTRE[1] + 18.0), 5.0)
     assert int(far_side.sum()) > 30
@@ -164,10 +164,10 @@ def test_the_core_moves_and_finds_what_changed_where_it_did_not_look(exact: Anch
 
 
 @pytest.mark.parametrize("cells_away", range(30, 41, 2))
-def test_a_change_at_the_rim_of_what_is_seen_is_kept_in_mind(exact: AnchorDetector, cells_away: int) -> None:
+def test_a_change_at_the_rim_of_what_is_seen_is_kept_in_mind(exact: TrainedDetector, cells_away: int) -> None:
     """Seen by one core in a few layers alone, by the next one in all, with nothing new around it."""
     points, cell = _scene().double(), exact.grid.cell_m
-    follower = exact.following(exact.window_for(CENTRE, 8.0))
+    follower = exact.incremental(exact.window_for(CENTRE, 8.0))
     here, there = exact.window_for(CENTRE, 3.0), exact.window_for((CENTRE[0] - 4.5, CENTRE[1]), 3.0)
     column = exact.grid.x_min_m + (here.core_x0 - cells_away) * cell
     strip = (points[:, 0] >= column) & (points[:, 0] < column + cell) & ((points[:, 1] - CENTRE[1]).abs() < 6.0)
@@ -178,10 +178,10 @@ def test_a_change_at_the_rim_of_what_is_seen_is_kept_in_mind(exact: AnchorDetect
         _assert_same(exact, follower, points, window)
 
 
-def test_many_editions_in_a_row(exact: AnchorDetector) -> None:
+def test_many_editions_in_a_row(exact: TrainedDetector) -> None:
     generator = torch.Generator().manual_seed(2)
     points = _scene().double()
-    follower = exact.following(exact.window_for(CENTRE, 8.0))
+    follower = exact.incremental(exact.window_for(CENTRE, 8.0))
     for _ in range(8):
         x, y, radius = (float(v) for v in torch.rand(3, generator=generator, dtype=torch.float64))
         centre = (CENTRE[0] + 8.0 * x - 4.0, CENTRE[1] + 8.0 * y - 4.0)
@@ -189,17 +189,17 @@ def test_many_editions_in_a_row(exact: AnchorDetector) -> None:
         _assert_same(exact, follower, points, exact.window_for(centre, 4.0))
 
 
-def test_live_points_get_their_gradient_whether_they_moved_or_not(exact: AnchorDetector) -> None:
+def test_live_points_get_their_gradient_whether_they_moved_or_not(exact: TrainedDetector) -> None:
     points, window = _scene().double(), exact.window_for(CENTRE, 5.0)
-    follower = exact.following(window)
+    follower = exact.incremental(window)
     live = torch.arange(len(points)) >= 20000
     for edit in ("nothing", "nothing", "the car", "removed far away"):
         _assert_same(exact, follower, EDITS[edit](points), window, live)
 
 
-def test_a_backward_pass_may_wait_for_later_editions(exact: AnchorDetector) -> None:
+def test_a_backward_pass_may_wait_for_later_editions(exact: TrainedDetector) -> None:
     points, window = _scene().double(), exact.window_for(CENTRE, 5.0)
-    follower = exact.following(window)
+    follower = exact.incremental(window)
     leaf = points.clone().requires_grad_()
     early = _loss(follower.proposals(leaf, window))
     follower.proposals(EDITS["everything"](points), window)
@@ -208,35 +208,37 @@ def test_a_backward_pass_may_wait_for_later_editions(exact: AnchorDetector) -> N
     assert torch.allclose(gradient, expected, atol=1e-9, rtol=0)
 
 
-def test_the_same_calls_give_the_same_bits(single: AnchorDetector) -> None:
+def test_the_same_calls_give_the_same_bits(single: TrainedDetector) -> None:
     points, window = _scene(), single.window_for(CENTRE, 5.0)
     results = []
     for _ in range(2):
-        follower = single.following(window)
+        follower = single.incremental(window)
         follower.proposals(points, window)
         results.append(_seen(lambda cloud, f=follower: f.proposals(cloud, window), EDITS["the car"](points)))
     assert torch.equal(results[0][0].logits, results[1][0].logits) and torch.equal(results[0][1], results[1][1])
 
 
-def test_a_window_beyond_the_followed_one_is_computed_as_a_whole(exact: AnchorDetector) -> None:
+def test_a_window_beyond_the_followed_one_is_computed_as_a_whole(exact: TrainedDetector) -> None:
     points, beyond = _scene().double(), exact.window_for((40.0, 30.0), 5.0)
-    found = exact.following(exact.window_for(CENTRE, 5.0)).proposals(points, beyond)
+    found = exact.incremental(exact.window_for(CENTRE, 5.0)).proposals(points, beyond)
     assert torch.equal(found.logits, exact.proposals(points, beyond).logits)
 
 
-def test_no_window_is_the_followed_one_and_no_points_are_a_scene(exact: AnchorDetector) -> None:
+def test_no_window_is_the_followed_one_and_no_points_are_a_scene(exact: TrainedDetector) -> None:
     window = exact.window_for(CENTRE, 4.0)
-    follower = exact.following(window)
+    follower = exact.incremental(window)
     for points in (torch.zeros(0, 3, dtype=torch.float64), _scene().double(), torch.full((9, 3), 500.0)):
         found, plain = follower.proposals(points), exact.proposals(points, window)
         assert torch.allclose(found.logits, plain.logits, atol=1e-9, rtol=0)
 
 
 def test_a_window_that_cannot_be_followed_is_computed_each_time() -> None:
-    detector = AnchorDetector(random_net("pointpillars"))
+    detector = TrainedDetector(random_net("pointpillars"))
     window = detector.window_for(CENTRE, 3.0)
-    follower = follow(detector, dataclasses.replace(window, x0=window.x0 - 1))  # the coarsest map's cells are cut
-    assert isinstance(follower, WindowFollower)
+    follower = incremental_inference(
+        detector, dataclasses.replace(window, x0=window.x0 - 1)
+    )  # the coarsest map's cells are cut
+    assert isinstance(follower, WholeWindow)
     for points in (_scene(), EDITS["the car"](_scene())):
         assert torch.equal(follower.proposals(points, window).logits, detector.proposals(points, window).logits)
 
@@ -250,9 +252,9 @@ def _operations(call: Callable[[], object]) -> int:
 @pytest.mark.parametrize("name", ["pointpillars", "sst"])
 def test_nothing_is_computed_for_what_did_not_change_or_is_not_needed(name: str) -> None:
     """But for the few convolutions behind SST's transformer, which see the core and little more."""
-    single = AnchorDetector(random_net(name))
+    single = TrainedDetector(random_net(name))
     points, window = _scene(), single.window_for(CENTRE, 5.0)
-    follower = single.following(single.window_for(CENTRE, 9.0))
+    follower = single.incremental(single.window_for(CENTRE, 9.0))
     first = _operations(lambda: follower.proposals(points, window))
     assert first < _operations(lambda: single.proposals(points, window)) * 1.01
     idle = _operations(lambda: follower.proposals(points, window))
@@ -270,7 +272,7 @@ def _behind_the_transformer(net: SstNet, window: BevWindow) -> None:
     nothing = np.zeros(0, dtype=np.int64)
     features = net.core_features(torch.zeros(0, 16), Tokens(nothing, nothing, nothing), [window])
     net.heads.logits(features)
-    net.heads.codes_and_directions(features)
+    net.heads.box_rows(features)
 
 
 @pytest.mark.parametrize("name, share", [("pointpillars", 0.25), ("sst", 0.6)])
@@ -285,7 +287,7 @@ def test_the_shipped_network_follows_a_car_across_a_street(name: str, share: flo
     boxes = scene.labels.boxes[scene.labels.mask("vehicle") & (scene.labels.num_points >= 100)]
     centre = (float(boxes[0, 0]), float(boxes[0, 1]))
     window = detector.window_for(centre, 8.0)
-    follower = detector.following(detector.window_for(centre, 12.0))
+    follower = detector.incremental(detector.window_for(centre, 12.0))
     car = _near(points, centre, 2.5) & (points[:, 2] > 0.2)
     assert int(car.sum()) >= 50
     _assert_same(detector, follower, points, window, car, 1e-4)

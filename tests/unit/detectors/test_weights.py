@@ -6,8 +6,9 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.weights import load_detector, load_network
+from shift3d.detectors.loading import load_detector
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.weights import load_network
 from shift3d.errors import InputError
 
 

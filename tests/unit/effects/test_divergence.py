@@ -19,8 +19,8 @@ from shift3d.effects.divergence import (
     SUB_RAY_SHARE,
     strongest,
 )
-from shift3d.effects.materials import albedo_of
-from shift3d.effects.silhouettes import sub_rays
+from shift3d.effects.physics.materials import albedo_of
+from shift3d.effects.physics.silhouettes import sub_rays
 from shift3d.geometry.se3 import scene_from_object
 from shift3d.render import Beams, preset, render
 from shift3d.render.rendering import Rendering

@@ -8,7 +8,7 @@ import torch
 from analytic_fields import Frame
 
 from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.power import (
+from shift3d.effects.physics.power import (
     PowerLimit,
     echo_power,
     least_power,

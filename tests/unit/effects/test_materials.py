@@ -10,7 +10,7 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.materials import (
+from shift3d.effects.physics.materials import (
     DARKEST_ALBEDO,
     EDGE_M,
     GLASS_ALBEDO,

@@ -10,8 +10,8 @@ from analytic_fields import Frame
 
 from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.detector_facts import DetectorFacts
-from shift3d.effects.materials import DARKEST_ALBEDO
-from shift3d.effects.power import PowerLimit, echo_power
+from shift3d.effects.physics.materials import DARKEST_ALBEDO
+from shift3d.effects.physics.power import PowerLimit, echo_power
 from shift3d.effects.ray_drop import EFFECT, FAR_M, STEEP_RAD
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import EffectSettings, SceneFacts

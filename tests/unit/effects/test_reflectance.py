@@ -9,7 +9,7 @@ from analytic_fields import Frame
 
 from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.detector_facts import DetectorFacts
-from shift3d.effects.materials import PAINT_ALBEDO
+from shift3d.effects.physics.materials import PAINT_ALBEDO
 from shift3d.effects.reflectance import EFFECT
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import SceneFacts

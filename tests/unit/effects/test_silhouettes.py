@@ -10,7 +10,7 @@ from analytic_fields import Frame, car, in_frame, rounded
 from shift3d.effects.base import Insertion
 from shift3d.effects.chain import EffectChain
 from shift3d.effects.divergence import PULSE_M, SUB_RAY_SHARE
-from shift3d.effects.silhouettes import at_silhouettes, sub_rays
+from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
 from shift3d.render import Beams, SdfGrid, preset, render
 from shift3d.scenes.facts import EffectSettings
 from shift3d.scenes.scene import Scene

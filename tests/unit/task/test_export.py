@@ -14,8 +14,8 @@ import valid_sweeps
 
 from shift3d.attack.objective import SCORE_RADIUS_M, detection_score, object_box, to_network_frame, window_around
 from shift3d.cli.main import main
+from shift3d.detectors.loading import load_detector
 from shift3d.detectors.nms import suppress
-from shift3d.detectors.weights import load_detector
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.kitti import KittiScenes

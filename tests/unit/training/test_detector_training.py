@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from shift3d.detectors.anchors import WAYMO_ANCHORS, anchor_boxes
-from shift3d.detectors.backbone import BackboneSpec, HeadOutputs
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.box_coding import decode_boxes
 from shift3d.detectors.grid import WAYMO_GRID
+from shift3d.detectors.models.anchor_heads import AnchorOutputs
+from shift3d.detectors.models.anchors import WAYMO_ANCHORS, anchor_boxes
+from shift3d.detectors.models.backbone import BackboneSpec
+from shift3d.detectors.models.box_coding import decode_boxes
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.training.detector import Recipe, one_cycle, scaled_to_steps, train_on_scenes
-from shift3d.training.detector_augmentation import random_crop
-from shift3d.training.detector_losses import detection_loss, focal_loss, sine_code_difference
+from shift3d.training.detector.augmentation import random_crop
+from shift3d.training.detector.losses import detection_loss, focal_loss, sine_code_difference
+from shift3d.training.detector.targets import IGNORED, NEGATIVE, POSITIVE, assign_targets, nearest_bev_iou
+from shift3d.training.detector.train import Recipe, one_cycle, scaled_to_steps, train_on_scenes
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
-from shift3d.training.detector_targets import IGNORED, NEGATIVE, POSITIVE, assign_targets, nearest_bev_iou
 from shift3d.training.progress import averaged
 
 WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
@@ -117,7 +118,7 @@ def test_half_turns_cost_nothing() -> None:
 def test_loss_without_positives_is_finite() -> None:
     targets = assign_targets(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), EVERYWHERE)
     count = len(ANCHORS)
-    outputs = HeadOutputs(
+    outputs = AnchorOutputs(
         torch.full((1, count), 100.0, requires_grad=True), torch.zeros(1, count, 7), torch.zeros(1, count, 2)
     )
     loss, parts = detection_loss(outputs, [targets])

@@ -15,21 +15,22 @@ import torch
 from safetensors.torch import load_file
 
 from shift3d.cli.train import _options
-from shift3d.detectors.backbone import BackboneSpec
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SstNet, SstSpec
-from shift3d.detectors.window_transformer import TransformerSpec
+from shift3d.detectors.models.backbone import BackboneSpec
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.sst import SstNet, SstSpec
+from shift3d.detectors.models.window_transformer import TransformerSpec
 from shift3d.errors import InputError
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.labels import Labels
 from shift3d.scenes.scene import Scene
-from shift3d.training import command, detector_loop
+from shift3d.training import command
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute
-from shift3d.training.detector import train_detector
-from shift3d.training.detector_loop import train_on_scenes
-from shift3d.training.detector_recipe import RECIPES, Recipe, scaled_to_steps
+from shift3d.training.detector import loop as detector_loop
+from shift3d.training.detector.loop import train_on_scenes
+from shift3d.training.detector.recipe import RECIPES, Recipe, scaled_to_steps
+from shift3d.training.detector.train import train_detector
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene
 from shift3d.training.progress import CurvePoint
 

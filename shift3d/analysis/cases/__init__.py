@@ -1,0 +1,1 @@
+"""Single solutions looked at again: chosen, rendered, measured."""

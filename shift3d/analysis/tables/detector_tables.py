@@ -1,0 +1,77 @@
+"""The Parquet tables of a detector's evaluation: metrics, curves, detections, ground truth, times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from shift3d.store.evaluation_tables import evaluation_table
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+    import pandas as pd
+    import pyarrow as pa
+
+    from shift3d.evaluation.metrics import Metric
+    from shift3d.training.detector.detect_scenes import Answer
+
+__all__ = ["evaluation_tables"]
+
+_WHICH = ("protocol", "view", "subset", "iou_threshold", "min_range_m", "max_range_m")
+_BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
+
+
+def evaluation_tables(
+    detector: str, dataset: str, answers: Sequence[Answer], metrics: Sequence[Metric]
+) -> dict[str, pa.Table]:
+    """The tables of an evaluation by name, rows in the order of the scenes and of the metrics."""
+    import pandas as pd
+
+    run = {"detector": detector, "dataset": dataset}
+    frames = [answer.frame for answer in answers]
+    times = [(answer.frame.scene, answer.scene_ms, answer.detect_ms) for answer in answers]
+    found = [
+        _boxes(f.scene, f.found.boxes, score=f.found.scores, labelled=f.found.labelled,
+               image_height_px=f.found.image_height_px)
+        for f in frames
+    ]  # fmt: skip
+    truth = [
+        _boxes(f.scene, f.truth.boxes, name=f.truth.names, num_points=f.truth.num_points, counts=f.truth.counts,
+               difficulty=f.truth.difficulty)
+        for f in frames
+    ]  # fmt: skip
+    tables = {
+        "metrics": pd.DataFrame([row for metric in metrics for row in _values(metric, len(frames))]).assign(**run),
+        "curves": pd.concat([_curve(metric) for metric in metrics]).assign(**run),
+        "detections": pd.concat(found).assign(**run),
+        "truth": pd.concat(truth).assign(dataset=dataset),
+        "timings": pd.DataFrame(times, columns=["scene", "scene_ms", "detect_ms"]).assign(**run),
+    }
+    known = tables["truth"]["difficulty"]
+    tables["truth"]["difficulty"] = known.astype("Int64").where(known >= 0)
+    return {name: evaluation_table(name, {column: table[column] for column in table}) for name, table in tables.items()}
+
+
+def _values(metric: Metric, num_scenes: int) -> list[dict[str, object]]:
+    """AP and APH."""
+    curve = metric.curve
+    same = {key: getattr(metric, key) for key in _WHICH}
+    same |= {"recall": float(curve.recall.max(initial=0.0)), "num_truth": curve.num_truth, "num_scenes": num_scenes}
+    named = (("AP", curve.average_precision), ("APH", curve.average_precision_heading))
+    return [{**same, "metric": name, "value": value} for name, value in named]
+
+
+def _curve(metric: Metric) -> pd.DataFrame:
+    import pandas as pd
+
+    columns = ("score_threshold", "recall", "precision", "heading_precision")
+    points = pd.DataFrame({name: getattr(metric.curve, name) for name in columns})
+    return points.assign(**{key: getattr(metric, key) for key in _WHICH})
+
+
+def _boxes(scene: str, boxes: npt.NDArray[np.float64], **columns: Any) -> pd.DataFrame:
+    """Boxes (K, 7) of one scene, a row each, with what else is known of them."""
+    import pandas as pd
+
+    return pd.DataFrame(boxes, columns=list(_BOX)).assign(scene=scene, **columns)

@@ -1,0 +1,198 @@
+"""Training of a detector from scenes to weights: make the scenes, insert vehicles, train, export."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from safetensors.torch import save_file
+from torch import Tensor
+from tqdm import tqdm
+
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.sst import SstNet, SstSpec
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
+from shift3d.errors import InputError
+from shift3d.scenes.sets import SceneSet, StreetScenes
+from shift3d.sdf.decoder import load_decoder
+from shift3d.seeding import generator
+from shift3d.training.checkpoints import read_checkpoint
+from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.detector.growing import grown
+from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
+from shift3d.training.detector.recipe import RECIPES, Recipe, one_cycle, scaled_to_steps
+from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
+from shift3d.training.inserted_vehicles import insertable_vehicles, with_inserted_vehicles
+from shift3d.training.progress import Report, averaged
+from shift3d.training.provenance import write_provenance
+
+__all__ = [
+    "RECIPES",
+    "Recipe",
+    "export_weights",
+    "inserted_scene_files",
+    "mesh_scene_files",
+    "one_cycle",
+    "scaled_to_steps",
+    "train_detector",
+    "train_on_scenes",
+]
+
+CURVE_POINTS = 30
+"""About how many points of the curve stand in the provenance."""
+
+
+def train_detector(
+    out_dir: Path,
+    recipe: Recipe,
+    threads: int = 1,
+    weights_file: Path | None = None,
+    vehicles_file: Path | None = None,
+    decoder_file: Path | None = None,
+    scenes: SceneSet | None = None,
+    start_from: Path | None = None,
+    compute: Compute | None = None,
+    report: Report | None = None,
+) -> DetectorNet:
+    """The whole recipe: make scenes, train on them, then on those with inserted vehicles too, export.
+
+    Args:
+        out_dir: scenes, checkpoint and weights; an interrupted training goes on from there.
+        threads: may change from call to call; the weights then agree to rounding, not to the bit.
+        weights_file: where the safetensors go, and their provenance as JSON (default out_dir/<detector>.safetensors).
+        vehicles_file, decoder_file: of the vehicles to insert, default the shipped ones.
+        scenes: labelled scenes to train on, default the shipped recipe's procedural streets. Of each only the
+            labelled sector is used, see :func:`~shift3d.training.detector_scenes.from_scene`.
+        start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
+        compute: default the CPU with `threads` threads. report: see :func:`train_on_scenes`.
+    Returns: the trained network on the CPU, in evaluation mode.
+    Raises: InputError when the shape decoder's weights are missing, the scenes hold no vehicle, or the checkpoint is
+        of another recipe, other scenes or another start; KeyboardInterrupt when asked to stop.
+    """
+    compute = compute or choose_compute("cpu", threads)
+    data = _identity(scenes, start_from or _seedling(recipe))
+    start = _start(recipe, start_from)
+    compute.prepare()
+    base = mesh_scene_files(out_dir, recipe.mesh_scenes) if scenes is None else scene_files(out_dir, scenes)
+    shared: dict[str, Any] = {"compute": compute, "report": report, "data": data, "start": start}
+    train_on_scenes(out_dir, recipe, base, stop_after=recipe.mesh_only_steps, **shared)
+    inserted: list[Path] = []
+    if recipe.inserted_scenes and recipe.inserted_share > 0.0:
+        inserted = inserted_scene_files(out_dir, base, recipe, vehicles_file, decoder_file)
+    net = train_on_scenes(out_dir, recipe, base, inserted, **shared).to("cpu")
+    weights_file = weights_file or out_dir / f"{recipe.detector}.safetensors"
+    export_weights(net, weights_file, recipe)
+    state = read_checkpoint(out_dir / CHECKPOINT)
+    assert state is not None
+    write_provenance(weights_file, _facts(recipe, scenes, start_from, compute, state))
+    return net
+
+
+def _seedling(recipe: Recipe) -> Path | None:
+    """The weights that a network is grown from, None where it begins with random ones."""
+    return WEIGHTS_FOLDER / f"{recipe.grown_from}.safetensors" if recipe.grown_from else None
+
+
+def _start(recipe: Recipe, start_from: Path | None) -> Mapping[str, Tensor] | None:
+    """The state dict that training starts from, None for random weights."""
+    if start_from is not None:
+        return load_network(start_from, recipe.detector).state_dict()
+    seedling = _seedling(recipe)
+    if seedling is None:
+        return None
+    small = load_network(seedling, recipe.grown_from)
+    assert isinstance(small, SstNet) and isinstance(recipe.network, SstSpec)
+    return grown(small.state_dict(), small.spec, recipe.network, recipe.seed)
+
+
+def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
+    """What stands in a checkpoint for scenes and start."""
+    parts = [SHIPPED_DATA if scenes is None else f"{scenes.dataset}-{_digest(scenes)}"]
+    if start_from is not None and start_from.is_file():
+        parts.append(hashlib.blake2b(start_from.read_bytes(), digest_size=8).hexdigest())
+    return " from ".join(parts)
+
+
+def _digest(scenes: SceneSet) -> str:
+    text = "\n".join([scenes.dataset, str(getattr(scenes, "folder", "")), *scenes.names()])
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def _facts(
+    recipe: Recipe, scenes: SceneSet | None, start_from: Path | None, compute: Compute, state: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The provenance of finished weights."""
+    start_from = start_from or _seedling(recipe)
+    names = [] if scenes is None else scenes.names()
+    curve = averaged(state.get("curve", []), CURVE_POINTS)
+    street = {"dataset": "street-mixed", "split": "train", "count": recipe.mesh_scenes}
+    return {
+        "model": recipe.detector,
+        "recipe": asdict(recipe),
+        "steps": state["steps_done"],
+        "scenes": street if scenes is None else {"dataset": scenes.dataset, "count": len(names), "names": names},
+        "started_from": None if start_from is None else start_from.name,
+        "compute": compute.facts(recipe.bfloat16),
+        "training_seconds": round(float(state.get("seconds", 0.0)), 1),
+        "curve": [
+            {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}} for step, values in curve
+        ],
+    }
+
+
+def export_weights(net: DetectorNet, file: Path, recipe: Recipe) -> None:
+    """Write the weights as safetensors, with the recipe in the metadata, replacing the file in one step."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_name(file.name + ".partial")
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
+    save_file(tensors, partial, metadata={"model": recipe.detector, "recipe": repr(recipe)})
+    partial.replace(file)
+
+
+def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:
+    """Cached procedural scenes of both sensors, split train."""
+    scenes = StreetScenes("mixed", count=count, split="train")
+    names = tqdm(scenes.names(), desc="street scenes", mininterval=5.0)
+    return cache_scenes(out_dir / "mesh-train", names, lambda name: from_scene(scenes.load(name)))
+
+
+def scene_files(out_dir: Path, scenes: SceneSet) -> list[Path]:
+    """Cached scenes of any set, cut to their labelled sector, in the order of its names.
+
+    Raises: InputError for a frame that cannot be read, or when no scene holds a vehicle.
+    """
+    folder = out_dir / f"scenes-{_digest(scenes)}"
+    names = tqdm(scenes.names(), desc=f"{scenes.dataset} scenes", mininterval=5.0)
+    files = cache_scenes(folder, names, lambda name: from_scene(scenes.load(name), scenes.placement_sector_rad))
+    if not any(len(load_cached(file).boxes) for file in files):
+        raise InputError(
+            "no scene has a labelled vehicle", where=f"{scenes.dataset} scenes", remedy="Give labelled scenes"
+        )
+    return files
+
+
+def inserted_scene_files(
+    out_dir: Path, mesh: Sequence[Path], recipe: Recipe, vehicles_file: Path | None, decoder_file: Path | None
+) -> list[Path]:
+    """Cached scenes with vehicles that our renderer inserted into mesh scenes, in their order.
+
+    Raises: InputError when the shape decoder's weights are missing.
+    """
+    # Scenes of another set must not be taken for those of the streets when both were made in one folder.
+    own = mesh[0].parent.name.removeprefix("mesh-train").removeprefix("scenes")
+    folder = out_dir / f"inserted{own or '-train'}"
+    names = [f"inserted-{index:05d}" for index in range(recipe.inserted_scenes)]
+    if all((folder / f"{name}.npz").exists() for name in names):
+        return [folder / f"{name}.npz" for name in names]
+    decoder = load_decoder(decoder_file)
+    vehicles = insertable_vehicles(recipe.inserted_vehicles, recipe.seed, decoder, vehicles_file)
+
+    def build(name: str) -> TrainingScene:
+        rng = generator("inserted scene", recipe.seed, name)
+        scene = load_cached(mesh[int(name.rsplit("-", 1)[1]) % len(mesh)])
+        return with_inserted_vehicles(scene, vehicles, decoder, rng)
+
+    return cache_scenes(folder, tqdm(names, desc="inserting vehicles", mininterval=5.0), build)
