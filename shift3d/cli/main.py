@@ -10,7 +10,8 @@ import sys
 import textwrap
 from collections.abc import Sequence
 
-from shift3d.cli import (
+from shift3d.cli.command import Command
+from shift3d.cli.commands import (
     compact,
     effects,
     evaluate,
@@ -18,7 +19,7 @@ from shift3d.cli import (
     fit,
     frontier,
     gc,
-    launch_specs,
+    jobs,
     plan,
     report,
     sweep,
@@ -26,7 +27,6 @@ from shift3d.cli import (
     ui,
     verify,
 )
-from shift3d.cli.command import Command
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode, exit_codes
 
@@ -46,7 +46,7 @@ COMMANDS: tuple[Command, ...] = (
     evaluate.COMMAND,
     frontier.COMMAND,
     ui.COMMAND,
-    launch_specs.COMMAND,
+    jobs.COMMAND,
 )
 
 _DESCRIPTION = """\

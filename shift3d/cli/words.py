@@ -11,7 +11,7 @@ from shift3d.cli.completion import plan_words
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
-    from shift3d.cli.jobs import JobSpec
+    from shift3d.cli.job_spec import JobSpec
     from shift3d.store.location import Location
 
 __all__ = ["Request", "add_words", "read_words", "split_words", "take_folders"]
@@ -49,7 +49,7 @@ def read_words(words: Sequence[str]) -> Request:
     Raises:
         InputError: a folder that cannot be used, a job that there is not, or a sweep's folder that is damaged.
     """
-    from shift3d.cli.jobs import take_job
+    from shift3d.cli.job_spec import take_job
 
     reuse, rest = take_folders("reuse", words)
     job, typed = take_job(rest)

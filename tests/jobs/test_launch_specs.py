@@ -15,7 +15,7 @@ import pytest
 import yaml
 from jobs.kuberay_schema import RAY_JOB
 
-from shift3d.cli.jobs import JobSpec, job_names, read_job, take_job
+from shift3d.cli.job_spec import JobSpec, job_names, read_job, take_job
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep, validate

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from shift3d.cli import train
 from shift3d.cli.command import key_values
+from shift3d.cli.commands import train
 from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
 from shift3d.cli.mesh_words import FRAME_VALUES

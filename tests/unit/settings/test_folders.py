@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from shift3d.cli.completion import overrides, plan_words
-from shift3d.cli.jobs import take_job
+from shift3d.cli.job_spec import take_job
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep, sweep_names

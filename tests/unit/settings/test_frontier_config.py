@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from shift3d.cli.frontier import groups_of, plan_of
+from shift3d.cli.commands.frontier import groups_of, plan_of
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS, RenderSettings

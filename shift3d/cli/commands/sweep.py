@@ -8,8 +8,8 @@ import sys
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
+from shift3d.cli.commands.plan import add_tasks, show
 from shift3d.cli.completion import sweep_words
-from shift3d.cli.plan import add_tasks, show
 from shift3d.cli.words import Request, add_words, read_words
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode

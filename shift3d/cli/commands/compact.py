@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from shift3d.cli.command import Command
+from shift3d.cli.commands.gc import sweeps_in
 from shift3d.cli.completion import folder_words
-from shift3d.cli.gc import sweeps_in
 from shift3d.wording import counted
 
 __all__ = ["COMMAND"]
