@@ -23,7 +23,7 @@ SETTINGS = preset("standard").with_(dtype=torch.float64)
 NOTHING = EffectSettings()
 
 
-def scene_of(silent: bool = False, sensors: int = 1, rings: int = 32, columns: int = 900) -> Scene:
+def scene_of(no_return: bool = False, sensors: int = 1, rings: int = 32, columns: int = 900) -> Scene:
     """A scan of flat ground and a wall; every fourth beam that returns from beyond 30 m is silent if any is."""
     points, place = ground_scan(rings, columns)
     origins = np.broadcast_to(place[None], points.shape)
@@ -32,7 +32,7 @@ def scene_of(silent: bool = False, sensors: int = 1, rings: int = 32, columns: i
         origins[::2, 1] += 0.5
     times = np.linspace(0.0, 0.1, len(points)).astype(np.float32)
     quiet = None
-    if silent:
+    if no_return:
         lost = np.zeros(len(points), bool)
         lost[::4] = np.linalg.norm(points[::4], axis=1) > 30.0
         directions = (points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32)[lost]

@@ -32,14 +32,14 @@ def silent_of(count: int, place: tuple[float, float, float], times: bool = False
     return NoReturnBeams(origins, directions, np.full(count, 0.1, np.float32) if times else None)
 
 
-def scene_of(place: tuple[float, float, float] = (0.0, 0.0, 0.0), second: bool = False, silent: int = 60) -> Scene:
+def scene_of(place: tuple[float, float, float] = (0.0, 0.0, 0.0), second: bool = False, no_return: int = 60) -> Scene:
     rng = np.random.default_rng(3)
     points = np.stack((np.full(80, 40.0), rng.uniform(-4, 4, 80), rng.uniform(-4, 4, 80)), 1).astype(np.float32)
     origins = np.repeat(np.array([place], np.float32), 80, 0)
     if second:
         origins[1::2] += np.array([0.0, 1.0, 0.0], np.float32)
     times = np.linspace(0.0, 0.1, 80).astype(np.float32)
-    return Scene("sky", "made", points, origins, -1.7, time_s=times, no_return=silent_of(silent, place, times=True))
+    return Scene("sky", "made", points, origins, -1.7, time_s=times, no_return=silent_of(no_return, place, times=True))
 
 
 def sphere_depths(beams: Beams, centre: torch.Tensor) -> torch.Tensor:

@@ -28,7 +28,7 @@ def covered(
     """Cover rays in a field, from what was seen of another; the evaluations that it took stand in `spent`."""
     grids = [ChangeGrid.of(metric, BOX) for metric in (before, after)]
     seen = cold(rays, before).samples
-    samples = seen.predicted(rays, rays, torch.arange(len(rays)), *grids)
+    samples = seen.predicted(rays, rays, torch.arange(len(rays)), *grids, 0.5)
     field = field_of(after)
     found = cover(samples, rays, torch.full_like(rays.far_m, hit_m), field, settings)
     spent.append(field.count.evaluations)

@@ -76,6 +76,6 @@ def test_scenes_are_asked_once_a_vehicle() -> None:
 
 def test_a_misspelt_effect_is_told_the_nearest_and_nothing_internal() -> None:
     with pytest.raises(
-        InputError, match=r"unknown effects 'fogg'\. Did you mean 'fog'\? One of: auto, divergence, fog, none"
+        InputError, match=r"unknown effects 'fogg'\. Did you mean 'fog'\? One of: auto, divergence, fog, no_return_beams, none"
     ):
         plan_of("effects=fogg")

