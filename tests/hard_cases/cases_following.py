@@ -135,7 +135,7 @@ def a_followed_token_comes_and_goes() -> None:
 def a_followed_token_is_live_among_others() -> None:
     points = cluster(600, size_m=12.0)
     live = torch.arange(len(points)) < 40
-    followed(points, shifted(points, slice(0, 40), 0.2, 0.1, 0.0), name="sst", requires_grad=live)
+    followed(points, shifted(points, slice(0, 40), 0.2, 0.1, 0.0), name="sst", live=live)
 
 
 @hard_case(
