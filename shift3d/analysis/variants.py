@@ -142,6 +142,8 @@ def variants(auc: pd.DataFrame, scored: pd.DataFrame | None = None) -> list[Vari
 
 
 def _behind(selected: pd.DataFrame, scored: pd.DataFrame) -> pd.DataFrame:
+    if scored.empty or selected.empty:  # columns of nothing have no types to merge on
+        return scored.iloc[:0]
     groups = selected[list(GROUP_COLUMNS)].drop_duplicates()
     return scored.merge(groups, on=list(GROUP_COLUMNS), how="inner")
 

@@ -74,4 +74,7 @@ def _boxes(scene: str, boxes: npt.NDArray[np.float64], **columns: Any) -> pd.Dat
     """Boxes (K, 7) of one scene, a row each, with what else is known of them."""
     import pandas as pd
 
-    return pd.DataFrame(boxes, columns=list(_BOX)).assign(scene=scene, **columns)
+    texts = {"scene": [scene] * len(boxes), **{name: columns.pop(name) for name in ("name",) if name in columns}}
+    frame = pd.DataFrame(boxes, columns=list(_BOX)).assign(**columns)
+    # Texts are objects, of no rows too.
+    return frame.assign(**{name: pd.Series(list(values), dtype=object) for name, values in texts.items()})

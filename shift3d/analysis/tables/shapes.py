@@ -23,10 +23,13 @@ def plausible_table(scores: pd.DataFrame, shapes: pd.DataFrame) -> Table | None:
     measured = shapes[shapes["still_a_car"].notna()]
     own = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
     own = own[own["method"].isin(["baseline", "adversarial"])][["task_id", "method", "score"]]
-    known = own.groupby("task_id")["method"].nunique().eq(2)
-    rows = measured.drop(columns="method", errors="ignore").merge(own[own["task_id"].map(known)], on="task_id")
-    if rows.empty:
+    both = set(own.loc[own["method"] == "baseline", "task_id"]) & set(
+        own.loc[own["method"] == "adversarial", "task_id"]
+    )
+    own, measured = (part[part["task_id"].isin(both)] for part in (own, measured))
+    if measured.empty:
         return None
+    rows = measured.drop(columns="method", errors="ignore").merge(own, on="task_id")
     lines = []
     for (detector, alpha, weight), group in rows.groupby(["detector", "alpha", "lambda"], sort=False, dropna=False):
         plausible = group[group["still_a_car"].eq(True)]

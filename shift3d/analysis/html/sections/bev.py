@@ -60,6 +60,8 @@ def pooled_cells(grid: pd.DataFrame, variant: Variant) -> pd.DataFrame:
     """Cells (cell_x_m, cell_y_m, cell_size_m, scores, mean_reduction) of a variant, vehicles pooled by their scores."""
     rows = grid[(grid["method"] == "adversarial") & (grid["scores"] > 0)]
     chosen = variant.auc[variant.auc["method"] == "adversarial"][list(GROUP_COLUMNS)].drop_duplicates()
+    if rows.empty or chosen.empty:  # columns of nothing have no types to merge on
+        return rows.iloc[:0]
     rows = rows.merge(chosen, on=list(GROUP_COLUMNS), how="inner")
     rows = rows.assign(weighted=rows["mean_reduction"] * rows["scores"])
     summed = rows.groupby(["cell_x_m", "cell_y_m", "cell_size_m"], as_index=False)[["scores", "weighted"]].sum()
