@@ -54,7 +54,7 @@ def test_roots() -> None:
         g = cubic(coefficients)
         found.append(find_roots(g, *ends, g(ends[0], every).double(), g(ends[1], every).double(), tolerance, 60))
     single, double = found
-    assert single.settled.all() and double.settled.all()
+    assert single.converged.all() and double.converged.all()
     k = double.k.abs()
     size = (powers.double().abs() * torch.stack((k**0, k, k**2, k**3), 1)).sum(1)
     bound = (2 * tolerance + gamma(7) * size) / 0.2
