@@ -69,7 +69,7 @@ mutants: .venv/.dev  ## break the code in a seeded sample of places and count wh
 ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 	$(BIN)/shift3d ui $(ARGS)
 
-train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, sst_small or sst; shift3d train --help says what else
+train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, centerpoint, sst_small or sst; shift3d train --help says what else
 	$(BIN)/shift3d train $(ARGS) $(WORDS)
 
 docs: .venv/.runtime  ## write docs/reference from the code and the configuration

@@ -172,14 +172,16 @@ def draw_training(path: Path) -> None:
     """The losses of each detector whose training is on record beside its weights, over its steps."""
     import json
 
-    from shift3d.detectors.models.weights import DETECTOR_NAMES, WEIGHTS_FOLDER
+    from shift3d.detectors.models.weights import WEIGHTS_FOLDER
+    from shift3d.detectors.names import DETECTOR_NAMES
 
     figure = _figure(11, 2.8)
     panels = dict(zip(("class", "box", "direction"), figure.subplots(1, 3)))
     for name in DETECTOR_NAMES:
-        facts = json.loads((WEIGHTS_FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+        file = WEIGHTS_FOLDER / f"{name}.json"
+        facts = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
         for loss, panel in panels.items():
-            if "curve" in facts:
+            if "curve" in facts and loss in facts["curve"][0]:
                 steps = [point["step"] for point in facts["curve"]]
                 panel.plot(steps, [point[loss] for point in facts["curve"]], lw=1.2, label=name.replace("_", ", "))
     for loss, panel in panels.items():

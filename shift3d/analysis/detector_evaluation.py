@@ -16,11 +16,13 @@ import numpy as np
 import shift3d
 from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.precision_recall import precision_recall_figure
+from shift3d.analysis.tables.detector_groups import group_table, summary_table
 from shift3d.analysis.tables.detector_metrics import metric_table
-from shift3d.analysis.tables.detector_tables import evaluation_tables
+from shift3d.analysis.tables.detector_tables import breakdown_tables, evaluation_tables
 from shift3d.detectors.loading import load_detector
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
+from shift3d.evaluation.breakdown import breakdown
 from shift3d.evaluation.metrics import evaluate
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
@@ -90,9 +92,9 @@ def evaluate_detector(
 ) -> str:
     """Detect in every scene once, write the folder ``out``, and return what is printed.
 
-    ``out`` gets spec.json, detections.parquet, truth.parquet, metrics.parquet, curves.parquet, curves.png, the same
-    bytes whatever the number of workers, and timings.parquet, which differs from run to run. ``out``/scenes holds the
-    answer for each scene: the same call again detects only where one is missing.
+    ``out`` gets spec.json, detections.parquet, truth.parquet, vehicles.parquet, metrics.parquet, breakdown.parquet,
+    curves.parquet, curves.png, the same bytes whatever the number of workers, and timings.parquet, which differs from
+    run to run. ``out``/scenes holds the answer for each scene: the same call again detects only where one is missing.
 
     Args:
         name: a detector, with its shipped weights or those of the file ``weights``.
@@ -128,14 +130,19 @@ def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out
     Raises:
         InputError: the disk is full or not writable.
     """
-    metrics = list(evaluate([answer.frame for answer in answers]))
-    for name, table in evaluation_tables(detector, dataset, answers, metrics).items():
+    frames = [answer.frame for answer in answers]
+    metrics = list(evaluate(frames))
+    vehicles, groups = breakdown(frames)
+    tables = evaluation_tables(detector, dataset, answers, metrics)
+    tables |= breakdown_tables(detector, dataset, frames, vehicles, groups)
+    for name, table in tables.items():
         write_table(out / f"{name}.parquet", table)
     figure = precision_recall_figure(metrics, f"{detector} on {dataset}, {counted(len(answers), 'scene')}")
     write_atomic(out / "curves.png", png(figure))
     took = np.median([answer.detect_ms for answer in answers])
     title = f"{detector} on {dataset}: {counted(len(answers), 'scene')}, {took:.0f} ms a detection (median, one thread)"
-    return f"{metric_table(title, metrics)}\n{out}: every metric, curves, detections and truth as Parquet"
+    printed = [summary_table(title, groups), group_table(groups), metric_table("By every definition", metrics)]
+    return "\n\n".join(map(str, printed)) + f"\n{out}: every number, curve, vehicle, detection and label as Parquet"
 
 
 def _claim(file: Path, spec: dict[str, object]) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from shift3d.detectors.models.network import Precision
-from shift3d.detectors.models.weights import DETECTOR_NAMES, NETWORKS, WEIGHTS_FOLDER, load_network
+from shift3d.detectors.models.weights import NETWORKS, WEIGHTS_FOLDER, load_network
+from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 

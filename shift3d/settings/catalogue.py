@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
@@ -20,7 +20,6 @@ from shift3d.settings.schema import (
     AccuracyConfig,
     Config,
     DetectorConfig,
-    DetectorName,
     KittiConfig,
     StreetConfig,
     VehicleConfig,
@@ -125,8 +124,7 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     weights = config.weights_by_name()
     others: list[str] = list(config.scored_by or ())
     if config.scored_by is None:
-        known: tuple[str, ...] = typing.get_args(DetectorName)
-        others = [name for name in known if weights.get(name) or _weights_path(name, None).is_file()]
+        others = [name for name in DETECTOR_NAMES if weights.get(name) or _weights_path(name, None).is_file()]
         others = [name for name in others if not (name == "sst_small" and "sst" in others)]
     names = list(dict.fromkeys([config.name, *others]))
     for name in names:

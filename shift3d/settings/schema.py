@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from shift3d.detectors.names import DetectorName
 from shift3d.errors import InputError
 from shift3d.scenes.reflectance import MOST_RAW
 from shift3d.scenes.street.options import LIMITS, MOST_SENSORS, StreetOptions
@@ -116,14 +117,13 @@ class DeepSdfVehicleConfig(_Record):
 
 
 VehicleConfig = VehicleSetConfig | DeepSdfVehicleConfig
-DetectorName = Literal["pointpillars", "sst", "sst_small"]
 
 
 class DetectorConfig(_Record):
     """The detector under attack, and those that score what was found.
 
     weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
-    scored_by: names; None: PointPillars and SST, as published where their weights are there. The attacked one scores
+    scored_by: names; None: every detector whose weights are there. The attacked one scores
     always, and first.
     """
 

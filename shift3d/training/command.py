@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MODELS", "TrainOptions", "detector_recipe", "evaluate", "train"]
 
-MODELS = ("sdf", "pointpillars", "sst", "sst_small")
+MODELS = ("sdf", *DETECTOR_NAMES)
 ADAPTING_SHARE = 0.2
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 
@@ -31,7 +33,7 @@ class TrainOptions:
     out: holds samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda.
     scenes: "street" or "kitti"; root: of KITTI; count: scenes, None for the recipe's (street) or every frame (kitti).
     steps, inserted (scenes with rendered insertions): None for the recipe's.
-    start_from: a weights file to start from, or "shipped".
+    start_from: a weights file to start from, or "shipped". recipe: fields of the recipe, as words.
     """
 
     out: Path
@@ -43,12 +45,13 @@ class TrainOptions:
     steps: int | None = None
     inserted: int | None = None
     start_from: str | None = None
+    recipe: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def shipped(self) -> bool:
         """Whether this is the recipe of the shipped weights, on its scenes: only then are they written over."""
         given = (self.count, self.steps, self.inserted, self.start_from)
-        return self.scenes == "street" and all(value is None for value in given)
+        return self.scenes == "street" and not self.recipe and all(value is None for value in given)
 
     def compute(self) -> Compute:
         """Device and threads. Raises: InputError for a device that is not there."""
@@ -74,15 +77,19 @@ def train(model: str, options: TrainOptions, report: Report | None = None) -> Pa
         raise InputError(f"unknown model {model!r}", "model=", f"Choose from {', '.join(MODELS)}")
     if model == "sdf":
         if not options.shipped:
-            remedy = "Leave out scenes=, count=, steps=, inserted= and start_from=, or give vehicles=PATH"
+            remedy = "Leave out scenes=, count=, steps=, inserted=, start_from= and recipe., or give vehicles=PATH"
             raise InputError("sdf is trained on vehicles, not on scenes", "train", remedy)
         return _train_sdf(options, report)
     return _train_detector(model, options, report)
 
 
 def detector_recipe(name: str, options: TrainOptions) -> Recipe:
-    """The recipe with the given numbers of steps and scenes, and a fifth of the learning rate for adapting weights."""
-    from shift3d.training.detector.recipe import RECIPES, scaled_to_steps
+    """The recipe with the given numbers of steps and scenes, a fifth of the learning rate for adapting weights, and the
+    fields that were given.
+
+    Raises: InputError for an unknown field, or a value that a recipe cannot have.
+    """
+    from shift3d.training.detector.recipes import RECIPES, changed, scaled_to_steps
 
     recipe = RECIPES[name]
     if options.steps is not None:
@@ -95,7 +102,7 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
     if options.inserted is not None:
         vehicles = min(recipe.inserted_vehicles, max(1, options.inserted))
         recipe = replace(recipe, inserted_scenes=options.inserted, inserted_vehicles=vehicles)
-    return recipe
+    return changed(recipe, options.recipe)
 
 
 def evaluate(model: str) -> int:

@@ -116,7 +116,7 @@ def four_hundred_points_in_one_pillar() -> None:
 def the_points_in_another_order() -> None:
     points = cluster(1000, size_m=2.0)
     order = torch.randperm(len(points), generator=torch.Generator().manual_seed(1))
-    for name in ("pointpillars", "sst"):
+    for name in ("pointpillars", "centerpoint", "sst"):
         logits, gradient = seen(points, name)
         again, turned = seen(points[order], name)
         assert torch.equal(logits, again)
@@ -158,7 +158,7 @@ def points_without_a_place() -> None:
     bad = [[NAN, y, 0.5], [x, NAN, 0.5], [x, y, NAN], [INF, y, 0.5], [x, -INF, 0.5], [x, y, INF], [1e308, -1e308, 0.0]]
     good = cluster()
     with_bad = torch.cat((torch.tensor(bad, dtype=torch.float64), good))
-    for name in ("pointpillars", "sst"):
+    for name in ("pointpillars", "centerpoint", "sst"):
         logits, gradient = seen(with_bad, name)
         assert torch.equal(logits, seen(good, name)[0]) and torch.isfinite(gradient).all()
         assert not gradient[: len(bad)].any() and gradient[len(bad) :].any()

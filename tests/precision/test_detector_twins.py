@@ -42,7 +42,7 @@ def decorated_sizes(points: Tensor, pillars: Pillars, columns: int) -> tuple[Ten
     return sizes[:, :columns], float(pillars.counts.max()) + 2
 
 
-@pytest.mark.parametrize("name", ["pointpillars", "sst"])
+@pytest.mark.parametrize("name", ["pointpillars", "centerpoint", "sst"])
 def test_logits(name: str, points: Tensor) -> None:
     net = random_net(name)
     single, double = TrainedDetector(net), TrainedDetector(net, "float64")

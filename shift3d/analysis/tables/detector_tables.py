@@ -1,4 +1,4 @@
-"""The Parquet tables of a detector's evaluation: metrics, curves, detections, ground truth, times."""
+"""The Parquet tables of a detector's evaluation: metrics, groups, curves, vehicles, detections, ground truth, times."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
+    from shift3d.evaluation.breakdown import BreakdownRow
+    from shift3d.evaluation.frames import DetectedFrame
     from shift3d.evaluation.metrics import Metric
+    from shift3d.evaluation.vehicles import VehicleRows
     from shift3d.training.detector.detect_scenes import Answer
 
-__all__ = ["evaluation_tables"]
+__all__ = ["breakdown_tables", "evaluation_tables"]
 
 _WHICH = ("protocol", "view", "subset", "iou_threshold", "min_range_m", "max_range_m")
 _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
@@ -38,7 +41,8 @@ def evaluation_tables(
     ]  # fmt: skip
     truth = [
         _boxes(f.scene, f.truth.boxes, name=f.truth.names, num_points=f.truth.num_points, counts=f.truth.counts,
-               difficulty=f.truth.difficulty)
+               difficulty=f.truth.difficulty,
+               kind=[kind or None for kind in f.truth.kinds or ("",) * len(f.truth.names)])
         for f in frames
     ]  # fmt: skip
     tables = {
@@ -50,7 +54,37 @@ def evaluation_tables(
     }
     known = tables["truth"]["difficulty"]
     tables["truth"]["difficulty"] = known.astype("Int64").where(known >= 0)
+    texts = {"name": object, "kind": object}  # a column without a row has no type of its own
+    tables["truth"] = tables["truth"].astype(texts)
     return {name: evaluation_table(name, {column: table[column] for column in table}) for name, table in tables.items()}
+
+
+def breakdown_tables(
+    detector: str,
+    dataset: str,
+    frames: Sequence[DetectedFrame],
+    vehicles: VehicleRows,
+    groups: Sequence[BreakdownRow],
+) -> dict[str, pa.Table]:
+    """The tables of vehicles and of groups by name."""
+    import numpy as np
+
+    from shift3d.evaluation.vehicles import ERRORS
+
+    run = {"detector": detector, "dataset": dataset}
+    matched = np.isfinite(vehicles.score).tolist()
+    columns: dict[str, Any] = {key: [value] * len(vehicles.row) for key, value in run.items()}
+    for name in ("row", "range_m", "num_points", "score", "iou_bev", "iou_3d"):
+        columns[name] = getattr(vehicles, name)
+    columns["scene"] = [frames[index].scene for index in vehicles.frame.tolist()]
+    columns["kind"] = [kind or None for kind in vehicles.kind]
+    columns["aspect"] = list(vehicles.aspect)
+    columns["flipped"] = [flip if has else None for flip, has in zip(vehicles.flipped.tolist(), matched)]
+    columns |= {f"error_{name}": vehicles.errors[:, index] for index, name in enumerate(ERRORS)}
+    rows: dict[str, Any] = {key: [value] * len(groups) for key, value in run.items()}
+    for name in ("by", "group", "measure", "statistic", "value", "low", "high", "number"):
+        rows[name] = [getattr(group, name) for group in groups]
+    return {"vehicles": evaluation_table("vehicles", columns), "breakdown": evaluation_table("breakdown", rows)}
 
 
 def _values(metric: Metric, num_scenes: int) -> list[dict[str, object]]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.completion import key_words
 from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame, whole_number
+from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
-Trains the shape model (model=sdf) or a detector (model=pointpillars, model=sst). Without more, it is the
+Trains the shape model (model=sdf) or a detector (model=pointpillars, centerpoint, sst). Without more, it is the
 recipe of the shipped weights, from procedural data alone, and replaces them in shift3d/weights. With other
 vehicles (model=sdf vehicles=PATH), scenes, steps or a start, everything goes to out= and nothing that ships
 is touched. The same command again resumes; Ctrl-C and SIGTERM end it after a checkpoint.
@@ -33,8 +34,9 @@ Beside the weights stands a JSON file: recipe, scenes, seconds, device, versions
 _EPILOG = f"""\
 examples:
   shift3d train model=sdf                          9,000 steps, 40 minutes on two quiet cores with bfloat16
-  shift3d train model=pointpillars                 7,000 steps, an hour on two quiet cores with bfloat16
-  shift3d train model=sst                          8,000 steps from the small one, 75 minutes on one core with bfloat16
+  shift3d train model=pointpillars                 20,000 steps, under 3 hours on two quiet cores with bfloat16
+  shift3d train model=centerpoint                  as many, encoder and backbone from PointPillars' weights
+  shift3d train model=sst                          16,000 steps, grown from the small one's weights
   shift3d train model=sst_small                    14,000 steps, 3 hours on one core with bfloat16
   shift3d train model=sst device=cuda              the same on a GPU (not run there yet)
   shift3d train model=pointpillars scenes=street count=20 inserted=0 steps=300 out=DIR    a quick try
@@ -42,7 +44,9 @@ examples:
                                                    adapt the shipped weights to real frames, vehicles inserted,
                                                    at a fifth of the learning rate
   shift3d train model=pointpillars start_from=FILE steps=0 out=DIR
-                                                   settle the heads of boxes alone, scores stay (500 steps)
+                                                   batch statistics and heads alone (600 steps)
+  shift3d train model=pointpillars start_from=shipped recipe.pasted=0 recipe.scale=0.9,1.1 out=DIR
+                                                   any field of the recipe; an unknown one lists them
   shift3d train model=sdf vehicles=PATH length_m=4.5 out=DIR
                                                    a decoder of your own meshes and their codes, into DIR
 
@@ -52,10 +56,11 @@ mixed precision: bfloat16 on CUDA and on processors that multiply it; elsewhere 
 
 {FRAME_TEXT}"""
 
+_FIELD = "recipe."
 _SCENE_KEYS = ("scenes", "root", "count", "inserted", "start_from")
 _KEYS = ("model", "out", "threads", "device", "mlflow", "steps", *_SCENE_KEYS, "vehicles", *FRAME_KEYS)
 _VALUES = {
-    "model": ("sdf", "pointpillars", "sst", "sst_small"),
+    "model": ("sdf", *DETECTOR_NAMES),
     "device": ("auto", "cpu", "cuda"),
     "scenes": ("street", "kitti"),
     "start_from": ("shipped",),
@@ -67,8 +72,10 @@ _STORE, _EXPERIMENT = "sqlite:///mlflow.db", "shift3d-training"
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     text = (
-        "model=sdf|pointpillars|sst [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] [mlflow=URI|none]; "
-        "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped]; "
+        f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
+        "[mlflow=URI|none]; "
+        "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped] "
+        "[recipe.FIELD=VALUE]; "
         f"sdf: vehicles=PATH [{'=] ['.join(FRAME_KEYS)}=]"
     )
     words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
@@ -76,7 +83,8 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    values = key_values(arguments.words, _KEYS, ("model",), "train")
+    fields = [word for word in arguments.words if word.startswith(_FIELD)]
+    values = key_values([word for word in arguments.words if word not in fields], _KEYS, ("model",), "train")
     if "vehicles" in values:
         return _train_on_meshes(values)
     for key in FRAME_KEYS:
@@ -84,7 +92,7 @@ def _run(arguments: argparse.Namespace) -> int:
             raise InputError(f"{key}= says something about vehicles=", where="train", remedy="Give vehicles=PATH too")
     from shift3d.training.command import train
 
-    model, options = values["model"], _options(values)
+    model, options = values["model"], _options(values, _recipe_words(fields))
     curves = _curves(values, model, options)
     began = time.monotonic()
     weights = train(model, options, None if curves is None else _warning(curves))
@@ -97,7 +105,14 @@ def _number(values: dict[str, str], key: str) -> int | None:
     return whole_number(values, key, 2, "train") if key in values else None
 
 
-def _options(values: dict[str, str]) -> TrainOptions:
+def _recipe_words(words: list[str]) -> dict[str, str]:
+    """recipe.FIELD=VALUE words by field."""
+    names = [word.partition("=")[0] for word in words]
+    found = key_values(words, names, (), "train")
+    return {name.removeprefix(_FIELD): value for name, value in found.items()}
+
+
+def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> TrainOptions:
     from shift3d.training.command import TrainOptions
 
     scenes = values.get("scenes", "street")
@@ -113,6 +128,7 @@ def _options(values: dict[str, str]) -> TrainOptions:
         steps=0 if values.get("steps") == "0" and "start_from" in values else _number(values, "steps"),
         inserted=0 if values.get("inserted") == "0" else _number(values, "inserted"),
         start_from=values.get("start_from"),
+        recipe=recipe or {},
     )
 
 
@@ -130,6 +146,7 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
     from shift3d.training.command import MODELS, detector_recipe
 
     words = {key: value for key, value in values.items() if key not in ("mlflow", "threads", "out")}
+    words |= {f"{_FIELD}{name}": value for name, value in options.recipe.items()}
     params: dict[str, Any] = {"command": words, "out": str(options.out)}
     if model in MODELS and model != "sdf":
         params["recipe"] = asdict(detector_recipe(model, options))

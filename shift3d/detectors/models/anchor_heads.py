@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 
@@ -13,20 +11,7 @@ from shift3d.detectors.models.anchors import WAYMO_ANCHORS, AnchorSpec, anchor_b
 from shift3d.detectors.models.box_coding import decode_boxes
 from shift3d.detectors.models.heads import BoxHeads
 
-__all__ = ["AnchorHeads", "AnchorOutputs"]
-
-
-@dataclass(frozen=True)
-class AnchorOutputs:
-    """logits (B, A), codes (B, A, 7) and direction logits (B, A, 2); A runs over y, then x, then heading."""
-
-    logits: Tensor
-    codes: Tensor
-    directions: Tensor
-
-    def float(self) -> AnchorOutputs:
-        """In float32."""
-        return AnchorOutputs(self.logits.float(), self.codes.float(), self.directions.float())
+__all__ = ["AnchorHeads"]
 
 
 class AnchorHeads(BoxHeads):
@@ -65,10 +50,3 @@ class AnchorHeads(BoxHeads):
     def candidates(self, logits: Tensor, window: BevWindow) -> Tensor | None:
         """All: anchors of one object compete by their overlap."""
         return None
-
-    def forward(self, features: Tensor) -> AnchorOutputs:
-        """features: (B, C, h, w). Differentiable w.r.t. features."""
-        rows = self.box_rows(features)
-        batch, split = len(rows), 7 * self.per_cell
-        codes, directions = rows[..., :split].reshape(batch, -1, 7), rows[..., split:].reshape(batch, -1, 2)
-        return AnchorOutputs(self.logits(features), codes, directions)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import torch
+import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
@@ -46,6 +47,16 @@ class BoxHeads(nn.Module, ABC):
     def logits(self, features: Tensor) -> Tensor:
         """(B, A) class logits alone, for a backward pass that needs nothing else."""
         return _rows(self.classes(features)).flatten(1)
+
+    def box_rows_at(self, features: Tensor, cells: Tensor) -> Tensor:
+        """(P, R): what `box_layers` give at cells (P,) of one map's features (C, h, w), in the weights' precision.
+
+        For training, which asks for a few dozen cells of thousands. Differentiable w.r.t. features and weights.
+        """
+        rows = features.permute(1, 2, 0).flatten(0, 1).index_select(0, cells)
+        weight = torch.cat([layer.weight.flatten(1) for layer in self.box_layers])
+        bias = torch.cat([layer.bias for layer in self.box_layers if layer.bias is not None])
+        return functional.linear(rows.to(weight.dtype), weight, bias)
 
     def box_rows(self, features: Tensor) -> Tensor:
         """(B, cells, R): what `box_layers` give."""

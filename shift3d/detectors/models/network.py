@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import torch
 from torch import Tensor, nn
@@ -50,6 +50,6 @@ class DetectorNet(nn.Module, ABC):
     def inference(self, precision: Precision) -> Self:
         """The same function in evaluation mode, folded, in a precision; parameters need no gradient."""
 
-    def forward(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Any:
-        """What the heads give for the batch, for training. Differentiable w.r.t. points and weights."""
-        return self.heads(self.features(clouds, windows))
+    def forward(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
+        """(B, A) class logits of the windows' cores. Differentiable w.r.t. points and weights."""
+        return self.heads.logits(self.features(clouds, windows))

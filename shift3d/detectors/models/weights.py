@@ -12,20 +12,21 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from shift3d.detectors.models.anchors import WAYMO_ANCHORS
+from shift3d.detectors.models.centerpoint import CenterPointNet
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.detectors.models.pointpillars import PointPillarsNet
 from shift3d.detectors.models.sst import SST_SMALL_SPEC, SstNet
 from shift3d.errors import InputError
 
-__all__ = ["DETECTOR_NAMES", "NETWORKS", "WEIGHTS_FOLDER", "load_network", "load_weights"]
+__all__ = ["ANCHOR_SIZE", "NETWORKS", "WEIGHTS_FOLDER", "load_network", "load_weights"]
 
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[2] / "weights"
 NETWORKS: dict[str, Callable[[], DetectorNet]] = {
     "pointpillars": PointPillarsNet,
+    "centerpoint": CenterPointNet,
     "sst": SstNet,
     "sst_small": partial(SstNet, SST_SMALL_SPEC),
 }
-DETECTOR_NAMES = tuple(NETWORKS)
 ANCHOR_SIZE = "heads.anchor_size_m"
 LARGEST_WEIGHT = 1e6
 """Of anything in a file: the largest trained value is a variance of 2,700, the largest weight 11. One flipped bit of an

@@ -74,7 +74,9 @@ def _truth(scenes: SceneSet, scene: Scene) -> Truth:
         label_rows = scenes.label_rows(scene.scene_id)
         difficulty = np.array([label_rows[row].difficulty for row in rows], dtype=np.int64)
     boxes = labels.of_class("vehicle").reshape(-1, 7)
-    return Truth(boxes, labels.num_points[mask].astype(np.int64), counts, difficulty, names)
+    known: tuple[str, ...] = getattr(labels, "kinds", ())
+    kinds = tuple(known[row] for row in rows) if known else ()
+    return Truth(boxes, labels.num_points[mask].astype(np.int64), counts, difficulty, names, kinds)
 
 
 def detect_scenes(

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
 import torch
 from tqdm import tqdm
 
-from shift3d.detectors.models.anchors import WAYMO_ANCHORS, anchor_boxes
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute, choose_compute
-from shift3d.training.detector.augmentation import Crop, random_crop
-from shift3d.training.detector.losses import detection_loss
-from shift3d.training.detector.recipe import Recipe, one_cycle
-from shift3d.training.detector.targets import Targets, assign_targets
+from shift3d.training.detector.batch_statistics import recompute_statistics
+from shift3d.training.detector.crops import Crop, random_crop
+from shift3d.training.detector.objective import batch_loss, objective_of
+from shift3d.training.detector.pasting import VehicleDatabase
+from shift3d.training.detector.recipe import Recipe
+from shift3d.training.detector.recipes import one_cycle
 from shift3d.training.detector_scenes import load_cached
 from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
 
@@ -30,8 +33,11 @@ CHECKPOINT = "checkpoint.pt"
 SHIPPED_DATA = "street"
 CURVE_STEPS = 25
 """Every so many steps the curves get a point; it is the mean over them."""
+LEAST_POINTS = 10
+"""Of a crop: a batch norm has no statistics of a single point."""
+TRIES = 50
 
-Batch = tuple[int, list[Crop], list[Targets]]
+Batch = tuple[int, list[Crop], list[Any]]
 
 
 class _Run:
@@ -43,6 +49,7 @@ class _Run:
         torch.manual_seed(recipe.seed)
         self.file, self.recipe, self.compute, self.data = file, recipe, compute, data
         self.net = recipe.new_network()
+        self.objective = objective_of(recipe)
         if start is not None:
             self.net.load_state_dict(dict(start))
         self.net.to(compute.device)
@@ -115,9 +122,10 @@ def train_on_scenes(
         data: what identifies the scenes; a checkpoint of others is refused.
         start: a state dict to start from instead of random weights.
     Returns: the network on its device, in evaluation mode.
-    Raises: InputError if the checkpoint belongs to another recipe or other scenes; KeyboardInterrupt when asked to
-        stop, the checkpoint being written.
+    Raises: InputError if the recipe cannot be trained by, or the checkpoint belongs to another recipe or other scenes;
+        KeyboardInterrupt when asked to stop, the checkpoint being written.
     """
+    recipe.validate()
     compute = compute or choose_compute("cpu", threads)
     compute.prepare()
     out_dir.mkdir(parents=True, exist_ok=True)
@@ -125,11 +133,15 @@ def train_on_scenes(
     run.net.train()
     end = recipe.all_steps if stop_after is None else min(recipe.all_steps, stop_after)
     recent: list[dict[str, float]] = []
-    batches = _batches(run.net, recipe, range(run.done, end), mesh_scenes, inserted_scenes, compute.crops_ahead)
+    pasting = recipe.augmentation.pasted > 0 and end > 0
+    database = VehicleDatabase.of(mesh_scenes, recipe.min_points) if pasting else None
+    crops = _Crops(run, mesh_scenes, inserted_scenes, database)
     bar = tqdm(initial=run.done, total=recipe.all_steps, desc=recipe.detector, mininterval=5.0)
     with stop_on_signal() as stop, bar:
-        for step, crops, targets in batches:
-            recent.append(_train_step(run, step, crops, targets))
+        for step, made, targets in _batches(crops, run, range(run.done, end)):
+            if step >= recipe.steps:
+                _settle(run, crops.of_statistics())
+            recent.append(_train_step(run, step, made, targets))
             run.done = step + 1
             bar.update()
             if run.done % CURVE_STEPS == 0 or run.done == end:
@@ -143,6 +155,8 @@ def train_on_scenes(
                 tqdm.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
             if stop.asked and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
+    if run.done == recipe.steps == recipe.all_steps:  # no head settles: the statistics alone are taken
+        _settle(run, crops.of_statistics())
     return run.net.eval().requires_grad_(True)
 
 
@@ -151,25 +165,28 @@ def _mean(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: sum(part[name] for part in parts) / len(parts) for name in parts[-1]}
 
 
-def _settle(net: DetectorNet) -> None:
-    """From here on the network is as at inference but for the heads that draw boxes."""
-    net.eval().requires_grad_(False)
-    for head in (net.heads.boxes, net.heads.directions):
-        head.requires_grad_(True)
+def _settle(run: _Run, crops: Iterator[Crop]) -> None:
+    """From here on the network is as at inference, but for the heads."""
+    wanted = run.recipe.statistics_crops
+    if wanted and run.done == run.recipe.steps:
+        chosen = list(islice(crops, wanted))
+        clouds = [torch.from_numpy(crop.points).to(run.compute.device) for crop in chosen]
+        recompute_statistics(run.net, clouds, [crop.window for crop in chosen])
+    run.net.eval().requires_grad_(False)
+    run.net.heads.requires_grad_(True)
 
 
-def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Targets]) -> dict[str, float]:
-    """One optimiser step; returns the parts of the loss and the learning rate."""
+def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Any]) -> dict[str, float]:
+    """One optimiser step; returns the weighted parts of the loss and the learning rate."""
     recipe, device = run.recipe, run.compute.device
-    if step >= recipe.steps:
-        _settle(run.net)
     rate, momentum = one_cycle(step, recipe)
     for group in run.optimiser.param_groups:
         group["lr"], group["betas"] = rate, (momentum, 0.99)
     clouds, windows = [torch.from_numpy(crop.points).to(device) for crop in crops], [crop.window for crop in crops]
     with run.compute.autocast(recipe.bfloat16):
-        outputs = run.net(clouds, windows)
-    loss, parts = detection_loss(outputs.float(), [target.to(device) for target in targets], recipe.direction_weight)
+        features = run.net.features(clouds, windows)
+        on_device = [target.to(device) for target in targets]
+        loss, parts = batch_loss(run.objective, run.net.heads, features, on_device)
     run.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), recipe.clip_norm)
@@ -177,15 +194,44 @@ def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Targets])
     return {**parts, "learning_rate": rate}
 
 
-def _batches(
-    net: DetectorNet, recipe: Recipe, steps: range, mesh: Sequence[Path], inserted: Sequence[Path], ahead: int
-) -> Iterator[Batch]:
+class _Crops:
+    """The crops of a step, or of the statistics: the seed and the step alone decide them."""
+
+    def __init__(
+        self, run: _Run, mesh: Sequence[Path], inserted: Sequence[Path], database: VehicleDatabase | None
+    ) -> None:
+        self.recipe, self.grid = run.recipe, run.net.grid
+        self.mesh, self.inserted, self.database = mesh, inserted, database
+
+    def of(self, step: int, slot: int) -> Crop:
+        """One crop."""
+        recipe = self.recipe
+        rng = generator(f"{recipe.detector} crop", recipe.seed, step, slot)
+        use_inserted = step >= recipe.mesh_only_steps and rng.random() < recipe.inserted_share
+        files = self.inserted if use_inserted and len(self.inserted) else self.mesh
+        for _ in range(TRIES):
+            scene = load_cached(files[int(rng.integers(len(files)))])
+            crop = random_crop(scene, self.grid, recipe, rng, self.database)
+            if len(crop.points_inside(self.grid)) >= LEAST_POINTS:
+                return crop
+        raise InputError(
+            f"{TRIES} crops in a row hold fewer than {LEAST_POINTS} points", f"step {step}", "Give scenes with points"
+        )
+
+    def of_statistics(self) -> Iterator[Crop]:
+        """Crops of no step."""
+        return (self.of(self.recipe.all_steps, slot) for slot in count(0))
+
+
+def _batches(crops: _Crops, run: _Run, steps: range) -> Iterator[Batch]:
     """Crops and targets of each step, the next ones made in threads while the network computes."""
+    net, ahead = run.net, run.compute.crops_ahead
 
     def prepare(step: int) -> Batch:
-        crops = [_crop(net, recipe, step, slot, mesh, inserted) for slot in range(recipe.batch)]
-        return step, crops, [_targets(net, crop, recipe.rim_cells) for crop in crops]
+        made = [crops.of(step, slot) for slot in range(run.recipe.batch)]
+        return step, made, [run.objective.targets(heads, net.grid, crop) for crop in made]
 
+    heads = copy.deepcopy(net.heads).cpu()  # what targets read of it does not change
     with ThreadPoolExecutor(ahead) as worker:
         coming: deque[Future[Batch]] = deque(worker.submit(prepare, step) for step in steps[:ahead])
         for step in steps:
@@ -193,22 +239,3 @@ def _batches(
             if step + ahead in steps:
                 coming.append(worker.submit(prepare, step + ahead))
             yield batch
-
-
-def _crop(
-    net: DetectorNet, recipe: Recipe, step: int, slot: int, mesh: Sequence[Path], inserted: Sequence[Path]
-) -> Crop:
-    rng = generator(f"{recipe.detector} crop", recipe.seed, step, slot)
-    use_inserted = step >= recipe.mesh_only_steps and rng.random() < recipe.inserted_share
-    files = inserted if use_inserted and len(inserted) else mesh
-    return random_crop(
-        load_cached(files[int(rng.integers(len(files)))]), net.grid, recipe.crop_cells, rng, recipe.jitter_m
-    )
-
-
-def _targets(net: DetectorNet, crop: Crop, rim_cells: int) -> Targets:
-    anchors = anchor_boxes(WAYMO_ANCHORS, net.grid, crop.window)
-    per_cell = len(WAYMO_ANCHORS.headings_rad)
-    inner = torch.zeros(crop.window.num_y, crop.window.num_x, per_cell, dtype=torch.bool)
-    inner[rim_cells : crop.window.num_y - rim_cells, rim_cells : crop.window.num_x - rim_cells] = True
-    return assign_targets(anchors, torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable), inner.reshape(-1))

@@ -53,6 +53,7 @@ def write_answer(file: Path, answer: Answer) -> None:
         counts=truth.counts,
         difficulty=truth.difficulty,
         names=np.array(truth.names, dtype=np.str_),
+        kinds=np.array(truth.kinds, dtype=np.str_),
         boxes=found.boxes,
         scores=found.scores,
         labelled=found.labelled,
@@ -71,6 +72,7 @@ def read_answer(file: Path) -> Answer:
                 data["counts"],
                 data["difficulty"],
                 tuple(str(name) for name in data["names"]),
+                tuple(str(kind) for kind in data["kinds"]),
             )
             found = Found(data["boxes"], data["scores"], data["labelled"], data["image_height_px"])
             scene_ms, detect_ms = (float(value) for value in data["milliseconds"])

@@ -9,36 +9,28 @@ from pathlib import Path
 from typing import Any
 
 from safetensors.torch import save_file
-from torch import Tensor
 from tqdm import tqdm
 
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.sst import SstNet, SstSpec
-from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 from shift3d.errors import InputError
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.sdf.decoder import load_decoder
 from shift3d.seeding import generator
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute
-from shift3d.training.detector.growing import grown
 from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
-from shift3d.training.detector.recipe import RECIPES, Recipe, one_cycle, scaled_to_steps
+from shift3d.training.detector.recipe import Recipe
+from shift3d.training.detector.warm_start import start_file, start_state
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
 from shift3d.training.inserted_vehicles import insertable_vehicles, with_inserted_vehicles
 from shift3d.training.progress import Report, averaged
 from shift3d.training.provenance import write_provenance
 
 __all__ = [
-    "RECIPES",
-    "Recipe",
     "export_weights",
     "inserted_scene_files",
     "mesh_scene_files",
-    "one_cycle",
-    "scaled_to_steps",
     "train_detector",
-    "train_on_scenes",
 ]
 
 CURVE_POINTS = 30
@@ -69,12 +61,14 @@ def train_detector(
         start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
         compute: default the CPU with `threads` threads. report: see :func:`train_on_scenes`.
     Returns: the trained network on the CPU, in evaluation mode.
-    Raises: InputError when the shape decoder's weights are missing, the scenes hold no vehicle, or the checkpoint is
-        of another recipe, other scenes or another start; KeyboardInterrupt when asked to stop.
+    Raises: InputError when the recipe cannot be trained by, weights to start from or the shape decoder's are missing,
+        the scenes hold no vehicle, or the checkpoint is of another recipe, other scenes or another start;
+        KeyboardInterrupt when asked to stop.
     """
     compute = compute or choose_compute("cpu", threads)
-    data = _identity(scenes, start_from or _seedling(recipe))
-    start = _start(recipe, start_from)
+    recipe.validate()
+    data = _identity(scenes, start_file(recipe, start_from))
+    start = start_state(recipe, start_from)
     compute.prepare()
     base = mesh_scene_files(out_dir, recipe.mesh_scenes) if scenes is None else scene_files(out_dir, scenes)
     shared: dict[str, Any] = {"compute": compute, "report": report, "data": data, "start": start}
@@ -89,23 +83,6 @@ def train_detector(
     assert state is not None
     write_provenance(weights_file, _facts(recipe, scenes, start_from, compute, state))
     return net
-
-
-def _seedling(recipe: Recipe) -> Path | None:
-    """The weights that a network is grown from, None where it begins with random ones."""
-    return WEIGHTS_FOLDER / f"{recipe.grown_from}.safetensors" if recipe.grown_from else None
-
-
-def _start(recipe: Recipe, start_from: Path | None) -> Mapping[str, Tensor] | None:
-    """The state dict that training starts from, None for random weights."""
-    if start_from is not None:
-        return load_network(start_from, recipe.detector).state_dict()
-    seedling = _seedling(recipe)
-    if seedling is None:
-        return None
-    small = load_network(seedling, recipe.grown_from)
-    assert isinstance(small, SstNet) and isinstance(recipe.network, SstSpec)
-    return grown(small.state_dict(), small.spec, recipe.network, recipe.seed)
 
 
 def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
@@ -125,7 +102,7 @@ def _facts(
     recipe: Recipe, scenes: SceneSet | None, start_from: Path | None, compute: Compute, state: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The provenance of finished weights."""
-    start_from = start_from or _seedling(recipe)
+    start_from = start_file(recipe, start_from)
     names = [] if scenes is None else scenes.names()
     curve = averaged(state.get("curve", []), CURVE_POINTS)
     street = {"dataset": "street-mixed", "split": "train", "count": recipe.mesh_scenes}

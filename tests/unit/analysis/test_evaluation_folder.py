@@ -52,7 +52,8 @@ def test_the_same_detections_give_the_same_bytes_but_for_the_times(tmp_path: Pat
     write_evaluation("toy", "small", _answers(milliseconds=1.0), tmp_path / "a")
     write_evaluation("toy", "small", _answers(milliseconds=7.0), tmp_path / "b")
     a, b = _bytes(tmp_path / "a"), _bytes(tmp_path / "b")
-    assert set(a) == {f"{n}.parquet" for n in ("metrics", "curves", "detections", "truth", "timings")} | {"curves.png"}
+    names = ("metrics", "curves", "detections", "truth", "vehicles", "breakdown", "timings")
+    assert set(a) == {f"{name}.parquet" for name in names} | {"curves.png"}
     assert {name for name in a if a[name] != b[name]} == {"timings.parquet"}
 
 
@@ -97,7 +98,7 @@ def test_tables_carry_their_schema_and_null_where_nothing_was_to_be_found(tmp_pa
     printed = write_evaluation("toy", "small", empty, tmp_path)
     table = pq.read_table(tmp_path / "metrics.parquet")
     assert table.schema.metadata[b"shift3d.schema"] == b"evaluation_metrics"
-    assert table.schema.metadata[b"shift3d.schema_version"] == b"1"
+    assert table.schema.metadata[b"shift3d.schema_version"] == b"2"
     assert table["value"].null_count == table.num_rows > 0 and set(table["num_truth"].to_pylist()) == {0}
     assert "nan" not in printed.lower() and json.dumps(printed)
 
@@ -112,6 +113,22 @@ def test_the_printed_table_names_what_each_line_is(tmp_path: Path) -> None:
     assert lines[3].split()[-1] == str(first.curve.num_truth)
     assert len([line for line in lines if line.startswith("KITTI")]) == 6
     assert len({line[: lines[1].index("BEV AP")] for line in lines[3:]}) == len(lines[3:])
+
+
+def test_the_short_table_comes_first_with_intervals_and_agrees_with_the_folder(tmp_path: Path) -> None:
+    printed = write_evaluation("toy", "small", _answers(), tmp_path)
+    table = pd.read_parquet(tmp_path / "breakdown.parquet")
+    whole = table[(table["by"] == "all") & (table["measure"] == "AP") & (table["statistic"] == "3D")].iloc[0]
+    line = next(line for line in printed.splitlines()[:8] if line.startswith("3D AP"))
+    assert line.split()[2:6] == [f"{whole['value']:.3f}", f"{whole['low']:.3f}", "to", f"{whole['high']:.3f}"]
+    vehicles = pd.read_parquet(tmp_path / "vehicles.parquet")
+    near = vehicles[(vehicles["range_m"] < 75) & (vehicles["num_points"] >= 6)]
+    matched = near[near["score"] >= 0.3]
+    errors = table[(table["by"] == "all") & (table["measure"] == "error_z_m")].set_index("statistic")["value"]
+    assert errors["mean"] == pytest.approx(matched["error_z_m"].mean())
+    assert errors["std"] == pytest.approx(matched["error_z_m"].std(ddof=0))
+    recall = table[(table["by"] == "all") & (table["measure"] == "recall") & (table["statistic"] == "BEV 0.5")]
+    assert recall["value"].item() == pytest.approx(len(matched) / len(near))
 
 
 def test_a_table_refuses_what_is_missing_or_not_finite() -> None:

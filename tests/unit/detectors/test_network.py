@@ -7,13 +7,12 @@ import torch
 from random_networks import random_net, random_scene
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import full_window
 from shift3d.detectors.models.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
 
-@pytest.fixture(scope="module", params=["pointpillars", "sst"])
+@pytest.fixture(scope="module", params=["pointpillars", "centerpoint", "sst"])
 def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
@@ -60,14 +59,15 @@ def test_a_window_gives_the_full_scene_s_proposals(
     assert torch.allclose(part.boxes, boxes[part.anchor_index], atol=1e-4, rtol=1e-5)
 
 
-def test_a_window_reports_every_anchor_in_the_radius(slim: TrainedDetector) -> None:
-    from shift3d.detectors.models.anchors import WAYMO_ANCHORS, anchor_boxes
-
+def test_a_window_reports_every_cell_in_the_radius(slim: TrainedDetector) -> None:
     window = slim.window_for((30.1, -12.2), 6.0)
-    everywhere = anchor_boxes(WAYMO_ANCHORS, slim.grid, full_window(slim.grid))
-    distance = torch.hypot(everywhere[:, 0] - 30.1, everywhere[:, 1] + 12.2)
-    wanted = set(torch.nonzero(distance <= 6.0).squeeze(1).tolist())
-    assert wanted <= set(slim.proposals(random_scene(), window).anchor_index.tolist())
+    found = slim.proposals(random_scene(), window).anchor_index
+    per_cell = len(found) // (window.core_num_x * window.core_num_y)
+    lines, columns = torch.meshgrid(torch.arange(468), torch.arange(468), indexing="ij")
+    x, y = (-74.88 + 0.32 * (axis + 0.5) for axis in (columns, lines))
+    wanted = torch.nonzero((torch.hypot(x - 30.1, y + 12.2) <= 6.0).reshape(-1)).squeeze(1)
+    assert len(wanted) > 1000
+    assert set((per_cell * wanted[:, None] + torch.arange(per_cell)).reshape(-1).tolist()) <= set(found.tolist())
 
 
 def test_a_window_gives_the_full_scene_s_gradient(slim: TrainedDetector) -> None:
@@ -114,9 +114,9 @@ def test_folding_changes_nothing(name: str) -> None:
     window = BevWindow(200, 200, 64, 48, 200, 200, 64, 48)
     points = random_scene().double()
     with torch.no_grad():
-        outputs = net([points], [window])
+        logits = net([points], [window])
         folded = TrainedDetector(net, "float64").proposals(points, window)
-    assert torch.allclose(outputs.logits[0], folded.logits, atol=1e-10, rtol=0)
+    assert torch.allclose(logits[0], folded.logits, atol=1e-10, rtol=0)
 
 
 def test_gradient_equals_central_differences_in_float64(name: str) -> None:

@@ -146,9 +146,9 @@ def test_a_batch_is_its_scenes_one_by_one() -> None:
     for cloud in clouds:
         cloud[:, 2] *= 0.05
     with torch.no_grad():
-        joint = net(clouds, windows).logits
+        joint = net(clouds, windows)
         for index, (cloud, window) in enumerate(zip(clouds, windows, strict=True)):
-            assert torch.allclose(joint[index], net([cloud], [window]).logits[0], atol=1e-12)
+            assert torch.allclose(joint[index], net([cloud], [window])[0], atol=1e-12)
 
 
 def test_the_published_size() -> None:

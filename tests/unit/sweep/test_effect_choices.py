@@ -76,6 +76,7 @@ def test_scenes_are_asked_once_a_vehicle() -> None:
 
 def test_a_misspelt_effect_is_told_the_nearest_and_nothing_internal() -> None:
     with pytest.raises(
-        InputError, match=r"unknown effects 'fogg'\. Did you mean 'fog'\? One of: auto, divergence, fog, no_return_beams, none"
+        InputError,
+        match=r"unknown effects 'fogg'\. Did you mean 'fog'\? One of: auto, divergence, fog, no_return_beams",
     ):
         plan_of("effects=fogg")

@@ -1,4 +1,4 @@
-"""Hard cases of a detector that follows a scene through its editions: it must see what a fresh look shows."""
+"""Hard cases of incremental inference: from frame to frame it must give what the whole scene gives."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from shift3d.detectors.incremental.inference import IncrementalInference
 AREA = "detector"
 
 
-def followed(*clouds: Tensor, name: str = "pointpillars", live: Tensor | None = None) -> None:
-    """Whoever follows the scene through these editions sees what a fresh look at the last one shows."""
-    follower = detector(name=name).incremental(window(name))
+def same_frames(*clouds: Tensor, name: str = "pointpillars", requires_grad: Tensor | None = None) -> None:
+    """Incremental inference through these frames gives what the whole last one gives."""
+    incremental = detector(name=name).incremental(window(name))
     for cloud in clouds[:-1]:
-        follower.proposals(cloud)
+        incremental.proposals(cloud)
     leaf = clouds[-1].clone().requires_grad_()
-    found = follower.proposals(leaf, requires_grad=live)
+    found = incremental.proposals(leaf, requires_grad=requires_grad)
     logits, gradient = seen(clouds[-1], name)
     assert torch.allclose(found.logits, logits, rtol=0, atol=1e-12)
     if found.logits.requires_grad:
-        asked = slice(None) if live is None else live
+        asked = slice(None) if requires_grad is None else requires_grad
         answer = torch.autograd.grad(found.logits.sum(), leaf)[0]
         assert torch.allclose(answer[asked], gradient[asked], rtol=0, atol=1e-12)
     else:
@@ -44,9 +44,9 @@ def shifted(points: Tensor, rows: slice, *offset: float) -> Tensor:
     must="what a fresh look at the scene gives",
     guard="the cells that held a moved point are computed again, as well as those that hold it",
 )
-def a_followed_point_crosses_into_the_next_cell() -> None:
+def a_point_crosses_into_the_next_cell() -> None:
     points = cluster()
-    followed(points, shifted(points, slice(0, 40), WAYMO_GRID.cell_m, 0.0, 0.0))
+    same_frames(points, shifted(points, slice(0, 40), WAYMO_GRID.cell_m, 0.0, 0.0))
 
 
 @hard_case(
@@ -55,10 +55,10 @@ def a_followed_point_crosses_into_the_next_cell() -> None:
     must="what a fresh look at the scene gives: an empty pillar is 0",
     guard="cells that are due are emptied before they are filled",
 )
-def a_followed_object_leaves_its_cells_empty() -> None:
+def an_object_leaves_its_cells_empty() -> None:
     points = cluster(200, size_m=1.0)
-    followed(points, shifted(points, slice(None), 2.0, -1.5, 0.0))
-    followed(points, shifted(points, slice(None), 60.0, 0.0, 0.0), points)
+    same_frames(points, shifted(points, slice(None), 2.0, -1.5, 0.0))
+    same_frames(points, shifted(points, slice(None), 60.0, 0.0, 0.0), points)
 
 
 @hard_case(
@@ -67,7 +67,7 @@ def a_followed_object_leaves_its_cells_empty() -> None:
     must="what a fresh look gives, while such points come and go",
     guard="points without a cell get a number that stands for none",
 )
-def a_followed_point_is_no_number_for_a_while() -> None:
+def a_point_is_no_number_for_a_while() -> None:
     points = cluster()
     broken = shifted(points, slice(0, 30), NAN, 0.0, 0.0)
     for away in (
@@ -75,8 +75,8 @@ def a_followed_point_is_no_number_for_a_while() -> None:
         shifted(points, slice(0, 30), math.inf, 0.0, 0.0),
         shifted(points, slice(0, 30), 0.0, 1e300, 0.0),
     ):
-        followed(points, away)
-        followed(away, points)
+        same_frames(points, away)
+        same_frames(away, points)
 
 
 @hard_case(
@@ -85,11 +85,11 @@ def a_followed_point_is_no_number_for_a_while() -> None:
     must="what a fresh look gives, from many points to none and back",
     guard="a cloud of another length is taken for new as a whole",
 )
-def a_followed_cloud_changes_its_length() -> None:
+def a_cloud_changes_its_length() -> None:
     points, none = cluster(), torch.zeros(0, 3, dtype=torch.float64)
-    followed(points, none)
-    followed(none, points)
-    followed(points, none, points[:100], points[50:], points)
+    same_frames(points, none)
+    same_frames(none, points)
+    same_frames(points, none, points[:100], points[50:], points)
 
 
 @hard_case(
@@ -98,16 +98,16 @@ def a_followed_cloud_changes_its_length() -> None:
     must="what a fresh look at the scene gives, once the window moves there",
     guard="changed cells that are not needed stay due",
 )
-def a_followed_point_moves_where_nobody_looks() -> None:
+def a_point_moves_where_nobody_looks() -> None:
     wide = detector().window_for(CENTRE, 9.0)
     here, there = (detector().window_for((CENTRE[0] + d, CENTRE[1]), 2.0) for d in (-7.0, 7.0))
-    follower: IncrementalInference = detector().incremental(wide)
+    incremental: IncrementalInference = detector().incremental(wide)
     points = cluster(600, size_m=1.0) + torch.tensor([11.0, 0.0, 0.0], dtype=torch.float64)
     moved = shifted(points, slice(0, 600), 0.3, 0.4, 0.1)
-    follower.proposals(points, there)
-    assert torch.equal(follower.proposals(moved, here).logits, follower.proposals(points, here).logits)
-    follower.proposals(moved, here)
-    found, fresh = follower.proposals(moved, there), detector().proposals(moved, there)
+    incremental.proposals(points, there)
+    assert torch.equal(incremental.proposals(moved, here).logits, incremental.proposals(points, here).logits)
+    incremental.proposals(moved, here)
+    found, fresh = incremental.proposals(moved, there), detector().proposals(moved, there)
     assert float((fresh.logits - detector().proposals(points, there).logits).abs().max()) > 1e-3
     assert torch.allclose(found.logits, fresh.logits, rtol=0, atol=1e-12)
 
@@ -118,12 +118,12 @@ def a_followed_point_moves_where_nobody_looks() -> None:
     must="what a fresh look at the scene gives, from SST too: windows attend the tokens that are there",
     guard="of the cells of a window, those that hold a point are its tokens",
 )
-def a_followed_token_comes_and_goes() -> None:
+def a_token_comes_and_goes() -> None:
     points = cluster(300, size_m=9.0)
     for offset in (1.7, 60.0):
         moved = shifted(points, slice(0, 100), offset, -0.9, 0.0)
-        followed(points, moved, name="sst")
-        followed(moved, points, moved, points, name="sst")
+        same_frames(points, moved, name="sst")
+        same_frames(moved, points, moved, points, name="sst")
 
 
 @hard_case(
@@ -132,10 +132,10 @@ def a_followed_token_comes_and_goes() -> None:
     must="at the points that are asked for, the gradient of a fresh look, through every layer",
     guard="tokens that carry a gradient enter a layer as they are, not as they were kept",
 )
-def a_followed_token_is_live_among_others() -> None:
+def a_token_requires_a_gradient_among_others() -> None:
     points = cluster(600, size_m=12.0)
-    live = torch.arange(len(points)) < 40
-    followed(points, shifted(points, slice(0, 40), 0.2, 0.1, 0.0), name="sst", live=live)
+    requires_grad = torch.arange(len(points)) < 40
+    same_frames(points, shifted(points, slice(0, 40), 0.2, 0.1, 0.0), name="sst", requires_grad=requires_grad)
 
 
 @hard_case(
@@ -144,15 +144,15 @@ def a_followed_token_is_live_among_others() -> None:
     must="what a fresh look at the scene gives, from SST too, once the window moves there",
     guard="in every layer, windows that changed and are not needed stay due",
 )
-def a_followed_token_changes_where_nobody_looks() -> None:
+def a_token_changes_where_nobody_looks() -> None:
     sst = detector(name="sst")
     here, there = (sst.window_for((CENTRE[0] + d, CENTRE[1]), 2.0) for d in (-7.0, 7.0))
-    follower: IncrementalInference = sst.incremental(sst.window_for(CENTRE, 12.0))
+    incremental: IncrementalInference = sst.incremental(sst.window_for(CENTRE, 12.0))
     points = torch.cat((cluster(600, size_m=1.0) + torch.tensor([1.0, 0.0, 0.0]), cluster(900, size_m=24.0)))
     moved = shifted(points, slice(0, 600), 0.3, 0.4, 0.1)
-    follower.proposals(points, there)
+    incremental.proposals(points, there)
     for _ in range(2):  # the second look here finds nothing new, and must forget nothing either
-        follower.proposals(moved, here)
-    found, fresh = follower.proposals(moved, there), sst.proposals(moved, there)
+        incremental.proposals(moved, here)
+    found, fresh = incremental.proposals(moved, there), sst.proposals(moved, there)
     assert float((fresh.logits - sst.proposals(points, there).logits).abs().max()) > 1e-4
     assert torch.allclose(found.logits, fresh.logits, rtol=0, atol=1e-12)
