@@ -11,7 +11,7 @@ WORDS = $(strip $(foreach name,$(filter-out $(OWN),$(.VARIABLES)),$(if $(filter 
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train pictures clean
+.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train docs wheel pictures clean
 
 help:  ## what there is to run
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-18s %s\n", $$1, $$2}'
@@ -69,11 +69,20 @@ mutants: .venv/.dev  ## break the code in a seeded sample of places and count wh
 ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 	$(BIN)/shift3d ui $(ARGS)
 
-train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, sst_small or sst; shift3d train --help says what else
+train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, centerpoint, sst_small or sst; shift3d train --help says what else
 	$(BIN)/shift3d train $(ARGS) $(WORDS)
 
+docs: .venv/.runtime  ## write docs/reference from the code and the configuration
+	$(BIN)/python docs/scripts/reference_pages.py
+
+# build/ goes first: setuptools would put what lies there and is gone from the tree into the wheel.
+wheel: .venv/.runtime  ## dist/: a wheel and its libraries' versions, for other machines (docs/guides/cluster.md)
+	rm -rf build dist
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w dist .
+	cp constraints.txt dist/
+
 pictures: .venv/.runtime  ## draw the README's pictures again
-	$(BIN)/python -m shift3d.report.pictures $(ARGS)
+	$(BIN)/python docs/scripts/pictures.py $(ARGS)
 
 clean:  ## remove .venv and caches (never outputs/)
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache

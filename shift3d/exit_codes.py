@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-__all__ = ["ExitCode", "exit_codes"]
+__all__ = ["EXIT_CODES", "ExitCode", "exit_codes"]
 
 
 class ExitCode(IntEnum):
@@ -19,7 +19,7 @@ class ExitCode(IntEnum):
     NO_READER = 141
 
 
-_MEANINGS = {
+EXIT_CODES = {
     ExitCode.DONE: "done",
     ExitCode.UNUSABLE: "something you gave cannot be used",
     ExitCode.INCOMPLETE: "done, but tasks were quarantined, no vehicle found a place or a fit is far worse than usual",
@@ -32,4 +32,4 @@ _MEANINGS = {
 
 def exit_codes() -> str:
     """All of them in one sentence."""
-    return "exit codes: " + "; ".join(f"{int(code)} {meaning}" for code, meaning in _MEANINGS.items())
+    return "exit codes: " + "; ".join(f"{int(code)} {meaning}" for code, meaning in EXIT_CODES.items())

@@ -6,14 +6,14 @@ import functools
 import os
 import sys
 
-__all__ = ["has_fast_bfloat16", "has_wide_float32", "round_batch", "settle_numerics"]
+__all__ = ["configure_runtime", "has_fast_bfloat16", "has_wide_float32", "pad_to_bucket"]
 
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # oneDNN's own products, and what torch keeps of how each is to be made; and large pages for large tensors.
 _SETTINGS = {"ONEDNN_PRIMITIVE_CACHE_CAPACITY": "256", "LRU_CACHE_CAPACITY": "256", "THP_MEM_ALLOC_ENABLE": "1"}
 
 
-def settle_numerics(threads: int = 1) -> None:
+def configure_runtime(threads: int = 1) -> None:
     """Fix what this process computes with, before it computes: threads, how much made code it keeps, and its pages.
 
     The order of sums, so the bytes, depend on the number of threads.
@@ -60,7 +60,7 @@ def has_wide_float32() -> bool:
     return wide and torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_linear_pointwise")
 
 
-def round_batch(rows: int) -> int:
+def pad_to_bucket(rows: int) -> int:
     """The next number of rows, from this one up, that comes round again: for products that oneDNN takes.
 
     It makes code for every number of rows that it meets, at half a millisecond and up to half a megabyte a product: as

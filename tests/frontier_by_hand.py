@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from shift3d.report.pareto import pareto_flags
+from shift3d.accuracy_time.pareto import pareto_flags
 
 PAPER_MS = 800.0
 

@@ -2,24 +2,28 @@
 
 import torch
 
-from shift3d.detectors.backbone import BackboneSpec
-from shift3d.detectors.network import AnchorNet
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SstNet, SstSpec
-from shift3d.detectors.window_transformer import TransformerSpec
+from shift3d.detectors.models.backbone import BackboneSpec
+from shift3d.detectors.models.centerpoint import CenterPointNet
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.sst import SstNet, SstSpec
+from shift3d.detectors.models.window_transformer import TransformerSpec
 from shift3d.sdf.decoder import Architecture, Decoder
 
+PILLARS = BackboneSpec(in_channels=8, channels=(8, 8, 8), up_channels=8)
 SLIM = {
-    "pointpillars": BackboneSpec(in_channels=8, channels=(8, 8, 8), up_channels=8),
+    "pointpillars": PILLARS,
+    "centerpoint": PILLARS,
     "sst": SstSpec(TransformerSpec(width=16, heads=2, feed_forward=32, blocks=2), encoder_hidden=8, out_channels=24),
 }
 
 
-def random_net(name: str, seed: int = 0) -> AnchorNet:
+def random_net(name: str, seed: int = 0) -> DetectorNet:
     """Random weights with lively batch-norm statistics and logits of order one."""
     torch.manual_seed(seed)
     spec = SLIM[name]
-    net = SstNet(spec) if isinstance(spec, SstSpec) else PointPillarsNet(spec)
+    pillars = CenterPointNet if name == "centerpoint" else PointPillarsNet
+    net = SstNet(spec) if isinstance(spec, SstSpec) else pillars(spec)
     for module in net.modules():
         if isinstance(module, torch.nn.BatchNorm1d | torch.nn.BatchNorm2d):
             torch.nn.init.normal_(module.running_mean, std=0.1)
@@ -27,7 +31,7 @@ def random_net(name: str, seed: int = 0) -> AnchorNet:
             torch.nn.init.normal_(module.bias, std=0.1)
         elif isinstance(module, torch.nn.Conv2d | torch.nn.ConvTranspose2d):
             torch.nn.init.kaiming_normal_(module.weight, nonlinearity="relu")  # signal in every layer
-    torch.nn.init.normal_(net.heads.classes.weight, std=0.3)
+    torch.nn.init.normal_(net.heads.classes.weight, std=0.3 if net.heads.per_cell > 1 else 0.6)
     torch.nn.init.zeros_(net.heads.classes.bias)
     return net.eval()
 

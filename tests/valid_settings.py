@@ -14,8 +14,8 @@ from typing import Any
 
 import yaml
 
-from shift3d.config import compose
-from shift3d.config.compose import Composed, compose_sweep
+from shift3d.settings import folders
+from shift3d.settings.compose import Composed, compose_sweep
 
 HEAD = {"defaults": [{"/vehicle": "coupe"}, {"/attack": "paper"}, "_self_"]}
 AXES = {"hydra": {"sweeper": {"params": {"attack.lambda": "1,10"}}}}
@@ -48,9 +48,10 @@ def write_installation(folder: Path) -> None:
 @contextlib.contextmanager
 def installed(folder: Path) -> Iterator[None]:
     """The folder as the place that shift3d is installed in."""
-    before = compose.__file__
-    compose.__file__ = str(folder / "shift3d" / "config" / "compose.py")
+    before = folders.__file__
+    folders.__file__ = str(folder / "shift3d" / "settings" / "folders.py")
     try:
-        yield
+        with contextlib.chdir(folder):  # no other sweeps/ or conf/ come first
+            yield
     finally:
-        compose.__file__ = before
+        folders.__file__ = before

@@ -11,16 +11,16 @@ from typing import Any
 
 import pyarrow as pa
 
-from shift3d.config.catalogue import Catalogue, SceneEntry
-from shift3d.config.compose import compose_sweep
-from shift3d.config.schema import Config
 from shift3d.scenes.facts import SceneFacts
+from shift3d.settings.catalogue import Catalogue, SceneEntry
+from shift3d.settings.compose import compose_sweep
+from shift3d.settings.schema import Config
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, frontier_table
 from shift3d.store.log import CommitLog
 from shift3d.store.schemas import SCHEMAS
 from shift3d.store.tables import table_from_rows, write_table
-from shift3d.sweep.folder import open_folder
-from shift3d.sweep.plan import Plan, make_plan
+from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.plan import Plan, make_plan
 
 METHODS = ("baseline", "random", "adversarial")
 FRONTIER = "frontier.parquet"

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import ConstraintCheck, check
-from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, settled
+from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, snapped
 from shift3d.attack.problem import AttackProblem
+from shift3d.placement.constraints import ConstraintCheck, check
 
 
 def random_direction(dimension: int, rng: np.random.Generator) -> np.ndarray:
@@ -52,7 +52,7 @@ def random_pose(
     """
     metric = problem.metric(problem.code0.detach())
     for _ in range(attempts):
-        theta = settled(_draw_pose(problem.theta0, rng, limits), problem, metric, limits)
+        theta = snapped(_draw_pose(problem.theta0, rng, limits), problem, metric, limits)
         held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.limits, problem.others)
         if not (held.overlap_ok and held.contact_ok and held.clear_ok):
             continue

@@ -40,22 +40,22 @@ def descend(
     steps: int,
     alpha: float,
     on_step: Callable[[StepRecord], None] | None = None,
-    steady_steps: int = 0,
+    selection_window: int = 0,
 ) -> AttackResult:
     """Plain gradient descent: v <- Proj[v - alpha dL/dv], `steps` times.
 
     Of steps 1..steps the valid one with the lowest loss is kept; the start does not count unless none is
-    valid, and is then returned as best_step 0. steady_steps: see `kept_step`.
+    valid, and is then returned as best_step 0. selection_window: see `best_step`.
 
     Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01).
     """
     variable = search.start.detach().clone().requires_grad_()
     trace: list[StepRecord] = []
     tried: list[tuple[Tensor, Tensor]] = []
-    diverged, warm, follower = False, None, problem.follower()
+    diverged, warm, incremental = False, None, problem.incremental_inference()
     for step in range(steps + 1):
         code, theta = search.parameters(variable)
-        measurement = measure(problem, code, theta, warm, follower=follower)
+        measurement = measure(problem, code, theta, warm, incremental=incremental)
         warm = measurement.rendering.warm
         loss = measurement.adversarial + search.penalty(variable)
         gradient, milliseconds = _gradient(loss, variable) if step < steps else (None, 0.0)
@@ -72,16 +72,16 @@ def descend(
             diverged = True
             break
         variable = moved.requires_grad_()
-    kept = kept_step(trace, steady_steps)
+    kept = best_step(trace, selection_window)
     status = "diverged" if diverged else "ok" if kept else "no_valid_step"
     return AttackResult(search.mode, *tried[kept], kept, status, tuple(trace))
 
 
-def kept_step(trace: Sequence[StepRecord], steady_steps: int = 0) -> int:
+def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
     """The valid step after the start with the lowest loss, the first of several; 0 where none is valid.
 
-    steady_steps: the highest loss counts of a step and so many before and after it, as far as there are any: what its
-    neighbours share is no dip of one step. 0 is the paper's rule.
+    selection_window: a step counts with the highest loss of itself and so many steps before and after it, which passes
+    over a dip of one step. 0 is the paper's rule.
 
     Source: SHIFT3D, Algorithm 1; the neighbours are our choice. In 100 shape attacks of the small `table_shape` the
     steps that the paper's rule keeps score 0.409 and their neighbours 0.058 more; with one step either side 0.429 and
@@ -89,7 +89,7 @@ def kept_step(trace: Sequence[StepRecord], steady_steps: int = 0) -> int:
     """
     best, lowest = 0, math.inf
     for step in range(1, len(trace)):
-        near = [record.loss for record in trace[max(step - steady_steps, 1) : step + steady_steps + 1]]
+        near = [record.loss for record in trace[max(step - selection_window, 1) : step + selection_window + 1]]
         loss = float(np.max(near))  # NaN where one of them is
         if trace[step].valid and loss < lowest:
             best, lowest = step, loss

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import settle
-from shift3d.attack.ground import fit_ground
 from shift3d.attack.loop import Search, descend
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
-from shift3d.render.object_field import ObjectField
+from shift3d.placement.constraints import snap_to_ground
+from shift3d.placement.ground import fit_ground
+from shift3d.render.field.object_field import ObjectField
 
 
 @dataclass(frozen=True)
@@ -21,17 +21,17 @@ class PoseLimits:
     """The set B(theta0).
 
     max_shift_m: largest Euclidean |dxy|. max_tilt_rad: largest |change| of pitch and of roll. Yaw is free.
-    settle_m: how far from the ground plane under its new place the object may come to rest; 0 leaves z to the
+    snap_m: how far from the ground plane under its new place the object may come to rest; 0 leaves z to the
             gradient.
 
     Source: SHIFT3D, Adversarial Pose Generation Results: displacement under 4 m on the xy-plane, pitch and roll
     under 0.1 rad, yaw free. z is our choice, the paper is silent: the object has to touch the ground within 2 cm,
-    which no gradient of the detector cares about, so z follows the ground (see `constraints.settle`).
+    which no gradient of the detector cares about, so z follows the ground (see `constraints.snap_to_ground`).
     """
 
     max_shift_m: float = 4.0
     max_tilt_rad: float = 0.1
-    settle_m: float = 0.3
+    snap_m: float = 0.3
 
 
 PAPER_LIMITS = PoseLimits()
@@ -44,11 +44,11 @@ def attack_pose(
     steps: int = 40,
     limits: PoseLimits = PAPER_LIMITS,
     on_step: Callable[[StepRecord], None] | None = None,
-    steady_steps: int = 0,
+    selection_window: int = 0,
 ) -> AttackResult:
     """min_theta L_adv(theta) over B(theta0) at a fixed shape. The ground-truth box moves along.
 
-    steady_steps: which step is kept, see `shift3d.attack.loop.kept_step`.
+    selection_window: which step is kept, see `shift3d.attack.loop.best_step`.
 
     Source: SHIFT3D eq. loss_theta and Algorithm 1.
     """
@@ -59,9 +59,9 @@ def attack_pose(
         start=problem.theta0.double(),
         parameters=lambda theta: (problem.code0.detach(), theta),
         penalty=lambda theta: theta.new_zeros(()),
-        project=lambda theta: settled(project(theta, problem.theta0, limits), problem, metric, limits),
+        project=lambda theta: snapped(project(theta, problem.theta0, limits), problem, metric, limits),
     )
-    return descend(problem, search, steps, alpha, on_step, steady_steps)
+    return descend(problem, search, steps, alpha, on_step, selection_window)
 
 
 def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
@@ -79,13 +79,13 @@ def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
     return start + change
 
 
-def settled(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: PoseLimits) -> Tensor:
+def snapped(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: PoseLimits) -> Tensor:
     """The pose with its height on the ground under its new place.
 
     First the height of the ground plane there, then up or down until it touches. Unchanged where no ground is
     seen or in reach: the step is then invalid for want of contact.
     """
-    if limits.settle_m == 0 or not bool(torch.isfinite(theta).all()):
+    if limits.snap_m == 0 or not bool(torch.isfinite(theta).all()):
         return theta
     near = problem.points_near()
     size = problem.size_m
@@ -94,5 +94,5 @@ def settled(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: 
     level = float(problem.theta0[2] - size[2] / 2)
     plane = fit_ground(near.numpy(), (float(theta[0]), float(theta[1])), level, footprint_m)
     on_ground[2] = (level if plane is None else plane.height_m) + size[2] / 2
-    found = settle(metric, near, on_ground, size, limits.settle_m)
+    found = snap_to_ground(metric, near, on_ground, size, limits.snap_m)
     return theta if found is None else found

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import PAPER_CONSTRAINTS, ConstraintCheck, Constraints, check, points_near
 from shift3d.attack.objective import (
     ATTACK_RADIUS_M,
     adversarial_loss,
@@ -22,17 +21,18 @@ from shift3d.attack.objective import (
     window_around,
 )
 from shift3d.detectors.base import Detector, Proposals
-from shift3d.detectors.incremental import Follower, follow
+from shift3d.detectors.incremental.inference import IncrementalInference, incremental_inference
+from shift3d.placement.constraints import PAPER_CONSTRAINTS, ConstraintCheck, Constraints, check, points_near
 from shift3d.render.beams import Beams
-from shift3d.render.object_field import Field, ObjectField, VehicleFrame
+from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
+from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
-from shift3d.render.sdf_grid import SdfGrid
-from shift3d.render.search import WarmStart
 from shift3d.render.settings import STANDARD, RenderSettings
+from shift3d.render.solvers.search import WarmStart
 
 if TYPE_CHECKING:  # nothing of effects is imported unless a scene calls for one
-    from shift3d.render.effects.chain import EffectChain
+    from shift3d.effects.chain import EffectChain
 
 
 @dataclass(frozen=True)
@@ -98,11 +98,11 @@ class AttackProblem:
         """The map of empty space, if it belongs to this code."""
         return self.space if torch.equal(code, self.code0) else None
 
-    def follower(self) -> Follower:
-        """A follower of the detector wherever an attack may move the object."""
+    def incremental_inference(self) -> IncrementalInference:
+        """Incremental inference of the detector wherever an attack may move the object."""
         window = window_around(self.detector, self.theta0, ATTACK_RADIUS_M + self.travel_m)
         assert window is not None
-        return follow(self.detector, window)
+        return incremental_inference(self.detector, window)
 
     @property
     def cast_beams(self) -> Beams:
@@ -156,12 +156,12 @@ def measure(
     theta: Tensor,
     warm: WarmStart | None = None,
     radius_m: float | None = ATTACK_RADIUS_M,
-    follower: Follower | None = None,
+    incremental: IncrementalInference | None = None,
 ) -> Measurement:
     """Render, detect, and check the constraints.
 
     radius_m: how far around the object proposals are looked at; None: the whole scene, as the paper does.
-    follower: of this problem's detector, to be asked in its place: what an earlier measurement computed is reused.
+    incremental: of this problem's detector, to be asked in its place: what an earlier measurement computed is reused.
 
     Differentiable w.r.t. code and theta, through `adversarial`. Source: SHIFT3D, Algorithm 1.
     """
@@ -170,10 +170,10 @@ def measure(
     rendered = time.perf_counter()
     points = to_network_frame(rendering.points, problem.ground_z_m)
     window = window_around(problem.detector, theta, radius_m)
-    if follower is None or window is None:
+    if incremental is None or window is None:
         proposals = problem.detector.proposals(points, window)
     else:
-        proposals = follower.proposals(points, window, live=rendering.hit_mask)
+        proposals = incremental.proposals(points, window, requires_grad=rendering.hit_mask)
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
     loss = adversarial_loss(proposals, box)
     score = proposal_score(proposals, box)

@@ -8,7 +8,7 @@ from typing import Literal
 
 from torch import Tensor
 
-from shift3d.attack.constraints import ConstraintCheck
+from shift3d.placement.constraints import ConstraintCheck
 
 
 @dataclass(frozen=True)

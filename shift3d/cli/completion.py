@@ -8,9 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from shift3d.settings.folders import files, places, shipped
+
 __all__ = ["folder_words", "key_words", "overrides", "plan_words", "sweep_words"]
 
-_ROOT = Path(__file__).resolve().parents[2]
 _OUTPUTS = Path("outputs")
 _FOLDERS = ("out", "reuse")
 
@@ -31,10 +32,8 @@ def plan_words(prefix: str, **_: Any) -> list[str]:
     if equals and key in _FOLDERS:
         return [f"{key}={folder}" for folder in folder_words(value)]
     if prefix.startswith("job="):
-        specs = (path for path in (_ROOT / "jobs").glob("*.yaml") if "\nrunner:" in path.read_text())
-        return sorted(f"job={path.stem}" for path in specs)
-    names = sorted(path.stem for path in (_ROOT / "sweeps").glob("*.yaml"))
-    return [name for name in [*names, "job="] if name.startswith(prefix)] + overrides(prefix)
+        return [f"job={name}" for name, path in files("jobs").items() if "\nrunner:" in path.read_text()]
+    return [name for name in [*files("sweeps"), "job="] if name.startswith(prefix)] + overrides(prefix)
 
 
 def folder_words(prefix: str, **_: Any) -> list[str]:
@@ -66,15 +65,14 @@ def overrides(prefix: str) -> list[str]:
     """Completions of ``group=option``, ``group.setting=`` ``out=`` and ``reuse=``."""
     key, equals, _ = prefix.partition("=")
     if equals:
-        options = sorted(path.stem for path in (_ROOT / "conf" / key).glob("[!_]*.yaml")) if key.isidentifier() else []
-        return [f"{key}={option}" for option in options]
+        return [f"{key}={option}" for option in files(f"conf/{key}")] if key.isidentifier() else []
     return [f"{name}=" for name in ["out", "reuse", *_settings()] if name.startswith(prefix)]
 
 
 def _settings() -> list[str]:
-    names = set(re.findall(r"^(\w+):", (_ROOT / "conf" / "config.yaml").read_text(), flags=re.MULTILINE))
+    names = set(re.findall(r"^(\w+):", (shipped("conf") / "config.yaml").read_text(), flags=re.MULTILINE))
     names.discard("defaults")
-    for path in (_ROOT / "conf").glob("*/*.yaml"):
+    for path in [file for folder in places("conf") for file in folder.glob("*/*.yaml")]:
         group = path.parent.name
         names.add(group)
         if path.read_text().startswith("# @package _global_"):

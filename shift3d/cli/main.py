@@ -10,8 +10,23 @@ import sys
 import textwrap
 from collections.abc import Sequence
 
-from shift3d.cli import compact, effects, evaluate, export, fit, frontier, gc, plan, report, sweep, train, ui, verify
 from shift3d.cli.command import Command
+from shift3d.cli.commands import (
+    compact,
+    effects,
+    evaluate,
+    export,
+    fit,
+    frontier,
+    gc,
+    jobs,
+    plan,
+    report,
+    sweep,
+    train,
+    ui,
+    verify,
+)
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode, exit_codes
 
@@ -31,6 +46,7 @@ COMMANDS: tuple[Command, ...] = (
     evaluate.COMMAND,
     frontier.COMMAND,
     ui.COMMAND,
+    jobs.COMMAND,
 )
 
 _DESCRIPTION = """\

@@ -11,7 +11,7 @@ from shift3d.cli.completion import plan_words
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
-    from shift3d.cli.jobs import JobSpec
+    from shift3d.cli.job_spec import JobSpec
     from shift3d.store.location import Location
 
 __all__ = ["Request", "add_words", "read_words", "split_words", "take_folders"]
@@ -49,7 +49,7 @@ def read_words(words: Sequence[str]) -> Request:
     Raises:
         InputError: a folder that cannot be used, a job that there is not, or a sweep's folder that is damaged.
     """
-    from shift3d.cli.jobs import take_job
+    from shift3d.cli.job_spec import take_job
 
     reuse, rest = take_folders("reuse", words)
     job, typed = take_job(rest)
@@ -80,7 +80,7 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
     Raises:
         InputError: one is empty, or a URL that cannot be used.
     """
-    from shift3d.store.location import as_location
+    from shift3d.store.resolve import as_location
 
     named = [word.removeprefix(f"{key}=") for word in words if word.startswith(f"{key}=")]
     if not all(named):
@@ -95,8 +95,8 @@ def _words_of_folder(words: list[str]) -> list[str]:
     """The words that a sweep was begun with where its output folder stands for them; words after it are added."""
     if not words or "=" in words[0]:
         return words
-    from shift3d.store.location import as_location
-    from shift3d.sweep.spec_file import read_spec
+    from shift3d.store.resolve import as_location
+    from shift3d.sweep.planning.spec_file import read_spec
 
     folder = as_location(words[0])
     if not (folder / "spec.yaml").is_file():

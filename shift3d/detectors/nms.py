@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from shift3d.detectors.base import Detections, Proposals
 from shift3d.geometry.iou import iou_bev
@@ -43,16 +44,20 @@ def rotated_nms(boxes: Array, scores: Array, iou_threshold: float, max_kept: int
     return order[np.asarray(kept, dtype=np.int64)]
 
 
-def suppress(proposals: Proposals, score_threshold: float, iou_threshold: float) -> Detections:
+def suppress(
+    proposals: Proposals, score_threshold: float, iou_threshold: float, among: Tensor | None = None
+) -> Detections:
     """Proposals to boxes: those with at least score_threshold, best first, without the overlapping ones.
 
-    At most MAX_BEFORE_NMS go in. Equal scores come in the order of their logits: in float32 every logit above 17 has
-    the score 1. Equal logits come in the order of the anchors. A NaN reaches no threshold. Not differentiable.
+    among: (A,) bool, the proposals that may be kept; None: all. At most MAX_BEFORE_NMS go in. Equal scores come in the
+    order of their logits: in float32 every logit above 17 has the score 1. Equal logits come in the order of the
+    proposals. A NaN reaches no threshold. Not differentiable.
     Source: the public Waymo config; the order of equals is our choice.
     """
     logits = proposals.logits.detach()
     scores = torch.sigmoid(logits).double().numpy()
-    candidates = np.flatnonzero(scores >= score_threshold)
+    wanted = scores >= score_threshold
+    candidates = np.flatnonzero(wanted if among is None else wanted & among.numpy())
     by_logit = np.argsort(-logits.double().numpy()[candidates], kind="stable")
     candidates = candidates[by_logit[:MAX_BEFORE_NMS]]
     boxes = proposals.boxes.detach().double().numpy()[candidates]

@@ -26,7 +26,8 @@ class Truth:
     boxes: (M, 7) float64, scene frame, metres and radians. num_points: (M,) int64, points in each box.
     counts: (M,) bool; false for vehicles that a detector may find and need not (KITTI's vans and trucks):
     finding one is neither right nor wrong. difficulty: (M,) int64, KITTI's 0 easy, 1 moderate, 2 hard, 3 harder
-    than that; -1 where labels carry none. names: M names as the data set gives them.
+    than that; -1 where labels carry none. names: M names as the data set gives them. kinds: M kinds of vehicle, such as
+    "sedan+roof_box": a body type and what it carries; empty where the labels say nothing.
     """
 
     boxes: Floats
@@ -34,6 +35,7 @@ class Truth:
     counts: Flags
     difficulty: Ints
     names: tuple[str, ...]
+    kinds: tuple[str, ...] = ()
 
     @property
     def range_m(self) -> Floats:

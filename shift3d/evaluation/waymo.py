@@ -19,7 +19,18 @@ from scipy.optimize import linear_sum_assignment
 from shift3d.evaluation.frames import Comparison
 from shift3d.evaluation.precision_recall import PrecisionRecall
 
-__all__ = ["LEVELS", "SCORE_CUTOFFS", "Assignment", "WaymoRules", "area_with_gaps", "assign", "waymo_curve"]
+__all__ = [
+    "LEVELS",
+    "SCORE_CUTOFFS",
+    "Assignment",
+    "CutoffCounts",
+    "WaymoRules",
+    "area_with_gaps",
+    "assign",
+    "curve_of",
+    "cutoff_counts",
+    "waymo_curve",
+]
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -98,6 +109,7 @@ def _select(comparison: Comparison, boxes: Flags, objects: Flags) -> Comparison:
             truth.counts[objects],
             truth.difficulty[objects],
             tuple(name for name, kept in zip(truth.names, objects) if kept),
+            tuple(kind for kind, kept in zip(truth.kinds, objects) if kept),
         ),
         type(found)(found.boxes[boxes], found.scores[boxes], found.labelled[boxes], found.image_height_px[boxes]),
         comparison.overlap[np.ix_(boxes, objects)],
@@ -105,50 +117,78 @@ def _select(comparison: Comparison, boxes: Flags, objects: Flags) -> Comparison:
     )
 
 
+@dataclass(frozen=True)
+class CutoffCounts:
+    """What became of detections and objects at the 101 score cut-offs, sums over frames.
+
+    table: (4, 101) float64: right detections, wrong ones, missed objects, and the heading accuracies of the right
+    ones. num_truth: objects to find.
+    """
+
+    table: Floats
+    num_truth: float
+
+
+def cutoff_counts(
+    assignment: Assignment, rules: WaymoRules, among: Flags | None = None, share: Floats | None = None
+) -> CutoffCounts:
+    """The counts of one frame.
+
+    among: (M,) bool, the objects that are asked for; a detection of another one is neither right nor wrong. None: all.
+    share: (K,) float64 in [0, 1], how much each detection counts where it is wrong. None: 1.
+    """
+    truth = assignment.comparison.truth
+    among = np.ones(len(truth.counts), dtype=bool) if among is None else among
+    asked = truth.counts & (truth.num_points >= LEVELS[rules.level]) & among
+    rewarded = truth.counts & among if rules.credit_harder else asked
+    share = np.ones(len(assignment.comparison.found.scores)) if share is None else share
+    counted = {number: _count(assignment, number, asked, rewarded, share) for number in assignment.matched}
+    table = np.array([counted[number] for number in assignment.num_found.tolist()], dtype=np.float64).T
+    return CutoffCounts(table, float(asked.sum()))
+
+
 def waymo_curve(assignments: Iterable[Assignment], rules: WaymoRules) -> PrecisionRecall:
-    """Precision and recall at the 101 cut-offs over all frames, and the areas AP and APH.
+    """Precision and recall at the 101 cut-offs over all frames, and the areas AP and APH."""
+    counts = [cutoff_counts(assignment, rules) for assignment in assignments]
+    table = sum((count.table for count in counts), start=np.zeros((4, len(SCORE_CUTOFFS))))
+    return curve_of(CutoffCounts(table, sum(count.num_truth for count in counts)))
+
+
+def curve_of(counts: CutoffCounts) -> PrecisionRecall:
+    """Precision and recall at the 101 cut-offs, and the areas AP and APH.
 
     APH: each right detection enters the precision with its heading accuracy; recall is not weighted. Where recall is
     0, precision is 1. AP and APH are None without an object to find.
     """
-    right, wrong, missed = (np.zeros(len(SCORE_CUTOFFS), dtype=np.int64) for _ in range(3))
-    heading_sum = np.zeros(len(SCORE_CUTOFFS))
-    num_truth = 0
-    for assignment in assignments:
-        truth = assignment.comparison.truth
-        num_truth += int((truth.counts & (truth.num_points >= LEVELS[rules.level])).sum())
-        counted = {number: _count(assignment, number, rules) for number in assignment.matched}
-        right += [counted[number][0] for number in assignment.num_found.tolist()]
-        wrong += [counted[number][1] for number in assignment.num_found.tolist()]
-        missed += [counted[number][2] for number in assignment.num_found.tolist()]
-        heading_sum += [counted[number][3] for number in assignment.num_found.tolist()]
-    recall = right / np.maximum(right + missed, 1)
-    precision = np.where(right == 0, 1.0, right / np.maximum(right + wrong, 1))
-    heading_precision = np.where(right == 0, 1.0, heading_sum / np.maximum(right + wrong, 1))
+    right, wrong, missed, heading = counts.table
+    tiny = np.finfo(np.float64).tiny  # right ones may be a fraction where frames are weighted
+    recall = right / np.maximum(right + missed, tiny)
+    precision = np.where(right == 0, 1.0, right / np.maximum(right + wrong, tiny))
+    heading_precision = np.where(right == 0, 1.0, heading / np.maximum(right + wrong, tiny))
     return PrecisionRecall(
-        area_with_gaps(recall, precision) if num_truth else None,
-        area_with_gaps(recall, heading_precision) if num_truth else None,
+        area_with_gaps(recall, precision) if counts.num_truth else None,
+        area_with_gaps(recall, heading_precision) if counts.num_truth else None,
         SCORE_CUTOFFS,
         recall,
         precision,
         heading_precision,
-        num_truth,
+        int(counts.num_truth),
     )
 
 
-def _count(assignment: Assignment, number: int, rules: WaymoRules) -> tuple[int, int, int, float]:
+def _count(
+    assignment: Assignment, number: int, asked: Flags, rewarded: Flags, share: Floats
+) -> tuple[int, float, int, float]:
     """Right, wrong, missed, and the sum of the heading accuracies of the right ones."""
-    matched, truth = assignment.matched[number], assignment.comparison.truth
-    asked = truth.counts & (truth.num_points >= LEVELS[rules.level])
-    rewarded = truth.counts if rules.credit_harder else asked
+    matched = assignment.matched[number]
     rows = np.flatnonzero(matched >= 0)
     rows = rows[rewarded[matched[rows]]]
-    wrong = int(((matched < 0) & assignment.comparison.found.labelled[:number]).sum())
+    false = (matched < 0) & assignment.comparison.found.labelled[:number]
     unmatched = np.ones(len(asked), dtype=bool)
     unmatched[matched[matched >= 0]] = False
-    # A sum in a fixed order, whatever the number of frames a worker had.
+    # Sums in a fixed order, whatever the number of frames a worker had.
     heading = float(sum(assignment.comparison.heading_accuracy[rows, matched[rows]].tolist()))
-    return len(rows), wrong, int((asked & unmatched).sum()), heading
+    return len(rows), float(sum(share[:number][false].tolist())), int((asked & unmatched).sum()), heading
 
 
 def area_with_gaps(recall: Sequence[float] | Floats, precision: Sequence[float] | Floats) -> float:

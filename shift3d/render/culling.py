@@ -9,10 +9,26 @@ from torch import Tensor
 
 from shift3d.geometry.se3 import scene_R_object
 from shift3d.render.beams import Beams
-from shift3d.render.bounding_box import Box
 
 SPHERE_RADIUS_M = 7.0
 """Radius of the sphere around the object outside which beams are left alone. Source: SHIFT3D, Setup."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """Axis-aligned box in the object frame: lower and upper corner (3,), float64, metres."""
+
+    lower: Tensor
+    upper: Tensor
+
+    def grown(self, margin_m: float) -> Box:
+        """The box with every face moved out."""
+        return Box(self.lower - margin_m, self.upper + margin_m)
+
+    @property
+    def radius_m(self) -> float:
+        """Distance of the farthest corner from the object's centre."""
+        return float(torch.maximum(self.lower.abs(), self.upper.abs()).norm())
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,12 @@ from torch import Tensor
 
 from shift3d.geometry.se3 import object_from_scene, scene_R_object
 from shift3d.render.beams import Beams
-from shift3d.render.corrector import NEWTON_SLOPE
 from shift3d.render.culling import Rays, object_rays
-from shift3d.render.linearization import Linearization, linearize
-from shift3d.render.object_field import ObjectField
-from shift3d.render.rendering import FirstHits, GrazingShare
+from shift3d.render.field.linearization import Linearization, linearize
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.first_hits import FirstHits
+from shift3d.render.rendering import GrazingShare
+from shift3d.render.solvers.corrector import NEWTON_SLOPE
 
 _POLISH_M = 0.002
 

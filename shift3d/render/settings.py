@@ -65,6 +65,7 @@ class RenderSettings:
         warm_refresh: warm renderings in a row before everything is searched afresh.
         warm_change_m: everything is searched afresh where the field's change since the earlier rendering differs by
             more than this within a cell of the change grid (0.45 m).
+        prediction_error: error bound of a predicted sample, as a share of that difference and of the sample's motion.
         local_minima: between samples that leave `step_m` uncovered, look next to local minima and where g hardly
             falls. False: a chord shorter than `step_m` may be missed.
         approach_slope, approach_m: a hit is approached plainly where g falls by this slope or more over at most this
@@ -93,6 +94,7 @@ class RenderSettings:
     warm_start: bool = True
     warm_refresh: int = 40
     warm_change_m: float = 0.2
+    prediction_error: float = 0.5
     local_minima: bool = True
     approach_slope: float = 0.3
     approach_m: float = 0.2
@@ -123,6 +125,7 @@ class RenderSettings:
                 "warm_refresh",
                 "approach_m",
                 "warm_change_m",
+                "prediction_error",
             ),
         )
         for name in not_negative:

@@ -102,7 +102,7 @@ class SceneFacts:
         scene_id: its name.
         origins: number of different places that beams start from (two already stand for many).
         returns: largest number of returns of a beam, as far as the scene numbers them; 1 where it does not.
-        silent_beams: beams without a return that the scene knows of.
+        no_return_beams: beams without a return that the scene knows of.
         has_reflectance, has_pixels (range image indices): whether points carry them.
         scan_s: from the first point's firing time to the last's; 0 where times are unknown.
         ground_in_view: at least one point in fifty lies near the nominal ground.
@@ -113,7 +113,7 @@ class SceneFacts:
     scene_id: str
     origins: int = 1
     returns: int = 1
-    silent_beams: int = 0
+    no_return_beams: int = 0
     has_reflectance: bool = False
     has_pixels: bool = False
     scan_s: float = 0.0
@@ -131,7 +131,7 @@ class SceneFacts:
             scene_id=scene.scene_id,
             origins=1 if bool((scene.origins == scene.origins[:1]).all()) else 2,
             returns=1 if scene.return_number is None else int(scene.return_number.max(initial=0)) + 1,
-            silent_beams=0 if scene.silent is None else len(scene.silent),
+            no_return_beams=0 if scene.no_return is None else len(scene.no_return),
             has_reflectance=scene.reflectance is not None,
             has_pixels=scene.range_image_index is not None,
             scan_s=0.0 if times is None else float(times.max() - times.min()),

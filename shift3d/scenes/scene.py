@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.scenes.labels import Conditions, Labels
-from shift3d.scenes.sensor import SensorModel, SilentBeams
+from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 from shift3d.wording import counted
 
 __all__ = ["Conditions", "Labels", "Scene"]
@@ -34,7 +34,7 @@ class Scene:
         range_image_index: (N, 2) int32, row (top beam is 0) and column of each point, or None.
         conditions: weather and the like.
         sensor: what is stated about the sensor; None: nothing.
-        silent: beams without a return, where the scene is a whole range image; None: unknown.
+        no_return: beams without a return, where the scene is a whole range image; None: unknown.
 
     Source: our choice (design sections 4 and 6: beams come from each sensor's own origin).
     """
@@ -51,7 +51,7 @@ class Scene:
     range_image_index: NDArray[np.int32] | None = None
     conditions: Conditions = field(default_factory=Conditions)
     sensor: SensorModel | None = None
-    silent: SilentBeams | None = None
+    no_return: NoReturnBeams | None = None
 
     @property
     def has_beam(self) -> NDArray[np.bool_]:
@@ -86,8 +86,8 @@ class Scene:
         self.conditions.validate(where)
         if self.sensor is not None:
             self.sensor.validate(where)
-        if self.silent is not None:
-            self.silent.validate(where)
+        if self.no_return is not None:
+            self.no_return.validate(where)
 
     def content_hash(self) -> str:
         """BLAKE2b-128 hex digest of everything in the record: equal content gives equal digests anywhere.
@@ -109,8 +109,10 @@ class Scene:
         digest.update(json.dumps(header, sort_keys=True).encode())
         arrays = [(name, values) for name, values, _, _ in self._fields()]
         arrays += [("boxes", self.labels.boxes), ("num_points", self.labels.num_points)]
-        if self.silent is not None:
-            arrays += [(f"silent.{name}", values) for name, values in vars(self.silent).items() if values is not None]
+        if self.no_return is not None:
+            arrays += [
+                (f"silent.{name}", values) for name, values in vars(self.no_return).items() if values is not None
+            ]
         for name, values in arrays:
             little = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
             digest.update(f"|{name}:{little.dtype.str}:{little.shape}|".encode())

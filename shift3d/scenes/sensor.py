@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 
-__all__ = ["SensorModel", "SilentBeams"]
+__all__ = ["NoReturnBeams", "SensorModel"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class SensorModel:
 
 
 @dataclass(frozen=True)
-class SilentBeams:
+class NoReturnBeams:
     """Beams of a range image that brought nothing back.
 
     Attributes:

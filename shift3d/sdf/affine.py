@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from shift3d.processor import has_fast_bfloat16, has_wide_float32, round_batch
+from shift3d.processor import has_fast_bfloat16, has_wide_float32, pad_to_bucket
 
 
 def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
@@ -23,14 +23,14 @@ def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
 
 
 def in_round_batches(x: Tensor, *parts: Tensor) -> Tensor:
-    """Points x (N, 3) with rows of zeros behind them, up to a number that comes round again: see `round_batch`.
+    """Points x (N, 3) with rows of zeros behind them, up to a number that comes round again: see `pad_to_bucket`.
 
     The same tensor where oneDNN is not asked, or a gradient of the point or the parts is wanted.
     """
     asked = (x.dtype == torch.bfloat16 and has_fast_bfloat16()) or (x.dtype == torch.float32 and has_wide_float32())
     if not asked or x.device.type != "cpu" or type(x) is not Tensor or _is_differentiated(x, *parts):
         return x
-    return torch.nn.functional.pad(x, (0, 0, 0, round_batch(len(x)) - len(x)))
+    return torch.nn.functional.pad(x, (0, 0, 0, pad_to_bucket(len(x)) - len(x)))
 
 
 def _plain(x: Tensor) -> bool:

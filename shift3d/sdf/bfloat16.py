@@ -12,8 +12,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from shift3d.processor import has_fast_bfloat16, round_batch
-from shift3d.sdf.decoder import Field as DecoderField
+from shift3d.processor import has_fast_bfloat16, pad_to_bucket
+from shift3d.sdf.field import Field as DecoderField
 
 
 class Bfloat16Field:
@@ -45,7 +45,7 @@ class Bfloat16Field:
 
     def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None) -> Tensor:
         # In round batches: this is only there where oneDNN takes the products.
-        x = torch.nn.functional.pad(x_sdf.float(), (0, 0, 0, round_batch(len(x_sdf)) - len(x_sdf)))
+        x = torch.nn.functional.pad(x_sdf.float(), (0, 0, 0, pad_to_bucket(len(x_sdf)) - len(x_sdf)))
         hidden = torch.relu(torch.addmm(self.biases[0], x, self.first)).to(torch.bfloat16)
         self._note(hidden[: len(x_sdf)], live)
         for layer in range(1, len(self.wide) - 1):

@@ -9,7 +9,6 @@ while a short training only sees its noise.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,13 +17,10 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrizations
 
 from shift3d.errors import InputError
-from shift3d.sdf.affine import affine, in_round_batches
-from shift3d.sdf.pieces import Piece, linear_piece
-from shift3d.sdf.tangent import Tangent, tangent
+from shift3d.sdf.field import Field
 from shift3d.sdf.tensors import check_magnitude, checked_tensors, without_subnormals
 
 CODE_LENGTH = 256
-_UNITS = 32
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "weights" / "sdf.safetensors"
 
 
@@ -68,110 +64,6 @@ def _parameters(layer: nn.Module) -> tuple[Tensor, Tensor]:
     assert isinstance(weight, Tensor)
     assert isinstance(bias, Tensor)
     return weight, bias
-
-
-class Field:
-    """g(z, .) of one latent code: weights folded, and everything that depends on z alone computed once.
-
-    Differentiable w.r.t. the points and, through the two biases, w.r.t. z. The dtype is that of the decoder.
-    """
-
-    def __init__(self, weights: list[Tensor], biases: list[Tensor], skip_layer: int) -> None:
-        self.weights, self.biases, self.skip_layer = weights, biases, skip_layer
-
-    @property
-    def dtype(self) -> torch.dtype:
-        """The dtype that points are cast to."""
-        return self.weights[0].dtype
-
-    def __call__(self, x_sdf: Tensor) -> Tensor:
-        """Signed distance in sdf units, negative inside.
-
-        Args:
-            x_sdf: points (N, 3), sdf frame, unit-sphere units; cast to the field's dtype.
-        Returns: (N,), in (-1, 1) because of the tanh.
-        """
-        hidden = x = in_round_batches(x_sdf.to(self.dtype), *self.weights, *self.biases)
-        last = len(self.weights) - 1
-        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            if layer == self.skip_layer:
-                hidden = torch.cat([hidden, x], dim=1)
-            hidden = affine(hidden, weight, bias)
-            if layer < last:
-                hidden = torch.relu(hidden)
-        return torch.tanh(hidden[: len(x_sdf), 0])
-
-    def piece(self, x_sdf: Tensor, direction: Tensor) -> Piece:
-        """The linear pieces on which lines (N, 3) + k (N, 3) start, sdf frame; see `pieces`. Not differentiable."""
-        with torch.no_grad():
-            return linear_piece(
-                self.weights, self.biases, self.skip_layer, x_sdf.to(self.dtype), direction.to(self.dtype)
-            )
-
-    @property
-    def code_layers(self) -> tuple[int, ...]:
-        """Layers through whose bias a code that requires gradients enters; none where there is no such code."""
-        return tuple(layer for layer, bias in enumerate(self.biases) if bias.requires_grad)
-
-    def tangent(self, x_sdf: Tensor, layers: tuple[int, ...] = ()) -> Tangent:
-        """Values and derivatives at points (N, 3) and by the biases of some layers; constants, see `tangent`."""
-        weights, biases = ([part.detach() for part in parts] for parts in (self.weights, self.biases))
-        return tangent(weights, biases, self.skip_layer, x_sdf.detach().to(self.dtype), layers)
-
-    def survey(self, x_sdf: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Values (N,) at points (N, 3), sdf frame, and which hidden units are on at one of them: a bool mask a layer.
-
-        Not differentiable.
-        """
-        weights, biases = ([part.detach() for part in parts] for parts in (self.weights, self.biases))
-        with torch.no_grad():
-            hidden = x = in_round_batches(x_sdf.detach().to(self.dtype))
-            live = []
-            for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-                if layer == self.skip_layer:
-                    hidden = torch.cat([hidden, x], dim=1)
-                hidden = affine(hidden, weight, bias)
-                if layer < len(weights) - 1:
-                    hidden = hidden.relu_()
-                    live.append((hidden[: len(x_sdf)] != 0).any(0))  # a NaN is on
-        return torch.tanh(hidden[: len(x_sdf), 0]), live
-
-    def sliced(self, live: Sequence[Tensor]) -> Field:
-        """The field without the hidden units that are off: the same values wherever only `live` units are on.
-
-        The layers through whose bias the code enters stay whole, so that derivatives by these biases keep their width.
-        """
-        rows: list[Tensor | None] = []
-        for layer, mask in enumerate(live):
-            whole = layer in (0, self.skip_layer)
-            rows.append(None if whole or bool(mask.all()) else _round_units(mask))
-        weights, biases, before = [], [], None
-        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            if before is not None:
-                if layer == self.skip_layer:
-                    width = weight.shape[1]
-                    before = torch.cat((before, torch.arange(width - 3, width)))
-                weight = weight.index_select(1, before)
-            before = rows[layer] if layer < len(live) else None
-            if before is not None:
-                weight, bias = weight.index_select(0, before), bias.index_select(0, before)
-            weights.append(weight.contiguous())
-            biases.append(bias)
-        return Field(weights, biases, self.skip_layer)
-
-    def detach(self) -> Field:
-        """The same field without the graph back to z."""
-        return Field([w.detach() for w in self.weights], [b.detach() for b in self.biases], self.skip_layer)
-
-
-def _round_units(live: Tensor) -> Tensor:
-    """(n,) ascending numbers of the live units, and of as many others as make n a multiple of 32.
-
-    Libraries make code for every size of matrix: few sizes come round again, see `processor.round_batch`.
-    """
-    on, off = torch.nonzero(live).squeeze(1), torch.nonzero(~live).squeeze(1)
-    missing = min(-len(on) % _UNITS, len(off))
-    return torch.cat((on, off[:missing])).sort().values
 
 
 class Decoder(nn.Module):

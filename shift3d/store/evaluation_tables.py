@@ -10,7 +10,7 @@ import pyarrow as pa
 
 __all__ = ["EVALUATION_SCHEMAS", "EVALUATION_SCHEMA_VERSION", "evaluation_table"]
 
-EVALUATION_SCHEMA_VERSION = 1
+EVALUATION_SCHEMA_VERSION = 2
 
 _BOX = [(name, pa.float64()) for name in ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")]
 _RUN = [("detector", pa.string()), ("dataset", pa.string())]
@@ -81,8 +81,49 @@ EVALUATION_SCHEMAS: dict[str, pa.Schema] = {
             ("num_points", pa.int64()),
             ("counts", pa.bool_()),
             ("difficulty", pa.int64()),
+            ("kind", pa.string()),
         ],
-        {"difficulty"},
+        {"difficulty", "kind"},
+    ),
+    # A row a vehicle that counts, within any range. row: of the scene's labels. aspect: the side that the beam to its
+    # centre meets: front, side, rear, oblique. score, flipped and errors: of the best detection with a bird's-eye IoU
+    # of at least 0.5; null without one. Errors: found less true, x and y along and across the true vehicle, heading of
+    # the axis, half turns taken out.
+    "vehicles": _schema(
+        "evaluation_vehicles",
+        [
+            *_RUN,
+            ("scene", pa.string()),
+            ("row", pa.int64()),
+            ("kind", pa.string()),
+            ("range_m", pa.float64()),
+            ("num_points", pa.int64()),
+            ("aspect", pa.string()),
+            ("score", pa.float64()),
+            ("iou_bev", pa.float64()),
+            ("iou_3d", pa.float64()),
+            ("flipped", pa.bool_()),
+            *((f"error_{name}", kind) for name, kind in _BOX),
+        ],
+        {"kind", "score", "flipped", *(f"error_{name}" for name, _ in _BOX)},
+    ),
+    # by: all, range, heading, points, body, attribute; group: which. measure and statistic: AP and APH (Waymo's,
+    # LEVEL_1, IoU 0.7; BEV or 3D), recall (at a score of 0.3, by IoU), flips, error_x_m and the like (median, mean,
+    # std). low, high: 95 % interval over resampled scenes, null for fewer than two. number: of vehicles.
+    "breakdown": _schema(
+        "evaluation_breakdown",
+        [
+            *_RUN,
+            ("by", pa.string()),
+            ("group", pa.string()),
+            ("measure", pa.string()),
+            ("statistic", pa.string()),
+            ("value", pa.float64()),
+            ("low", pa.float64()),
+            ("high", pa.float64()),
+            ("number", pa.int64()),
+        ],
+        {"value", "low", "high"},
     ),
     # Apart from the rest, because no two runs take the same time.
     "timings": _schema(

@@ -73,7 +73,7 @@ _COLUMNS: list[tuple[str, pa.DataType, str]] = [
     # Mean final score that short attacks on shape and pose reach: the AUC over them.
     ("attack_score", pa.float64(), "fraction?"),
     ("unresolved_beams", pa.int64(), "not negative"),
-    # In its scenes no setting that could be used instead is better; see shift3d.report.pareto.
+    # In its scenes no setting that could be used instead is better; see shift3d.accuracy_time.pareto.
     ("pareto", pa.bool_(), "any"),
 ]
 _KIND = {name: kind.removesuffix("?") for name, _, kind in _COLUMNS}

@@ -10,8 +10,9 @@ import re
 from dataclasses import dataclass
 
 from shift3d.errors import InputError
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
 from shift3d.store.log import Commit, CommitLog, entry_names, read_entry, read_log
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.segments import committed_rows
 
 __all__ = ["Compacted", "Garbage", "collect", "compact", "find_garbage"]
@@ -38,7 +39,7 @@ class Garbage:
         return (*self.replaced, *self.segments, *self.temporary)
 
 
-def find_garbage(folder: Place) -> Garbage:
+def find_garbage(folder: LocationLike) -> Garbage:
     """What `collect` removes.
 
     What lies in data/ is listed before the log is read. So a segment that the log does not name then belongs to a
@@ -98,7 +99,7 @@ class Compacted:
     removed: int
 
 
-def compact(folder: Place) -> Compacted:
+def compact(folder: LocationLike) -> Compacted:
     """Merge what was committed into one entry and one segment a table. Rows keep their order, so final/ its bytes.
 
     It opens a session, so a driver that runs is stopped at its next commit. The new entry makes the new segments count

@@ -24,8 +24,9 @@ import pyarrow as pa
 
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
-from shift3d.store.location import Location, Place, UncertainError, as_location
+from shift3d.store.location import Location, UncertainError
 from shift3d.store.migrations import steps
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SEGMENTS
 from shift3d.store.tables import write_table
 
@@ -62,7 +63,7 @@ class Commit:
     rows: tuple[tuple[str, int], ...] = ()
 
 
-def read_log(folder: Place) -> list[Commit]:
+def read_log(folder: LocationLike) -> list[Commit]:
     """The entries that count, in order: all of them, or from the last compaction on, which says what was before it.
 
     Raises:
@@ -169,7 +170,7 @@ class CommitLog:
         InputError: the log cannot be read or written, or is another sweep's.
     """
 
-    def __init__(self, folder: Place, spec_hash: str) -> None:
+    def __init__(self, folder: LocationLike, spec_hash: str) -> None:
         self.folder = as_location(folder)
         self.spec_hash = spec_hash
         self.driver = f"{os.getpid()}-{secrets.token_hex(4)}"

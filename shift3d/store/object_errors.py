@@ -58,8 +58,10 @@ def explained(error: Exception, url: str) -> InputError:
     for pattern, what, remedy in _MEANINGS:
         if re.search(pattern, text):
             # The store's own words where it is the network: they name the host that was asked.
-            said = f" ({_asked(text)})" if remedy == "{check}" else ""
-            return InputError(what + said, url, remedy.format(credentials=_CREDENTIALS[scheme], check=_CHECK[scheme]))
+            request = f" ({_asked(text)})" if remedy == "{check}" else ""
+            return InputError(
+                what + request, url, remedy.format(credentials=_CREDENTIALS[scheme], check=_CHECK[scheme])
+            )
     first = " ".join(str(error).split("Debug source")[0].split())[:300]
     return InputError(f"the store refuses ({first})", url, _CHECK[scheme])
 

@@ -7,15 +7,16 @@ from collections.abc import Sequence
 import pyarrow as pa
 
 from shift3d.errors import InputError
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
 from shift3d.store.log import Commit
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMAS
 from shift3d.store.tables import read_table
 
 __all__ = ["committed_rows"]
 
 
-def committed_rows(folder: Place, entries: Sequence[Commit], name: str) -> pa.Table:
+def committed_rows(folder: LocationLike, entries: Sequence[Commit], name: str) -> pa.Table:
     """Every row of one table that was committed, in the order of the log.
 
     Raises:

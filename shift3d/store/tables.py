@@ -10,8 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
-from shift3d.store.location import LocalLocation, Location, Place, as_location
+from shift3d.store.local_files import LocalLocation
+from shift3d.store.location import Location
 from shift3d.store.migrations import steps
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 
 __all__ = ["check_table", "read_table", "table_bytes", "table_from_rows", "write_table"]
@@ -56,7 +58,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def write_table(path: Place, table: pa.Table) -> None:
+def write_table(path: LocationLike, table: pa.Table) -> None:
     """Write a Parquet file atomically. The same table content gives the same bytes.
 
     Raises:
@@ -77,7 +79,7 @@ def table_bytes(table: pa.Table) -> bytes:
 
 
 def read_table(
-    path: Place, name: str, filters: list[tuple[str, str, Any]] | None = None, content: bytes | None = None
+    path: LocationLike, name: str, filters: list[tuple[str, str, Any]] | None = None, content: bytes | None = None
 ) -> pa.Table:
     """Read a Parquet file and check that it holds the schema ``name`` of this version.
 
@@ -116,7 +118,7 @@ def _source(location: Location, content: bytes | None) -> Any:
     return pa.BufferReader(location.read_bytes() if content is None else content)
 
 
-def check_table(table: pa.Table, schema: pa.Schema, path: Place) -> None:
+def check_table(table: pa.Table, schema: pa.Schema, path: LocationLike) -> None:
     """Refuse a table that has not a schema's columns and types, or lacks values, or holds NaN or infinity.
 
     Raises:

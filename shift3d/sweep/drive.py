@@ -13,22 +13,24 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
 from shift3d.errors import InputError
+from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
 from shift3d.signals import stop_signals
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
 from shift3d.store.log import Commit, CommitLog, TakenOverError
-from shift3d.sweep.abort import AbortRule
-from shift3d.sweep.commit import Committer
-from shift3d.sweep.final import FinalTables, segments_in_plan_order, write_final
-from shift3d.sweep.folder import open_folder
-from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import Plan
-from shift3d.sweep.progress import Progress
-from shift3d.sweep.reuse import take_finished
-from shift3d.sweep.runner import Runner, make_runner
-from shift3d.sweep.status import State, Teller
-from shift3d.sweep.worker import BatchOutcome
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.sweep.execution.abort import AbortRule
+from shift3d.sweep.execution.order import cheapest_first
+from shift3d.sweep.execution.progress import Progress
+from shift3d.sweep.execution.runner import Runner, make_runner
+from shift3d.sweep.execution.worker import BatchOutcome
+from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.results.commit import Committer
+from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
+from shift3d.sweep.results.reuse import take_finished
+from shift3d.sweep.status import State, StatusWriter
 
 __all__ = ["SweepResult", "run_sweep"]
 
@@ -62,10 +64,10 @@ def run_sweep(
     plan: Plan,
     runner_config: RunnerConfig,
     kind: TaskKind,
-    folder: Place,
+    folder: LocationLike,
     finish: Finish = write_final,
     retry_quarantined: bool = False,
-    reuse: Sequence[Place] = (),
+    reuse: Sequence[LocationLike] = (),
 ) -> SweepResult:
     """Run what a plan has left to run, and write ``final/``.
 
@@ -87,16 +89,16 @@ def run_sweep(
     reused = sum(take_finished(log, plan, other) for other in reuse)
     given_up = log.quarantined() if retry_quarantined else set()
     left = plan.tasks.without(log.finished() - given_up)
-    teller = Teller(log, len(plan.tasks))
-    teller.tell([], 0, "starting" if len(left) else "finished")
+    status = StatusWriter(log, len(plan.tasks))
+    status.write([], 0, "starting" if len(left) else "finished")
     if len(left):
         with (
-            _runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up), teller) as runner,
+            _runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up), status) as runner,
             Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress,
         ):
             rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
-            watchers = _Watchers(progress, teller, rule)
-            _run(runner, left, Committer(log, runner_config.commit_seconds), watchers)
+            watchers = _Watchers(progress, status, rule)
+            _run(runner, cheapest_first(plan.tasks, left), Committer(log, runner_config.commit_seconds), watchers)
     done, quarantined = log.done(), log.quarantined()
     complete = len(done) + len(quarantined) == len(plan.tasks)
     final = finish(folder, plan, log.entries) if complete else None
@@ -106,13 +108,13 @@ def run_sweep(
 
 @contextlib.contextmanager
 def _runner(
-    kind: TaskKind, plan: Plan, config: RunnerConfig, left: int, tried: dict[int, int], teller: Teller
+    kind: TaskKind, plan: Plan, config: RunnerConfig, left: int, tried: dict[int, int], status: StatusWriter
 ) -> Iterator[Runner]:
     """The runner, closed at the end. One that cannot be made is told, too: nobody else would say that it stopped."""
     try:
         runner = make_runner(kind, plan, config, left, tried)
     except BaseException:
-        teller.tell([], 0, "stopped")
+        status.write([], 0, "stopped")
         raise
     try:
         yield runner
@@ -135,15 +137,15 @@ class _Watchers:
     """Whoever looks at outcomes as they come."""
 
     progress: Progress
-    teller: Teller
+    status: StatusWriter
     rule: AbortRule
 
     def see(self, outcome: BatchOutcome, runner: Runner) -> None:
         """Raises AbortedError where too much failed."""
         running = runner.running()
         self.progress.update(len(outcome.done), len(outcome.quarantined), running, runner.workers)
-        self.teller.finished(len(outcome.done) + len(outcome.quarantined), outcome.peak_mb)
-        self.teller.tell(running, runner.workers)
+        self.status.finished(len(outcome.done) + len(outcome.quarantined), outcome.peak_mb)
+        self.status.write(running, runner.workers)
         if outcome.fatal:
             raise outcome.fatal
         if aborted := self.rule.seen(outcome):
@@ -166,12 +168,12 @@ def _run(runner: Runner, left: np.ndarray, committer: Committer, watchers: _Watc
             raise  # this driver has no say any more, in the status neither
         except InputError:
             committer.flush()
-            watchers.teller.tell([], runner.workers, state)
+            watchers.status.write([], runner.workers, state)
             raise
         if stop.second.is_set():
             watchers.progress.say("dropping the tasks in flight")
         committer.flush()
-        watchers.teller.tell([], runner.workers, state)
+        watchers.status.write([], runner.workers, state)
 
 
 @dataclass(frozen=True)

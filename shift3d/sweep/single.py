@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from shift3d.errors import InputError
-from shift3d.processor import settle_numerics
+from shift3d.processor import configure_runtime
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import Plan
-from shift3d.sweep.worker import completed_rows
+from shift3d.sweep.execution.worker import completed_rows
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import Plan
 
 __all__ = ["run_single"]
 
@@ -27,7 +27,7 @@ def run_single(plan: Plan, kind: TaskKind, task_id: str) -> str:
         )
     planned = plan.assets[found[0].assets]
     assets = kind.load(planned)
-    settle_numerics(planned.threads)
+    configure_runtime(planned.threads)
     rows = completed_rows(found[0].spec, plan.sweep, kind.run(found[0].spec, assets))
     parts = []
     for name in ("scores", "timings"):

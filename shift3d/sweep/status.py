@@ -18,16 +18,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from shift3d.errors import InputError
-from shift3d.store.location import Location, Place, as_location
+from shift3d.store.location import Location
 from shift3d.store.log import read_log
-from shift3d.sweep.spec_file import read_spec
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.store.log import CommitLog
-    from shift3d.sweep.running import Running
+    from shift3d.sweep.execution.running import Running
 
-__all__ = ["State", "SweepStatus", "Teller", "read_status", "status_lines"]
+__all__ = ["State", "StatusWriter", "SweepStatus", "read_status", "status_lines"]
 
 _FILE = "status.json"
 _EVERY_S = 3.0
@@ -38,14 +39,14 @@ _SHOWN = 8
 State = Literal["starting", "running", "finished", "interrupted", "stopped"]
 
 
-class Teller:
+class StatusWriter:
     """Writes what the driver of a sweep is doing. log: of this driver. planned: tasks of the whole sweep."""
 
     def __init__(self, log: CommitLog, planned: int) -> None:
         self._log = log
         self._planned = planned
         self._began = time.monotonic()
-        self._told = float("-inf")
+        self._written = float("-inf")
         self._finished = 0
         self._peak_mb = 0.0
         self._entries = len(log.entries)
@@ -56,15 +57,15 @@ class Teller:
         self._finished += tasks
         self._peak_mb = max(self._peak_mb, peak_mb)
 
-    def tell(self, running: Sequence[Running], workers: int, state: State = "running") -> None:
+    def write(self, running: Sequence[Running], workers: int, state: State = "running") -> None:
         """Write it, unless that was just done. It never ends a sweep: without a status the log still counts."""
         if len(self._log.entries) != self._entries:
             self._entries, self._committed_unix_s = len(self._log.entries), time.time()
         now = time.monotonic()
-        if state == "running" and now - self._told < _EVERY_S:
+        if state == "running" and now - self._written < _EVERY_S:
             return
         if state == "running":
-            self._told = now
+            self._written = now
         values = {
             "driver": self._log.driver,
             "host": socket.gethostname(),
@@ -87,7 +88,7 @@ class Teller:
 
 @dataclass(frozen=True)
 class SweepStatus:
-    """How far a sweep is, by its log, and what its driver last said (None where it said nothing readable).
+    """How far a sweep is, by its log, and what its driver last wrote (None where nothing readable is there).
 
     commits: since the log was compacted, where it was. driver: of the last log entry; None where that is a compaction,
     whose process ended with it.
@@ -100,7 +101,7 @@ class SweepStatus:
     commits: int
     compacted: bool
     driver: str | None
-    said: dict[str, Any] | None
+    progress: dict[str, Any] | None
 
     @property
     def left(self) -> int:
@@ -108,7 +109,7 @@ class SweepStatus:
         return self.planned - self.done - self.quarantined
 
 
-def read_status(folder: Place) -> SweepStatus:
+def read_status(folder: LocationLike) -> SweepStatus:
     """The status of the sweep in ``folder``.
 
     Raises:
@@ -123,20 +124,20 @@ def read_status(folder: Place) -> SweepStatus:
     compacted = any(entry.kind == "compact" for entry in entries)
     driver = entries[-1].driver if entries and entries[-1].kind != "compact" else None
     return SweepStatus(
-        spec["sweep"], int(spec["tasks"]), len(done), len(given_up), commits, compacted, driver, _said(folder)
+        spec["sweep"], int(spec["tasks"]), len(done), len(given_up), commits, compacted, driver, _read_progress(folder)
     )
 
 
-def _said(folder: Location) -> dict[str, Any] | None:
+def _read_progress(folder: Location) -> dict[str, Any] | None:
     try:
-        said = json.loads((folder / _FILE).read_bytes())
-        numbers = [said[name] for name in ("written_unix_s", "per_s", "workers", "pid", "running_calls")]
-        texts = [said[name] for name in ("driver", "host", "state")]
-        calls = [(str(call["what"]), float(call["seconds"])) for call in said["running"]]
+        progress = json.loads((folder / _FILE).read_bytes())
+        numbers = [progress[name] for name in ("written_unix_s", "per_s", "workers", "pid", "running_calls")]
+        texts = [progress[name] for name in ("driver", "host", "state")]
+        calls = [(str(call["what"]), float(call["seconds"])) for call in progress["running"]]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     sound = all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)
-    return {**said, "running": calls} if sound else None
+    return {**progress, "running": calls} if sound else None
 
 
 def status_lines(status: SweepStatus) -> str:
@@ -146,22 +147,22 @@ def status_lines(status: SweepStatus) -> str:
         f"{status.sweep}: {status.done} of {counted(status.planned, 'task')} done ({share:.0%}), "
         f"{status.quarantined} quarantined, {status.left} left, {_commits(status)}"
     ]
-    said = status.said
-    if said is None:
-        return "\n".join([*lines, "no driver has said anything here"])
-    alive = _alive(status, said)
-    lines.append(f"driver {said['driver']} on {said['host']}: {alive}")
-    if committed := said.get("committed_unix_s"):
+    progress = status.progress
+    if progress is None:
+        return "\n".join([*lines, "no driver has written a status here"])
+    alive = _alive(status, progress)
+    lines.append(f"driver {progress['driver']} on {progress['host']}: {alive}")
+    if committed := progress.get("committed_unix_s"):
         lines.append(f"last commit {_ago(time.time() - committed)} ago")
     if alive == "running":
-        rate = said["per_s"]
+        rate = progress["per_s"]
         eta = f", about {_ago(status.left / rate)} left" if rate > 0 else ""
-        lines.append(f"{rate:.3g} tasks a second on {counted(said['workers'], 'worker')}{eta}")
-        if said.get("worker_peak_mb"):
-            lines.append(f"a worker takes up to {said['worker_peak_mb']:.0f} MB")
-        since = time.time() - said["written_unix_s"]
-        lines += [f"  runs now: {what}, for {_ago(seconds + since)}" for what, seconds in said["running"]]
-        if (more := said["running_calls"] - len(said["running"])) > 0:
+        lines.append(f"{rate:.3g} tasks a second on {counted(progress['workers'], 'worker')}{eta}")
+        if progress.get("worker_peak_mb"):
+            lines.append(f"a worker takes up to {progress['worker_peak_mb']:.0f} MB")
+        since = time.time() - progress["written_unix_s"]
+        lines += [f"  runs now: {what}, for {_ago(seconds + since)}" for what, seconds in progress["running"]]
+        if (more := progress["running_calls"] - len(progress["running"])) > 0:
             lines.append(f"  and {counted(more, 'call')} more")
     return "\n".join(lines)
 
@@ -172,22 +173,22 @@ def _commits(status: SweepStatus) -> str:
     return f"log compacted, {counted(status.commits, 'commit')} since" if status.commits else "log compacted"
 
 
-def _alive(status: SweepStatus, said: dict[str, Any]) -> str:
+def _alive(status: SweepStatus, progress: dict[str, Any]) -> str:
     """running, or why not. A driver on this machine is looked for; of one elsewhere only its silence tells."""
-    awake = said["state"] in ("starting", "running")
-    if not status.left and (not awake or status.driver != said["driver"]):
+    awake = progress["state"] in ("starting", "running")
+    if not status.left and (not awake or status.driver != progress["driver"]):
         return "finished"
-    if status.driver not in (None, said["driver"]):
+    if status.driver not in (None, progress["driver"]):
         return f"taken over by driver {status.driver}"
     if not awake:
-        return str(said["state"])
-    here = said["host"] == socket.gethostname() and Path("/proc/self").exists()
-    if here and not Path(f"/proc/{said['pid']:d}").exists():
+        return str(progress["state"])
+    here = progress["host"] == socket.gethostname() and Path("/proc/self").exists()
+    if here and not Path(f"/proc/{progress['pid']:d}").exists():
         return "dead; the same command resumes"
-    silent = time.time() - said["written_unix_s"]
+    silent = time.time() - progress["written_unix_s"]
     if not here and silent > _SILENT_S:
         return f"silent for {_ago(silent)}; if it is dead, the same command resumes"
-    return str(said["state"])
+    return str(progress["state"])
 
 
 def _ago(seconds: float) -> str:

@@ -8,30 +8,31 @@ from collections.abc import Sequence
 import numpy as np
 import pyarrow.compute as pc
 
-from shift3d.config.schema import LocalRunnerConfig, RayRunnerConfig
 from shift3d.errors import InputError
-from shift3d.store.location import Location, Place, as_location
+from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
+from shift3d.store.location import Location
 from shift3d.store.log import Commit, read_log
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.tables import read_table, write_table
 from shift3d.sweep.drive import SweepResult, run_sweep
-from shift3d.sweep.final import FinalTables, segments_in_plan_order, write_final
-from shift3d.sweep.folder import read_plan
-from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import Plan
-from shift3d.sweep.verified_scores import FOLDER
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
+from shift3d.sweep.results.verified_scores import FOLDER
 
 __all__ = ["verification_kind", "verification_plan", "verify_sweep"]
 
 
 def verification_kind() -> TaskKind:
     """A task that scores another one's solutions again."""
-    from shift3d.config.catalogue import read_catalogue
+    from shift3d.settings.catalogue import read_catalogue
     from shift3d.task.verify import load_verify_assets, verify_task
 
     return TaskKind(run=verify_task, load=load_verify_assets, catalogue=read_catalogue, single=False)
 
 
-def verification_plan(folder: Place) -> Plan:
+def verification_plan(folder: LocationLike) -> Plan:
     """The tasks of a finished sweep that have solutions, in its order.
 
     Tasks of one vehicle in one scene share their baseline, which a worker scores again once: in this order they lie
@@ -54,7 +55,7 @@ def verification_plan(folder: Place) -> Plan:
     return dataclasses.replace(plan, tasks=tasks, assets=assets)
 
 
-def verify_sweep(folder: Place, plan: Plan, runner: RayRunnerConfig | LocalRunnerConfig) -> SweepResult:
+def verify_sweep(folder: LocationLike, plan: Plan, runner: RayRunnerConfig | LocalRunnerConfig) -> SweepResult:
     """Verify what is left of a finished sweep's solutions, and put the result into its final tables.
 
     Exactly once, resumable and to the same bytes, as a sweep. plan: of `verification_plan`.

@@ -9,19 +9,19 @@ from typing import Any
 
 import torch
 
-from shift3d.config.catalogue import file_hash, scene_set, vehicle_source, weights_file
-from shift3d.config.renamed import current_settings
-from shift3d.config.schema import DeepSdfVehicleConfig, KittiConfig, StreetConfig, VehicleSetConfig
 from shift3d.detectors.base import Detector
-from shift3d.detectors.weights import load_detector
+from shift3d.detectors.loading import load_detector
 from shift3d.errors import InputError
 from shift3d.render.beams import Beams
-from shift3d.render.sdf_grid import SdfGrid
+from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import PRESETS, STANDARD, RenderSettings
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
+from shift3d.settings.catalogue import file_hash, scene_set, vehicle_source, weights_file
+from shift3d.settings.renamed import current_settings
+from shift3d.settings.schema import DeepSdfVehicleConfig, KittiConfig, StreetConfig, VehicleSetConfig
 from shift3d.task.spec import AssetsSpec, TaskSpec
 from shift3d.vehicles.outline import volume_m3
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash

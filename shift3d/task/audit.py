@@ -17,8 +17,7 @@ import torch
 
 from shift3d.attack.problem import AttackProblem
 from shift3d.render.beams import Beams
-from shift3d.render.bounding_box import Box
-from shift3d.render.culling import rays_in_box
+from shift3d.render.culling import Box, rays_in_box
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
 from shift3d.render.settings import REFERENCE

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from shift3d.attack.constraints import Constraints
-from shift3d.attack.placement import NoPlacement, Placement, PlacementLimits, place
 from shift3d.attack.problem import AttackProblem
+from shift3d.placement.constraints import Constraints
+from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, place
 from shift3d.render.settings import STANDARD
 from shift3d.scenes.facts import EffectSettings
 from shift3d.scenes.scene import Scene
@@ -18,7 +18,7 @@ from shift3d.task.assets import Assets, render_settings, score_precision
 from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
-    from shift3d.render.effects.chain import EffectChain
+    from shift3d.effects.chain import EffectChain
 
 __all__ = ["build_problem", "place_vehicle"]
 
@@ -78,7 +78,7 @@ def _effects(spec: TaskSpec, assets: Assets) -> EffectChain | None:
     """
     if not spec.effects:
         return None
-    from shift3d.render.effects.chain import EffectChain
+    from shift3d.effects.chain import EffectChain
 
     scene, vehicle, settings = assets.scene(spec)[0], assets.vehicle(spec), EffectSettings(**spec.effect_settings)
     heading_rad = _driving_heading_rad(spec, assets) if settings.object_speed_m_s else 0.0

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
-from shift3d.attack.placement import NoPlacement
 from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
-from shift3d.attack.shape import SETTLE_M, attack_shape, standing
+from shift3d.attack.shape import SNAP_M, attack_shape, on_ground
 from shift3d.detectors.base import Detector
+from shift3d.placement.sampling import NoPlacement
 from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets, score_precision, search_precision
@@ -100,7 +100,7 @@ def _candidates(spec: TaskSpec, problem: AttackProblem, searched: Detector, rows
         if spec.mode == "shape":
             radius = float((code.double() - problem.code0.double()).norm())
             drawn_code = random_code(problem.code0, radius, rng)
-            yield Candidate("random", index, drawn_code, standing(drawn_code, problem, SETTLE_M))
+            yield Candidate("random", index, drawn_code, on_ground(drawn_code, problem, SNAP_M))
         elif (drawn := random_pose(problem, rng, _pose_limits(spec))) is not None:
             yield Candidate("random", index, problem.code0, drawn[0])
     yield Candidate("adversarial", 0, code, theta, found.best_step, found.status)
@@ -108,15 +108,15 @@ def _candidates(spec: TaskSpec, problem: AttackProblem, searched: Detector, rows
         rng = generator("noise", spec.task_id)
         noisy = noise_codes(code, spec.attack.noise_sigma, spec.attack.noise_replicates, rng)
         for index, noisy_code in enumerate(noisy):
-            yield Candidate("adversarial_noise", index, noisy_code, standing(noisy_code, problem, SETTLE_M))
+            yield Candidate("adversarial_noise", index, noisy_code, on_ground(noisy_code, problem, SNAP_M))
 
 
 def _attack(spec: TaskSpec, problem: AttackProblem) -> AttackResult:
-    steps, steady_steps = spec.attack.steps, spec.attack.steady_steps
+    steps, selection_window = spec.attack.steps, spec.attack.selection_window
     if spec.mode == "shape":
         assert spec.lambda_ is not None
-        return attack_shape(problem, spec.lambda_, spec.alpha, steps, steady_steps=steady_steps)
-    return attack_pose(problem, spec.alpha, steps, _pose_limits(spec), steady_steps=steady_steps)
+        return attack_shape(problem, spec.lambda_, spec.alpha, steps, selection_window=selection_window)
+    return attack_pose(problem, spec.alpha, steps, _pose_limits(spec), selection_window=selection_window)
 
 
 def _pose_limits(spec: TaskSpec) -> PoseLimits:

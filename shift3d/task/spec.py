@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -19,7 +19,10 @@ from shift3d.seeding import derive_seed
 __all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec", "TransferScene"]
 
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
-SPEC_VERSION = 5
+SPEC_VERSION = 6
+# Tasks of the version before are read, under the ids that they had: their settings had other names.
+_READ_VERSIONS = (5, SPEC_VERSION)
+_FORMER_EFFECTS = {"silent_beams": "no_return_beams"}
 
 Mode = Literal["shape", "pose"]
 Row = dict[str, Any]
@@ -52,22 +55,21 @@ class PlacementSpec:
 class AttackSpec:
     """The search for a hard shape or pose, and the comparisons beside it.
 
-    steady_steps: steps before and after that count when one is kept, see `shift3d.attack.loop.kept_step`.
+    selection_window: steps before and after that count when one is kept, see `shift3d.attack.loop.best_step`.
     noise_sigma: standard deviation of the codes of ``adversarial_noise``. max_shift_m: largest |Δxy| of a
-    pose, metres. max_tilt_rad: largest |pitch| and |roll|. sphere_m: radius outside which beams are left
-    alone. detection_radius_m: how near the vehicle's centre the centre of a box that detects it must lie.
+    pose, metres. max_tilt_rad: largest |pitch| and |roll|. detection_radius_m: how near the vehicle's centre the
+    centre of a box that detects it must lie.
 
     Source: SHIFT3D sections Hyper-parameters, Evaluation Metrics and Adversarial Pose Generation Results.
     """
 
     steps: int = 40
-    steady_steps: int = 0
+    selection_window: int = 0
     random_replicates: int = 1
     noise_replicates: int = 10
     noise_sigma: float = 0.01
     max_shift_m: float = 4.0
     max_tilt_rad: float = 0.1
-    sphere_m: float = 7.0
     detection_radius_m: float = 5.0
 
 
@@ -132,12 +134,8 @@ class TaskSpec:
         values["effect_settings"] = dict(self.effect_settings)
         values["scene_arguments"] = dict(self.scene_arguments)
         values["attack"] = dict(vars(self.attack))
-        if not self.attack.steady_steps:  # as before there was one: tasks without it keep their ids
-            del values["attack"]["steady_steps"]
         values["placement"] = dict(vars(self.placement))
         values["transfer_scenes"] = [{**vars(other), "effects": list(other.effects)} for other in self.transfer_scenes]
-        if not self.transfer_scenes:  # as before there were any: tasks without them keep their ids
-            del values["transfer_scenes"]
         values["spec_version"] = SPEC_VERSION
         return values
 
@@ -146,8 +144,10 @@ class TaskSpec:
         """The inverse of :meth:`to_dict`. Raises ValueError for another spec version."""
         values = dict(values)
         version = values.pop("spec_version")
-        if version != SPEC_VERSION:
+        if version not in _READ_VERSIONS:
             raise ValueError(f"task spec version {version}, this is version {SPEC_VERSION}")
+        if version != SPEC_VERSION:
+            values = _current(values)
         values["effects"], values["scored_by"] = tuple(values["effects"]), tuple(values["scored_by"])
         values["attack"] = AttackSpec(**values["attack"])
         values["placement"] = PlacementSpec(**values["placement"])
@@ -194,6 +194,20 @@ class TaskSpec:
             base_seed=self.placement_seed,
             transfer_scenes=(),
         )
+
+
+def _current(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a spec of version 5 by today's names."""
+    attack = dict(values["attack"])
+    del attack["sphere_m"]
+    if "steady_steps" in attack:
+        attack["selection_window"] = attack.pop("steady_steps")
+    others = [{**other, "effects": _renamed(other["effects"])} for other in values.get("transfer_scenes", ())]
+    return {**values, "attack": attack, "effects": _renamed(values["effects"]), "transfer_scenes": others}
+
+
+def _renamed(effects: Sequence[str]) -> list[str]:
+    return [_FORMER_EFFECTS.get(name, name) for name in effects]
 
 
 _FIELD_NAMES = tuple(f.name for f in dataclasses.fields(TaskSpec))

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from torch import Tensor
 
-from shift3d.attack.placement import NoPlacement
-from shift3d.attack.shape import SETTLE_M, standing
+from shift3d.attack.shape import SNAP_M, on_ground
+from shift3d.placement.sampling import NoPlacement
 from shift3d.task.assets import Assets, score_precision
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.scoring import score_object
@@ -44,7 +44,7 @@ def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor) ->
     problem = build_problem(moved, assets, placement.theta)
     others = {name: assets.detector_of(name, score_precision(moved)) for name in moved.scored_by[1:]}
     radius_m = moved.attack.detection_radius_m
-    stands = standing(code, problem, SETTLE_M)
+    stands = on_ground(code, problem, SNAP_M)
     before = score_object(problem, problem.code0, placement.theta, radius_m, others)
     after = score_object(problem, code, stands, radius_m, others)
     theta = [float(value) for value in placement.theta]

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
     from shift3d.training.compute import Compute
-    from shift3d.training.detector_recipe import Recipe
+    from shift3d.training.detector.recipe import Recipe
     from shift3d.training.progress import Report
 
 __all__ = ["MODELS", "TrainOptions", "detector_recipe", "evaluate", "train"]
 
-MODELS = ("sdf", "pointpillars", "sst", "sst_small")
+MODELS = ("sdf", *DETECTOR_NAMES)
 ADAPTING_SHARE = 0.2
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 
@@ -31,7 +33,7 @@ class TrainOptions:
     out: holds samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda.
     scenes: "street" or "kitti"; root: of KITTI; count: scenes, None for the recipe's (street) or every frame (kitti).
     steps, inserted (scenes with inserted vehicles): None for the recipe's.
-    start_from: a weights file to start from, or "shipped".
+    start_from: a weights file to start from, or "shipped". recipe: fields of the recipe, as words.
     """
 
     out: Path
@@ -43,12 +45,13 @@ class TrainOptions:
     steps: int | None = None
     inserted: int | None = None
     start_from: str | None = None
+    recipe: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def shipped(self) -> bool:
         """Whether this is the recipe of the shipped weights, on its scenes: only then are they written over."""
         given = (self.count, self.steps, self.inserted, self.start_from)
-        return self.scenes == "street" and all(value is None for value in given)
+        return self.scenes == "street" and not self.recipe and all(value is None for value in given)
 
     def compute(self) -> Compute:
         """Device and threads. Raises: InputError for a device that is not there."""
@@ -74,15 +77,19 @@ def train(model: str, options: TrainOptions, report: Report | None = None) -> Pa
         raise InputError(f"unknown model {model!r}", "model=", f"Choose from {', '.join(MODELS)}")
     if model == "sdf":
         if not options.shipped:
-            remedy = "Leave out scenes=, count=, steps=, inserted= and start_from=, or give vehicles=PATH"
+            remedy = "Leave out scenes=, count=, steps=, inserted=, start_from= and recipe., or give vehicles=PATH"
             raise InputError("sdf is trained on vehicles, not on scenes", "train", remedy)
         return _train_sdf(options, report)
     return _train_detector(model, options, report)
 
 
 def detector_recipe(name: str, options: TrainOptions) -> Recipe:
-    """The recipe with the given numbers of steps and scenes, and a fifth of the learning rate for adapting weights."""
-    from shift3d.training.detector_recipe import RECIPES, scaled_to_steps
+    """The recipe with the given numbers of steps and scenes, a fifth of the learning rate for adapting weights, and the
+    fields that were given.
+
+    Raises: InputError for an unknown field, or a value that a recipe cannot have.
+    """
+    from shift3d.training.detector.recipes import RECIPES, changed, scaled_to_steps
 
     recipe = RECIPES[name]
     if options.steps is not None:
@@ -94,13 +101,13 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
         recipe = replace(recipe, peak_rate=ADAPTING_SHARE * recipe.peak_rate)
     if options.inserted is not None:
         recipe = replace(recipe, inserted_scenes=options.inserted)
-    return recipe
+    return changed(recipe, options.recipe)
 
 
 def evaluate(model: str) -> int:
     """Print how good the shipped shape model is: Chamfer distance to vehicles it was trained on and to unseen ones.
 
-    Detectors have :func:`shift3d.report.evaluation.evaluate_detector`.
+    Detectors have :func:`shift3d.analysis.detector_evaluation.evaluate_detector`.
 
     Raises:
         InputError: another model, or missing weights.
@@ -113,8 +120,8 @@ def evaluate(model: str) -> int:
 
 
 def _train_sdf(options: TrainOptions, report: Report | None) -> Path:
-    from shift3d.training.sdf import train_sdf
-    from shift3d.training.sdf_export import export_sdf
+    from shift3d.training.sdf.export import export_sdf
+    from shift3d.training.sdf.train import train_sdf
 
     compute = options.compute()
     checkpoint = train_sdf(options.out, threads=compute.threads, compute=compute, report=report)
@@ -123,7 +130,7 @@ def _train_sdf(options: TrainOptions, report: Report | None) -> Path:
 
 
 def _train_detector(name: str, options: TrainOptions, report: Report | None) -> Path:
-    from shift3d.training.detector import train_detector
+    from shift3d.training.detector.train import train_detector
 
     weights = (WEIGHTS_FOLDER if options.shipped else options.out) / f"{name}.safetensors"
     start_from = None

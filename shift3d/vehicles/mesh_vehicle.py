@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from shift3d.vehicles.family.spec import BODY_TYPES
+from shift3d.vehicles.family.spec import BODY_TYPES, MORE_BODY_TYPES
 from shift3d.vehicles.mesh_files import MeshFile, read_mesh
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.repair import RepairReport, repaired
@@ -33,7 +33,8 @@ class MeshVehicle:
     @property
     def body_type(self) -> str:
         """The body type that the name begins with, or UNKNOWN_BODY_TYPE."""
-        return next((known for known in BODY_TYPES if self.name.startswith(known)), UNKNOWN_BODY_TYPE)
+        known = (body_type for body_type in BODY_TYPES + MORE_BODY_TYPES if self.name.startswith(body_type))
+        return next(known, UNKNOWN_BODY_TYPE)
 
     @property
     def size_m(self) -> tuple[float, float, float]:

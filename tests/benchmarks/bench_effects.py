@@ -7,10 +7,10 @@ import time
 from benchmarks.results import Results
 from benchmarks.timing import Timing
 
-from shift3d.attack.placement import NoPlacement
-from shift3d.config.catalogue import accuracy_settings
-from shift3d.config.schema import AccuracyConfig
-from shift3d.render.effects.applicability import NEEDS
+from shift3d.effects.applicability import NEEDS
+from shift3d.placement.sampling import NoPlacement
+from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.schema import AccuracyConfig
 from shift3d.task.assets import load_assets
 from shift3d.task.run import build_problem, place_vehicle
 from shift3d.task.spec import AssetsSpec, TaskSpec

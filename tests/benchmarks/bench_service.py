@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 from benchmarks.results import Results
+from benchmarks.service_cost import Parts, forecast, forecast_lines
 from benchmarks.timed_sweep import in_own_process
-
-from shift3d.report.service_cost import Parts, forecast, forecast_lines
 
 GRID = ("vehicle=coupe", "mode=shape", "attack.lambda=1", "effects=none")
 WEIGHTS = Path(__file__).resolve().parents[2] / "shift3d" / "weights"

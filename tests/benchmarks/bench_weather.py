@@ -9,11 +9,11 @@ from analytic_fields import Frame
 from benchmarks.results import Results
 from benchmarks.timing import milliseconds, repeat
 
+from shift3d.effects.applicability import effect_named
+from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.fog import soft_echo
+from shift3d.effects.rain import crossings
 from shift3d.render.beams import Beams
-from shift3d.render.effects.applicability import effect_named
-from shift3d.render.effects.base import Returns, Situation
-from shift3d.render.effects.fog import soft_echo
-from shift3d.render.effects.rain import crossings
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 
@@ -25,7 +25,7 @@ WEATHER = {
 }
 
 
-def scene_in(conditions: Conditions) -> tuple[Situation, Returns]:
+def scene_in(conditions: Conditions) -> tuple[EffectContext, Returns]:
     """Beams in all directions, 2 to 100 m long, by a sensor of the streets."""
     rng = np.random.default_rng(1)
     directions = rng.standard_normal((POINTS, 3))
@@ -42,17 +42,17 @@ def scene_in(conditions: Conditions) -> tuple[Situation, Returns]:
     albedo, one = torch.from_numpy(reflectance).double(), torch.ones(POINTS, dtype=torch.float64)
     rows = torch.arange(POINTS)
     returns = Returns(rows, beams.points.double(), beams.origins, beams.directions, no, yes, one, albedo, albedo)
-    return Situation(scene, beams, Frame(), seed=1), returns
+    return EffectContext(scene, beams, Frame(), seed=1), returns
 
 
 @pytest.mark.parametrize("name", WEATHER)
 def bench_weather(bench: Results, name: str, quick: bool) -> None:
     """Binding (draws for every beam) and the step, one thread; the first call in a process also makes the table."""
-    situation, returns = scene_in(WEATHER[name])
+    context, returns = scene_in(WEATHER[name])
     effect = effect_named(name)
 
     def whole() -> Returns:
-        return effect.bind(situation)(returns)  # type: ignore[arg-type, return-value]
+        return effect.bind(context)(returns)  # type: ignore[arg-type, return-value]
 
     soft_echo.cache_clear()
     crossings.cache_clear()

@@ -10,10 +10,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from shift3d.config.catalogue import Catalogue, SceneEntry, read_catalogue
-from shift3d.config.schema import Config, StreetConfig
 from shift3d.scenes.facts import SceneFacts
-from shift3d.sweep.kind import TaskKind
+from shift3d.settings.catalogue import Catalogue, SceneEntry, read_catalogue
+from shift3d.settings.schema import Config, StreetConfig
+from shift3d.sweep.planning.kind import TaskKind
 from shift3d.task.run import load_assets, run_task
 from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
 

@@ -20,11 +20,11 @@ from typing import Any
 
 from benchmarks import noop_task
 
-from shift3d.config.compose import compose_sweep
+from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.drive import run_sweep
-from shift3d.sweep.final import FinalTables
-from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import make_plan
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import make_plan
+from shift3d.sweep.results.final import FinalTables
 from shift3d.task.run import run_task
 from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
 

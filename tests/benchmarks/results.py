@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.timing import Timing
 
-from shift3d.report.tables import aligned
+from shift3d.analysis.tables.table import Table
 from shift3d.store.atomic import write_atomic
 
 __all__ = ["GOALS", "Record", "Results", "comparison", "read_results", "summary"]
@@ -125,9 +125,9 @@ def summary(records: Mapping[str, Record]) -> str:
     for name, record in records.items():
         quartiles = f"{_number(record['low'])} .. {_number(record['high'])}" if "low" in record else ""
         lines.append([name, _number(record["value"]), quartiles, record["unit"], _goal(name, record["value"])])
-    table = aligned("Measured", ["name", "value", "quartiles", "unit", "goal"], lines)
+    table = Table("Measured", ["name", "value", "quartiles", "unit", "goal"], lines)
     legend = [f"{name}: {record['of']}" for name, record in records.items()]
-    return "\n".join([table, "", *legend])
+    return "\n".join([str(table), "", *legend])
 
 
 def _goal(name: str, value: float) -> str:
@@ -151,8 +151,8 @@ def comparison(old: Mapping[str, Record], new: Mapping[str, Record]) -> str:
         unit = (after or before or {})["unit"]
         values = [_number(record["value"]) if record else "-" for record in (before, after)]
         lines.append([name + ("*" if differs else ""), *values, unit, ratio])
-    table = aligned("Against an earlier run", ["name", "old", "new", "unit", "new / old"], lines)
-    return table + ("\n* not measured of the same thing in both runs" if starred else "")
+    table = Table("Against an earlier run", ["name", "old", "new", "unit", "new / old"], lines)
+    return str(table) + ("\n* not measured of the same thing in both runs" if starred else "")
 
 
 def _number(value: float) -> str:

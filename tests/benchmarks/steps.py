@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 import torch
 from benchmarks.timing import Timing
 
-from shift3d.attack.constraints import check
 from shift3d.attack.objective import adversarial_loss, object_box, to_network_frame
 from shift3d.attack.pose import attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import StepRecord
 from shift3d.attack.shape import attack_shape
+from shift3d.placement.constraints import check
 from shift3d.render import Rendering, SdfGrid, render
 
 __all__ = ["MODES", "AttackLoops", "Loop", "cold_rendering", "published_step"]

@@ -28,12 +28,12 @@ def run_phase(kind_name: str, sweep: str, workers: int, overrides: Sequence[str]
     """
     from benchmarks import noop_task
 
-    from shift3d.config.compose import compose_sweep
+    from shift3d.settings.compose import compose_sweep
     from shift3d.store.location import Location
     from shift3d.store.log import Commit
     from shift3d.sweep.drive import run_sweep
-    from shift3d.sweep.final import FinalTables, segments_in_plan_order
-    from shift3d.sweep.plan import Plan, make_plan
+    from shift3d.sweep.planning.plan import Plan, make_plan
+    from shift3d.sweep.results.final import FinalTables, segments_in_plan_order
 
     kind = getattr(noop_task, kind_name)
     runner = [f"runner.workers={workers}"] if workers else ["runner=local"]

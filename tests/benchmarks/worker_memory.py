@@ -12,9 +12,9 @@ from benchmarks.world import SHORT, make_spec, open_assets, streets
 
 from shift3d.scenes.labels import Labels
 from shift3d.scenes.scene import Scene
-from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.plan import PlannedTask
-from shift3d.sweep.worker import Worker
+from shift3d.sweep.execution.worker import Worker
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import PlannedTask
 from shift3d.task.assets import Assets
 from shift3d.task.run import run_task
 from shift3d.task.spec import AssetsSpec, PlacementSpec

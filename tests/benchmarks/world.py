@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.placement import Placement
 from shift3d.attack.problem import AttackProblem
-from shift3d.config.catalogue import accuracy_settings
-from shift3d.config.schema import AccuracyConfig
+from shift3d.placement.sampling import Placement
 from shift3d.render import SdfGrid
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
+from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.schema import AccuracyConfig
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.run import build_problem, place_vehicle
 from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec

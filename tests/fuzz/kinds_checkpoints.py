@@ -18,11 +18,11 @@ from safetensors.numpy import load_file, save_file
 from valid_weights import DECODER, NETWORKS, VEHICLES, write_decoder, write_experiment, write_vehicles
 from value_mutations import mutate_arrays, mutate_values
 
-from shift3d.detectors.anchor_detector import AnchorDetector
-from shift3d.detectors.network import AnchorNet
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SstNet
-from shift3d.detectors.weights import load_weights
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.sst import SstNet
+from shift3d.detectors.models.weights import load_weights
+from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.sdf.decoder import load_decoder
 from shift3d.sdf.foreign import load_experiment
 from shift3d.vehicles.sources import VehicleSet, vehicle_hash
@@ -125,7 +125,7 @@ def _detector_bytes(name: str) -> bytes:
 
 
 def detector_kind(name: str, count: int) -> InputKind:
-    def empty() -> AnchorNet:
+    def empty() -> DetectorNet:
         spec = SLIM[name]
         return SstNet(spec) if name == "sst" else PointPillarsNet(spec)  # type: ignore[arg-type]
 
@@ -135,7 +135,7 @@ def detector_kind(name: str, count: int) -> InputKind:
     def load(folder: Path) -> Any:
         net = load_weights(empty(), folder / f"{name}.safetensors")
         assert not net.training
-        detector = AnchorDetector(net)
+        detector = TrainedDetector(net)
         cloud = _CLOUD.float().requires_grad_()
         found = detector.proposals(cloud, detector.window_for((0.0, 0.0), 2.0))
         (gradient,) = torch.autograd.grad(found.logits.sum(), cloud)

@@ -20,8 +20,8 @@ from shift3d.store.frontier_table import FRONTIER_SCHEMA, machine_of, read_front
 from shift3d.store.log import read_log
 from shift3d.store.schemas import SCHEMAS
 from shift3d.store.tables import read_table
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan, read_spec
+from shift3d.sweep.planning.folder import read_plan, read_spec
+from shift3d.sweep.results.final import write_final
 
 
 def check_table(table: pa.Table, schema: pa.Schema) -> None:

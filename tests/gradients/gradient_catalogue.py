@@ -13,8 +13,8 @@ from torch import Tensor
 from toy_detector import WaveDetector
 
 from shift3d.attack.objective import adversarial_loss, object_box, to_network_frame, window_around
-from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.base import Detector, Proposals
+from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.geometry.se3 import scene_R_object
 from shift3d.render import Beams, Rendering, render
 
@@ -179,7 +179,7 @@ def discontinuous_cases() -> list[GradientCase]:
     draw = drawing("car", "pose", inner_beams("car"))
     cases.append(GradientCase("pose of car, edged", "discontinuous", of_points(draw), THETA, 1e-6, 1e-5))
     # Pillars, maxima and ReLUs: smooth in pieces, with jumps where a point changes its pillar.
-    detector = AnchorDetector(random_net("pointpillars"), "float64")
+    detector = TrainedDetector(random_net("pointpillars"), "float64")
     for variable in ("pose", "code"):
         draw, at = drawing("soft car", variable, inner_beams("soft car")), VARIABLES[variable]
         title = f"{variable} of soft car, through pillars"

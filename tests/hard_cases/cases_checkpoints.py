@@ -14,9 +14,9 @@ from random_networks import SLIM, random_net
 from safetensors.torch import load_file, save_file
 from valid_weights import DECODER, SMALL, write_decoder
 
-from shift3d.detectors.network import AnchorNet
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.weights import load_weights
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.weights import load_weights
 from shift3d.sdf.decoder import Decoder, load_decoder, save_decoder
 
 AREA = "checkpoints"
@@ -34,7 +34,7 @@ def decoder_after(change: Callable[[Tensors], object], architecture: dict[str, i
         return load_decoder(folder / DECODER)
 
 
-def detector_after(change: Callable[[Tensors], object]) -> AnchorNet:
+def detector_after(change: Callable[[Tensors], object]) -> DetectorNet:
     with place() as folder:
         tensors = {name: value.clone() for name, value in random_net("pointpillars").state_dict().items()}
         change(tensors)

@@ -9,10 +9,10 @@ from catalogue import hard_case
 from clear_errors import place, refused
 from valid_settings import installed, settings, write_installation
 
-from shift3d.config.catalogue import accuracy_settings
-from shift3d.config.compose import compose_sweep, validate
-from shift3d.config.expand import expand
-from shift3d.config.schema import AccuracyConfig, Config
+from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.compose import compose_sweep, validate
+from shift3d.settings.expand import expand
+from shift3d.settings.schema import AccuracyConfig, Config
 
 AREA = "configuration"
 HERE = "sweep mine"
@@ -51,7 +51,7 @@ def put(name: str, value: object) -> dict[str, object]:
 def a_setting_that_does_not_exist() -> None:
     values = settings()
     values["attack"]["stpes"] = 5
-    refused(lambda: validate(values, HERE), HERE, "no setting attack.stpes", "conf/")
+    refused(lambda: validate(values, HERE), HERE, "no setting attack.stpes", "conf")
 
 
 @hard_case(

@@ -11,11 +11,11 @@ from catalogue import hard_case
 from hard_scenes import PLAIN, beams_along_x, draw, pose
 from torch import Tensor
 
-from shift3d.attack.constraints import ConstraintCheck, Constraints, check, is_clear, settle
-from shift3d.attack.ground import fit_ground
-from shift3d.attack.placement import NoPlacement, PlacementLimits, place
+from shift3d.placement.constraints import ConstraintCheck, Constraints, check, is_clear, snap_to_ground
+from shift3d.placement.ground import fit_ground
+from shift3d.placement.sampling import NoPlacement, PlacementLimits, place
 from shift3d.render import Beams, preset
-from shift3d.render.object_field import ObjectField
+from shift3d.render.field.object_field import ObjectField
 
 AREA = "constraints"
 FRAME = Frame((4.0, 1.8, 1.4))
@@ -131,8 +131,8 @@ def an_object_sunk_deeper_than_it_may_climb() -> None:
     size = torch.tensor([4.0, 1.8, 1.5], dtype=torch.float64)
     for depth, reach in ((0.6, 0.3), (0.31, 0.3), (0.07, 0.06)):
         sunk = torch.tensor([0.0, 0.0, 0.75 - depth, 0.0, 0.0, 0.0], dtype=torch.float64)
-        assert settle(metric, ground, sunk, size, reach_m=reach) is None
-        out = settle(metric, ground, sunk, size, reach_m=0.8)
+        assert snap_to_ground(metric, ground, sunk, size, reach_m=reach) is None
+        out = snap_to_ground(metric, ground, sunk, size, reach_m=0.8)
         assert out is not None and abs(float(out[2]) - 0.75) <= 0.004
 
 
@@ -147,8 +147,8 @@ def nothing_to_settle_on() -> None:
     pose = torch.zeros(6, dtype=torch.float64)
     crate = ObjectField.of(CRATE, FRAME, torch.float64, 4096)
     broken = ObjectField.of(lambda x: torch.full_like(x[:, 0], math.nan), FRAME, torch.float64, 4096)
-    assert settle(crate, torch.zeros(0, 3, dtype=torch.float64), pose, size) is None
-    assert settle(broken, torch.tensor([[0.0, 0.0, -0.75]], dtype=torch.float64), pose, size) is None
+    assert snap_to_ground(crate, torch.zeros(0, 3, dtype=torch.float64), pose, size) is None
+    assert snap_to_ground(broken, torch.tensor([[0.0, 0.0, -0.75]], dtype=torch.float64), pose, size) is None
 
 
 @hard_case(

@@ -10,13 +10,13 @@ import torch
 from cases_voxels import NAN, detector, seen, window
 from catalogue import hard_case
 
-from shift3d.detectors.anchors import WAYMO_ANCHORS, anchor_boxes
 from shift3d.detectors.base import Proposals
-from shift3d.detectors.box_coding import decode_boxes, direction_bins, encode_boxes
 from shift3d.detectors.grid import WAYMO_GRID
+from shift3d.detectors.models.anchors import WAYMO_ANCHORS, anchor_boxes
+from shift3d.detectors.models.box_coding import decode_boxes, direction_bins, encode_boxes
+from shift3d.detectors.models.token_windows import Tokens, group_by_window
+from shift3d.detectors.models.window_transformer import EncoderLayer, TransformerSpec
 from shift3d.detectors.nms import rotated_nms, suppress
-from shift3d.detectors.token_windows import Tokens, group_by_window
-from shift3d.detectors.window_transformer import EncoderLayer, TransformerSpec
 from shift3d.errors import InputError
 
 AREA = "detector"
@@ -212,4 +212,4 @@ def an_object_beyond_the_detectors_range() -> None:
 def points_with_reflectance() -> None:
     for points in (torch.zeros(5, 4), torch.zeros(5, 2), torch.zeros(3)):
         assert "not (N, 3)" in refusal(detector().proposals, points, window())
-        assert "not (N, 3)" in refusal(detector().following(window()).proposals, points)
+        assert "not (N, 3)" in refusal(detector().incremental(window()).proposals, points)

@@ -22,11 +22,12 @@ from hard_echoes import (
     without_tables,
 )
 
-from shift3d.render.effects import fog, power, rain, snow
-from shift3d.render.effects.applicability import effect_named
-from shift3d.render.effects.chain import NO_RETURN_M
-from shift3d.render.effects.power import PowerLimit
-from shift3d.render.effects.wet_ground import reflected
+from shift3d.effects import fog, rain, snow
+from shift3d.effects.applicability import effect_named
+from shift3d.effects.chain import NO_RETURN_M
+from shift3d.effects.physics import power
+from shift3d.effects.physics.power import PowerLimit
+from shift3d.effects.wet_ground import reflected
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
@@ -42,8 +43,8 @@ AREA = "effects"
 )
 def a_visibility_of_a_millimetre() -> None:
     without_tables()
-    situation, returns = on_object(ahead(30.0, 4), Conditions("fog", visibility_m=1e-3), None)
-    seen = fog.EFFECT.bind(situation)(returns)
+    context, returns = on_object(ahead(30.0, 4), Conditions("fog", visibility_m=1e-3), None)
+    seen = fog.EFFECT.bind(context)(returns)
     finite(seen)
     assert seen.returned.all() and not seen.on_object.any()
     assert ((seen.range_m >= 0.9) & (seen.range_m < 0.901)).all()
@@ -60,7 +61,7 @@ def a_visibility_of_a_million_kilometres() -> None:
         thin = 60.0 * fog.extinction_per_m(visibility_m)
         assert abs(power.loss(thin / 60.0, 30.0) / (thin - 0.5 * thin**2) - 1.0) < 1e-12
         facts = SceneFacts.of(ahead(30.0, 4), EffectSettings(visibility_m=visibility_m, limit_range_m=50.0))
-        assert fog.EFFECT.called_for(facts, BALL, READER) is None
+        assert fog.EFFECT.applicability(facts, BALL, READER) is None
 
 
 @hard_case(
@@ -83,8 +84,8 @@ def a_scene_in_which_every_point_is_lost_in_fog() -> None:
     guard="powers outside a table are taken for those at its ends, before the logarithm",
 )
 def a_surface_met_at_90_degrees_in_rain() -> None:
-    situation, returns = on_object(ahead(30.0, 200), Conditions("rain", rain_mm_h=1000.0), None, cosine=0.0)
-    seen = rain.EFFECT.bind(situation)(returns)
+    context, returns = on_object(ahead(30.0, 200), Conditions("rain", rain_mm_h=1000.0), None, cosine=0.0)
+    seen = rain.EFFECT.bind(context)(returns)
     finite(seen)
     assert not seen.on_object.any() and (seen.range_m < 30.0).all()
 
@@ -220,9 +221,9 @@ def light_along_the_water_from_below() -> None:
 )
 def a_limit_infinitely_far_away() -> None:
     sensor = SensorModel(limit_range_m=math.inf, power_spread=0.5)
-    situation, returns = on_object(ahead(10.0, 5), Conditions("fog", visibility_m=500.0), sensor, albedo=0.0)
+    context, returns = on_object(ahead(10.0, 5), Conditions("fog", visibility_m=500.0), sensor, albedo=0.0)
     for name in ("fog", "ray_drop"):
-        step: Any = effect_named(name).bind(situation)
+        step: Any = effect_named(name).bind(context)
         assert step(returns).returned.all()
 
 
@@ -235,6 +236,6 @@ def a_limit_infinitely_far_away() -> None:
 def a_rain_of_a_trillionth_of_a_millimetre_an_hour() -> None:
     scene = ahead(30.0, 50)
     facts = SceneFacts.of(scene, EffectSettings(rain_mm_h=1e-12))
-    assert rain.EFFECT.called_for(facts, BALL, READER) is None
+    assert rain.EFFECT.applicability(facts, BALL, READER) is None
     rendering = drawn(scene, ["rain"], rain_mm_h=1e-12, limit_range_m=100.0)
     assert share_returned(rendering) == 1.0 and ((rendering.range_m - 30.0).abs() < 1e-5).all()

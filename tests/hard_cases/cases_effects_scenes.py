@@ -12,15 +12,15 @@ from clear_errors import refused
 from hard_echoes import AHEAD, BALL, READER, ahead, drawn, on_object, scene_of
 
 from shift3d.detectors.grid import WAYMO_GRID, assign_pillars, full_window
+from shift3d.effects.applicability import MeasuredImpact, choose, effect_named
+from shift3d.effects.base import EffectContext
+from shift3d.effects.chain import EffectChain
+from shift3d.effects.divergence import strongest
 from shift3d.render import Beams
-from shift3d.render.effects.applicability import Worth, choose, effect_named
-from shift3d.render.effects.base import Situation
-from shift3d.render.effects.chain import EffectChain
-from shift3d.render.effects.divergence import strongest
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.scenes.scene import Conditions, Scene
-from shift3d.scenes.sensor import SensorModel, SilentBeams
+from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
 AREA = "effects"
 
@@ -91,13 +91,15 @@ def firing_times_that_are_all_the_same() -> None:
     guard="an effect is left out where it was measured to lie below the bound, not where it does not exceed it",
 )
 def a_worth_that_is_not_a_number() -> None:
-    assert Worth(math.nan, math.nan, math.nan, 1.0).matters and not Worth(0.001, 0.0, 0.002, 1.0).matters
+    assert (
+        MeasuredImpact(math.nan, math.nan, math.nan, 1.0).matters and not MeasuredImpact(0.001, 0.0, 0.002, 1.0).matters
+    )
 
 
 def stopped(scene: Scene) -> list[bool]:
     """Which rows of a scene come back, where the object stands in front of all of them."""
     _, returns = on_object(scene, Conditions(), None)
-    step: Any = effect_named("second_returns").bind(Situation(scene, Beams.from_scene(scene), BALL, 3))
+    step: Any = effect_named("second_returns").bind(EffectContext(scene, Beams.from_scene(scene), BALL, 3))
     found: list[bool] = step(returns).returned.tolist()
     return found
 
@@ -143,7 +145,7 @@ def one_pixel_of_two_sensors() -> None:
 def with_silent(directions: np.ndarray, **parts: Any) -> Scene:
     """One point 40 m ahead, and beams from the origin that brought nothing back."""
     unit = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
-    return scene_of([[40.0, 0.0, 0.0]], silent=SilentBeams(np.zeros_like(unit), unit), **parts)
+    return scene_of([[40.0, 0.0, 0.0]], no_return=NoReturnBeams(np.zeros_like(unit), unit), **parts)
 
 
 @hard_case(
@@ -153,7 +155,9 @@ def with_silent(directions: np.ndarray, **parts: Any) -> Scene:
     guard="beams without a return rest 10 km out",
 )
 def silent_beams_that_meet_nothing() -> None:
-    rendering = drawn(with_silent(np.random.default_rng(1).standard_normal((50, 3)) * [1, 1, 0.05]), ["silent_beams"])
+    rendering = drawn(
+        with_silent(np.random.default_rng(1).standard_normal((50, 3)) * [1, 1, 0.05]), ["no_return_beams"]
+    )
     assert rendering.returned is not None and rendering.returned.tolist() == [True] + [False] * 50
     pillars = assign_pillars(rendering.points, WAYMO_GRID, full_window(WAYMO_GRID))
     assert pillars.order.tolist() == [0]
@@ -167,7 +171,7 @@ def silent_beams_that_meet_nothing() -> None:
 )
 def silent_beams_in_fog() -> None:
     scene = with_silent(np.random.default_rng(2).standard_normal((20, 3)))
-    rendering = drawn(scene, ["silent_beams", "fog"], visibility_m=30.0)
+    rendering = drawn(scene, ["no_return_beams", "fog"], visibility_m=30.0)
     assert rendering.returned is not None and not rendering.returned[1:].any()
     assert (rendering.range_m[1:] > 9e3).all()
 
@@ -181,7 +185,7 @@ def silent_beams_in_fog() -> None:
 def a_cone_past_the_object_with_nothing_behind() -> None:
     edge = 1.0 / math.sqrt(399.0)
     aim = np.array([[1.0, (1.0 + gap) * edge, 0.0] for gap in (0.021, 0.022, 0.023, 0.024, 0.03)])
-    rendering = drawn(with_silent(aim), ["silent_beams", "divergence"], AHEAD, divergence_rad=3e-3)
+    rendering = drawn(with_silent(aim), ["no_return_beams", "divergence"], AHEAD, divergence_rad=3e-3)
     assert rendering.returned is not None and not rendering.returned[1:].any()
 
 

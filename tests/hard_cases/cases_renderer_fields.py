@@ -26,7 +26,7 @@ from torch import Tensor
 
 from shift3d.errors import InputError
 from shift3d.render import SdfGrid, preset
-from shift3d.render.object_field import ObjectField
+from shift3d.render.field.object_field import ObjectField
 from shift3d.sdf.bfloat16 import Bfloat16Field
 from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.vehicle import baseline_vehicles

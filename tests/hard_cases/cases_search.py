@@ -13,11 +13,11 @@ from catalogue import hard_case
 from torch import Tensor
 from toy_detector import WaveDetector
 
-from shift3d.attack.constraints import Constraints
 from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.shape import attack_shape
 from shift3d.detectors.base import BevWindow, Proposals
+from shift3d.placement.constraints import Constraints
 from shift3d.render import Beams, preset
 
 AREA = "constraints"
@@ -55,8 +55,8 @@ def an_object_wholly_occluded() -> None:
     beams = Beams.from_arrays(np.concatenate((wall, under)), origins)
     start = THETA + torch.tensor([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])  # 1 cm above these
     hidden = replace(problem(1), beams=beams, theta0=start, _near=[])
-    shape = attack_shape(hidden, 1.0, steps=2, settle_m=0.0)
-    pose = attack_pose(hidden, steps=2, limits=PoseLimits(settle_m=0.0))
+    shape = attack_shape(hidden, 1.0, steps=2, snap_m=0.0)
+    pose = attack_pose(hidden, steps=2, limits=PoseLimits(snap_m=0.0))
     for result in (shape, pose):
         assert (result.best_step, result.status) == (0, "no_valid_step")
         assert [record.check.object_points for record in result.trace] == [0, 0, 0]

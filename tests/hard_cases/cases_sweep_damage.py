@@ -14,8 +14,8 @@ from shift3d.errors import InputError
 from shift3d.store.frontier_table import read_frontier
 from shift3d.store.log import CommitLog, read_log
 from shift3d.store.tables import read_table, table_from_rows, write_table
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
 
 AREA = "sweep"
 SECOND, SCORES = "_log/00000002.json", f"data/00000001-{DRIVER}-scores.parquet"

@@ -14,8 +14,8 @@ from valid_sweeps import DRIVER, plan, rows, write_sweep
 
 from shift3d.store.log import CommitLog, read_log
 from shift3d.store.tables import read_table, table_from_rows
-from shift3d.sweep.final import FinalTables, write_final
-from shift3d.sweep.folder import open_folder, read_plan, read_spec
+from shift3d.sweep.planning.folder import open_folder, read_plan, read_spec
+from shift3d.sweep.results.final import FinalTables, write_final
 
 AREA = "sweep"
 SECOND = "_log/00000002.json"

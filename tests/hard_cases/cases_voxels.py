@@ -11,10 +11,10 @@ from catalogue import hard_case
 from random_networks import random_net
 from torch import Tensor
 
-from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID, Pillars, assign_pillars, full_window
-from shift3d.detectors.pillar_net import PillarNet, decorate
+from shift3d.detectors.models.pillar_net import PillarNet, decorate
+from shift3d.detectors.trained_detector import TrainedDetector
 
 AREA = "voxelisation"
 CENTRE = (10.0, -7.3)
@@ -22,9 +22,9 @@ NAN, INF = float("nan"), float("inf")
 
 
 @cache
-def detector(precision: str = "float64", name: str = "pointpillars") -> AnchorDetector:
+def detector(precision: str = "float64", name: str = "pointpillars") -> TrainedDetector:
     """A slim network with random weights."""
-    return AnchorDetector(random_net(name), precision)  # type: ignore[arg-type]
+    return TrainedDetector(random_net(name), precision)  # type: ignore[arg-type]
 
 
 def window(name: str = "pointpillars") -> BevWindow:
@@ -116,7 +116,7 @@ def four_hundred_points_in_one_pillar() -> None:
 def the_points_in_another_order() -> None:
     points = cluster(1000, size_m=2.0)
     order = torch.randperm(len(points), generator=torch.Generator().manual_seed(1))
-    for name in ("pointpillars", "sst"):
+    for name in ("pointpillars", "centerpoint", "sst"):
         logits, gradient = seen(points, name)
         again, turned = seen(points[order], name)
         assert torch.equal(logits, again)
@@ -158,7 +158,7 @@ def points_without_a_place() -> None:
     bad = [[NAN, y, 0.5], [x, NAN, 0.5], [x, y, NAN], [INF, y, 0.5], [x, -INF, 0.5], [x, y, INF], [1e308, -1e308, 0.0]]
     good = cluster()
     with_bad = torch.cat((torch.tensor(bad, dtype=torch.float64), good))
-    for name in ("pointpillars", "sst"):
+    for name in ("pointpillars", "centerpoint", "sst"):
         logits, gradient = seen(with_bad, name)
         assert torch.equal(logits, seen(good, name)[0]) and torch.isfinite(gradient).all()
         assert not gradient[: len(bad)].any() and gradient[len(bad) :].any()

@@ -12,7 +12,7 @@ from hard_scenes import AT_TEN, FAST, PLAIN, beams_along_x, draw, fan, hit_at, p
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering
-from shift3d.render.search import WarmStart
+from shift3d.render.solvers.search import WarmStart
 
 SPHERE, SLAB = sphere(1.0), box((0.2, 1.0, 0.5), (0.6, 0.0, 0.0))
 

@@ -1,6 +1,6 @@
 """The catalogue of hard cases: what each one is, why it is hard, what must come out, and the safeguard it stands on.
 
-A case is a function that builds its situation and asserts what must hold. It knows the package by what it calls, not
+A case is a function that builds its context and asserts what must hold. It knows the package by what it calls, not
 by its source text. `make mutants` shows that the cases need the code: it breaks the code in seeded places and counts
 the breaks that a test notices.
 """
@@ -33,13 +33,13 @@ _PATIENCE_S = 20.0
 
 @dataclass(frozen=True)
 class HardCase:
-    """One situation.
+    """One context.
 
     Attributes:
         name: in the field's words. area: one of AREAS.
         why: why it is hard. must: what must come out.
         guard: the safeguard in words.
-        check: builds the situation and asserts.
+        check: builds the context and asserts.
     """
 
     name: str

@@ -11,11 +11,11 @@ from analytic_fields import Frame, in_frame, sphere
 from hard_scenes import FAST
 from torch import Tensor
 
+from shift3d.effects import fog, rain
+from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.chain import EffectChain
+from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render import Beams
-from shift3d.render.effects import fog, rain
-from shift3d.render.effects.applicability import DetectorFacts
-from shift3d.render.effects.base import Returns, Situation
-from shift3d.render.effects.chain import EffectChain
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings
 from shift3d.scenes.scene import Conditions, Scene
@@ -49,15 +49,15 @@ def reported(reflectance: float) -> np.ndarray:
 
 def on_object(
     scene: Scene, conditions: Conditions, sensor: SensorModel | None, **parts: float
-) -> tuple[Situation, Returns]:
+) -> tuple[EffectContext, Returns]:
     """Every row of a scene as the object's; parts: cosine, albedo."""
     scene = Scene("hard", "made", scene.points, scene.origins, -1.7, conditions=conditions, sensor=sensor)
-    situation = Situation(scene, Beams.from_scene(scene), BALL, 3)
-    beams, yes = situation.beams, situation.beams.carries
+    context = EffectContext(scene, Beams.from_scene(scene), BALL, 3)
+    beams, yes = context.beams, context.beams.carries
     one = torch.ones(len(beams), dtype=torch.float64)
     light = (parts.get("cosine", 1.0) * one, parts.get("albedo", 0.4) * one, parts.get("albedo", 0.4) * one)
     points = scene_points(scene)
-    return situation, Returns(torch.arange(len(beams)), points, beams.origins, beams.directions, yes, yes, *light)
+    return context, Returns(torch.arange(len(beams)), points, beams.origins, beams.directions, yes, yes, *light)
 
 
 def scene_points(scene: Scene) -> Tensor:

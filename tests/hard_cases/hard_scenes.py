@@ -10,8 +10,8 @@ from analytic_fields import SHAPENET_FRAME, Field, Frame, in_frame, sector_scan
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering, RenderSettings, SdfGrid, preset, render
-from shift3d.render.search import WarmStart
-from shift3d.sdf.decoder import Field as Network
+from shift3d.render.solvers.search import WarmStart
+from shift3d.sdf.field import Field as Network
 from shift3d.sdf.pieces import Piece
 
 FAST = preset("standard").with_(dtype=torch.float64)

@@ -31,9 +31,8 @@ own, heads = os.environ["RAY_AUTH_TOKEN"], os.environ["SHIFT3D_TEST_TOKEN"]
 assert len(own) == 64 and own != heads and os.environ["RAY_AUTH_MODE"] == "token"
 sys.exit(subprocess.call(program, env={{**os.environ, "RAY_AUTH_TOKEN": heads}}))
 """
+_DRIVER = '#!/bin/sh\nexec {python} {driver} "$@"\n'
 _COMMANDS = {
-    "shift3d": f'#!/bin/sh\nexec {sys.executable} {SERVICE / "driver.py"} "$@"\n',
-    "ray": _RAY.format(python=sys.executable),
     # Every task of a step is the same program: one stands for all.
     "srun": '#!/bin/sh\nwhile [ "${1#--}" != "$1" ]; do shift; done\nexec "$@"\n',
     # More than a pipe holds, so that a reader that leaves early is noticed every time.
@@ -42,28 +41,37 @@ _COMMANDS = {
 
 
 @contextlib.contextmanager
-def ray_head(dashboard_port: int) -> Iterator[dict[str, str]]:
-    """A head with room for eight workers. Yields the environment in which a launch spec's commands find it."""
+def ray_head(
+    dashboard_port: int | None, python: str = sys.executable, path: str = f"{SERVICE}:{REPOSITORY}"
+) -> Iterator[dict[str, str]]:
+    """A head with room for eight workers. Yields the environment in which a launch spec's commands find it.
+
+    dashboard_port: None: no dashboard, and no Jobs API. python: of the machines. path: where they find modules that
+    are not installed.
+    """
     folder = Path(tempfile.mkdtemp(prefix="s3d-"))  # short: Ray puts sockets there
-    for name, text in _COMMANDS.items():
+    driver = _DRIVER.format(python=python, driver=SERVICE / "driver.py")
+    for name, text in {**_COMMANDS, "shift3d": driver, "ray": _RAY.format(python=python)}.items():
         (folder / name).write_text(text)
         (folder / name).chmod(0o755)
     environment = {
         **os.environ,
         "PATH": f"{folder}:{os.environ['PATH']}",
-        "PYTHONPATH": f"{SERVICE}:{REPOSITORY}",
+        "PYTHONPATH": path,
         "OMP_NUM_THREADS": "1",
         "SHIFT3D_TEST_TOKEN": os.environ["RAY_AUTH_TOKEN"],
         "RAY_USAGE_STATS_ENABLED": "0",
         "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # 127.0.0.1 stays 127.0.0.1
     }
-    command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--block", "--port=0", "--num-cpus=8"]
+    command = [python, "-m", "ray.scripts.scripts", "start", "--head", "--block", "--port=0", "--num-cpus=8"]
     command += ["--node-ip-address=127.0.0.1", f"--temp-dir={folder}", "--object-store-memory=100000000"]
-    command += ["--include-dashboard=true", "--dashboard-host=127.0.0.1"]  # it serves the Jobs API
+    # The dashboard serves the Jobs API.
+    command += [f"--include-dashboard={'true' if dashboard_port else 'false'}", "--dashboard-host=127.0.0.1"]
+    command += [f"--dashboard-port={dashboard_port}"] if dashboard_port else []
     log = folder / "start.log"
     with log.open("w") as file:
         process = subprocess.Popen(
-            [*command, f"--dashboard-port={dashboard_port}"],
+            command,
             env=environment,
             stdout=file,
             stderr=subprocess.STDOUT,

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 from jobs.ray_head import ray_head
 from service.drivers import DETERMINISTIC
 
@@ -81,3 +82,20 @@ def test_a_job_hands_the_exit_code_of_its_sweep_on(
         ["bash", "-c", command], env=other, capture_output=True, text=True, timeout=120, check=False
     )
     assert refused.returncode == 2 and "the job cannot be submitted" in refused.stderr, refused
+
+
+def test_sweeps_and_groups_of_the_commands_folder_travel_with_a_job(
+    environment: dict[str, str], dashboard_port: int, tmp_path: Path
+) -> None:
+    (tmp_path / "sweeps").mkdir()
+    (tmp_path / "conf" / "attack").mkdir(parents=True)
+    (tmp_path / "sweeps" / "mine.yaml").write_text("defaults: [smoke, override /attack: tiny, _self_]\n")
+    (tmp_path / "conf" / "attack" / "tiny.yaml").write_text("defaults: [paper, _self_]\nsteps: 3\n")
+    spec = (JOBS / "ray_job.yaml").read_text().replace(":8265\nruntime", f":{dashboard_port}\nruntime")
+    (tmp_path / "job.yaml").write_text(spec)
+    command = f"shift3d sweep mine {ON_RAY} tracking=none job=job.yaml out={tmp_path / 'out'}"
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done
+    assert yaml.safe_load((tmp_path / "out" / "spec.yaml").read_text())["settings"]["attack"]["steps"] == 3

@@ -15,17 +15,17 @@ import pytest
 import yaml
 from jobs.kuberay_schema import RAY_JOB
 
-from shift3d.cli.jobs import JobSpec, job_names, read_job, take_job
+from shift3d.cli.job_spec import JobSpec, job_names, read_job, take_job
 from shift3d.cli.main import main
-from shift3d.config.compose import compose_sweep, validate
 from shift3d.errors import InputError
+from shift3d.settings.compose import compose_sweep, validate
 
 JOBS = Path(__file__).resolve().parents[2] / "jobs"
 OWN = ("local", "ray_cluster", "ray_job")
 
 
 def test_every_spec_is_looked_at_here() -> None:
-    others = {"autoscaler.yaml", "kuberay.yaml", "slurm.sbatch"}
+    others = {"Containerfile", "autoscaler.yaml", "kuberay.yaml", "slurm.sbatch"}
     assert {path.name for path in JOBS.iterdir()} == {f"{name}.yaml" for name in OWN} | others
     assert tuple(job_names()) == OWN
 
@@ -94,6 +94,16 @@ def test_kuberays_file_fits_its_published_fields_and_asks_for_a_token() -> None:
     assert cluster["authOptions"] == {"mode": "token"}
     assert f"ray=={cluster['rayVersion']}\n" in (JOBS.parent / "constraints.txt").read_text()
     assert cluster["headGroupSpec"]["serviceType"] == "ClusterIP", "nothing of it outside its Kubernetes"
+
+
+def test_the_image_is_of_the_ray_that_the_specs_and_the_constraints_name() -> None:
+    text = _uncommented(JOBS / "Containerfile")
+    (version,) = re.findall(r"^FROM rayproject/ray:([\d.]+)-py311$", text, flags=re.MULTILINE)
+    assert kuberay()["spec"]["rayClusterSpec"]["rayVersion"] == version
+    assert "-c /tmp/dist/constraints.txt /tmp/dist/shift3d-*.whl" in text
+    makes = subprocess.run(["make", "-n", "wheel"], cwd=JOBS.parent, capture_output=True, text=True, check=True)
+    assert "-w dist ." in makes.stdout and "cp constraints.txt dist/" in makes.stdout
+    assert yaml.safe_load((JOBS / "autoscaler.yaml").read_text())["file_mounts"]["~/shift3d"] == "dist"
 
 
 def test_credentials_are_a_secret_of_the_driver_alone() -> None:

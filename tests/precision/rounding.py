@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from shift3d.sdf.decoder import Field
+from shift3d.sdf.field import Field
 
 U32 = 2.0**-24
 LAMBDA = 6.0

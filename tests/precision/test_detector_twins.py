@@ -10,13 +10,13 @@ from rounding import EMPTY, U32, RunningError, attention_watched, gamma
 from torch import Tensor
 
 from shift3d.attack.objective import adversarial_loss
-from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.base import Proposals
 from shift3d.detectors.grid import WAYMO_GRID, Pillars, assign_pillars, full_window
+from shift3d.detectors.models.pillar_net import segment_mean
+from shift3d.detectors.models.sst import SstNet
+from shift3d.detectors.models.voxel_encoder import VoxelEncoder, decorate_with_height
 from shift3d.detectors.nms import suppress
-from shift3d.detectors.pillar_net import segment_mean
-from shift3d.detectors.sst import SstNet
-from shift3d.detectors.voxel_encoder import VoxelEncoder, decorate_with_height
+from shift3d.detectors.trained_detector import TrainedDetector
 
 CENTRE = (12.0, -7.0)
 
@@ -42,10 +42,10 @@ def decorated_sizes(points: Tensor, pillars: Pillars, columns: int) -> tuple[Ten
     return sizes[:, :columns], float(pillars.counts.max()) + 2
 
 
-@pytest.mark.parametrize("name", ["pointpillars", "sst"])
+@pytest.mark.parametrize("name", ["pointpillars", "centerpoint", "sst"])
 def test_logits(name: str, points: Tensor) -> None:
     net = random_net(name)
-    single, double = AnchorDetector(net), AnchorDetector(net, "float64")
+    single, double = TrainedDetector(net), TrainedDetector(net, "float64")
     window = double.window_for(CENTRE, 1.5)
     error, exact_net = RunningError(), double._net
     encoder = exact_net.encoder if isinstance(exact_net, SstNet) else exact_net.pillar_net

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from shift3d.errors import InputError
 from shift3d.render import PRESETS, Beams, RenderSettings, preset, render
-from shift3d.render.object_field import ObjectField
+from shift3d.render.field.object_field import ObjectField
 from shift3d.render.settings import reachable_residual_m
 from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.vehicle import baseline_vehicles

@@ -15,13 +15,13 @@ from analytic_fields import SHAPENET_FRAME, in_frame, soft_car
 from rounding import EMPTY, LAMBDA, U32, decoder_rounding, gamma, input_rounding
 from torch import Tensor
 
-from shift3d.attack.constraints import PAPER_CONSTRAINTS, check
 from shift3d.geometry.se3 import object_from_scene, scene_R_object
+from shift3d.placement.constraints import PAPER_CONSTRAINTS, check
 from shift3d.render import Beams, Rendering, RenderSettings, preset, render
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.first_hits import FirstHits
 from shift3d.render.implicit import surface_points
-from shift3d.render.object_field import ObjectField
-from shift3d.render.rendering import FirstHits
-from shift3d.render.roots import find_roots
+from shift3d.render.solvers.roots import find_roots
 from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.vehicle import baseline_vehicles
 
@@ -54,7 +54,7 @@ def test_roots() -> None:
         g = cubic(coefficients)
         found.append(find_roots(g, *ends, g(ends[0], every).double(), g(ends[1], every).double(), tolerance, 60))
     single, double = found
-    assert single.settled.all() and double.settled.all()
+    assert single.converged.all() and double.converged.all()
     k = double.k.abs()
     size = (powers.double().abs() * torch.stack((k**0, k, k**2, k**3), 1)).sum(1)
     bound = (2 * tolerance + gamma(7) * size) / 0.2

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from shift3d.geometry.se3 import object_from_scene, scene_from_object
 from shift3d.render import Beams, preset, render
-from shift3d.render.object_field import ObjectField
+from shift3d.render.field.object_field import ObjectField
 from shift3d.sdf.decoder import load_decoder
-from shift3d.training.sdf_export import CODE_NORM
+from shift3d.training.sdf.export import CODE_NORM
 from shift3d.vehicles.vehicle import baseline_vehicles
 
 DECODER, DECODER64 = load_decoder(), load_decoder().double()

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from property_worlds import few, random_object
 from toy_detector import WaveDetector
 
-from shift3d.attack.constraints import Constraints
 from shift3d.attack.pose import PAPER_LIMITS, attack_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import attack_shape
+from shift3d.placement.constraints import Constraints
 from shift3d.render import Beams, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)

@@ -10,18 +10,18 @@ from property_worlds import EXACT, FAST64, NUMBERS, U64, draw, fan, few, known_t
 from random_networks import random_net, random_scene
 from torch import Tensor
 
-from shift3d.detectors.anchor_detector import AnchorDetector
 from shift3d.detectors.grid import assign_pillars
+from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render import Beams
-from shift3d.render.object_field import ObjectField
+from shift3d.render.field.object_field import ObjectField
 
 CENTRE = (12.0, -7.0)
 
 
 @pytest.fixture(scope="module", params=["pointpillars", "sst"])
-def detector(request: pytest.FixtureRequest) -> AnchorDetector:
-    return AnchorDetector(random_net(str(request.param)))
+def detector(request: pytest.FixtureRequest) -> TrainedDetector:
+    return TrainedDetector(random_net(str(request.param)))
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def scene() -> Tensor:
 
 @few(6)
 @given(number=NUMBERS)
-def test_scores_do_not_depend_on_the_order_of_points(detector: AnchorDetector, scene: Tensor, number: int) -> None:
+def test_scores_do_not_depend_on_the_order_of_points(detector: TrainedDetector, scene: Tensor, number: int) -> None:
     window = detector.window_for(CENTRE, 5.0)
     order = torch.from_numpy(np.random.default_rng(number).permutation(len(scene)))
     before, after = (detector.proposals(points, window) for points in (scene, scene[order]))
@@ -51,7 +51,7 @@ def test_every_point_several_times_is_every_point_once(times: int) -> None:
     In float64. The sum of n points of at most 75 m is off by n u 75 m times n, their mean by n u 75 m: so far may the
     offsets to it differ. What that does to a logit is its derivative by them, to first order; twice that is ample.
     """
-    detector = AnchorDetector(random_net("pointpillars"), "float64")
+    detector = TrainedDetector(random_net("pointpillars"), "float64")
     window = detector.window_for(CENTRE, 5.0)
     points = random_scene(4000).double() * torch.tensor([0.2, 0.2, 1.0]) + torch.tensor([*CENTRE, 0.0])
     decorated: list[Tensor] = []

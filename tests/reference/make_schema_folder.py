@@ -27,12 +27,12 @@ sys.path.insert(0, str(HERE.parent / "service"))
 def main() -> None:
     from cheap_task import KIND
 
-    from shift3d.config.compose import compose_sweep
+    from shift3d.settings.compose import compose_sweep
     from shift3d.store.log import CommitLog
     from shift3d.store.schemas import SCHEMA_VERSION
-    from shift3d.sweep.folder import open_folder
-    from shift3d.sweep.plan import make_plan
-    from shift3d.sweep.worker import Worker
+    from shift3d.sweep.execution.worker import Worker
+    from shift3d.sweep.planning.folder import open_folder
+    from shift3d.sweep.planning.plan import make_plan
 
     if SCHEMA_VERSION not in COMMITS:
         raise SystemExit(f"this program writes schema version {SCHEMA_VERSION}, which is no older one")

@@ -13,11 +13,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from shift3d.config.catalogue import Catalogue, SceneEntry
-from shift3d.config.schema import Config, StreetConfig
 from shift3d.scenes.facts import SceneFacts
 from shift3d.seeding import generator
-from shift3d.sweep.kind import TaskKind
+from shift3d.settings.catalogue import Catalogue, SceneEntry
+from shift3d.settings.schema import Config, StreetConfig
+from shift3d.sweep.planning.kind import TaskKind
 from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
 
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")

@@ -15,7 +15,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "
 def main() -> int:
     from cheap_task import KIND
 
-    from shift3d.cli import sweep
+    from shift3d.cli.commands import sweep
     from shift3d.cli.main import parse
     from shift3d.errors import InputError
 

@@ -15,8 +15,9 @@ import pytest
 from bucket_server import ENVIRONMENT, bucket_server, new_bucket
 from drivers import DETERMINISTIC, DRIVER, QUICK, Drivers
 
-from shift3d.store.location import Location, as_location
+from shift3d.store.location import Location
 from shift3d.store.log import read_log
+from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 
 TASKS = 60
@@ -92,9 +93,9 @@ def test_a_second_driver_stops_the_first_in_the_bucket(
 def test_the_commands_read_the_bucket(
     drivers: Drivers, out: Location, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
     from shift3d.cli.main import main
-    from shift3d.sweep.folder import read_plan
-    from shift3d.tracking.mlflow import SweepRecord, mirror
+    from shift3d.sweep.planning.folder import read_plan
 
     run(drivers, out, "runner=local")
     plan = read_plan(out)

@@ -12,14 +12,14 @@ from cheap_task import KIND
 from drivers import DETERMINISTIC
 
 from shift3d.cli.main import main
-from shift3d.config.schema import LocalRunnerConfig
 from shift3d.errors import InputError
+from shift3d.settings.schema import LocalRunnerConfig
 from shift3d.store.log import CommitLog, read_log
 from shift3d.store.migrations import STEPS, steps
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 from shift3d.store.tables import read_table, table_from_rows
 from shift3d.sweep.drive import run_sweep
-from shift3d.sweep.folder import open_folder, read_plan, read_spec
+from shift3d.sweep.planning.folder import open_folder, read_plan, read_spec
 
 REFERENCE = Path(__file__).resolve().parents[1] / "reference"
 LOCAL = LocalRunnerConfig(kind="local", commit_seconds=0, abort_after=None, abort_share=None)

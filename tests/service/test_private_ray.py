@@ -14,9 +14,9 @@ import pytest
 
 STARTS = """
 import sys
-from shift3d.config.compose import compose_sweep, validate
+from shift3d.settings.compose import compose_sweep, validate
 from shift3d.errors import InputError
-from shift3d.sweep.ray_connection import connect
+from shift3d.sweep.execution.ray.connection import connect
 
 address = sys.argv[1] if len(sys.argv) > 1 else None
 words = ["runner.workers=1", f"runner.address={address or 'null'}"]

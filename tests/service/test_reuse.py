@@ -11,7 +11,7 @@ import pytest
 from cheap_task import KIND
 from drivers import Drivers
 
-from shift3d.cli import plan, sweep
+from shift3d.cli.commands import plan, sweep
 from shift3d.cli.main import parse
 
 SMALL, GROWN = 60, 90  # 5 vehicles, 4 or 6 scenes, shape under two lambda and pose

@@ -10,8 +10,8 @@ import pytest
 from bucket_server import ENVIRONMENT, bucket_server, new_bucket
 
 from shift3d.cli.main import main
-from shift3d.store.location import as_location
 from shift3d.store.log import read_log
+from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 
 SWEEP = ["sweep", "default", "vehicle=suv", "mode=pose", "scenes.count=1", "scenes.sensor=hdl64", "attack=short"]

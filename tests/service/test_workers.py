@@ -7,6 +7,8 @@ from pathlib import Path
 import pandas as pd
 from drivers import Drivers
 
+from shift3d.sweep.planning.folder import read_plan
+
 
 def test_workers_change_no_byte(drivers: Drivers, undisturbed: dict[str, bytes]) -> None:
     code, _, errors = drivers.run("out", "runner.workers=3")
@@ -22,7 +24,7 @@ def test_an_unknown_name_is_one_line(drivers: Drivers) -> None:
 
 
 def test_one_task_of_a_plan_is_shown_and_nothing_is_written(drivers: Drivers, undisturbed_folder: Path) -> None:
-    task = drivers.committed(str(undisturbed_folder))[0]
+    task = next(task.spec.task_id for task in read_plan(undisturbed_folder).tasks if task.spec.mode == "shape")
     code, output, errors = drivers.run("out", "--task", task[:12])
     assert code == 0, errors
     assert "adversarial_noise" in output and "milliseconds" in output

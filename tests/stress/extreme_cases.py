@@ -11,7 +11,7 @@ import torch
 
 from shift3d.render import RenderSettings, preset
 from shift3d.sdf.decoder import Decoder, load_decoder
-from shift3d.training.sdf_export import CODE_NORM
+from shift3d.training.sdf.export import CODE_NORM
 from shift3d.vehicles.vehicle import BASELINES, Vehicle, baseline_vehicles
 
 FARTHEST_M = 100.0

@@ -27,10 +27,12 @@ import torch
 from extreme_cases import SETTINGS, Case, along_beam, decoders, distance_m, make_case
 from torch import Tensor
 
-from shift3d.render import Beams, render, sphere_tracing
-from shift3d.render.object_field import ObjectField
-from shift3d.render.rendering import FirstHits, Rendering
-from shift3d.render.search import cold_start, warm_start
+from shift3d.render import Beams, render
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.first_hits import FirstHits
+from shift3d.render.rendering import Rendering
+from shift3d.render.solvers import sphere_tracing
+from shift3d.render.solvers.search import cold_start, warm_start
 
 PATIENCE_S = 20.0
 _STEP = np.array([0.01, 0.0, 0.005, 0.001, 0.0, -0.001])

@@ -8,12 +8,12 @@ from extreme_cases import make_case
 from extreme_poses import Outcome, run_case, summary
 from torch import Tensor
 
-from shift3d.render import search, sphere_tracing
 from shift3d.render.culling import Rays
-from shift3d.render.linearization import Linearization
-from shift3d.render.object_field import ObjectField
-from shift3d.render.roots import find_roots
-from shift3d.render.sphere_tracing import Entries
+from shift3d.render.field.linearization import Linearization
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.solvers import search, sphere_tracing
+from shift3d.render.solvers.roots import find_roots
+from shift3d.render.solvers.sphere_tracing import Entries
 
 
 @pytest.fixture(scope="module")

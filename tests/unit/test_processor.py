@@ -20,8 +20,8 @@ early, settled = sys.argv[1] == "early", sys.argv[2] == "settled"
 if early:
     import torch
 if settled:
-    from shift3d.processor import settle_numerics
-    settle_numerics(1)
+    from shift3d.processor import configure_runtime
+    configure_runtime(1)
 import torch
 from shift3d.sdf.affine import affine
 
@@ -43,8 +43,8 @@ PAGES = """
 import sys
 if sys.argv[1] == "early":
     import torch
-from shift3d.processor import settle_numerics
-settle_numerics(1)
+from shift3d.processor import configure_runtime
+configure_runtime(1)
 import torch
 tensor = torch.ones(64 * 2**18)
 lines = open("/proc/self/smaps_rollup").read().splitlines()

@@ -9,7 +9,7 @@ from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Conditions, Labels, Scene
 from shift3d.scenes.street.behind import second_returns
-from shift3d.scenes.street.echoes import Echoes, silent_beams
+from shift3d.scenes.street.echoes import Echoes, no_return_beams
 from shift3d.scenes.street.fleet import fleet_of
 from shift3d.scenes.street.item import LABELLED
 from shift3d.scenes.street.layout import Layout, sample_layout
@@ -63,7 +63,7 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
         range_image_index=echoes.pixel if options.sensors == 1 else None,
         conditions=conditions_of(options),
         sensor=sensor_model(sensor) if options.sensor_model else None,
-        silent=silent_beams(sweeps, compensated) if options.range_image else None,
+        no_return=no_return_beams(sweeps, compensated) if options.range_image else None,
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.scenes.sensor import SilentBeams
+from shift3d.scenes.sensor import NoReturnBeams
 from shift3d.scenes.street.behind import Cells
 from shift3d.scenes.street.raycast import Sweep
 
@@ -72,7 +72,7 @@ class Echoes:
         )
 
 
-def silent_beams(sweeps: Sequence[tuple[Sweep, NDArray[np.bool_]]], compensated: bool) -> SilentBeams:
+def no_return_beams(sweeps: Sequence[tuple[Sweep, NDArray[np.bool_]]], compensated: bool) -> NoReturnBeams:
     """The beams of sweeps, each with what it kept (rows, columns), that brought nothing back, row by row."""
     origins, directions, times = [], [], []
     for sweep, kept in sweeps:
@@ -81,7 +81,7 @@ def silent_beams(sweeps: Sequence[tuple[Sweep, NDArray[np.bool_]]], compensated:
         origins.append(_origins(_given_starts(sweep, compensated), column))
         times.append(sweep.sensor.firing_times_s()[column].astype(np.float32))
     together = origins[0] if len(origins) == 1 else np.concatenate(origins)
-    return SilentBeams(together, np.concatenate(directions), np.concatenate(times))
+    return NoReturnBeams(together, np.concatenate(directions), np.concatenate(times))
 
 
 def _given_starts(sweep: Sweep, compensated: bool) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ __all__ = ["street_facts"]
 def street_facts(scene_id: str, sensor_name: str, options: StreetOptions) -> SceneFacts:
     """The facts of a street scene by its sensor and options; effects decide on them as on those of the made scene.
 
-    A made scene may differ in two numbers that decide nothing: ``silent_beams`` are here those that the sensor drops
+    A made scene may differ in two numbers that decide nothing: ``no_return_beams`` are here those that the sensor drops
     at random, ``scan_s`` is that of the whole turn in float32. On a street the ground is always in view.
     """
     sensor = sensor_named(sensor_name)
@@ -28,7 +28,7 @@ def street_facts(scene_id: str, sensor_name: str, options: StreetOptions) -> Sce
         scene_id=scene_id,
         origins=2 if options.sensors > 1 or moving_origins else 1,
         returns=options.returns,
-        silent_beams=round(sensor.drop_rate * beams) if options.range_image else 0,
+        no_return_beams=round(sensor.drop_rate * beams) if options.range_image else 0,
         has_reflectance=True,
         has_pixels=options.sensors == 1,
         scan_s=float(times.max() - times.min()),

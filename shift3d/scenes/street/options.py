@@ -67,7 +67,7 @@ class StreetOptions:
         if self.traffic not in TRAFFIC:
             raise InputError(f"unknown traffic {self.traffic!r}", _WHERE, f"Choose from {', '.join(TRAFFIC)}")
         for weather, (name, usual) in WEATHER_STRENGTHS.items():
-            self._settle(weather, name, usual)
+            self._fill_in(weather, name, usual)
         if not 0.0 <= self.ego_speed_m_s <= LIMITS["ego_speed_m_s"]:
             remedy = f"Give 0 to {LIMITS['ego_speed_m_s']:g}"
             raise InputError(f"ego_speed_m_s is {self.ego_speed_m_s}", _WHERE, remedy)
@@ -81,7 +81,7 @@ class StreetOptions:
             what = "motion_compensated=true, but ego_speed_m_s is 0: there is no motion"
             raise InputError(what, _WHERE, "Give ego_speed_m_s, or set motion_compensated=false")
 
-    def _settle(self, weather: str, name: str, usual: float) -> None:
+    def _fill_in(self, weather: str, name: str, usual: float) -> None:
         """Check the strength of one weather; fill it in where that weather is wanted and nothing is said."""
         value: float | None = getattr(self, name)
         if weather != self.weather:

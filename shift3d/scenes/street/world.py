@@ -29,7 +29,7 @@ from shift3d.seeding import generator
 
 
 @dataclass(frozen=True)
-class Standing:
+class PlacedVehicle:
     """A vehicle of the fleet on its four wheels: its item number, and the pose of its object frame in the scene."""
 
     number: int
@@ -51,7 +51,7 @@ class World:
     mesh: Intersector
     material: NDArray[np.uint8]
     item: NDArray[np.int32]
-    vehicles: tuple[Standing, ...]
+    vehicles: tuple[PlacedVehicle, ...]
     foliage: tuple[tuple[int, Leaves], ...]
     boxes: dict[int, Float]
 
@@ -159,7 +159,7 @@ def _in_the_way(layout: Layout, driven_m: float) -> NDArray[np.bool_]:
     return stand_on(layout.items, x + (length_m + driven_m) / 2, y, driven_m, width_m)
 
 
-def _stand(ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> Standing:
+def _stand(ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> PlacedVehicle:
     """A vehicle on its four wheels."""
     length, width, height = vehicle.size_m
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
@@ -173,7 +173,7 @@ def _stand(ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> Sta
     left -= (left @ forward) * forward
     left /= np.linalg.norm(left)
     scene_R_object = np.stack((forward, left, np.cross(forward, left)), axis=1)
-    return Standing(number, vehicle, scene_R_object, np.array([item.x, item.y, float(z.mean()) + height / 2]))
+    return PlacedVehicle(number, vehicle, scene_R_object, np.array([item.x, item.y, float(z.mean()) + height / 2]))
 
 
 def _box_of_parts(parts: list[Part], item: Item, z: float) -> NDArray[np.float64]:

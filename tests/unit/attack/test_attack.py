@@ -10,11 +10,11 @@ from torch import Tensor
 from toy_detector import WaveDetector
 
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
-from shift3d.attack.constraints import Constraints
-from shift3d.attack.placement import NoPlacement, Placement, PlacementLimits, place
 from shift3d.attack.pose import PoseLimits, attack_pose, project
 from shift3d.attack.problem import AttackProblem, measure
 from shift3d.attack.shape import attack_shape, standing
+from shift3d.placement.constraints import Constraints
+from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, place
 from shift3d.render import Beams, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from shift3d.cli import train
 from shift3d.cli.command import key_values
+from shift3d.cli.commands import train
 from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
 from shift3d.cli.mesh_words import FRAME_VALUES
 from shift3d.cli.words import split_words
 from shift3d.errors import InputError
-from shift3d.store.location import as_location
+from shift3d.store.resolve import as_location
 
 
 def test_help_imports_nothing_heavy_and_is_quick() -> None:

@@ -9,7 +9,7 @@ from valid_sweeps import plan, write_sweep
 
 from shift3d.cli.main import main
 from shift3d.store.log import CommitLog, read_log
-from shift3d.sweep.final import write_final
+from shift3d.sweep.results.final import write_final
 
 
 @pytest.fixture

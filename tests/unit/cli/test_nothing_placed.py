@@ -7,9 +7,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from shift3d.analysis.tables.caveats import nothing_placed
 from shift3d.cli.main import main
 from shift3d.exit_codes import ExitCode
-from shift3d.report.placement import nothing_placed
 
 PLACEMENT = {
     "attempts": 2,

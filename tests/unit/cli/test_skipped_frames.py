@@ -9,7 +9,7 @@ import pytest
 import valid_frames
 
 from shift3d.cli.main import main
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
 
 ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1", "attack.placement.attempts=1", "runner=local", "tracking=none"]
 BAD = {

@@ -5,10 +5,11 @@ from math import pi
 import pytest
 import torch
 
-from shift3d.detectors.anchors import WAYMO_ANCHORS, anchor_boxes, anchor_indices
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.box_coding import decode_boxes, direction_bins, encode_boxes
 from shift3d.detectors.grid import WAYMO_GRID, full_window
+from shift3d.detectors.models.anchors import WAYMO_ANCHORS, anchor_boxes
+from shift3d.detectors.models.box_coding import decode_boxes, direction_bins, encode_boxes
+from shift3d.detectors.models.heads import proposal_indices
 
 SMALL = BevWindow(20, 40, 8, 12, 24, 44, 4, 4)
 
@@ -19,14 +20,14 @@ def test_anchors_of_the_full_grid() -> None:
     first, last = anchors[0], anchors[-1]
     assert first.tolist() == pytest.approx([-74.72, -74.72, 0.885, 4.73, 2.08, 1.77, 0.0])
     assert last.tolist() == pytest.approx([74.72, 74.72, 0.885, 4.73, 2.08, 1.77, pi / 2])
-    assert torch.equal(anchor_indices(WAYMO_ANCHORS, WAYMO_GRID, full_window(WAYMO_GRID)), torch.arange(len(anchors)))
+    assert torch.equal(proposal_indices(2, WAYMO_GRID, full_window(WAYMO_GRID)), torch.arange(len(anchors)))
 
 
 def test_anchors_of_a_window_are_rows_of_the_full_grid() -> None:
     full = anchor_boxes(WAYMO_ANCHORS, WAYMO_GRID, full_window(WAYMO_GRID))
     part = anchor_boxes(WAYMO_ANCHORS, WAYMO_GRID, SMALL)
     assert len(part) == 4 * 4 * 2
-    assert torch.equal(full[anchor_indices(WAYMO_ANCHORS, WAYMO_GRID, SMALL)], part)
+    assert torch.equal(full[proposal_indices(2, WAYMO_GRID, SMALL)], part)
 
 
 def test_round_trip_for_every_heading() -> None:

@@ -5,7 +5,7 @@ import torch
 
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID, assign_pillars, full_window
-from shift3d.detectors.pillar_net import decorate
+from shift3d.detectors.models.pillar_net import decorate
 
 WINDOW = BevWindow(200, 220, 40, 30, 200, 220, 40, 30)
 

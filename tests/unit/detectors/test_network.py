@@ -6,25 +6,24 @@ import pytest
 import torch
 from random_networks import random_net, random_scene
 
-from shift3d.detectors.anchor_detector import AnchorDetector
-from shift3d.detectors.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import full_window
+from shift3d.detectors.models.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
+from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
 
-@pytest.fixture(scope="module", params=["pointpillars", "sst"])
+@pytest.fixture(scope="module", params=["pointpillars", "centerpoint", "sst"])
 def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
 @pytest.fixture(scope="module")
-def slim(name: str) -> AnchorDetector:
-    return AnchorDetector(random_net(name))
+def slim(name: str) -> TrainedDetector:
+    return TrainedDetector(random_net(name))
 
 
 @pytest.fixture(scope="module")
-def full_scene(slim: AnchorDetector) -> tuple[torch.Tensor, torch.Tensor]:
+def full_scene(slim: TrainedDetector) -> tuple[torch.Tensor, torch.Tensor]:
     found = slim.proposals(random_scene())
     return found.logits, found.boxes
 
@@ -50,7 +49,7 @@ def test_margin_is_the_receptive_field() -> None:
 
 @pytest.mark.parametrize("centre", [(10.0, -7.3), (-73.0, 74.0), (70.0, 20.0), (0.0, -74.5)])
 def test_a_window_gives_the_full_scene_s_proposals(
-    slim: AnchorDetector, full_scene: tuple[torch.Tensor, torch.Tensor], centre: tuple[float, float]
+    slim: TrainedDetector, full_scene: tuple[torch.Tensor, torch.Tensor], centre: tuple[float, float]
 ) -> None:
     window = slim.window_for(centre, 8.0)
     part = slim.proposals(random_scene(), window)
@@ -60,17 +59,18 @@ def test_a_window_gives_the_full_scene_s_proposals(
     assert torch.allclose(part.boxes, boxes[part.anchor_index], atol=1e-4, rtol=1e-5)
 
 
-def test_a_window_reports_every_anchor_in_the_radius(slim: AnchorDetector) -> None:
-    from shift3d.detectors.anchors import anchor_boxes
-
+def test_a_window_reports_every_cell_in_the_radius(slim: TrainedDetector) -> None:
     window = slim.window_for((30.1, -12.2), 6.0)
-    everywhere = anchor_boxes(slim.anchors, slim.grid, full_window(slim.grid))
-    distance = torch.hypot(everywhere[:, 0] - 30.1, everywhere[:, 1] + 12.2)
-    wanted = set(torch.nonzero(distance <= 6.0).squeeze(1).tolist())
-    assert wanted <= set(slim.proposals(random_scene(), window).anchor_index.tolist())
+    found = slim.proposals(random_scene(), window).anchor_index
+    per_cell = len(found) // (window.core_num_x * window.core_num_y)
+    lines, columns = torch.meshgrid(torch.arange(468), torch.arange(468), indexing="ij")
+    x, y = (-74.88 + 0.32 * (axis + 0.5) for axis in (columns, lines))
+    wanted = torch.nonzero((torch.hypot(x - 30.1, y + 12.2) <= 6.0).reshape(-1)).squeeze(1)
+    assert len(wanted) > 1000
+    assert set((per_cell * wanted[:, None] + torch.arange(per_cell)).reshape(-1).tolist()) <= set(found.tolist())
 
 
-def test_a_window_gives_the_full_scene_s_gradient(slim: AnchorDetector) -> None:
+def test_a_window_gives_the_full_scene_s_gradient(slim: TrainedDetector) -> None:
     window = slim.window_for((-68.0, 3.0), 5.0)
     gradients = []
     for where in (window, None):
@@ -84,12 +84,12 @@ def test_a_window_gives_the_full_scene_s_gradient(slim: AnchorDetector) -> None:
     assert torch.allclose(*gradients, atol=1e-5, rtol=0)
 
 
-def test_a_window_beyond_the_grid_is_refused(slim: AnchorDetector) -> None:
+def test_a_window_beyond_the_grid_is_refused(slim: TrainedDetector) -> None:
     with pytest.raises(InputError, match="detector window"):
         slim.window_for((100.0, 0.0), 5.0)
 
 
-def test_bitwise_equal_over_runs_and_permutations(slim: AnchorDetector) -> None:
+def test_bitwise_equal_over_runs_and_permutations(slim: TrainedDetector) -> None:
     window = slim.window_for((5.0, 5.0), 6.0)
     points = random_scene()
     points[:6000, :2] = points[:6000, :2] * 0.1  # crowded pillars
@@ -114,13 +114,13 @@ def test_folding_changes_nothing(name: str) -> None:
     window = BevWindow(200, 200, 64, 48, 200, 200, 64, 48)
     points = random_scene().double()
     with torch.no_grad():
-        outputs = net([points], [window])
-        folded = AnchorDetector(net, "float64").proposals(points, window)
-    assert torch.allclose(outputs.logits[0], folded.logits, atol=1e-10, rtol=0)
+        logits = net([points], [window])
+        folded = TrainedDetector(net, "float64").proposals(points, window)
+    assert torch.allclose(logits[0], folded.logits, atol=1e-10, rtol=0)
 
 
 def test_gradient_equals_central_differences_in_float64(name: str) -> None:
-    detector = AnchorDetector(random_net(name), "float64")
+    detector = TrainedDetector(random_net(name), "float64")
     window = detector.window_for((3.0, 2.0), 2.0)
     generator = torch.Generator().manual_seed(5)
     cloud = torch.rand(400, 3, generator=generator, dtype=torch.float64) * torch.tensor([6.0, 6.0, 1.5])
@@ -142,7 +142,7 @@ def test_gradient_equals_central_differences_in_float64(name: str) -> None:
 
 
 @pytest.mark.parametrize("cloud", [torch.zeros(0, 3), torch.full((5, 3), 500.0)])
-def test_a_scene_without_points_in_range_is_valid(slim: AnchorDetector, cloud: torch.Tensor) -> None:
+def test_a_scene_without_points_in_range_is_valid(slim: TrainedDetector, cloud: torch.Tensor) -> None:
     window = slim.window_for((0.0, 0.0), 3.0)
     points = cloud.clone().requires_grad_()
     found = slim.proposals(points, window)
@@ -153,14 +153,14 @@ def test_a_scene_without_points_in_range_is_valid(slim: AnchorDetector, cloud: t
 
 def test_bfloat16_stays_near_float32(name: str) -> None:
     net = random_net(name)
-    exact, rough = AnchorDetector(net), AnchorDetector(net, "bfloat16")
+    exact, rough = TrainedDetector(net), TrainedDetector(net, "bfloat16")
     window = exact.window_for((0.0, 0.0), 4.0)
     one, two = exact.proposals(random_scene(), window), rough.proposals(random_scene(), window)
     assert two.logits.dtype == torch.float32
     assert (one.logits - two.logits).abs().max() < 0.1 * one.logits.abs().max()
 
 
-def test_wrong_shape_is_refused(slim: AnchorDetector) -> None:
+def test_wrong_shape_is_refused(slim: TrainedDetector) -> None:
     with pytest.raises(InputError, match=r"\(N, 3\)"):
         slim.proposals(torch.zeros(5, 4))
 

@@ -6,10 +6,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shift3d.detectors.anchor_detector import AnchorDetector
-from shift3d.detectors.sst import SST_SPEC, SstNet, SstSpec
-from shift3d.detectors.token_windows import Tokens, aligned_span, gather_rows, group_by_window
-from shift3d.detectors.window_transformer import EncoderLayer, TransformerSpec, WindowTransformer, position_codes
+from shift3d.detectors.models.sst import SST_SPEC, SstNet, SstSpec
+from shift3d.detectors.models.token_windows import Tokens, aligned_span, gather_rows, group_by_window
+from shift3d.detectors.models.window_transformer import EncoderLayer, TransformerSpec, WindowTransformer, position_codes
+from shift3d.detectors.trained_detector import TrainedDetector
 
 SMALL = TransformerSpec(width=16, heads=2, feed_forward=32, blocks=1, window=4, lengths=(3, 7))
 NET = SstSpec(SMALL, encoder_hidden=8, out_channels=8)
@@ -138,7 +138,7 @@ def test_letting_tokens_go_changes_nothing() -> None:
 def test_a_batch_is_its_scenes_one_by_one() -> None:
     torch.manual_seed(0)
     net = SstNet(NET).double().eval()
-    windows = [AnchorDetector(net, "float64").window_for(centre, 3.0) for centre in ((0.0, 0.0), (19.2, -8.96))]
+    windows = [TrainedDetector(net, "float64").window_for(centre, 3.0) for centre in ((0.0, 0.0), (19.2, -8.96))]
     shapes = {(window.num_x, window.num_y, window.core_num_x, window.core_num_y) for window in windows}
     assert len(shapes) == 1, "the centres were chosen for windows of one shape"
     rng = torch.Generator().manual_seed(2)
@@ -146,9 +146,9 @@ def test_a_batch_is_its_scenes_one_by_one() -> None:
     for cloud in clouds:
         cloud[:, 2] *= 0.05
     with torch.no_grad():
-        joint = net(clouds, windows).logits
+        joint = net(clouds, windows)
         for index, (cloud, window) in enumerate(zip(clouds, windows, strict=True)):
-            assert torch.allclose(joint[index], net([cloud], [window]).logits[0], atol=1e-12)
+            assert torch.allclose(joint[index], net([cloud], [window])[0], atol=1e-12)
 
 
 def test_the_published_size() -> None:
@@ -161,7 +161,7 @@ def test_the_published_size() -> None:
 
 def test_one_point_alone_is_a_scene() -> None:
     torch.manual_seed(0)
-    detector = AnchorDetector(SstNet(NET))
+    detector = TrainedDetector(SstNet(NET))
     points = torch.tensor([[5.0, 5.0, 0.5]], requires_grad=True)
     found = detector.proposals(points, detector.window_for((5.0, 5.0), 3.0))
     found.logits.sum().backward()

@@ -6,9 +6,12 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.weights import load_detector, load_network
+from shift3d.detectors.loading import load_detector
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.weights import NETWORKS, load_network
+from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
+from shift3d.training.detector.recipes import RECIPES
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +62,17 @@ def test_wrong_tensors(file: Path, tmp_path: Path, fault: str) -> None:
     save_file(state, broken)
     with pytest.raises(InputError, match="finite" if fault == "nan" else "has shape"):
         load_detector(path=broken)
+
+
+def test_every_name_has_a_network_a_setting_and_a_recipe() -> None:
+    """One list: what settings, commands, weights and recipes go by."""
+    settings = Path(__file__).resolve().parents[3] / "conf" / "detector"
+    assert tuple(NETWORKS) == DETECTOR_NAMES
+    assert {file.stem for file in settings.glob("*.yaml")} == set(DETECTOR_NAMES) == set(RECIPES)
+    assert all(NETWORKS[name]().name == name for name in DETECTOR_NAMES)
+
+
+def test_a_detector_without_weights_says_in_one_line_how_to_train_it(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='make train ARGS="model=centerpoint"') as error:
+        load_detector("centerpoint", tmp_path / "centerpoint.safetensors")
+    assert "\n" not in str(error.value)

@@ -8,12 +8,12 @@ import torch
 from analytic_fields import Field, Frame
 from torch import Tensor
 
-from shift3d.render.coverage import Coverage, cover
 from shift3d.render.culling import Rays
-from shift3d.render.object_field import ObjectField
-from shift3d.render.ray_samples import RaySamples
+from shift3d.render.field.object_field import ObjectField
 from shift3d.render.settings import STANDARD, RenderSettings
-from shift3d.render.sphere_tracing import trace
+from shift3d.render.solvers.coverage import Coverage, cover
+from shift3d.render.solvers.ray_samples import RaySamples
+from shift3d.render.solvers.sphere_tracing import trace
 
 FLOAT64 = STANDARD.with_(dtype=torch.float64)
 _SPACING_M = 1e-3

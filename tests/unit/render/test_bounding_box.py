@@ -4,8 +4,9 @@ import pytest
 import torch
 from analytic_fields import SHAPENET_FRAME, Frame, box, car, in_frame, rounded, sphere, union
 
-from shift3d.render.bounding_box import Box, sdf_ball_box, verified_box
-from shift3d.render.object_field import ObjectField
+from shift3d.render.culling import Box
+from shift3d.render.field.bounding_box import sdf_ball_box, verified_box
+from shift3d.render.field.object_field import ObjectField
 
 # The decoder's ball has radius 1.05 units: with 2.5 m a unit a car fits.
 SIZE = torch.tensor(SHAPENET_FRAME.size_m).double()

@@ -6,8 +6,8 @@ from analytic_fields import Field, box, sphere
 from straight_rays import FLOAT64, along_x, field_of
 from torch import Tensor
 
-from shift3d.render.corrector import newton, predict, secant
-from shift3d.render.linearization import linearize
+from shift3d.render.field.linearization import linearize
+from shift3d.render.solvers.corrector import newton, predict, secant
 
 OFFSETS = (0.0, 0.2, -0.4, 0.6, 0.8)
 RAYS = along_x(*OFFSETS)

@@ -9,12 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from straight_rays import FLOAT64, along_x, check_against_dense, chords, cold, crossings, field_of, is_found, samples_at
 
-from shift3d.render.bounding_box import Box
-from shift3d.render.coverage import Coverage, _Nodes, cover
-from shift3d.render.culling import Rays
-from shift3d.render.ray_samples import RaySamples
-from shift3d.render.sdf_grid import ChangeGrid
+from shift3d.render.culling import Box, Rays
+from shift3d.render.field.sdf_grid import ChangeGrid
 from shift3d.render.settings import RenderSettings
+from shift3d.render.solvers.coverage import Coverage, _Nodes, cover
+from shift3d.render.solvers.ray_samples import RaySamples
 
 BOX = Box(torch.tensor([-3.0, -2.0, -2.0], dtype=torch.float64), torch.tensor([3.0, 2.0, 2.0], dtype=torch.float64))
 
@@ -29,7 +28,7 @@ def covered(
     """Cover rays in a field, from what was seen of another; the evaluations that it took stand in `spent`."""
     grids = [ChangeGrid.of(metric, BOX) for metric in (before, after)]
     seen = cold(rays, before).samples
-    samples = seen.predicted(rays, rays, torch.arange(len(rays)), *grids)
+    samples = seen.predicted(rays, rays, torch.arange(len(rays)), *grids, 0.5)
     field = field_of(after)
     found = cover(samples, rays, torch.full_like(rays.far_m, hit_m), field, settings)
     spent.append(field.count.evaluations)

@@ -20,10 +20,10 @@ from straight_rays import (
     samples_at,
 )
 
-from shift3d.render.coverage import Coverage, cover
 from shift3d.render.culling import Rays
-from shift3d.render.ray_samples import RaySamples
 from shift3d.render.settings import RenderSettings
+from shift3d.render.solvers.coverage import Coverage, cover
+from shift3d.render.solvers.ray_samples import RaySamples
 
 NO_MINIMA = FLOAT64.with_(local_minima=False)
 RAYS = along_x(*(0.17 * n for n in range(-4, 5)))
@@ -72,8 +72,9 @@ def test_and_where_samples_are_predicted_with_bounds_that_hold(
     shape: Field, spacing: float, error: float, seed: int
 ) -> None:
     found = cover(_predicted(shape, RAYS, spacing, error, seed), RAYS, NOWHERE, field_of(shape), FLOAT64)
-    # Many bad predictions of a place inside are asked one after the other: such a ray is left to a search.
-    assert int(found.open.sum()) <= (3 if error == 0.2 and spacing == 0.02 else 0)
+    # Many predictions of a place inside, or on a face that the ray runs along, are asked one after the other: such a
+    # ray is left to a search.
+    assert int(found.open.sum()) <= (3 if spacing == 0.02 else 0)
     check_against_dense(crossings(found, shape, RAYS), shape, RAYS, skipped=found.open)
 
 

@@ -1,4 +1,4 @@
-"""Hard situations that rest on no single line: what each preset is for, sunk objects, thin parts with a grid.
+"""Hard contexts that rest on no single line: what each preset is for, sunk objects, thin parts with a grid.
 
 Those that do rest on one are in the catalogue, tests/hard_cases.
 """

@@ -7,11 +7,12 @@ from analytic_fields import SHAPENET_FRAME, Frame, in_frame, sector_scan, soft_c
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering, preset, render
-from shift3d.render.corrector import predict
 from shift3d.render.culling import object_rays
-from shift3d.render.object_field import Field as AnyField
-from shift3d.render.object_field import ObjectField
-from shift3d.sdf.decoder import Field, load_decoder
+from shift3d.render.field.object_field import Field as AnyField
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.solvers.corrector import predict
+from shift3d.sdf.decoder import load_decoder
+from shift3d.sdf.field import Field
 from shift3d.vehicles.vehicle import baseline_vehicles
 
 STANDARD = preset("standard").with_(dtype=torch.float64)

@@ -7,8 +7,8 @@ from analytic_fields import Field
 from straight_rays import FLOAT64, along_x, field_of, is_found, samples_at
 from torch import Tensor
 
-from shift3d.render.coverage import Coverage, cover
 from shift3d.render.settings import RenderSettings
+from shift3d.render.solvers.coverage import Coverage, cover
 
 RAY = along_x(0.0, start=0.0, length=10.0)
 

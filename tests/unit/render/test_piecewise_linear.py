@@ -7,7 +7,7 @@ from analytic_fields import Frame, sector_scan
 from torch import Tensor
 
 from shift3d.render import Beams, preset, render
-from shift3d.sdf.decoder import Field
+from shift3d.sdf.field import Field
 
 THETA = torch.tensor([12.0, 1.0, -0.5, 0.4, 0.0, 0.0], dtype=torch.float64)
 FRAME = Frame((4.0, 1.8, 1.5), scale_m=2.5)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from shift3d.render.roots import find_roots
+from shift3d.render.solvers.roots import find_roots
 
 FUNCTIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "line": lambda k: 0.3 - k,
@@ -29,7 +29,7 @@ def solve(f: Callable[[Tensor], Tensor], tolerance: float = 1e-9, iterations: in
 def test_the_answer_is_a_change_of_sign(name: str) -> None:
     f = FUNCTIONS[name]
     roots = solve(f)
-    assert bool(roots.settled)
+    assert bool(roots.converged)
     k = roots.k
     eps = 1e-2 if name == "flat then steep" else 1e-6
     if name != "cubic":
@@ -74,12 +74,12 @@ def test_few_evaluations_on_distances_over_a_short_bracket() -> None:
 def test_an_exact_root_at_the_outer_end_is_the_answer() -> None:
     a, b = torch.zeros(1).double(), torch.ones(1).double()
     found = find_roots(lambda k, rows: -k, a, b, a, -b, 1e-9, 10)
-    assert float(found.k) == 0.0 and bool(found.settled)
+    assert float(found.k) == 0.0 and bool(found.converged)
 
 
 def test_running_out_of_iterations_is_reported() -> None:
     found = solve(FUNCTIONS["step"], iterations=3)
-    assert not bool(found.settled)
+    assert not bool(found.converged)
 
 
 def test_nothing_to_do() -> None:

@@ -5,9 +5,8 @@ from analytic_fields import SHAPENET_FRAME, box, car, ground_scan, in_frame, sph
 from torch import Tensor
 
 from shift3d.render import Beams, preset
-from shift3d.render.bounding_box import Box
-from shift3d.render.culling import rays_in_box
-from shift3d.render.sdf_grid import CHANGE_SPACING_M, ChangeGrid, SdfGrid
+from shift3d.render.culling import Box, rays_in_box
+from shift3d.render.field.sdf_grid import CHANGE_SPACING_M, ChangeGrid, SdfGrid
 
 BOX = Box(torch.tensor([-2.1, -0.9, -0.7], dtype=torch.float64), torch.tensor([2.0, 1.0, 0.8], dtype=torch.float64))
 WIDER = BOX.grown(0.5)

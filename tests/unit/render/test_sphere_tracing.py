@@ -11,10 +11,10 @@ from torch import Tensor
 
 from shift3d.errors import InputError
 from shift3d.render import Beams, Rendering, preset, render
-from shift3d.render.coverage import Coverage
 from shift3d.render.culling import object_rays
 from shift3d.render.settings import REFERENCE
-from shift3d.render.sphere_tracing import enter
+from shift3d.render.solvers.coverage import Coverage
+from shift3d.render.solvers.sphere_tracing import enter
 
 FRAME = Frame(scale_m=2.5)
 FINE = preset("standard").with_(dtype=torch.float64, tolerance_m=1e-9, final_newton_m=0.0)

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from shift3d.render.effects.applicability import NEEDS, DetectorFacts, choose
+from shift3d.effects.applicability import NEEDS, choose
+from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.options import StreetOptions
@@ -48,9 +49,11 @@ def test_the_configuration_decides_as_the_made_scene_does(seed: int, options: di
         dataset, facts = scenes.configured(name)
         seen = SceneFacts.of(made)
         assert (dataset, facts.scene_id) == (made.dataset, made.scene_id)
-        assert bool(facts.silent_beams) == bool(seen.silent_beams) and facts.silent_beams <= seen.silent_beams
+        assert (
+            bool(facts.no_return_beams) == bool(seen.no_return_beams) and facts.no_return_beams <= seen.no_return_beams
+        )
         assert facts.scan_s == pytest.approx(seen.scan_s, rel=1e-2)
-        assert replace(facts, silent_beams=0, scan_s=0.0) == replace(seen, silent_beams=0, scan_s=0.0)
+        assert replace(facts, no_return_beams=0, scan_s=0.0) == replace(seen, no_return_beams=0, scan_s=0.0)
         for name, need in NEEDS.items():
             assert need.present(facts) == need.present(seen), name
         for said in SAID:

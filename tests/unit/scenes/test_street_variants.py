@@ -62,7 +62,7 @@ def test_without_options_scenes_are_what_they_were(sensor: str) -> None:
     np.testing.assert_allclose(found["quantiles_m"], recorded["quantiles_m"], rtol=0.0, atol=0.02)
     np.testing.assert_allclose(found["num_points"], recorded["num_points"], rtol=0.0, atol=3)
     np.testing.assert_allclose(found["reflectance"], recorded["reflectance"], rtol=0.01, atol=20)
-    assert (made.return_number, made.sensor, made.silent, made.conditions) == (None, None, None, Conditions())
+    assert (made.return_number, made.sensor, made.no_return, made.conditions) == (None, None, None, Conditions())
     assert made.origins.strides[0] == 0
 
 
@@ -98,7 +98,7 @@ def test_weather_is_stated_as_not_yet_in_the_points() -> None:
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_every_beam_is_a_point_or_silent(sensor: str) -> None:
     made = scene(sensor, range_image=True)
-    table, silent, pixel = SENSORS[sensor], made.silent, made.range_image_index
+    table, silent, pixel = SENSORS[sensor], made.no_return, made.range_image_index
     assert silent is not None and pixel is not None and silent.time_s is not None
     count = len(table.elevations_rad) * table.columns
     assert len(silent) + len(made.points) == count
@@ -137,16 +137,16 @@ def test_side_sensors_are_appended_and_look_from_their_corners() -> None:
     count, main = len(plain.points), SENSORS["hdl64"]
     names = ("points", "origins", "reflectance", "time_s")
     assert rows(made, slice(count), names) == rows(plain, slice(None), names)
-    assert made.range_image_index is None and made.silent is not None
+    assert made.range_image_index is None and made.no_return is not None
     height = SHORT32.mount_height_m - main.mount_height_m
     corners = np.unique(made.origins[count:], axis=0)
     np.testing.assert_allclose(corners, [[2.0, -1.0, height], [2.0, 1.0, height]], atol=1e-6)
     each = len(SHORT32.elevations_rad) * SHORT32.columns
-    assert len(made.points) + len(made.silent) == len(main.elevations_rad) * main.columns + 2 * each
+    assert len(made.points) + len(made.no_return) == len(main.elevations_rad) * main.columns + 2 * each
     for y, outwards in ((1.0, np.pi / 4), (-1.0, -np.pi / 4)):
         for points, origins in (
             (made.points[count:], made.origins[count:]),
-            (made.silent.origins + made.silent.directions, made.silent.origins),
+            (made.no_return.origins + made.no_return.directions, made.no_return.origins),
         ):
             own = origins[:, 1] == y
             offset = (points[own] - origins[own]).astype(np.float64)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from shift3d.processor import has_fast_bfloat16, has_wide_float32, round_batch
+from shift3d.processor import has_fast_bfloat16, has_wide_float32, pad_to_bucket
 from shift3d.sdf import affine as module
 from shift3d.sdf.affine import affine, in_round_batches
 
@@ -82,8 +82,8 @@ def test_a_round_batch_changes_no_value_and_holds_no_gradient_back(
 
 
 def test_round_batches_are_few_and_near() -> None:
-    sizes = [round_batch(rows) for rows in range(1, 1025)]
+    sizes = [pad_to_bucket(rows) for rows in range(1, 1025)]
     spare = {rows: size - rows for rows, size in enumerate(sizes, start=1)}
     assert all(0 <= more < (max(16, rows / 2) if rows <= 256 else 128) for rows, more in spare.items())
     assert sorted(set(sizes)) == [16, 32, 48, 64, 96, 128, 192, *range(256, 1025, 128)] and sizes == sorted(sizes)
-    assert [round_batch(rows) for rows in (0, 4097, 100_000)] == [0, 4224, 100_096]
+    assert [pad_to_bucket(rows) for rows in (0, 4097, 100_000)] == [0, 4224, 100_096]

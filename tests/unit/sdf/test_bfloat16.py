@@ -6,9 +6,10 @@ import torch
 from analytic_fields import Frame, sector_scan
 
 from shift3d.render import Beams, preset, render
-from shift3d.render.object_field import ObjectField
+from shift3d.render.field.object_field import ObjectField
 from shift3d.sdf.bfloat16 import bfloat16_twin
-from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, Field, load_decoder
+from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
+from shift3d.sdf.field import Field
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,8 @@
 import torch
 from torch import Tensor
 
-from shift3d.sdf.decoder import Architecture, Decoder, Field
+from shift3d.sdf.decoder import Architecture, Decoder
+from shift3d.sdf.field import Field
 
 
 def small_field(seed: int = 0) -> Field:

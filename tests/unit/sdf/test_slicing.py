@@ -7,9 +7,9 @@ from random_networks import random_decoder
 from torch import Tensor
 
 from shift3d.processor import has_fast_bfloat16
-from shift3d.render.object_field import ObjectField
+from shift3d.render.field.object_field import ObjectField
 from shift3d.sdf.bfloat16 import Bfloat16Field
-from shift3d.sdf.decoder import Field
+from shift3d.sdf.field import Field
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
 

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from shift3d.sdf.decoder import Architecture, Decoder, Field, load_decoder
+from shift3d.sdf.decoder import Architecture, Decoder, load_decoder
+from shift3d.sdf.field import Field
 
 
 def with_code(double: bool = True) -> tuple[Field, torch.Tensor]:

@@ -13,8 +13,9 @@ from faulty_proxy import FaultyProxy, faulty_proxy
 
 from shift3d.errors import InputError
 from shift3d.store import object_store
-from shift3d.store.location import Location, UncertainError, as_location
+from shift3d.store.location import Location, UncertainError
 from shift3d.store.log import CommitLog, TakenOverError, read_log
+from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table, table_from_rows, write_table
 
 TIMING = {"task_id": "a", "method": "baseline", "stage": "total", "milliseconds": 1.0, "calls": 1}

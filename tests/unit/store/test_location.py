@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 from bucket_server import new_bucket
 
-from shift3d.store.location import LocalLocation, Location, as_location, local_copy
+from shift3d.store.local_files import LocalLocation
+from shift3d.store.location import Location
+from shift3d.store.resolve import as_location, local_copy
 
 
 @pytest.fixture(params=["folder", "bucket"])

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from by_hand import catalogue
 
-from shift3d.config.compose import compose_sweep
-from shift3d.sweep.plan import Plan, make_plan
+from shift3d.settings.compose import compose_sweep
+from shift3d.sweep.planning.plan import Plan, make_plan
 
 
 @pytest.fixture(scope="session")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from shift3d.sweep.abort import AbortedError, AbortRule
-from shift3d.sweep.worker import BatchOutcome
+from shift3d.sweep.execution.abort import AbortedError, AbortRule
+from shift3d.sweep.execution.worker import BatchOutcome
 
 
 def failed(*errors: str) -> BatchOutcome:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shift3d.sweep.backlog import Backlog
+from shift3d.sweep.execution.backlog import Backlog
 
 
 def test_tasks_are_handed_out_in_order_and_once() -> None:

@@ -2,37 +2,37 @@
 
 from __future__ import annotations
 
-from shift3d.sweep.ray_calls import Call, Calls
-from shift3d.sweep.ray_crew import Member
+from shift3d.sweep.execution.ray.calls import Call, Calls
+from shift3d.sweep.execution.ray.worker_pool import PooledWorker
 
 
-def call(reference: str, positions: list[int], ago_s: float = 0.0, twin: Call | None = None) -> Call:
-    found = Call(reference, Member(None), positions, 1, twin=twin)
+def call(reference: str, positions: list[int], ago_s: float = 0.0, copy: Call | None = None) -> Call:
+    found = Call(reference, PooledWorker(None), positions, 1, copy=copy)
     found.began -= ago_s
-    if twin:
-        twin.twin = found
+    if copy:
+        copy.copy = found
     return found
 
 
-def test_the_second_of_two_twins_is_not_wanted() -> None:
+def test_the_second_of_two_copies_is_not_wanted() -> None:
     calls = Calls(least_s=1.0)
     calls.add(first := call("a", [1]))
-    calls.add(second := call("b", [1], twin=first))
-    assert first.member.running and len(calls) == 2
+    calls.add(second := call("b", [1], copy=first))
+    assert first.worker.running and len(calls) == 2
     assert calls.pop("b") == (second, True)
     calls.finished(second, 1, 0.1)
     assert len(calls) == 0, "nobody waits for the other one"
     assert calls.references == ["a"]
     assert calls.pop("a") == (first, False)
-    assert not first.member.running
+    assert not first.worker.running
 
 
-def test_a_twin_that_died_leaves_the_other_one_wanted() -> None:
+def test_a_copy_that_died_leaves_the_other_one_wanted() -> None:
     calls = Calls(least_s=1.0)
     calls.add(first := call("a", [1]))
-    calls.add(second := call("b", [1], twin=first))
+    calls.add(second := call("b", [1], copy=first))
     assert calls.pop("b") == (second, True)
-    assert calls.twin_of(second) is first and calls.twin_of(first) is None
+    assert calls.copy_of(second) is first and calls.copy_of(first) is None
     assert calls.pop("a") == (first, True)
 
 
@@ -45,7 +45,7 @@ def test_only_what_is_far_beyond_the_usual_straggles() -> None:
     assert calls.straggler() is None, "two tasks take twenty seconds, three times that is sixty"
     late.began -= 20
     assert calls.straggler() is late
-    calls.add(call("b", [1, 2], twin=late))
+    calls.add(call("b", [1, 2], copy=late))
     assert calls.straggler() is None, "a second one is enough"
 
 

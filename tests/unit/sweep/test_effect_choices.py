@@ -7,14 +7,14 @@ import dataclasses
 import pytest
 from by_hand import catalogue
 
-from shift3d.config.catalogue import Catalogue
-from shift3d.config.compose import compose_sweep
-from shift3d.config.schema import Config
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.labels import Conditions
-from shift3d.sweep.effects import effect_table
-from shift3d.sweep.plan import Plan, make_plan
+from shift3d.settings.catalogue import Catalogue
+from shift3d.settings.compose import compose_sweep
+from shift3d.settings.schema import Config
+from shift3d.sweep.planning.effect_choices import effect_table
+from shift3d.sweep.planning.plan import Plan, make_plan
 
 FOG = SceneFacts("north", conditions=Conditions(weather="fog", visibility_m=40.0))
 
@@ -60,7 +60,7 @@ def test_an_effect_without_data_is_refused_with_what_would_supply_it() -> None:
 
 def test_settings_of_effects_as_an_axis_and_a_task_that_two_of_them_share() -> None:
     plan = plan_of("effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25")
-    asked = {(task.spec.scene, task.spec.effects): task.effects_asked for task in plan.tasks}
+    asked = {(task.spec.scene, task.spec.effects): task.effects_requested for task in plan.tasks}
     assert asked["south", ()] == ("none",) and asked["south", ("rain", "range_noise")] == ("auto", "rain+range_noise")
 
 
@@ -76,6 +76,7 @@ def test_scenes_are_asked_once_a_vehicle() -> None:
 
 def test_a_misspelt_effect_is_told_the_nearest_and_nothing_internal() -> None:
     with pytest.raises(
-        InputError, match=r"unknown effects 'fogg'\. Did you mean 'fog'\? One of: auto, divergence, fog, none"
+        InputError,
+        match=r"unknown effects 'fogg'\. Did you mean 'fog'\? One of: auto, divergence, fog, no_return_beams",
     ):
         plan_of("effects=fogg")

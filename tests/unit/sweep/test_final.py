@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from by_hand import catalogue, score_row
 
-from shift3d.config.compose import compose_sweep
+from shift3d.settings.compose import compose_sweep
 from shift3d.store.log import CommitLog
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.final import FinalTables, write_final
-from shift3d.sweep.plan import Plan, make_plan
-from shift3d.sweep.worker import attempt_row
+from shift3d.sweep.execution.worker import attempt_row
+from shift3d.sweep.planning.plan import Plan, make_plan
+from shift3d.sweep.results.final import FinalTables, write_final
 
 
 def rows_of(task: Any, sweep: str) -> list[dict[str, Any]]:

@@ -9,14 +9,14 @@ import pandas as pd
 import pytest
 from by_hand import catalogue
 
-from shift3d.config.catalogue import Catalogue, SceneEntry
-from shift3d.config.compose import compose_sweep
-from shift3d.config.schema import Config
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
+from shift3d.settings.catalogue import Catalogue, SceneEntry
+from shift3d.settings.compose import compose_sweep
+from shift3d.settings.schema import Config
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.grids import transfer_rows
-from shift3d.sweep.plan import make_plan
+from shift3d.sweep.planning.plan import make_plan
+from shift3d.sweep.results.bev_grids import transfer_rows
 
 
 def five_scenes(config: Config) -> Catalogue:

@@ -7,10 +7,15 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from shift3d.report.choices import candidate_tables, papers_choice
-from shift3d.report.tables import choice_tables
+from shift3d.analysis.tables.choices import choice_tables, papers_choice, reasons
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.hyperparameters import NEARLY_EQUAL, choice_rows, choose_alphas, choose_lambdas, select_lambda
+from shift3d.sweep.results.hyperparameters import (
+    NEARLY_EQUAL,
+    choice_rows,
+    choose_alphas,
+    choose_lambdas,
+    select_lambda,
+)
 
 
 @pytest.mark.parametrize(
@@ -91,19 +96,17 @@ def test_every_candidate_is_a_row_and_the_reason_names_its_numbers() -> None:
         "lambda 1 for the coupe at alpha 0.1: its mean adversarial loss, 0.500, is the lowest, and no larger lambda "
         "comes within 5% of it.",
     ]
-    printed = "\n\n".join(choice_tables(table))
-    assert all(why in printed for why in whys)
-    (alpha, weight) = candidate_tables(table)
-    assert alpha[1] == ["", "alpha 0.01", "alpha 0.1", "chosen", "paper"] and alpha[2] == [
-        ["shape", "0.500", "0.450", "0.1", "0.01"]
-    ]
-    assert weight[2][0] == ["coupe, alpha 0.01", "1.000", "1.030", "10", "10"]
+    assert reasons(table) == whys
+    alpha, weight = choice_tables(table)
+    assert alpha.header == ["", "alpha 0.01", "alpha 0.1", "chosen", "paper"]
+    assert alpha.lines == [["shape", "0.500", "0.450", "0.1", "0.01"]]
+    assert weight.lines[0] == ["coupe, alpha 0.01", "1.000", "1.030", "10", "10"]
 
 
 def test_without_a_choice_nothing_is_said() -> None:
     assert choice_rows(pd.DataFrame(GRID[:1]), "s", {40}) == []
     empty = table_from_rows("choices", []).to_pandas()
-    assert choice_tables(empty) == [] and candidate_tables(empty) == []
+    assert choice_tables(empty) == [] and reasons(empty) == []
 
 
 def test_the_papers_choices() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from shift3d.sweep import worker
+from shift3d.sweep.execution import worker
 
 
 def resident_mb() -> float:

@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 from by_hand import catalogue
 
-from shift3d.config.catalogue import SceneEntry
-from shift3d.config.compose import compose_sweep
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
-from shift3d.sweep.folder import open_folder, read_plan
-from shift3d.sweep.plan import Plan, make_plan
-from shift3d.sweep.plan_file import plan_bytes, read_tasks
+from shift3d.settings.catalogue import SceneEntry
+from shift3d.settings.compose import compose_sweep
+from shift3d.sweep.planning.folder import open_folder, read_plan
+from shift3d.sweep.planning.plan import Plan, make_plan
+from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks
 
 WORDS = ["effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25"]
 
@@ -56,9 +56,9 @@ def test_columns_say_what_the_specs_say(plan: Plan, tmp_path: Path) -> None:
         assert frame[name].tolist() == [getattr(task.spec, name) for task in plan.tasks], name
     assert [None if pd.isna(value) else value for value in frame["lambda"]] == [t.spec.lambda_ for t in plan.tasks]
     assert [tuple(value) for value in frame["effects"]] == [task.spec.effects for task in plan.tasks]
-    assert [tuple(value) for value in frame["effects_asked"]] == [task.effects_asked for task in plan.tasks]
+    assert [tuple(value) for value in frame["effects_requested"]] == [task.effects_requested for task in plan.tasks]
     assert frame["assets"].tolist() == [task.assets for task in plan.tasks]
-    specs = [json.loads(ground) | json.loads(place) for ground, place in zip(frame["ground"], frame["place"])]
+    specs = [json.loads(one) | json.loads(other) for one, other in zip(frame["template"], frame["task_scene"])]
     assert specs == [json.loads(task.spec.canonical_json()) for task in plan.tasks]
 
 
@@ -72,7 +72,7 @@ def test_a_task_takes_little_more_room_than_its_id() -> None:
     assert len(plan_bytes(tasks)) < 40 * len(tasks)
 
 
-@pytest.mark.parametrize("column", ["ground", "place", "task_id"])
+@pytest.mark.parametrize("column", ["template", "task_scene", "task_id"])
 def test_another_task_under_an_id_is_refused(plan: Plan, column: str) -> None:
     content = plan_bytes(plan.tasks)
     values = pq.read_table(pa.BufferReader(content))[column].to_pylist()
@@ -91,9 +91,10 @@ def test_tasks_that_are_missing_are_noticed(plan: Plan, tmp_path: Path) -> None:
 def test_the_files_of_earlier_programs_are_read(plan: Plan) -> None:
     """They hold every task's whole spec."""
     columns = {
+        "task_id": plan.tasks.ids,
         "spec": [task.spec.canonical_json() for task in plan.tasks],
         "assets": pa.array([task.assets for task in plan.tasks], type=pa.int32()),
-        "effects_asked": [list(task.effects_asked) for task in plan.tasks],
+        "effects_asked": [list(task.effects_requested) for task in plan.tasks],
     }
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table(columns), sink)

@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from shift3d.sweep.ray_logbook import Whereabouts, read_logbook
+from shift3d.sweep.execution.ray.logbook import Whereabouts, read_logbook
 
 # Says where its logbook is, then hangs in the third task of its call, in the way that it is told.
 HANGS = """
 import re, sys, threading, time
-from shift3d.sweep.ray_logbook import Logbook
+from shift3d.sweep.execution.ray.logbook import Logbook
 
 def sleeps():
     time.sleep(3600)

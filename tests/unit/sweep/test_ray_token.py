@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from shift3d.errors import InputError
-from shift3d.sweep.ray_token import require_token, token_file
+from shift3d.sweep.execution.ray.token import require_token, token_file
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +49,7 @@ def test_the_token_stays_the_same() -> None:
 
 
 def test_drivers_that_start_at_once_agree_on_one_token() -> None:
-    from shift3d.sweep.ray_token import _check, _create
+    from shift3d.sweep.execution.ray.token import _check, _create
 
     barrier, seen = threading.Barrier(8), []
 

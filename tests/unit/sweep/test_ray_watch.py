@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from shift3d.sweep.ray_calls import Call
-from shift3d.sweep.ray_crew import Member
-from shift3d.sweep.ray_watch import Watch
+from shift3d.sweep.execution.ray.calls import Call
+from shift3d.sweep.execution.ray.watch import Watch
+from shift3d.sweep.execution.ray.worker_pool import PooledWorker
 
 
 class SilentRay:
@@ -21,7 +21,7 @@ class SilentRay:
 
 def asked(seconds_ago: float, positions: list[int]) -> Call:
     now = time.monotonic()
-    return Call("call", Member(None), positions, 1, began=now - 60, question="question", asked=now - seconds_ago)
+    return Call("call", PooledWorker(None), positions, 1, began=now - 60, question="question", asked=now - seconds_ago)
 
 
 def test_a_question_may_take_a_while() -> None:
@@ -34,7 +34,7 @@ def test_a_worker_that_nobody_sees_has_hung_and_one_of_several_tasks_is_not_sing
 ) -> None:
     (hang,) = Watch(SilentRay(), timeout_s=1.0).hanging([asked(21.0, positions)])
     assert hang.position == culprit
-    assert hang.death.kind == "timeout" and "nobody could see where the worker is" in hang.death.what
+    assert hang.failure.kind == "timeout" and "nobody could see where the worker is" in hang.failure.what
 
 
 def test_without_a_time_limit_nothing_hangs() -> None:

@@ -9,11 +9,11 @@ from by_hand import score_row
 
 from shift3d.store.log import CommitLog
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import open_folder
-from shift3d.sweep.plan import Plan
-from shift3d.sweep.reuse import take_finished
-from shift3d.sweep.worker import attempt_row
+from shift3d.sweep.execution.worker import attempt_row
+from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.results.final import write_final
+from shift3d.sweep.results.reuse import take_finished
 
 
 def test_the_other_sweep_may_have_another_name_and_order(tmp_path: Path, suv_plan: Plan) -> None:

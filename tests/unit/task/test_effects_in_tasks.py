@@ -13,7 +13,7 @@ import pytest
 import torch
 from test_task import STREET, make_spec
 
-from shift3d.render.effects.applicability import NEEDS
+from shift3d.effects.applicability import NEEDS
 from shift3d.scenes.kitti_files import read_points
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.export import export_solution
@@ -32,9 +32,9 @@ WEATHER = {"visibility_m": 80.0, "rain_mm_h": 20.0, "snow_mm_h": 0.5, "object_sp
 
 PLAN_AND_RUN = """
 import json, sys
-from shift3d.config.catalogue import read_catalogue
-from shift3d.config.compose import compose_sweep
-from shift3d.sweep.plan import make_plan
+from shift3d.settings.catalogue import read_catalogue
+from shift3d.settings.compose import compose_sweep
+from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import load_assets
 from shift3d.task.run import run_task
 
@@ -47,7 +47,7 @@ print(json.dumps({
     "score": result.scores[0]["score"],
     "effects": result.scores[0]["effects"],
     "stages": sorted({row["stage"] for row in result.timings}),
-    "imported": [name for name in sys.modules if name.startswith("shift3d.render.effects")],
+    "imported": sorted(name for name in sys.modules if name.startswith("shift3d.effects")),
 }))
 """
 
@@ -57,7 +57,7 @@ def test_a_dry_scene_with_one_return_runs_occlusion_alone_and_imports_no_effect(
     done = subprocess.run([sys.executable, "-c", PLAN_AND_RUN], capture_output=True, text=True, check=True)
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["same"] and found["effects"] == [] and 0.0 <= found["score"] <= 1.0
-    choosing = ["shift3d.render.effects", "shift3d.render.effects.applicability"]
+    choosing = ["shift3d.effects", "shift3d.effects.applicability", "shift3d.effects.detector_facts"]
     assert found["imported"] == choosing and not any("effect" in stage for stage in found["stages"])
 
 
@@ -85,7 +85,7 @@ def test_every_effect_at_once_and_again_after_another_task(rich: Assets, everyth
 
 
 def test_time_is_told_by_effect(everything: TaskResult) -> None:
-    acting = {name for name in NEEDS if name not in ("origins", "silent_beams", "rolling_shutter")}
+    acting = {name for name in NEEDS if name not in ("origins", "no_return_beams", "rolling_shutter")}
     stages = {row["stage"] for row in everything.timings if row["method"] == "baseline"}
     assert {f"effect_{name}" for name in acting} | {"effects_once", "render"} <= stages
     assert all(row["milliseconds"] >= 0.0 for row in everything.timings)

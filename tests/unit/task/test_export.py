@@ -14,18 +14,18 @@ import valid_sweeps
 
 from shift3d.attack.objective import SCORE_RADIUS_M, detection_score, object_box, to_network_frame, window_around
 from shift3d.cli.main import main
-from shift3d.config.catalogue import accuracy_settings
-from shift3d.config.schema import AccuracyConfig
+from shift3d.detectors.loading import load_detector
 from shift3d.detectors.nms import suppress
-from shift3d.detectors.weights import load_detector
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.kitti_files import lidar_box
 from shift3d.scenes.kitti_writing import CALIBRATION, label_line
+from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.schema import AccuracyConfig
 from shift3d.store.log import read_log
-from shift3d.sweep.final import write_final
-from shift3d.sweep.folder import read_plan
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.export import FRAME, check_no_export, export_solution
 from shift3d.task.run import run_task

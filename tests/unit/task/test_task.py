@@ -13,12 +13,12 @@ import torch
 import trimesh
 from toy_detector import WaveDetector
 
-from shift3d.attack.constraints import ConstraintCheck
 from shift3d.attack.records import AttackResult, StepRecord
-from shift3d.config.catalogue import accuracy_settings
-from shift3d.config.schema import AccuracyConfig
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
+from shift3d.placement.constraints import ConstraintCheck
+from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.schema import AccuracyConfig
 from shift3d.store.tables import table_from_rows
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.export import export_solution

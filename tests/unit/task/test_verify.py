@@ -11,8 +11,8 @@ from test_task import STREET, make_spec
 
 from shift3d.errors import InputError
 from shift3d.store.tables import table_from_rows, write_table
-from shift3d.sweep.verified_scores import with_verification
-from shift3d.sweep.worker import completed_rows
+from shift3d.sweep.execution.worker import completed_rows
+from shift3d.sweep.results.verified_scores import with_verification
 from shift3d.task.assets import load_assets
 from shift3d.task.differences import Differences
 from shift3d.task.rescoring import DRAWS, Solution, Verified

@@ -7,18 +7,28 @@ import numpy as np
 import pytest
 import torch
 
-from shift3d.detectors.anchors import WAYMO_ANCHORS, anchor_boxes
-from shift3d.detectors.backbone import BackboneSpec, HeadOutputs
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.box_coding import decode_boxes
 from shift3d.detectors.grid import WAYMO_GRID
+from shift3d.detectors.models.anchors import WAYMO_ANCHORS, anchor_boxes
+from shift3d.detectors.models.backbone import BackboneSpec
+from shift3d.detectors.models.box_coding import decode_boxes
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.training.detector import Recipe, one_cycle, scaled_to_steps, train_on_scenes
-from shift3d.training.detector_augmentation import random_crop
-from shift3d.training.detector_losses import detection_loss, focal_loss, sine_code_difference
+from shift3d.training.detector.anchor_objective import (
+    IGNORED,
+    NEGATIVE,
+    POSITIVE,
+    AnchorObjective,
+    assign_anchors,
+    nearest_bev_iou,
+    sine_code_difference,
+)
+from shift3d.training.detector.crops import random_crop
+from shift3d.training.detector.focal import focal_loss
+from shift3d.training.detector.loop import train_on_scenes
+from shift3d.training.detector.recipe import Recipe
+from shift3d.training.detector.recipes import one_cycle, scaled_to_steps
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
-from shift3d.training.detector_targets import IGNORED, NEGATIVE, POSITIVE, assign_targets, nearest_bev_iou
 from shift3d.training.progress import averaged
 
 WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
@@ -28,6 +38,7 @@ TINY = Recipe(
     steps=6,
     settle_steps=3,
     mesh_only_steps=3,
+    statistics_crops=3,
     crop_cells=32,
     batch=2,
     rim_cells=2,
@@ -61,7 +72,7 @@ def test_nearest_iou_of_snapped_boxes() -> None:
 
 def test_targets_decode_to_the_vehicle() -> None:
     vehicle = torch.tensor([[0.3, -0.7, 0.8, 4.4, 1.8, 1.5, 2.9]])
-    targets = assign_targets(ANCHORS, vehicle, torch.tensor([True]), EVERYWHERE)
+    targets = assign_anchors(ANCHORS, vehicle, torch.tensor([True]), EVERYWHERE)
     assert targets.positives.numel() > 4
     directions = torch.nn.functional.one_hot(targets.directions, 2).float()
     decoded = decode_boxes(targets.codes, ANCHORS[targets.positives], directions)
@@ -74,7 +85,7 @@ def test_targets_decode_to_the_vehicle() -> None:
 
 def test_a_vehicle_unlike_any_anchor_still_trains_its_best_one() -> None:
     truck = torch.tensor([[0.3, -0.7, 1.5, 11.0, 2.6, 3.5, 0.0]])
-    targets = assign_targets(ANCHORS, truck, torch.tensor([True]), EVERYWHERE)
+    targets = assign_anchors(ANCHORS, truck, torch.tensor([True]), EVERYWHERE)
     best = nearest_bev_iou(ANCHORS, truck)[:, 0]
     assert best.max() < 0.55
     assert (targets.labels[best == best.max()] == POSITIVE).all()
@@ -82,13 +93,13 @@ def test_a_vehicle_unlike_any_anchor_still_trains_its_best_one() -> None:
 
 def test_vehicles_with_few_points_only_ignore() -> None:
     vehicle = torch.tensor([[0.3, -0.7, 0.8, 4.4, 1.8, 1.5, 0.1]])
-    targets = assign_targets(ANCHORS, vehicle, torch.tensor([False]), EVERYWHERE)
+    targets = assign_anchors(ANCHORS, vehicle, torch.tensor([False]), EVERYWHERE)
     assert targets.positives.numel() == 0
     assert (targets.labels == IGNORED).any() and (targets.labels == NEGATIVE).any()
 
 
 def test_no_vehicles_and_untrained_rim() -> None:
-    targets = assign_targets(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), ~EVERYWHERE)
+    targets = assign_anchors(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), ~EVERYWHERE)
     assert (targets.labels == IGNORED).all()
     assert targets.codes.shape == (0, 7)
 
@@ -115,13 +126,11 @@ def test_half_turns_cost_nothing() -> None:
 
 
 def test_loss_without_positives_is_finite() -> None:
-    targets = assign_targets(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), EVERYWHERE)
+    targets = assign_anchors(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), EVERYWHERE)
     count = len(ANCHORS)
-    outputs = HeadOutputs(
-        torch.full((1, count), 100.0, requires_grad=True), torch.zeros(1, count, 7), torch.zeros(1, count, 2)
-    )
-    loss, parts = detection_loss(outputs, [targets])
-    assert torch.isfinite(loss) and parts["box"] == 0.0
+    logits = torch.full((count,), 100.0, requires_grad=True)
+    parts = AnchorObjective(TINY).loss(logits, torch.zeros(0, 18), targets)
+    assert torch.isfinite(parts["class"]) and parts["box"] == parts["direction"] == 0.0
 
 
 def test_a_crop_moves_boxes_with_their_points() -> None:
@@ -129,8 +138,8 @@ def test_a_crop_moves_boxes_with_their_points() -> None:
     before = points_in_boxes(scene.points, scene.boxes, 0.05).sum(axis=1)
     seen = 0
     for seed in range(20):
-        crop = random_crop(scene, WAYMO_GRID, 96, np.random.default_rng(seed))
-        same = random_crop(scene, WAYMO_GRID, 96, np.random.default_rng(seed))
+        crop = random_crop(scene, WAYMO_GRID, Recipe(crop_cells=96), np.random.default_rng(seed))
+        same = random_crop(scene, WAYMO_GRID, Recipe(crop_cells=96), np.random.default_rng(seed))
         assert np.array_equal(crop.points, same.points) and np.array_equal(crop.boxes, same.boxes)
         inside = points_in_boxes(crop.points, crop.boxes, 0.25).sum(axis=1)
         assert len(crop.boxes) <= len(before)
@@ -177,18 +186,20 @@ def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
         train_on_scenes(tmp_path / "b", Recipe(steps=7, network=TINY.network), mesh, inserted)
 
 
-def test_the_last_steps_settle_the_boxes_and_leave_scores_alone(tmp_path: Path) -> None:
-    """On batch norms' own statistics: a mean that crops of two do not have is learned from nothing else."""
+def test_the_last_steps_settle_the_heads_on_statistics_of_inference(tmp_path: Path) -> None:
+    """The class head too: what is attacked is what was trained. Encoder and backbone keep their weights."""
     mesh = cache_scenes(tmp_path / "mesh", ["0", "1"], _scene)
     start = train_on_scenes(tmp_path / "a", TINY, mesh, stop_after=TINY.steps).state_dict()
     settled = train_on_scenes(tmp_path / "a", TINY, mesh)
     assert all(part.requires_grad for part in settled.parameters())
     changed = {name for name, tensor in settled.state_dict().items() if not torch.equal(tensor, start[name])}
-    assert changed == {f"heads.{head}.{part}" for head in ("boxes", "directions") for part in ("weight", "bias")}
+    heads = {f"heads.{head}.{part}" for head in ("classes", "boxes", "directions") for part in ("weight", "bias")}
+    statistics = {name for name in start if "running" in name or "num_batches" in name}
+    assert changed == heads | statistics
     alone = scaled_to_steps(TINY, 0)
     again = train_on_scenes(tmp_path / "b", alone, mesh, start=start)
     assert alone.all_steps == TINY.settle_steps
-    assert torch.equal(again.heads.classes.weight, start["heads.classes.weight"])
+    assert not torch.equal(again.heads.classes.weight, start["heads.classes.weight"])
     assert not torch.equal(again.heads.boxes.bias, start["heads.boxes.bias"])
 
 

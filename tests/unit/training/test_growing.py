@@ -10,10 +10,10 @@ import torch
 from torch import nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.sst import SST_SMALL_SPEC, SST_SPEC, SstNet, SstSpec
-from shift3d.detectors.window_transformer import TransformerSpec
-from shift3d.training.detector_recipe import RECIPES
-from shift3d.training.growing import doubled, grown
+from shift3d.detectors.models.sst import SST_SMALL_SPEC, SST_SPEC, SstNet, SstSpec
+from shift3d.detectors.models.window_transformer import TransformerSpec
+from shift3d.training.detector.growing import doubled, grown
+from shift3d.training.detector.recipes import RECIPES
 
 SMALL = SstSpec(TransformerSpec(width=16, heads=2, feed_forward=24, blocks=2), encoder_hidden=6, out_channels=20)
 WINDOW = BevWindow(200, 200, 32, 32, 200, 200, 32, 32)
@@ -38,8 +38,9 @@ def _points() -> torch.Tensor:
 
 def _outputs(net: SstNet) -> torch.Tensor:
     with torch.no_grad():
-        outputs = net([_points()], [WINDOW])
-    return torch.cat((outputs.logits[..., None], outputs.codes, outputs.directions), dim=-1)
+        features = net.features([_points()], [WINDOW])
+        logits, rows = net.heads.logits(features), net.heads.box_rows(features)
+    return torch.cat((logits.view(1, -1, net.heads.per_cell), rows), dim=-1)
 
 
 def test_the_published_size_is_twice_the_small_one() -> None:
@@ -67,8 +68,8 @@ def test_twins_part_in_the_first_step() -> None:
     spec = doubled(SMALL, "sst")
     large = SstNet(spec).train()
     large.load_state_dict(grown(_trained(SMALL).state_dict(), SMALL, spec))
-    outputs = large([_points()], [WINDOW])
-    (outputs.logits.square().mean() + outputs.codes.square().mean()).backward()
+    features = large.features([_points()], [WINDOW])
+    (large.heads.logits(features).square().mean() + large.heads.box_rows(features).square().mean()).backward()
     gradient = large.dense[0].weight.grad
     assert gradient is not None
     assert not torch.allclose(gradient[0::2], gradient[1::2], rtol=1e-2, atol=0.0)

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from shift3d.errors import InputError
-from shift3d.training import sdf
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
+from shift3d.training.sdf import train as sdf
 from shift3d.training.sdf_shapes import shape_samples
 
 TINY = sdf.SdfRecipe(shapes=2, samples_a_shape=600, batch_a_shape=64, steps=6, seed=1, compute="float32")

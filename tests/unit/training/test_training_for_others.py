@@ -14,32 +14,45 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from shift3d.cli.train import _options
-from shift3d.detectors.backbone import BackboneSpec
+from shift3d.cli.commands.train import _options, _recipe_words
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.pointpillars import PointPillarsNet
-from shift3d.detectors.sst import SstNet, SstSpec
-from shift3d.detectors.window_transformer import TransformerSpec
+from shift3d.detectors.models.backbone import BackboneSpec
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.sst import SstNet, SstSpec
+from shift3d.detectors.models.window_transformer import TransformerSpec
 from shift3d.errors import InputError
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.labels import Labels
 from shift3d.scenes.scene import Scene
-from shift3d.training import command, detector_loop
+from shift3d.training import command
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute
-from shift3d.training.detector import train_detector
-from shift3d.training.detector_loop import train_on_scenes
-from shift3d.training.detector_recipe import RECIPES, Recipe, scaled_to_steps
+from shift3d.training.detector import loop as detector_loop
+from shift3d.training.detector.loop import train_on_scenes
+from shift3d.training.detector.recipe import Recipe
+from shift3d.training.detector.recipes import RECIPES, scaled_to_steps
+from shift3d.training.detector.train import train_detector
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene
 from shift3d.training.progress import CurvePoint
 
 PILLARS = BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4)
 TOKENS = SstSpec(TransformerSpec(width=8, heads=2, feed_forward=8, blocks=1), encoder_hidden=4, out_channels=8)
 TINY = Recipe(
-    network=PILLARS, steps=6, settle_steps=3, mesh_only_steps=6, inserted_scenes=0, crop_cells=32, rim_cells=2
+    network=PILLARS,
+    steps=6,
+    settle_steps=3,
+    mesh_only_steps=6,
+    inserted_scenes=0,
+    crop_cells=32,
+    rim_cells=2,
+    statistics_crops=2,
 )
-RECIPE = {"pointpillars": TINY, "sst": dataclasses.replace(TINY, network=TOKENS, bfloat16=False)}
-both = pytest.mark.parametrize("recipe", RECIPE.values(), ids=RECIPE.keys())
+RECIPE = {
+    "pointpillars": TINY,
+    "centerpoint": dataclasses.replace(TINY, heads="centres"),
+    "sst": dataclasses.replace(TINY, network=TOKENS, bfloat16=False),
+}
+each_detector = pytest.mark.parametrize("recipe", RECIPE.values(), ids=RECIPE.keys())
 
 WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
 BOX = (8.0, 0.0, -0.93, 4.0, 1.8, 1.6, 0.0)
@@ -73,7 +86,7 @@ def _kitti(root: Path) -> Path:
     return root
 
 
-@both
+@each_detector
 def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_training(
     recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,7 +112,7 @@ def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_tra
     for name, tensor in straight.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
     assert [step for step, _ in told] == list(range(1, recipe.all_steps + 1))
-    assert {"class", "box", "direction", "learning_rate"} <= told[-1][1].keys()
+    assert {"class", "box", "positives", "learning_rate"} <= told[-1][1].keys()
 
 
 def test_a_folder_of_other_scenes_is_refused(tmp_path: Path) -> None:
@@ -109,7 +122,7 @@ def test_a_folder_of_other_scenes_is_refused(tmp_path: Path) -> None:
         train_on_scenes(tmp_path / "out", TINY, files, data="kitti-2")
 
 
-@both
+@each_detector
 def test_weights_of_real_frames_go_to_the_given_folder_alone(
     recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,6 +153,18 @@ def test_only_the_shipped_recipe_writes_the_shipped_weights(tmp_path: Path) -> N
         command.train("sdf", command.TrainOptions(tmp_path, scenes="kitti"))
     with pytest.raises(InputError, match="root= is missing"):
         command.train("sst", command.TrainOptions(tmp_path, scenes="kitti"))
+
+
+def test_words_of_a_recipe_reach_it_and_keep_the_shipped_weights(tmp_path: Path) -> None:
+    fields = _recipe_words(["recipe.pasted=0", "recipe.peak_rate=2e-4"])
+    options = _options({"model": "centerpoint", "out": str(tmp_path)}, fields)
+    recipe = command.detector_recipe("centerpoint", options)
+    assert (recipe.augmentation.pasted, recipe.peak_rate, recipe.heads) == (0, 2e-4, "centres")
+    assert not options.shipped
+    with pytest.raises(InputError, match=r"recipe\.sclae is unknown"):
+        command.train("centerpoint", _options({"model": "centerpoint", "out": str(tmp_path)}, {"sclae": "1,1"}))
+    with pytest.raises(InputError, match="given twice"):
+        _recipe_words(["recipe.pasted=0", "recipe.pasted=1"])
 
 
 def test_adapting_weights_takes_a_fifth_of_the_rate(tmp_path: Path) -> None:
@@ -173,8 +198,11 @@ def test_only_the_labelled_sector_is_trained_on() -> None:
 
 def test_fewer_steps_keep_the_share_without_insertions() -> None:
     short = scaled_to_steps(RECIPES["pointpillars"], 700)
-    assert (short.steps, short.mesh_only_steps, short.settle_steps) == (700, 270, 50)
-    assert short == dataclasses.replace(RECIPES["pointpillars"], steps=700, mesh_only_steps=270, settle_steps=50)
+    recipe = RECIPES["pointpillars"]
+    names = ("steps", "mesh_only_steps", "settle_steps")
+    for name in names:
+        assert getattr(short, name) == pytest.approx(getattr(recipe, name) * 700 / recipe.steps, abs=0.51)
+    assert dataclasses.replace(short, **{name: getattr(recipe, name) for name in names}) == recipe
 
 
 def test_a_device_that_is_not_there_is_refused() -> None:
@@ -193,13 +221,13 @@ def test_points_are_encoded_in_float32_under_autocast() -> None:
         exact = pillars.canvas([cloud], [WINDOW]), tokens._encoded([cloud], [WINDOW])[0]
         with torch.autocast("cpu", torch.bfloat16):
             mixed = pillars.canvas([cloud], [WINDOW]), tokens._encoded([cloud], [WINDOW])[0]
-            logits = [net([cloud], [WINDOW]).logits for net in (pillars, tokens)]
+            logits = [net([cloud], [WINDOW]) for net in (pillars, tokens)]
     assert all(torch.equal(a, b) for a, b in zip(exact, mixed, strict=True))
     assert all(torch.isfinite(values.float()).all() for values in logits)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
-@both
+@each_detector
 def test_training_on_cuda_follows_the_cpu(recipe: Recipe, tmp_path: Path) -> None:
     files = cache_scenes(tmp_path / "scenes", ["0", "1"], _scene)
     exact = dataclasses.replace(recipe, bfloat16=False, steps=2, mesh_only_steps=2)

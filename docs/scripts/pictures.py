@@ -1,0 +1,269 @@
+"""The README's pictures, drawn from the shipped weights and finished sweeps.
+
+``python docs/scripts/pictures.py OUT ... [task=ID] [folder=FOLDER]``: OUTs are folders of sweeps before one detector,
+one of shapes and one of poses say; ID (the hardest whose shape is plausible) is the task that is shown; FOLDER
+(docs/pictures) gets the PNGs.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.analysis.cases.rendered import POSE
+from shift3d.analysis.figures.picture import COLOURS
+from shift3d.errors import InputError
+from shift3d.methods import METHODS
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from shift3d.task.assets import Assets
+
+__all__ = ["draw_case", "draw_curves", "draw_family", "draw_training", "draw_vehicles"]
+
+_RED = (0.75, 0.3, 0.27)
+_SIDE, _THREE_QUARTERS = (np.pi / 2, 0.05), (0.7, 0.3)
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def draw_vehicles(path: Path) -> None:
+    """The five baseline vehicles as the decoder draws them: from the side, and three quarters from the front."""
+    from shift3d.sdf.decoder import load_decoder
+    from shift3d.vehicles.picture import shaded
+    from shift3d.vehicles.vehicle import baseline_vehicles, vehicle_mesh
+
+    decoder, vehicles = load_decoder(), baseline_vehicles()
+    figure = _figure(11, 2.9)
+    axes = figure.subplots(2, len(vehicles))
+    for column, (name, vehicle) in enumerate(vehicles.items()):
+        mesh = vehicle_mesh(vehicle, decoder, resolution=256)
+        for row, (azimuth, elevation) in enumerate((_SIDE, _THREE_QUARTERS)):
+            axes[row, column].imshow(shaded(mesh, azimuth, elevation, width_px=420, height_px=220))
+            axes[row, column].set_axis_off()
+        axes[0, column].set_title(f"{name.replace('_', ' ')}, {vehicle.size_m[0]:.2f} m", fontsize=9)
+    figure.savefig(path)
+
+
+def draw_family(path: Path, columns: int = 6) -> None:
+    """One vehicle of every body type and attribute of the wide family as built: seen ones blue, held-out ones red."""
+    from shift3d.vehicles.family.split import SPLIT
+
+    sides = {"seen in training": SPLIT.seen, "held out": SPLIT.held_out}
+    bands = [-(-len(names) // columns) for names in sides.values()]
+    figure = _figure(12, 1.6 * sum(bands))
+    parts: list[Any] = list(np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=bands))))
+    for part, (title, names), rows in zip(parts, sides.items(), bands):
+        part.suptitle(title, fontsize=10, x=0.01, ha="left", weight="bold")
+        panels = part.subplots(rows, columns, squeeze=False).flat
+        for panel in panels:
+            panel.set_axis_off()
+        for panel, name in zip(part.axes, names):
+            _draw_kind(panel, name, None if names is SPLIT.seen else _RED)
+    figure.savefig(path)
+
+
+_SHOWN_ON = {
+    "roof_box": "beach_wagon",
+    "tail_bicycles": "hatchback",
+    "open_tailgate": "suv",
+    "dented": "sedan",
+    "missing_panels": "sedan",
+}
+"""Body types that show an attribute well; of the others the first that carries it."""
+_FROM_BEHIND = ("spare_wheel", "canopy", "tail_bicycles", "open_tailgate")
+_DRAW = {"dented": 20, "missing_panels": 12}
+"""Which draw is shown; of the others the first. Of damage, one on the side that the picture shows."""
+_FROM_ABOVE = ("roof_rack", "ladder", "roof_rails", "roof_box")
+
+
+def _draw_kind(panel: Axes, name: str, rgb: tuple[float, float, float] | None) -> None:
+    """One vehicle of a body type, or one with an attribute."""
+    from shift3d.seeding import generator
+    from shift3d.vehicles.family.attributes import ATTRIBUTES
+    from shift3d.vehicles.family.wide import build_wide_mesh, draw_wide
+    from shift3d.vehicles.picture import BODY_RGB, shaded
+
+    attributes = (name,) if name in ATTRIBUTES else ()
+    body_type = _SHOWN_ON.get(name, ATTRIBUTES[name].carriers[0]) if attributes else name
+    spec = draw_wide(body_type, attributes, generator("family picture", name, _DRAW.get(name, 0)))
+    azimuth = np.pi - 0.7 if name in _FROM_BEHIND else 0.75
+    elevation = 0.42 if name in _FROM_ABOVE else 0.27
+    span_m = 6.0 if spec.size_m[0] < 6.0 else 8.9
+    picture = shaded(build_wide_mesh(spec), azimuth, elevation, 400, 230, span_m, rgb or BODY_RGB)
+    panel.imshow(picture)
+    size = " x ".join(f"{side:.2f}" for side in spec.size_m)
+    panel.set_title(f"{spec.kind.replace('_', ' ').replace('+', ' + ')}\n{size} m", fontsize=8)
+
+
+def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.DataFrame, path: Path) -> None:
+    """One task before and after: the vehicle, and the points that the detector sees, with the score.
+
+    solutions, scores: the task's rows, replicate 0.
+    """
+    from shift3d.vehicles.picture import shaded
+    from shift3d.vehicles.vehicle import vehicle_mesh
+
+    figure = _figure(11, 4.6)
+    axes = figure.subplots(2, 2, width_ratios=(1, 1.6))
+    vehicle = assets.vehicle(spec)
+    for row, (method, rgb) in enumerate((("baseline", (0.28, 0.47, 0.66)), ("adversarial", _RED))):
+        solution = solutions[solutions["method"] == method].iloc[0]
+        score = float(scores[scores["method"] == method].iloc[0]["score"])
+        mesh = vehicle_mesh(vehicle, assets.decoder, np.asarray(solution["latent_code"], np.float32), resolution=224)
+        axes[row, 0].imshow(shaded(mesh, 0.9, 0.25, width_px=520, height_px=300, rgb=rgb))
+        axes[row, 0].set_axis_off()
+        weight = f", lambda {spec.lambda_:g}" if method == "adversarial" and spec.lambda_ is not None else ""
+        axes[row, 0].set_title(f"{spec.vehicle.replace('_', ' ')}, {method}{weight}", fontsize=9)
+        _draw_points(axes[row, 1], assets, spec, solution)
+        axes[row, 1].set_title(f"score {score:.2f}", fontsize=9)
+    figure.savefig(path)
+
+
+def _draw_points(axes: Axes, assets: Assets, spec: Any, solution: pd.Series) -> None:
+    """The rendered scene around the object from the sensor's height, the object's points in colour."""
+    import torch
+
+    from shift3d.task.run import build_problem
+
+    theta = torch.tensor([float(solution[name]) for name in POSE], dtype=torch.float64)
+    problem = build_problem(spec, assets, theta)
+    code = torch.tensor(np.asarray(solution["latent_code"], np.float32)).to(problem.settings.dtype)
+    with torch.no_grad():
+        rendering = problem.insert(code, theta)
+    points, hits = rendering.points.double().numpy(), rendering.hit_mask.numpy()
+    image, depth = _from_above(points, theta.numpy())
+    near = (np.abs(points[:, :2] - theta[:2].numpy()) < 12.0).all(axis=1) & (depth > 0.5)
+    for rows, colour, size in ((near & ~hits, "#9a9a9a", 0.6), (near & hits, "#c03030", 1.6)):
+        axes.scatter(image[rows, 0], image[rows, 1], s=size, c=colour, lw=0)
+    axes.set_aspect("equal")
+    axes.set_xlim(-0.42, 0.42)
+    axes.set_ylim(-0.22, 0.2)
+    axes.set_axis_off()
+
+
+def _from_above(points: NDArray[np.float64], theta: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Perspective image (N, 2) and depth (N,) from behind the sensor's line of sight, a little above it."""
+    towards = theta[:2] / np.hypot(*theta[:2])
+    eye = np.array([*(theta[:2] - 11.0 * towards), theta[2] + 4.0])
+    forward = theta[:3] - eye
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right = right / np.linalg.norm(right)
+    seen = (points - eye) @ np.stack((right, np.cross(right, forward), forward)).T
+    return seen[:, :2] / np.maximum(seen[:, 2:], 1e-3), seen[:, 2]
+
+
+def draw_curves(scores: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
+    """Threshold-recall curves of every vehicle over all its scenes, shape above pose, at the lambda that was chosen.
+
+    Scores are those of the attacked detector: another one's opinion is no point of the same curve.
+    """
+    from shift3d.evaluation.recall_curve import recall_curve
+
+    vehicles = list(dict.fromkeys(scores["vehicle"]))
+    chosen = auc[auc["selected"]][["vehicle", "mode", "lambda", "method"]].drop_duplicates()
+    own = scores["scored_by"] == scores["detector"]
+    kept = scores[scores["score"].notna() & own].merge(chosen, on=["vehicle", "mode", "lambda", "method"])
+    figure = _figure(11, 4.2)
+    axes = figure.subplots(2, len(vehicles), sharex=True, sharey=True, squeeze=False)
+    for (mode, vehicle, method), group in kept.groupby(["mode", "vehicle", "method"], sort=False):
+        panel = axes[("shape", "pose").index(mode), vehicles.index(vehicle)]
+        curve = recall_curve(group["score"].to_numpy())
+        label = f"{METHODS[method]} {group['score'].mean():.2f}"
+        panel.step(curve.score_threshold, curve.recall, where="post", c=COLOURS[method], lw=1.2, label=label)
+        panel.set_title(f"{vehicle.replace('_', ' ')}, {mode}", fontsize=8)
+    for panel in axes.flat:
+        if panel.lines:
+            panel.legend(fontsize=6, loc="lower left", frameon=False)
+    figure.supxlabel("score threshold", fontsize=9)
+    figure.supylabel("recall", fontsize=9)
+    figure.savefig(path)
+
+
+def draw_training(path: Path) -> None:
+    """The losses of each detector whose training is on record beside its weights, over its steps."""
+    import json
+
+    from shift3d.detectors.models.weights import WEIGHTS_FOLDER
+    from shift3d.detectors.names import DETECTOR_NAMES
+
+    figure = _figure(11, 2.8)
+    panels = dict(zip(("class", "box", "direction"), figure.subplots(1, 3)))
+    for name in DETECTOR_NAMES:
+        file = WEIGHTS_FOLDER / f"{name}.json"
+        facts = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        for loss, panel in panels.items():
+            if "curve" in facts and loss in facts["curve"][0]:
+                steps = [point["step"] for point in facts["curve"]]
+                panel.plot(steps, [point[loss] for point in facts["curve"]], lw=1.2, label=name.replace("_", ", "))
+    for loss, panel in panels.items():
+        panel.set_title(f"{loss} loss, training crops", fontsize=9)
+        panel.set_ylim(bottom=0)
+    panels["class"].legend(fontsize=8, frameon=False)
+    figure.supxlabel("steps of two crops", fontsize=9)
+    figure.savefig(path)
+
+
+def _hardest_plausible(scores: pd.DataFrame, shapes: pd.DataFrame) -> str:
+    """Id of the shape task whose score fell furthest, of those whose shape is plausible."""
+    first = scores[(scores["replicate"] == 0) & (scores["mode"] == "shape")]
+    table = first.pivot(index="task_id", columns="method", values="score").dropna()
+    cars = table[table.index.isin(shapes.loc[shapes["still_a_car"].eq(True), "task_id"])]
+    if cars.empty:
+        raise InputError("no adversarial shape is plausible", "final/shapes.parquet", "Give the sweep a larger lambda")
+    return str((cars["adversarial"] - cars["baseline"]).idxmin())
+
+
+def main(arguments: list[str]) -> None:
+    """Draw every picture from the sweeps in ``arguments``."""
+    import pandas as pd
+
+    from shift3d.sweep.planning.folder import read_plan
+    from shift3d.task.assets import load_assets
+
+    given = dict(word.split("=", 1) for word in arguments if word.startswith(("task=", "folder=")))
+    outs = [Path(word) for word in arguments if not word.startswith(("task=", "folder="))]
+    if not outs:
+        raise SystemExit("usage: python docs/scripts/pictures.py OUT ... [task=ID] [folder=FOLDER]")
+    folder = Path(given.get("folder", "docs/pictures"))
+    for out in outs:
+        if not (out / "final" / "scores.parquet").is_file():
+            raise InputError("no finished sweep", str(out), "Run make sweep first")
+    folder.mkdir(parents=True, exist_ok=True)
+    draw_vehicles(folder / "vehicles.png")
+    draw_family(folder / "family.png")
+    draw_training(folder / "training.png")
+    tables = {
+        name: pd.concat([pd.read_parquet(out / "final" / f"{name}.parquet") for out in outs], ignore_index=True)
+        for name in ("scores", "solutions", "shapes", "auc")
+    }
+    # What the attacked detector says; others may have scored the same objects.
+    for name in ("scores", "auc"):
+        tables[name] = tables[name][tables[name]["scored_by"] == tables[name]["detector"]]
+    draw_curves(tables["scores"], tables["auc"], folder / "curves.png")
+    shown = given.get("task") or _hardest_plausible(tables["scores"], tables["shapes"])
+    found = [(plan, task) for plan in map(read_plan, outs) for task in plan.tasks.starting_with(shown)]
+    if len(found) != 1:
+        raise InputError(f"{len(found)} tasks have an id that begins with {shown}", "task=", "Give one of final/scores")
+    plan, task = found[0]
+    own = {name: tables[name][tables[name]["task_id"] == task.spec.task_id] for name in ("solutions", "scores")}
+    draw_case(load_assets(plan.assets[task.assets]), task.spec, own["solutions"], own["scores"], folder / "case.png")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

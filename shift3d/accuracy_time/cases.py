@@ -1,0 +1,81 @@
+"""The objects that settings are measured on: a vehicle at a distance in a scene, as a task would set it up."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from shift3d.attack.problem import AttackProblem
+from shift3d.errors import InputError
+from shift3d.placement.sampling import Placement
+from shift3d.task.assets import Assets
+from shift3d.task.run import build_problem, place_vehicle
+from shift3d.task.spec import TaskSpec
+
+__all__ = ["Case", "place_case", "problem_of"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One vehicle at one place.
+
+    scenes: which set it is from, as the table names it. spec: of a shape task there; its accuracy is not used.
+    theta: (6,) float64 pose, scene frame. beams: in the scene. range_m: horizontal distance from the sensor.
+    """
+
+    scenes: str
+    spec: TaskSpec
+    theta: Tensor
+    beams: int
+
+    @property
+    def range_m(self) -> float:
+        """Horizontal distance of the vehicle from the sensor."""
+        return math.hypot(float(self.theta[0]), float(self.theta[1]))
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.spec.vehicle} at {self.range_m:.1f} m in {self.spec.scene}"
+
+
+def place_case(scenes: str, number: int, spec: TaskSpec, assets: Assets) -> Case:
+    """The vehicle of `spec` at the distances of its placement, in the first scene with room for it.
+
+    number: of the case; scenes are tried from that one on, so that cases differ in their scene where they can.
+
+    Raises:
+        InputError: no scene has room there.
+    """
+    names = assets.scenes.names()
+    for name in names[number % len(names) :] + names[: number % len(names)]:
+        scene = assets.scenes.load(name)
+        here = dataclasses.replace(spec, scene=name, dataset=scene.dataset, scene_hash=scene.content_hash())
+        placed = place_vehicle(here, assets)
+        if isinstance(placed, Placement):
+            return Case(scenes, here, placed.theta, len(scene.points))
+    where = f"{spec.placement.min_range_m:g} to {spec.placement.max_range_m:g} m"
+    what = f"none of {len(names)} {scenes} scenes has room for {spec.vehicle} at {where}"
+    raise InputError(what, "frontier.cases", "Give more scenes (scenes.count=20) or other distances")
+
+
+def problem_of(
+    case: Case, assets: Assets, accuracy: Mapping[str, Any], code: Tensor | None = None, grid: bool = False
+) -> AttackProblem:
+    """The attack on a case as a task of this accuracy sets it up, the detector at the precision of the search.
+
+    code: (d,) that stands for the vehicle's own. grid: with an SDF grid of that code, if the accuracy uses one.
+    """
+    settings = dict(accuracy) if grid else {**accuracy, "sdf_grid": False}
+    spec = dataclasses.replace(case.spec, accuracy_settings=settings)
+    problem = build_problem(spec, assets, case.theta)
+    problem = dataclasses.replace(problem, detector=assets.detector_of(spec.detector, str(accuracy["detector"])))
+    if code is not None and not torch.equal(code.to(problem.code0.dtype), problem.code0):
+        problem = dataclasses.replace(problem, code0=code.to(problem.code0.dtype), space=None)
+    return problem.with_space()

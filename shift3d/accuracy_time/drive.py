@@ -1,0 +1,153 @@
+"""Scene sets and cases to a measured frontier: places, truths and journals in one folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from shift3d.accuracy_time.cases import Case, place_case
+from shift3d.accuracy_time.journal import Journal
+from shift3d.accuracy_time.measure import CaseInstrument
+from shift3d.accuracy_time.rows import MeasuredCase
+from shift3d.accuracy_time.run import Repeats, expected_seconds, measure_case
+from shift3d.accuracy_time.settings import Setting
+from shift3d.accuracy_time.timing import machine
+from shift3d.accuracy_time.truth import Truth, make_truth, read_truth, write_truth
+from shift3d.settings.catalogue import file_hash, weights_file
+from shift3d.task.assets import Assets, load_assets
+from shift3d.task.spec import AssetsSpec, TaskSpec
+from shift3d.vehicles.sources import vehicle_hash
+
+__all__ = ["FrontierPlan", "SceneGroup", "expected_minutes", "measure_frontier"]
+
+Tell = Callable[[str, float, bool], None]
+"""Called with what is being measured, how many expected seconds are done with it, and whether it was known already."""
+
+_TRUTH_SECONDS = 25.0
+# What the numbers depend on, and what only presents them.
+_CODE = ("attack", "detectors", "frontier", "geometry", "render", "scenes", "sdf", "task", "vehicles")
+
+
+@dataclass(frozen=True)
+class SceneGroup:
+    """Scenes of one set. name: as the table has it. assets: what is loaded for them. spec: a shape task there, whose
+    vehicle, scene and distances each case replaces."""
+
+    name: str
+    assets: AssetsSpec
+    spec: TaskSpec
+
+
+@dataclass(frozen=True)
+class FrontierPlan:
+    """What is measured.
+
+    settings: rows. cases: (vehicle, distance in metres) in every group. reference: the truth's, with a window of the
+    detector that is wider than that of any setting but the whole scene's. search, descent_steps: of the attack that
+    displaces the shape. within_m: how far from its distance a vehicle may stand. warm_steps: renderings in a row
+    before a warm one is looked at.
+    """
+
+    settings: tuple[Setting, ...]
+    cases: tuple[tuple[str, float], ...]
+    reference: Setting
+    search: Setting
+    repeats: Repeats
+    descent_steps: int
+    warm_steps: int
+    within_m: float
+
+    def expected_seconds(self, groups: int) -> float:
+        """About how long it takes on a core without bfloat16, for the progress bar."""
+        number = len(self.cases) * groups
+        return expected_seconds(self.settings, number) + number * _TRUTH_SECONDS
+
+
+def expected_minutes(plan: FrontierPlan, groups: int) -> int:
+    """The same in minutes, for people."""
+    return round(plan.expected_seconds(groups) / 60)
+
+
+def measure_frontier(
+    groups: Sequence[SceneGroup], plan: FrontierPlan, folder: Path, again: bool, tell: Tell
+) -> list[MeasuredCase]:
+    """Measure every setting on every case, but for what the folder already holds of them.
+
+    Args:
+        folder: gets a folder ``measured/`` with a truth and a journal a case, by the hash of all that they depend on.
+        again: forget what was measured. Truths are kept.
+
+    Raises:
+        InputError: assets that are missing, a case without a place, a disk that is full.
+    """
+    measured = []
+    for group in groups:
+        assets = load_assets(group.assets)
+        for case in _cases(group, plan, assets):
+            here = folder / "measured" / f"{_file_name(case.name)}-{_identity(case, plan, assets, group)}"
+            truth = _truth(here / "truth.npz", case, plan, assets, tell)
+            journal = Journal(here / "journal.jsonl")
+            if again:
+                journal.forget()
+            instrument = CaseInstrument(case, assets, truth, plan.reference, plan.warm_steps, plan.repeats.slow_s)
+
+            def told(name: str, seconds: float, known: bool, where: str = case.name) -> None:
+                tell(f"{where}: {name}", seconds, known)
+
+            results = measure_case(plan.settings, instrument, journal, plan.repeats, told)
+            undecided = sum(truth.unresolved.values())
+            measured.append(MeasuredCase(group.name, case.beams, results, undecided))
+    return measured
+
+
+def _cases(group: SceneGroup, plan: FrontierPlan, assets: Assets) -> Iterator[Case]:
+    for number, (vehicle, range_m) in enumerate(plan.cases):
+        near, far = range_m - plan.within_m, range_m + plan.within_m
+        where = dataclasses.replace(group.spec.placement, min_range_m=near, max_range_m=far)
+        spec = dataclasses.replace(group.spec, vehicle=vehicle, placement=where)
+        yield place_case(group.name, number, spec, assets)
+
+
+def _truth(path: Path, case: Case, plan: FrontierPlan, assets: Assets, tell: Tell) -> Truth:
+    tell(f"{case.name}: truth", 0.0, False)
+    known = path.is_file()
+    if known:
+        truth = read_truth(path)
+    else:
+        truth = make_truth(case, assets, plan.reference, plan.search, plan.descent_steps)
+        write_truth(path, truth)
+    tell(f"{case.name}: truth", _TRUTH_SECONDS, known)
+    return truth
+
+
+def _file_name(text: str) -> str:
+    return re.sub(r"[^\w.-]+", "-", text)
+
+
+def _identity(case: Case, plan: FrontierPlan, assets: Assets, group: SceneGroup) -> str:
+    """Hash of everything that what was measured depends on, but for the settings, which are in the journal's names."""
+    detectors = {n: file_hash(weights_file(n, path)) for n, path in group.assets.detectors.items()}
+    vehicle = vehicle_hash(assets.vehicle(case.spec))
+    options = [plan.reference.step_key, plan.search.step_key, plan.descent_steps, plan.warm_steps]
+    parts = [case.spec.canonical_json(), case.theta.tolist(), vehicle, assets.vehicles.decoder_hash(), detectors]
+    text = json.dumps([*parts, options, plan.repeats.slow_s, machine(), _code_hash(), torch.__version__])
+    return hashlib.blake2b(text.encode(), digest_size=6).hexdigest()
+
+
+@functools.cache
+def _code_hash() -> str:
+    """Of the source: a time or an error of another version is none of this one."""
+    digest = hashlib.blake2b(digest_size=8)
+    package = Path(__file__).resolve().parents[1]
+    for name in _CODE:
+        for path in sorted((package / name).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,105 @@
+"""How a rendering differs from the true one, beam by beam."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shift3d.render.culling import Rays
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.rendering import Rendering
+from shift3d.task.differences import WRONG_SURFACE_M
+
+__all__ = ["THICK_M", "WRONG_SURFACE_M", "RenderingErrors", "TrueHits", "chord_lengths", "compare", "true_hits"]
+
+THICK_M = 0.02
+"""Chords of this length and more must not be missed (the project's claim for the preset `standard`)."""
+_SAMPLE_M = 0.002
+_CHORD_M = 0.05
+
+
+@dataclass(frozen=True)
+class TrueHits:
+    """First hits that count as the truth.
+
+    index: (M,) beams that hit, ascending. range_m: (M,) float64. chord_m: (M,) float64 length of each beam inside
+    the object behind its hit, no longer than 5 cm.
+    """
+
+    index: Tensor
+    range_m: Tensor
+    chord_m: Tensor
+
+    @property
+    def thick(self) -> Tensor:
+        """(M,) bool: chords of at least 2 cm."""
+        return self.chord_m >= THICK_M
+
+
+@dataclass(frozen=True)
+class RenderingErrors:
+    """Counts of beams, and the depth errors of those on the right surface.
+
+    hits, thick_hits: true ones, and of these with a chord of 2 cm or more. missed, missed_thick: of them not found.
+    wrong: found more than 1 cm off. false: hits where there is none. depth_m: |depth error| of the others, metres.
+    """
+
+    hits: int
+    thick_hits: int
+    missed: int
+    missed_thick: int
+    wrong: int
+    false: int
+    depth_m: tuple[float, ...]
+
+
+def true_hits(rendering: Rendering, chord_m: Tensor) -> TrueHits:
+    """The hits of a rendering as the truth, with their chords (M,)."""
+    index = torch.nonzero(rendering.hit_mask).squeeze(1)
+    return TrueHits(index, rendering.range_m[index], chord_m)
+
+
+def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
+    """How far each ray stays inside the object behind its hit, by samples every 2 mm; at most 5 cm.
+
+    Args:
+        field: metric distance in the object frame; in float64, as a hit is only known to its precision.
+        rays: (M) beams in the object frame. hit_m: (M,) their hits.
+
+    Returns:
+        (M,) float64 metres: to where the line through the last sample inside and the next one crosses zero. A chord
+        shorter than 2 mm is zero unless the first sample is inside it.
+    """
+    length = torch.zeros(len(rays), dtype=torch.float64)
+    g_before = torch.zeros_like(length)
+    rows = torch.arange(len(rays))
+    for number in range(1, round(_CHORD_M / _SAMPLE_M) + 1):
+        g = field(rays.at(hit_m[rows] + number * _SAMPLE_M, rows)).double()
+        inside = g < 0
+        out = rows[~inside]
+        # The share of the last step that was still inside.
+        share = torch.where(g_before[out] < 0, g_before[out] / (g_before[out] - g[~inside]), 0.0)
+        length[out] += share * _SAMPLE_M
+        rows = rows[inside]
+        length[rows], g_before[rows] = number * _SAMPLE_M, g[inside]
+        if len(rows) == 0:
+            break
+    return length
+
+
+def compare(truth: TrueHits, rendering: Rendering) -> RenderingErrors:
+    """Hold a rendering of the same beams against the truth."""
+    hit, found_m = rendering.hit_mask[truth.index], rendering.range_m[truth.index]
+    depth = (found_m - truth.range_m).abs()
+    wrong = hit & (depth > WRONG_SURFACE_M)
+    return RenderingErrors(
+        hits=len(truth.index),
+        thick_hits=int(truth.thick.sum()),
+        missed=int((~hit).sum()),
+        missed_thick=int((~hit & truth.thick).sum()),
+        wrong=int(wrong.sum()),
+        false=int(rendering.hit_mask.sum()) - int(hit.sum()),
+        depth_m=tuple(depth[hit & ~wrong].tolist()),
+    )

@@ -1,0 +1,197 @@
+"""One setting on one case: the rendering and its errors, an attack step and its gradient, final scores, times."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from shift3d.accuracy_time.attacks import attack_scores
+from shift3d.accuracy_time.cases import Case, problem_of
+from shift3d.accuracy_time.errors import compare
+from shift3d.accuracy_time.gradient import AttackStep, attack_step, cosine, norm_ratio
+from shift3d.accuracy_time.settings import Setting
+from shift3d.accuracy_time.timing import milliseconds
+from shift3d.accuracy_time.truth import Truth, score_of
+from shift3d.attack.objective import SCORE_RADIUS_M, to_network_frame, window_around
+from shift3d.attack.problem import AttackProblem
+from shift3d.detectors.incremental.inference import IncrementalInference
+from shift3d.geometry.se3 import object_from_scene
+from shift3d.render.culling import SPHERE_RADIUS_M, beams_near
+from shift3d.render.render import render
+from shift3d.render.rendering import Rendering
+from shift3d.render.solvers.search import WarmStart
+from shift3d.task.assets import Assets
+
+__all__ = ["CaseInstrument", "Outcome"]
+
+Outcome = dict[str, Any]
+"""Plain values, ready for JSON."""
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A setting ready to render one shape of the case: all that it may find at hand.
+
+    before: where it is warm, the rendering that it starts from, and (6,) its pose. incremental: of its detector.
+    """
+
+    problem: AttackProblem
+    before: tuple[Rendering, Tensor] | None = None
+    incremental: IncrementalInference | None = None
+
+    @property
+    def warm(self) -> WarmStart | None:
+        """The state that it starts from."""
+        return None if self.before is None else self.before[0].warm
+
+
+@dataclass
+class CaseInstrument:
+    """Measures settings on one case.
+
+    truth: of the case. exact: the preset that made it; its field says what |g| is. warm_steps: renderings in a row
+    before the one that is looked at. slow_s: a setting whose rendering takes longer is rendered once, and no more.
+    """
+
+    case: Case
+    assets: Assets
+    truth: Truth
+    exact: Setting
+    warm_steps: int
+    slow_s: float
+    _prepared: dict[tuple[str, str], _Prepared] = field(default_factory=dict)
+
+    def look(self, setting: Setting) -> Outcome:
+        """First look: an attack step with its gradient, the rendering's errors, the change of the final score."""
+        prepared = self._ready(setting, "start")
+        step = self._step(setting, prepared)
+        slow = step.render_ms > 1e3 * self.slow_s
+        # Without gradients a rendering may be checked more closely: its errors are those of what is timed.
+        rendering = step.rendering if slow or setting.variable != "no" else self._render(setting, prepared)
+        gradients = [(step.dz, self.truth.dz)] if setting.variable != "pose" else []
+        gradients += [(step.dtheta, self.truth.dtheta)] if setting.variable != "shape" else []
+        return {
+            **self._times(step),
+            "cosines": [cosine(found, true) for found, true in gradients],
+            "norm_ratios": [norm_ratio(found, true) for found, true in gradients],
+            **self._outcome(setting, prepared, rendering, "start"),
+        }
+
+    def step(self, setting: Setting) -> Outcome:
+        """One more attack step: times alone."""
+        return self._times(self._step(setting, self._ready(setting, "start")))
+
+    def displaced(self, setting: Setting) -> Outcome:
+        """Errors and score of the displaced shape."""
+        prepared = self._ready(setting, "displaced")
+        return self._outcome(setting, prepared, self._render(setting, prepared), "displaced")
+
+    def attack(self, setting: Setting) -> Outcome:
+        """Final scores of attacks on the shape and on the pose."""
+        return {"scores": attack_scores(self.case, self.assets, setting)}
+
+    def sample(self, setting: Setting) -> float:
+        """Milliseconds of one rendering."""
+        prepared = self._ready(setting, "start")
+        return milliseconds(lambda: self._render(setting, prepared))
+
+    def _ready(self, setting: Setting, shape: str) -> _Prepared:
+        key = setting.step_key, shape
+        if key not in self._prepared:
+            problem = problem_of(self.case, self.assets, setting.accuracy, self.truth.codes[shape], setting.grid)
+            before = None if setting.warm == "no" else self._approach(setting, problem)
+            incremental = problem.incremental_inference() if before is not None and setting.follow else None
+            self._prepared[key] = _Prepared(problem, before, incremental)
+        return self._prepared[key]
+
+    def _approach(self, setting: Setting, problem: AttackProblem) -> tuple[Rendering, Tensor]:
+        """Renderings that approach this one in steps of the attack: the last of them, and its pose.
+
+        Each is one step of the attack away from the next, by the reference's gradient, as if the last one had led here.
+        """
+        warm: WarmStart | None = None
+        for back in range(self.warm_steps, 0, -1):
+            away = self.case.spec.alpha * back
+            code, theta = problem.code0, problem.theta0
+            if setting.warm == "shape":
+                code = code + (away * self.truth.dz).to(code.dtype)
+            else:
+                theta = theta + away * self.truth.dtheta
+            before = _rendered(problem, setting, code, theta, warm), theta
+            warm = before[0].warm
+        return before
+
+    def _render(self, setting: Setting, prepared: _Prepared) -> Rendering:
+        problem = prepared.problem
+        return _rendered(problem, setting, problem.code0, problem.theta0, prepared.warm)
+
+    def _step(self, setting: Setting, prepared: _Prepared) -> AttackStep:
+        problem, incremental = prepared.problem, prepared.incremental
+        if prepared.before is not None and incremental is not None:
+            with torch.no_grad():
+                rendering, theta = prepared.before
+                points = to_network_frame(rendering.points.detach(), problem.ground_z_m)
+                incremental.proposals(
+                    points, window_around(problem.detector, theta, setting.crop_m), rendering.hit_mask
+                )
+        return attack_step(
+            problem,
+            problem.code0,
+            problem.theta0,
+            setting.crop_m,
+            prepared.warm,
+            of_code=setting.variable != "pose",
+            of_pose=setting.variable != "shape",
+            incremental=incremental,
+        )
+
+    def _times(self, step: AttackStep) -> Outcome:
+        return {"render_ms": step.render_ms, "detector_ms": step.detector_ms, "step_ms": step.total_ms}
+
+    def _outcome(self, setting: Setting, prepared: _Prepared, rendering: Rendering, shape: str) -> Outcome:
+        problem = prepared.problem
+        near = beams_near(problem.beams, problem.theta0[:3], SPHERE_RADIUS_M)
+        detector = self.assets.detector_of(self.case.spec.detector, setting.score_precision)
+        window_m = None if setting.crop_m is None else SCORE_RADIUS_M
+        score = score_of(problem, detector, rendering, window_m, self.case.spec.attack.detection_radius_m)
+        return {
+            **dataclasses.asdict(compare(self.truth.hits[shape], rendering)),
+            "residual_m": self._residual(rendering, shape),
+            "evaluations": rendering.evaluations,
+            "ball_beams": len(near),
+            "unresolved": rendering.unresolved_beams,
+            "score": score,
+            "true_score": self.truth.scores[shape],
+        }
+
+    @torch.no_grad()
+    def _residual(self, rendering: Rendering, shape: str) -> float:
+        """Largest |g| at a hit, by the reference's float64 field: not what the setting's own precision thinks it is."""
+        key = "exact", shape
+        if key not in self._prepared:
+            problem = problem_of(self.case, self.assets, self.exact.accuracy, self.truth.codes[shape])
+            self._prepared[key] = _Prepared(problem)
+        problem = self._prepared[key].problem
+        index = torch.nonzero(rendering.hit_mask).squeeze(1)
+        if len(index) == 0:
+            return 0.0
+        beams = problem.beams
+        points = beams.origins[index] + rendering.range_m[index][:, None] * beams.directions[index]
+        at_hits = problem.metric(problem.code0)(object_from_scene(points, problem.theta0))
+        return float(at_hits.abs().max())
+
+
+def _rendered(
+    problem: AttackProblem, setting: Setting, code: Tensor, theta: Tensor, warm: WarmStart | None
+) -> Rendering:
+    """A rendering with all that the gradient of the setting's variable needs, or without a gradient."""
+    code = code.detach().clone().requires_grad_(setting.variable == "shape")
+    theta = theta.detach().clone().requires_grad_(setting.variable == "pose")
+    with torch.set_grad_enabled(setting.variable != "no"):
+        sdf = problem.field_of(code)
+        grid = problem.space_for(code)
+        return render(problem.beams, sdf, theta, problem.vehicle, problem.settings, warm, grid)

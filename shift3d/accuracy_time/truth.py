@@ -1,0 +1,149 @@
+"""What every error of a case is measured against: the preset `reference` on two shapes, and its gradient."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.accuracy_time.cases import Case, problem_of
+from shift3d.accuracy_time.errors import TrueHits, chord_lengths, true_hits
+from shift3d.accuracy_time.gradient import attack_step
+from shift3d.accuracy_time.settings import Setting
+from shift3d.attack.objective import (
+    ATTACK_RADIUS_M,
+    SCORE_RADIUS_M,
+    detection_score,
+    object_box,
+    to_network_frame,
+    window_around,
+)
+from shift3d.attack.problem import AttackProblem
+from shift3d.detectors.base import Detector
+from shift3d.detectors.nms import suppress
+from shift3d.render.culling import object_rays
+from shift3d.render.render import render
+from shift3d.render.rendering import Rendering
+from shift3d.store.atomic import write_atomic
+from shift3d.task.assets import Assets
+from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
+
+__all__ = ["SHAPES", "Truth", "descended_code", "make_truth", "read_truth", "score_of", "write_truth"]
+
+SHAPES = ("start", "displaced")
+"""The vehicle as it is, and as a short attack has left it."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Of one case; dictionaries by shape.
+
+    codes: (d,) float64. hits: first hits and their chords. scores: final scores, of the float64 detector.
+    unresolved: beams that the reference could not decide. dz: (d,) and dtheta: (6,) float64 gradient at the start.
+    """
+
+    codes: dict[str, Tensor]
+    hits: dict[str, TrueHits]
+    scores: dict[str, float]
+    unresolved: dict[str, int]
+    dz: Tensor
+    dtheta: Tensor
+
+
+def make_truth(case: Case, assets: Assets, reference: Setting, search: Setting, steps: int) -> Truth:
+    """Render both shapes by the reference, and take the gradient at the first.
+
+    Args:
+        reference: the preset, with the detector's widest window, so that a narrower one can be held against it.
+        search, steps: accuracy and length of the attack that displaces the shape; after no step it is the first one.
+    """
+    problem = problem_of(case, assets, reference.accuracy)
+    step = attack_step(problem, problem.code0, problem.theta0, reference.crop_m)
+    searched = problem_of(case, assets, search.accuracy)
+    spec = case.spec
+    displaced = descended_code(searched, spec.lambda_ or 0.0, spec.alpha, steps)
+    codes = {"start": problem.code0.double(), "displaced": displaced}
+    moved = step.rendering
+    if steps:
+        with torch.no_grad():
+            sdf = problem.field_of(displaced)
+            moved = render(problem.beams, sdf, problem.theta0, problem.vehicle, problem.settings)
+    renderings = dict(zip(SHAPES, (step.rendering, moved)))
+    radius_m = spec.attack.detection_radius_m
+    return Truth(
+        codes,
+        {shape: _hits(problem, codes[shape], rendering) for shape, rendering in renderings.items()},
+        {
+            shape: score_of(problem, problem.detector, rendering, SCORE_RADIUS_M, radius_m)
+            for shape, rendering in renderings.items()
+        },
+        {shape: rendering.unresolved_beams for shape, rendering in renderings.items()},
+        step.dz.double(),
+        step.dtheta.double(),
+    )
+
+
+@torch.no_grad()
+def _hits(problem: AttackProblem, code: Tensor, rendering: Rendering) -> TrueHits:
+    index = torch.nonzero(rendering.hit_mask).squeeze(1)
+    rays = object_rays(problem.beams, index, problem.theta0)
+    return true_hits(rendering, chord_lengths(problem.metric(code), rays, rendering.range_m[index]))
+
+
+def descended_code(problem: AttackProblem, lambda_: float, alpha: float, steps: int) -> Tensor:
+    """(d,) float64: the code after so many steps of the attack on the shape, valid or not, the pose unchanged."""
+    code, warm, incremental = problem.code0.detach().clone(), None, problem.incremental_inference()
+    for _ in range(steps):
+        step = attack_step(problem, code, problem.theta0, ATTACK_RADIUS_M, warm, of_pose=False, incremental=incremental)
+        warm = step.rendering.warm
+        code = code - alpha * (step.dz + 2.0 * lambda_ * (code - problem.code0))
+    return code.double()
+
+
+def score_of(
+    problem: AttackProblem, detector: Detector, rendering: Rendering, window_m: float | None, radius_m: float
+) -> float:
+    """The final score of a rendering at hand, as `task.scoring.score_object` gives it for one that it makes.
+
+    detector: at the precision that scores. window_m: of the detector; None: the whole scene. radius_m: how near the
+    centre of a detecting box lies.
+    """
+    with torch.no_grad():
+        points = to_network_frame(rendering.points.detach(), problem.ground_z_m)
+        proposals = detector.proposals(points, window_around(detector, problem.theta0, window_m))
+    box = object_box(problem.theta0, np.asarray(problem.vehicle.size_m), problem.ground_z_m)
+    return detection_score(suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU), box, radius_m)
+
+
+def write_truth(path: Path, truth: Truth) -> None:
+    """Keep it for a run that is taken up again. Raises InputError where the disk is full or not writable."""
+    arrays: dict[str, np.ndarray | np.generic] = {"dz": truth.dz.numpy(), "dtheta": truth.dtheta.numpy()}
+    for shape in SHAPES:
+        hits = truth.hits[shape]
+        arrays |= {f"{shape}.code": truth.codes[shape].numpy(), f"{shape}.score": np.float64(truth.scores[shape])}
+        arrays |= {f"{shape}.index": hits.index.numpy(), f"{shape}.range_m": hits.range_m.numpy()}
+        arrays |= {f"{shape}.chord_m": hits.chord_m.numpy(), f"{shape}.unresolved": np.int64(truth.unresolved[shape])}
+    packed = io.BytesIO()
+    np.savez(packed, **arrays)  # type: ignore[arg-type]
+    write_atomic(path, packed.getvalue())
+
+
+def read_truth(path: Path) -> Truth:
+    """The inverse of `write_truth`."""
+    with np.load(path, allow_pickle=False) as arrays:
+
+        def tensor(shape: str, name: str) -> Tensor:
+            return torch.from_numpy(arrays[f"{shape}.{name}"])
+
+        return Truth(
+            {shape: tensor(shape, "code") for shape in SHAPES},
+            {s: TrueHits(tensor(s, "index"), tensor(s, "range_m"), tensor(s, "chord_m")) for s in SHAPES},
+            {shape: float(arrays[f"{shape}.score"]) for shape in SHAPES},
+            {shape: int(arrays[f"{shape}.unresolved"]) for shape in SHAPES},
+            torch.from_numpy(arrays["dz"]),
+            torch.from_numpy(arrays["dtheta"]),
+        )

@@ -1,0 +1,1 @@
+"""Single solutions: chosen, rendered again, measured."""

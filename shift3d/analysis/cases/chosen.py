@@ -1,0 +1,75 @@
+"""Which solutions a page shows: the hardest, and others drawn at random."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from shift3d.seeding import generator
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Case", "falls", "hardest", "random_positions"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A task and its scores before the attacked detector. before, after: of the baseline and of what was found."""
+
+    task_id: str
+    vehicle: str
+    scene: str
+    mode: str
+    before: float
+    after: float
+
+    @property
+    def fall(self) -> float:
+        """How far the score fell."""
+        return self.before - self.after
+
+
+def falls(scores: pd.DataFrame) -> list[Case]:
+    """Every task with both scores, in the plan's order. scores: of ``final/``."""
+    rows = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
+    table = rows.pivot_table(index="task_id", columns="method", values="score")
+    if not {"baseline", "adversarial"} <= set(table.columns):
+        return []
+    both = table[["baseline", "adversarial"]].dropna().to_dict("index")
+    return [
+        Case(row.task_id, row.vehicle, row.scene, row.mode, *map(float, both[row.task_id].values()))
+        for row in rows.drop_duplicates("task_id").itertuples()
+        if row.task_id in both
+    ]
+
+
+def hardest(scores: pd.DataFrame, count: int = 4, implausible: Collection[str] = ()) -> list[Case]:
+    """The tasks whose score fell furthest, other vehicles and scenes first.
+
+    Of equal falls the first in the plan's order. implausible: tasks that are chosen only where there are not `count`
+    others, and stand last.
+    """
+    left = sorted((case for case in falls(scores) if case.fall > 0), key=lambda case: -case.fall)
+    chosen: list[Case] = []
+    while left and len(chosen) < count:
+        # Of those that repeat least, the first is the one that fell furthest.
+        best = min(left, key=lambda case: (case.task_id in implausible, _repeats(case, chosen)))
+        chosen.append(best)
+        left.remove(best)
+    return sorted(chosen, key=lambda case: (case.task_id in implausible, -case.fall))
+
+
+def _repeats(case: Case, chosen: list[Case]) -> int:
+    vehicles = sum(case.vehicle == other.vehicle for other in chosen)
+    return vehicles + sum(case.scene == other.scene for other in chosen)
+
+
+def random_positions(tasks: int, count: int, seed: str) -> list[int]:
+    """Positions of some of so many tasks, every one as likely as any other, whatever became of it.
+
+    Ascending; the same seed gives the same ones. All of them where there are not more than `count`.
+    """
+    drawn = generator("gallery", seed).choice(tasks, size=min(count, tasks), replace=False)
+    return sorted(int(position) for position in drawn)

@@ -1,0 +1,154 @@
+"""Solutions rendered again, as the sweep rendered them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from shift3d.detectors.base import Proposals
+    from shift3d.sweep.planning.plan import Plan
+    from shift3d.sweep.planning.tasks import PlannedTask
+    from shift3d.task.assets import Assets
+
+__all__ = ["POSE", "VIEW_M", "Loaded", "Rendered", "oriented", "render_again", "simplified"]
+
+FloatArray = NDArray[np.float64]
+POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+VIEW_M = 10.0
+"""Half side of the view from above, metres."""
+_THIN_M, _MOST_POINTS = 0.12, 2500
+_FACES = 5000
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """An object rendered again, and what the detector makes of it.
+
+    mesh: object frame, metres, as measured. theta: (6,) pose. scene_xy: (P, 2) thinned points around the place that
+    are not the object's; object_xy: (Q, 2) its own; sensor frame, metres. object_points: before any thinning. box: (7,)
+    ground truth, found: (7,) the best box within the detection radius, None without one; x, y of the sensor frame.
+    score: of that box, 0 without one.
+    """
+
+    mesh: trimesh.Trimesh
+    theta: FloatArray
+    scene_xy: FloatArray
+    object_xy: FloatArray
+    object_points: int
+    box: FloatArray
+    found: FloatArray | None
+    score: float
+
+
+@dataclass
+class Loaded:
+    """What the objects of one page share. meshes: by vehicle, code and resolution: a fine mesh takes seconds."""
+
+    plan: Plan
+    _assets: dict[int, Assets] = field(default_factory=dict)
+    _meshes: dict[tuple[str, bytes, int], trimesh.Trimesh] = field(default_factory=dict)
+
+    def assets(self, task: PlannedTask) -> Assets:
+        """Raises InputError for what cannot be loaded, or is not what was planned with."""
+        from shift3d.task.assets import load_assets
+
+        if task.assets not in self._assets:
+            self._assets[task.assets] = load_assets(self.plan.assets[task.assets])
+        return self._assets[task.assets]
+
+    def mesh(self, task: PlannedTask, latent_code: Any, resolution: int = 128) -> trimesh.Trimesh:
+        """The mesh of a code, object frame, metres. Raises InputError for a code without a surface."""
+        from shift3d.vehicles.vehicle import vehicle_mesh
+
+        assets, code = self.assets(task), np.array(latent_code, dtype=np.float32)
+        key = (task.spec.vehicle, code.tobytes(), resolution)
+        if key not in self._meshes:
+            self._meshes[key] = vehicle_mesh(assets.vehicle(task.spec), assets.decoder, code, resolution)
+        return self._meshes[key]
+
+
+def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: FloatArray, loaded: Loaded) -> Rendered:
+    """Render a row of ``solutions.parquet`` as the sweep did, effects included.
+
+    centre_xy: (2,) middle of the view.
+    Raises: InputError for what cannot be loaded, or is not what was planned with, and for a code without a surface.
+    """
+    import torch
+
+    from shift3d.attack.objective import SCORE_RADIUS_M, object_box
+    from shift3d.attack.problem import measure
+    from shift3d.task.run import build_problem
+
+    spec = task.spec
+    theta = torch.tensor([float(solution[name]) for name in POSE], dtype=torch.float64)
+    problem = build_problem(spec, loaded.assets(task), theta)
+    code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
+    with torch.no_grad():
+        measured = measure(problem, code, theta, radius_m=SCORE_RADIUS_M)
+    rendering = measured.rendering
+    box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
+    found, score = _best(measured.proposals, box, spec.attack.detection_radius_m)
+    here = np.ones(len(rendering.points), bool) if rendering.returned is None else rendering.returned.numpy()
+    points, hits = rendering.points.double().numpy()[:, :2], rendering.hit_mask.numpy()
+    return Rendered(
+        mesh=loaded.mesh(task, solution["latent_code"]),
+        theta=theta.numpy(),
+        scene_xy=_thinned(points[here & ~hits], centre_xy),
+        object_xy=points[here & hits],
+        object_points=int((here & hits).sum()),
+        box=box,
+        found=found,
+        score=score,
+    )
+
+
+def _best(proposals: Proposals, box: FloatArray, radius_m: float) -> tuple[FloatArray | None, float]:
+    """The box (7,) that gives the object at ``box`` its score, and the score; None and 0 without one."""
+    from shift3d.detectors.nms import suppress
+    from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
+
+    detections = suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU)
+    near = np.flatnonzero(np.hypot(*(detections.boxes[:, :2] - box[:2]).T) < radius_m)
+    if not len(near):
+        return None, 0.0
+    return detections.boxes[near[0]], float(detections.scores[near[0]])  # best first
+
+
+def _thinned(points: FloatArray, centre_xy: FloatArray) -> FloatArray:
+    """Points (N, 2) within the view, at most one a small cell and some thousands in all; the same ones every time."""
+    points = points[(np.abs(points - centre_xy) < VIEW_M).all(axis=1)]
+    _, kept = np.unique(np.floor(points / _THIN_M).astype(np.int64), axis=0, return_index=True)
+    kept = np.sort(kept)
+    return points[kept[:: -(-len(kept) // _MOST_POINTS)]] if len(kept) else points
+
+
+def simplified(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Vertices (V, 3) and triangles (F, 3) of a mesh, few enough for a page; a small mesh as it is."""
+    import fast_simplification
+
+    vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
+    if len(faces) > _FACES:
+        vertices, faces = fast_simplification.simplify(vertices, faces, target_count=_FACES)
+    return np.round(vertices, 4).astype(np.float32), np.asarray(faces, np.int32)
+
+
+def oriented(vertices: NDArray[np.floating[Any]], theta: FloatArray, yaw_rad: float = 0.0) -> FloatArray:
+    """Vertices (V, 3) of the object frame as they stand in the scene, tilt and heading included, around the object.
+
+    theta: (6,) pose. yaw_rad: by how much they are turned back.
+    """
+    import torch
+
+    from shift3d.geometry.se3 import scene_from_object
+
+    pose = torch.from_numpy(np.array(theta, dtype=np.float64))
+    pose[:3], pose[3] = 0.0, pose[3] - yaw_rad
+    turned = scene_from_object(torch.from_numpy(np.asarray(vertices, dtype=np.float64)), pose)
+    return np.asarray(turned.numpy())

@@ -1,0 +1,172 @@
+"""A detector's evaluation as a folder: detections and truth, every metric, curves, a table and a picture."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import shift3d
+from shift3d.analysis.figures.picture import png
+from shift3d.analysis.figures.precision_recall import precision_recall_figure
+from shift3d.analysis.tables.detector_groups import group_table, summary_table
+from shift3d.analysis.tables.detector_metrics import metric_table
+from shift3d.analysis.tables.detector_tables import breakdown_tables, evaluation_tables
+from shift3d.detectors.loading import load_detector
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER
+from shift3d.errors import InputError
+from shift3d.evaluation.breakdown import breakdown
+from shift3d.evaluation.metrics import evaluate
+from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.sets import SceneSet, StreetScenes
+from shift3d.scenes.street.options import StreetOptions
+from shift3d.store.atomic import write_atomic
+from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
+from shift3d.store.tables import write_table
+from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, detect_scenes
+from shift3d.training.detector.stored_answers import answers_of
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from shift3d.detectors.base import Detector
+
+__all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "write_evaluation"]
+
+
+@dataclass(frozen=True)
+class StreetChoice:
+    """Procedural streets; see :class:`~shift3d.scenes.sets.StreetScenes`."""
+
+    count: int = 200
+    sensor: str = "mixed"
+    split: str = "test"
+    seed: int = 0
+    traffic: str = "family"
+
+    @property
+    def dataset(self) -> str:
+        """Name in the tables and in the folder's name."""
+        traffic = f"-{self.traffic}" if self.traffic != "family" else ""
+        return f"street-{self.sensor}-{self.split}{traffic}" + (f"-seed{self.seed}" if self.seed else "")
+
+    @property
+    def identity(self) -> dict[str, object]:
+        """What decides which scene lies behind a name."""
+        traffic = {"traffic": self.traffic} if self.traffic != "family" else {}
+        return {"sensor": self.sensor, "split": self.split, "seed": self.seed, **traffic}
+
+    def open(self) -> SceneSet:
+        """The scenes. Raises InputError for an unknown sensor, split or traffic."""
+        options = StreetOptions(traffic=self.traffic)
+        return StreetScenes(self.sensor, self.seed, self.count, self.split, options=options)
+
+
+@dataclass(frozen=True)
+class KittiChoice:
+    """Labelled KITTI frames under root; count: the first so many, None all."""
+
+    root: str
+    count: int | None = None
+    dataset = "kitti"
+
+    @property
+    def identity(self) -> dict[str, object]:
+        """What decides which frame lies behind a name."""
+        return {"root": str(Path(self.root).expanduser().resolve())}
+
+    def open(self) -> SceneSet:
+        """The frames. Raises InputError for a missing or incomplete folder."""
+        folder = Path(self.root).expanduser()
+        return KittiScenes(folder, KittiScenes(folder).names()[: self.count])
+
+
+def evaluate_detector(
+    name: str,
+    scenes: StreetChoice | KittiChoice,
+    out: Path,
+    weights: str | None = None,
+    workers: int = 1,
+    score_threshold: float = SCORE_FLOOR,
+) -> str:
+    """Detect in every scene once, write the folder ``out``, and return what is printed.
+
+    ``out`` gets spec.json, detections.parquet, truth.parquet, vehicles.parquet, metrics.parquet, breakdown.parquet,
+    curves.parquet, curves.png, the same bytes whatever the number of workers, and timings.parquet, which differs from
+    run to run. ``out``/scenes holds the answer for each scene: the same call again detects only where one is missing.
+
+    Args:
+        name: a detector, with its shipped weights or those of the file ``weights``.
+        workers: processes, one thread each.
+        score_threshold: detections below it are not kept.
+
+    Raises:
+        InputError: unknown detector, missing weights or scenes, another evaluation in ``out``, a full disk.
+    """
+    file = Path(weights).expanduser() if weights else WEIGHTS_FOLDER / f"{name}.safetensors"
+    load_detector(name, file)  # what is wrong with it is said before anything is computed
+    spec = {
+        "schema_version": EVALUATION_SCHEMA_VERSION,
+        "shift3d": shift3d.__version__,
+        "detector": name,
+        "weights_blake2b": _digest(file),
+        "dataset": scenes.dataset,
+        "scenes": scenes.identity,
+        "score_threshold": score_threshold,
+    }
+    _claim(out / "spec.json", spec)
+    opened: Callable[[], Detector] = partial(load_detector, name, file)
+    detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
+    scene_names = scenes.open().names()
+    found = answers_of(scene_names, out / "scenes", detect)
+    answers = list(_with_progress(found, len(scene_names), f"{name}, {workers} at a time"))
+    return write_evaluation(name, scenes.dataset, answers, out)
+
+
+def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out: Path) -> str:
+    """Compute every metric of the answers, write tables and picture to ``out``, and return what is printed.
+
+    Raises:
+        InputError: the disk is full or not writable.
+    """
+    frames = [answer.frame for answer in answers]
+    metrics = list(evaluate(frames))
+    vehicles, groups = breakdown(frames)
+    tables = evaluation_tables(detector, dataset, answers, metrics)
+    tables |= breakdown_tables(detector, dataset, frames, vehicles, groups)
+    for name, table in tables.items():
+        write_table(out / f"{name}.parquet", table)
+    figure = precision_recall_figure(metrics, f"{detector} on {dataset}, {counted(len(answers), 'scene')}")
+    write_atomic(out / "curves.png", png(figure))
+    took = np.median([answer.detect_ms for answer in answers])
+    title = f"{detector} on {dataset}: {counted(len(answers), 'scene')}, {took:.0f} ms a detection (median, one thread)"
+    printed = [summary_table(title, groups), group_table(groups), metric_table("By every definition", metrics)]
+    return "\n\n".join(map(str, printed)) + f"\n{out}: every number, curve, vehicle, detection and label as Parquet"
+
+
+def _claim(file: Path, spec: dict[str, object]) -> None:
+    """Write what is evaluated, or refuse a folder that holds the evaluation of something else."""
+    content = json.dumps(spec, indent=1).encode() + b"\n"
+    if file.exists() and file.read_bytes() != content:
+        raise InputError("holds another evaluation", str(file.parent), "Give another out=, or remove the folder")
+    write_atomic(file, content)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def _with_progress(answers: Iterator[Answer], total: int, label: str) -> Iterator[Answer]:
+    from tqdm import tqdm
+
+    terminal = sys.stderr.isatty()
+    yield from tqdm(
+        answers, label, total, unit="scene", mininterval=0.2 if terminal else 15.0, dynamic_ncols=True, smoothing=0.1
+    )

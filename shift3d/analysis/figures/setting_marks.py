@@ -1,0 +1,134 @@
+"""What stands for settings in a work-precision diagram: a colour a method, markers, rings, lines and labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shift3d.accuracy_time.pareto import effective_error_m
+from shift3d.analysis.figures.labels import PointLabel
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+__all__ = ["RING", "Style", "joined", "labels_of", "mark_settings", "same_as_presets", "styles_of"]
+
+FloatArray = npt.NDArray[np.float64]
+
+# Kelly's colours of maximum contrast without his yellows and greys, which are lost on white. Each method has a marker
+# of its own as well, so that nobody needs colours to tell methods apart.
+_COLOURS = (
+    *("#0067A5", "#F38400", "#008856", "#BE0032", "#604E97", "#8DB600", "#E68FAC", "#882D17", "#A1CAF1"),
+    *("#F6A600", "#B3446C", "#2B3D26", "#F99379", "#875692", "#C2B280", "#E25822", "#654522"),
+)
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "h", "p", "d", "H", "8")
+_PRESETS = "#000000", "*"
+_SIZE, _STAR, _RING = 6.0, 13.0, 4.5  # points: of a marker, of a preset's, and by how much each ring is wider
+RING = "ring"
+"""The gid of a ring around a marker: a setting that renders the same as what is drawn within."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """Of a method."""
+
+    colour: str
+    marker: str
+
+
+def styles_of(frame: pd.DataFrame) -> dict[str, Style]:
+    """By method, in the frame's order: a colour and a marker of its own; presets are black stars."""
+    methods = list(dict.fromkeys(frame["method"]))
+    presets = set(frame.loc[frame["preset"].notna(), "method"])
+    styles, count = {}, 0
+    for method in methods:
+        if method in presets:
+            styles[method] = Style(*_PRESETS)
+        else:
+            styles[method] = Style(_COLOURS[count % len(_COLOURS)], _MARKERS[count % len(_MARKERS)])
+            count += 1
+    return styles
+
+
+def joined(rows: pd.DataFrame) -> list[Any]:
+    """Row numbers of what one line joins: a method's settings by their knob; what has no knob stands alone."""
+    lines: list[Any] = []
+    knobs, methods = rows["knob"].to_numpy(dtype=np.float64), rows["method"].to_numpy()
+    for method in dict.fromkeys(methods):
+        swept = np.flatnonzero((methods == method) & ~np.isnan(knobs))
+        if len(swept):
+            lines.append(swept[np.argsort(knobs[swept], kind="stable")])
+        lines += [np.array([row]) for row in np.flatnonzero((methods == method) & np.isnan(knobs))]
+    return lines
+
+
+def mark_settings(axes: Axes, rows: pd.DataFrame, x: FloatArray, styles: dict[str, Style]) -> None:
+    """A marker a setting, presets first; where there is one already, a ring around it, one a method."""
+    front = rows["pareto"].to_numpy(dtype=bool)
+    there: dict[tuple[float, float], list[str]] = {}
+    for row in np.argsort(rows["preset"].isna().to_numpy(), kind="stable"):
+        place, method = (float(x[row]), float(rows["ms_median"].iloc[row])), str(rows["method"].iloc[row])
+        style, drawn = styles[method], there.setdefault(place, [])
+        if method in drawn:
+            continue
+        size = _STAR if style.marker == "*" else _SIZE
+        if not drawn:
+            face, edge = (style.colour, "white") if front[row] else ("white", style.colour)
+            width, zorder = (0.6, 4) if front[row] else (1.2, 3)
+            marker: dict[str, Any] = {
+                "marker": style.marker,
+                "ms": size,
+                "mfc": face,
+                "mec": edge,
+                "mew": width,
+                "zorder": zorder,
+            }
+        else:
+            size = _STAR + (len(drawn) - 1) * _RING
+            marker = {
+                "marker": "o",
+                "ms": size,
+                "mfc": "none",
+                "mec": style.colour,
+                "mew": 1.5,
+                "zorder": 5,
+                "gid": RING,
+            }
+        axes.plot(*place, ls="none", **marker)
+        drawn.append(method)
+
+
+def same_as_presets(frame: pd.DataFrame) -> list[str]:
+    """Methods whose every setting has a preset's time and error: they render the same, as those of the detector do."""
+    places = list(zip(frame["scenes"], frame["ms_median"], effective_error_m(frame)))
+    presets = {place for place, preset in zip(places, frame["preset"].notna()) if preset}
+    others = {str(method) for method, place in zip(frame["method"], places) if place not in presets}
+    named = {str(method) for method in frame.loc[frame["preset"].notna(), "method"]}
+    return [method for method in dict.fromkeys(map(str, frame["method"])) if method not in others | named]
+
+
+def labels_of(rows: pd.DataFrame, x: FloatArray, styles: dict[str, Style]) -> list[PointLabel]:
+    """Presets by name, and what is on the front in its method's colour: by the value of its knob, or else by name.
+
+    Of settings in one place, as those that render the same are, one names all.
+    """
+    found: list[PointLabel] = []
+    for row in np.argsort(rows["preset"].isna().to_numpy(), kind="stable"):
+        setting = rows.iloc[row]
+        place, preset = (float(x[row]), float(setting["ms_median"])), isinstance(setting["preset"], str)
+        if preset or (setting["pareto"] and place not in [(label.x, label.y) for label in found]):
+            text = str(setting["setting"]) if np.isnan(setting["knob"]) else f"{setting['knob']:g}"
+            found.append(PointLabel(text, *place, preset, _dark(styles[setting["method"]].colour)))
+    return found
+
+
+def _dark(colour: str) -> str:
+    """A colour in which text can be read on white."""
+    from matplotlib.colors import to_hex, to_rgb
+
+    red, green, blue = to_rgb(colour)
+    return to_hex((0.7 * red, 0.7 * green, 0.7 * blue))

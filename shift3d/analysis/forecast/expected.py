@@ -1,0 +1,176 @@
+"""What a plan will take, before anything runs: by what an earlier sweep took, else by the figures that ship.
+
+Source: our choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow.compute as pc
+
+from shift3d.analysis.forecast.task_parts import searched, shipped_parts
+from shift3d.analysis.tables.accuracy_cost import measured_presets
+from shift3d.effects.applicability import measured_impact
+from shift3d.store.log import read_log
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import Tasks
+from shift3d.sweep.results.final import committed_rows
+from shift3d.task.spec import TaskSpec
+from shift3d.wording import counted
+
+__all__ = ["Expected", "expected", "expected_lines", "finished_in"]
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Seconds of one worker for all tasks together. source: where they come from. guessed: how many of the tasks have
+    other settings than anything that was measured there."""
+
+    tasks: int
+    seconds: float
+    source: str
+    guessed: int
+
+
+def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
+    """Of each task whether one of some sweeps' folders has its result.
+
+    Raises:
+        InputError: a log cannot be read.
+    """
+    done = np.zeros(len(tasks), dtype=bool)
+    for folder in folders:
+        here = np.ones(len(tasks), dtype=bool)
+        here[tasks.without({task for entry in read_log(folder) for task in entry.done})] = False
+        done |= here
+    return done
+
+
+def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
+    """What tasks will take one worker.
+
+    Args:
+        folders: of sweeps, finished or not; the first one that has run something says how long a task takes.
+
+    Raises:
+        InputError: a folder is no sweep's, or damaged.
+    """
+    model = _Model()
+    for folder in folders:
+        if found := _measured(folder, model):
+            seconds, guessed = 0.0, 0
+            for spec, count in _kinds(tasks):
+                level, key = next((at, key) for at, key in enumerate(_keys(spec)) if key in found)
+                seconds += count * found[key].seconds * model.seconds(spec) / found[key].by_model
+                guessed += count * (level > 0)
+            return Expected(
+                len(tasks), seconds, f"{counted(found[()].tasks, 'task')} that ran in {as_location(folder)}", guessed
+            )
+    seconds = sum(count * model.seconds(spec) for spec, count in _kinds(tasks))
+    return Expected(len(tasks), seconds, model.source, len(tasks))
+
+
+def _kinds(tasks: Tasks) -> list[tuple[TaskSpec, int]]:
+    """One task of each kind, and how many there are."""
+    first, kind = tasks.kinds()
+    counts = np.bincount(kind, minlength=len(first))
+    return [(tasks[at].spec, count) for at, count in zip(first.tolist(), counts.tolist(), strict=True)]
+
+
+def _keys(spec: TaskSpec) -> list[Hashable]:
+    """What tasks must have in common to take equally long, from all of it to nothing."""
+    same = (spec.mode, spec.detector, spec.accuracy)
+    return [(*same, spec.scored_by, spec.attack, len(spec.transfer_scenes), spec.effects), same, (spec.mode,), ()]
+
+
+@dataclass
+class _Spent:
+    """What tasks of one kind took: seconds of all their attempts, and what the figures that ship say of them."""
+
+    tasks: int = 0
+    seconds: float = 0.0
+    by_model: float = 0.0
+
+
+def _measured(folder: LocationLike, model: _Model) -> dict[Hashable, _Spent]:
+    """What each kind of task took in a sweep; nothing where it has finished none."""
+    tasks, attempts = read_plan(folder).tasks, committed_rows(folder, read_log(folder), "attempts")
+    at = pc.index_in(attempts["task_id"], value_set=tasks.ids).fill_null(len(tasks)).to_numpy()
+    spent = np.bincount(at, weights=attempts["seconds"].to_numpy(), minlength=len(tasks) + 1)[: len(tasks)]
+    ran = np.bincount(at[pc.equal(attempts["outcome"], "done").to_numpy()], minlength=len(tasks) + 1)[: len(tasks)] > 0
+    first, kind = tasks.kinds()
+    counts = np.bincount(kind[ran], minlength=len(first))
+    seconds = np.bincount(kind[ran], weights=spent[ran], minlength=len(first))
+    found: dict[Hashable, _Spent] = {}
+    for number in np.flatnonzero(counts).tolist():
+        spec = tasks[int(first[number])].spec
+        for key in _keys(spec):
+            one = found.setdefault(key, _Spent())
+            one.tasks += int(counts[number])
+            one.seconds += float(seconds[number])
+            one.by_model += int(counts[number]) * model.seconds(spec)
+    return found
+
+
+class _Model:
+    """What a task takes by its parts, each as measured; longer by its effects and its accuracy preset."""
+
+    def __init__(self) -> None:
+        self._parts = shipped_parts()
+        presets, whose = measured_presets()
+        self._rendering_ms = presets["ms_median"].to_dict()
+        self._impact = measured_impact()
+        self.source = f"the figures that ship: {self._parts.source}; presets by {whose}"
+
+    def seconds(self, spec: TaskSpec) -> float:
+        """Of one worker with one thread."""
+        more_ms = sum(max(self._impact[name].milliseconds, 0.0) for name in spec.effects if name in self._impact)
+        if spec.accuracy in self._rendering_ms:
+            more_ms += self._rendering_ms[spec.accuracy] - self._rendering_ms[self._parts.accuracy]
+        renderings = sum(searched(spec))
+        return max(self._parts.of(spec) + renderings * more_ms, renderings) / 1e3
+
+
+def expected_lines(
+    plan: Plan, out: LocationLike | None, others: Sequence[LocationLike], timings: Sequence[LocationLike], workers: int
+) -> str:
+    """What is left to run of a plan, in words: time with some workers, and core-hours.
+
+    Args:
+        out: the folder that the sweep would write to, where it is known; others: those whose results it would take
+            over; timings: those that say how long tasks take, asked before these.
+
+    Raises:
+        InputError: a folder of others or timings is no sweep's, or damaged.
+    """
+    own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
+    done = finished_in(plan.tasks, [*own, *others])
+    left = plan.tasks.select(np.flatnonzero(~done))
+    said = f"{int(done.sum())} of {counted(len(plan.tasks), 'task')} are done already\n" if done.any() else ""
+    if not len(left):
+        return f"{said}nothing is left to run"
+    found = expected(left, [*timings, *own, *others])
+    mean = found.seconds / found.tasks
+    wall = found.seconds / min(workers, found.tasks)
+    text = (
+        f"{said}expected: {counted(found.tasks, 'task')} of {_duration(mean)}: {_duration(wall)} with "
+        f"{counted(workers, 'worker')} (runner.workers=N), {found.seconds / 3600:.3g} core-hours\n"
+        f"  by {found.source}"
+    )
+    if found.guessed and not found.source.startswith("the figures"):
+        text += f"; {found.guessed} of these tasks have other settings: scaled by the figures that ship"
+    return text
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 1.0:
+        return f"{1e3 * seconds:.3g} ms"
+    for name, size in (("s", 1.0), ("min", 60.0), ("h", 3600.0)):
+        if seconds < 120.0 * size and name != "h":
+            return f"{seconds / size:.3g} {name}"
+    return f"{seconds / 3600:.3g} h" if seconds < 48 * 3600 else f"{seconds / 86400:.3g} days"

@@ -1,0 +1,100 @@
+"""Figures that the page's script draws, made by plotly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from shift3d.analysis.html.blocks import Plot
+
+__all__ = ["DASHES", "LEGEND_BELOW", "axis", "band", "filled", "line", "plot", "plotly_library", "short"]
+
+DASHES = {"baseline": "solid", "random": "dot", "adversarial_noise": "dash", "adversarial": "solid"}
+LEGEND_BELOW = {"orientation": "h", "yref": "container", "y": 0.01, "yanchor": "bottom", "itemsizing": "constant"}
+_GRID = "rgba(128,128,128,0.28)"
+_CLEAR = "rgba(0,0,0,0)"
+_COMMON = {
+    **{"template": "none", "paper_bgcolor": _CLEAR, "plot_bgcolor": _CLEAR},
+    "font": {"family": "system-ui, sans-serif", "size": 12},
+    "margin": {"l": 8, "r": 8, "t": 34, "b": 8},
+    "modebar": {"bgcolor": _CLEAR, "color": "#8a8a8a", "activecolor": "#2f8fc9"},
+}
+
+
+def plotly_library() -> str:
+    """Plotly's JavaScript, to be put into the page."""
+    from plotly.offline import get_plotlyjs
+
+    library: str = get_plotlyjs()
+    return library
+
+
+def plot(
+    key: str,
+    traces: Sequence[Mapping[str, Any]],
+    layout: Mapping[str, Any],
+    label: str,
+    caption: str,
+    height_px: int = 320,
+    pair: str = "",
+) -> Plot:
+    """A figure of the page.
+
+    Args:
+        key: unique in the page; its id is ``plot-<key>``.
+        traces, layout: as plotly has them; checked by it.
+        label: what the figure shows, for who cannot see it. caption: above it.
+        pair: key of the 3D view that turns with this one.
+
+    Raises:
+        ValueError: a trace or layout that plotly does not know.
+    """
+    import plotly.graph_objects as go
+    import plotly.io
+
+    figure = go.Figure(data=list(traces), layout={**_COMMON, **layout})
+    # The engine is named: another one, where it is installed, would write other bytes.
+    data = plotly.io.to_json(figure, engine="json").replace("</", "<\\/")
+    return Plot(key, data, label, caption, height_px, pair)
+
+
+def axis(title: str, **settings: Any) -> dict[str, Any]:
+    """An axis whose lines show on light and dark."""
+    lines = {"gridcolor": _GRID, "zerolinecolor": _GRID, "linecolor": _GRID}
+    return {"title": {"text": title}, "automargin": True, **lines, **settings}
+
+
+def filled(colour: str, opacity: float = 0.18) -> str:
+    """A colour #rrggbb as rgba."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{opacity:g})"
+
+
+def short(values: Any) -> Any:
+    """Numbers to four decimals, in as few bytes as a page needs."""
+    return np.round(np.asarray(values, dtype=np.float64), 4).astype(np.float32)
+
+
+def line(x: Any, y: Any, name: str, style: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+    """A curve that says its name and value where it is pointed at."""
+    hover = {"hovertemplate": f"{name} %{{y:.3f}}<extra></extra>"}
+    return {"type": "scatter", "mode": "lines", "x": x, "y": short(y), "line": style, "name": name, **hover, **more}
+
+
+def band(x: Any, low: Any, high: Any, colour: str, **more: Any) -> list[dict[str, Any]]:
+    """The area between two curves; nothing where there are none."""
+    if low is None or high is None:
+        return []
+    edge = {"width": 0, "color": colour, **more.pop("line", {})}
+    common = {
+        "type": "scatter",
+        "mode": "lines",
+        "x": x,
+        "line": edge,
+        "hoverinfo": "skip",
+        "showlegend": False,
+        **more,
+    }
+    return [{**common, "y": short(low)}, {**common, "y": short(high), "fill": "tonexty", "fillcolor": filled(colour)}]

@@ -1,0 +1,90 @@
+"""The pages beside a sweep's report: what accuracy costs in time, effects, and stability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from shift3d.analysis.figures.picture import png
+from shift3d.analysis.figures.work_precision import work_precision_figure
+from shift3d.analysis.html.blocks import Block, Paragraph, Picture, Section, Terms
+from shift3d.analysis.html.document import document
+from shift3d.analysis.html.sections.effects import impact_blocks
+from shift3d.analysis.html.sections.stability import stability_blocks
+from shift3d.analysis.tables.accuracy_time import RULE, frontier_lines, meanings, settings_tables
+from shift3d.analysis.tables.advice import advice
+from shift3d.analysis.tables.effects import EffectImpact
+from shift3d.analysis.tables.numerics import diagnostics
+from shift3d.errors import InputError
+from shift3d.store.atomic import write_atomic
+from shift3d.store.frontier_table import machine_of, read_frontier
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["frontier_html", "write_effects_page", "write_frontier_report", "write_stability_page"]
+
+
+def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
+    """Diagrams, advice and the table of each scene set, and what the columns mean.
+
+    Args:
+        frame: the frontier's table.
+        machine: what it was measured on, by name.
+    """
+    measured = ", ".join(f"{name} {value}" for name, value in machine.items()) or "not recorded"
+    sections: list[Section] = []
+    for (scenes, table), text in zip(settings_tables(frame), advice(frame).split("\n\n")):
+        diagram = png(work_precision_figure(frame, scenes))
+        picture = Picture(diagram, f"Time of a rendering against its error, {scenes} scenes")
+        sections.append(Section(f"scenes-{len(sections)}", scenes, [Paragraph(text), picture, table]))
+    explained: list[Block] = [Paragraph(RULE), Terms(meanings(frame))]
+    sections.append(Section("meaning", "What the numbers mean", explained))
+    return document("What accuracy costs in time", sections, f"Measured on: {measured}.")
+
+
+def write_frontier_report(folder: Path) -> str:
+    """Write report.html, frontier.png and advice.txt beside folder/frontier.parquet, each whole or not at all.
+
+    The same table gives the same bytes. The report can be written again from the table alone.
+
+    Returns:
+        What is printed: the table and the advice.
+
+    Raises:
+        InputError: no frontier there, or not one of this version; a disk that is full or not writable.
+    """
+    table = read_frontier(folder / "frontier.parquet")
+    if not table.num_rows:
+        raise InputError("holds no setting", str(folder / "frontier.parquet"), "Run make frontier again")
+    frame = table.to_pandas()
+    text = advice(frame)
+    write_atomic(folder / "advice.txt", f"{text}\n".encode())
+    write_atomic(folder / "frontier.png", png(work_precision_figure(frame)))
+    write_atomic(folder / "report.html", frontier_html(frame, machine_of(table)).encode())
+    return f"{frontier_lines(frame)}\n\n{text}"
+
+
+def write_effects_page(path: LocationLike, sweep: str, impacts: Sequence[EffectImpact]) -> Location:
+    """Write the page of the effects' impact, whole or not at all; returns its path."""
+    section = Section("effects", "Impact and time", impact_blocks(impacts))
+    return _written(path, f"Measured impact of effects: {sweep}", [section])
+
+
+def write_stability_page(path: LocationLike, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
+    """Write the page of one sweep's stability, every unstable solution named; the same tables to the same bytes.
+
+    Raises:
+        InputError: the disk is full or not writable.
+    """
+    blocks = stability_blocks(verification, shown=None)
+    return _written(path, f"Stability of {sweep}", [Section("stability", "Scored again", blocks)], diagnostics(scores))
+
+
+def _written(path: LocationLike, title: str, sections: Sequence[Section], lead: str = "") -> Location:
+    location = as_location(path)
+    location.write_atomic(document(title, sections, lead).encode())
+    return location

@@ -1,0 +1,68 @@
+"""The report of a sweep: its sections in the order in which people ask, as one file."""
+
+from __future__ import annotations
+
+from shift3d.analysis.cases.rendered import Loaded
+from shift3d.analysis.html.document import document
+from shift3d.analysis.html.figure import plotly_library
+from shift3d.analysis.html.sections.accuracy import accuracy
+from shift3d.analysis.html.sections.auc import auc
+from shift3d.analysis.html.sections.bev import bev, transfer_grid
+from shift3d.analysis.html.sections.cases import hard_cases
+from shift3d.analysis.html.sections.choices import choices
+from shift3d.analysis.html.sections.coverage import coverage
+from shift3d.analysis.html.sections.curves import curves
+from shift3d.analysis.html.sections.differences import differences
+from shift3d.analysis.html.sections.effects import effects
+from shift3d.analysis.html.sections.gallery import gallery
+from shift3d.analysis.html.sections.in_short import in_short
+from shift3d.analysis.html.sections.overview import overview
+from shift3d.analysis.html.sections.paths import paths
+from shift3d.analysis.html.sections.stability import stability
+from shift3d.analysis.results import Sweep, read_sweep
+from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
+from shift3d.analysis.variants import variants
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.wording import counted
+
+__all__ = ["report_page", "write_report"]
+
+
+def report_page(sweep: Sweep, cases: int = 4) -> str:
+    """The page of a sweep; the same sweep to the same text. cases: hard cases to show, fewer where fewer fell."""
+    plan = sweep.plan
+    found, loaded = variants(sweep.auc, sweep.scored), Loaded(plan)
+    sections = [
+        in_short(found, trial_caveat(plan.tasks), nothing_placed(sweep.scores, plan.settings)),
+        hard_cases(sweep, loaded, cases),
+        gallery(sweep, loaded),
+        auc(sweep, found),
+        curves(found),
+        bev(sweep, found),
+        transfer_grid(sweep, found),
+        paths(sweep, found),
+        differences(found),
+        choices(sweep),
+        stability(sweep),
+        accuracy(sweep),
+        effects(sweep),
+        overview(sweep),
+        coverage(sweep),
+    ]
+    lead = (
+        f"{counted(len(plan.tasks), 'attack')} on a LiDAR vehicle detector: a vehicle is inserted into a scene, "
+        "and its shape or pose is changed, by the detector's gradient, until the detector misses it."
+    )
+    return document(f"shift3d: {plan.sweep}", sections, lead, plotly_library())
+
+
+def write_report(folder: LocationLike, cases: int = 4) -> Location:
+    """Write ``report.html`` into a finished sweep's folder, whole or not at all; returns its path.
+
+    Raises:
+        InputError: the folder is no finished sweep's, a table in it is damaged, or the disk is full.
+    """
+    path = as_location(folder) / "report.html"
+    path.write_atomic(report_page(read_sweep(folder), cases).encode())
+    return path

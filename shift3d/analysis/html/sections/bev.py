@@ -1,0 +1,129 @@
+"""Where the score falls: bird's-eye-view grids around the ego vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, Section
+from shift3d.analysis.html.figure import axis, plot
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.table import Table
+from shift3d.analysis.variants import Variant
+from shift3d.store.schemas import GROUP_COLUMNS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["EGO_M", "bev", "pooled_cells", "transfer_grid"]
+
+_SHOWN = 2  # grids in sight; the others fold
+EGO_M = (4.8, 2.0)
+"""Length and width of the ego vehicle as it is drawn around the sensor, metres: a usual car's."""
+_LEAD = (
+    "Mean reduction of the score, baseline minus adversarial, over all vehicles, by where the baseline stood. Sensor "
+    "frame seen from above: x forward, to the right of the picture. Cells with a cross had no placement. The rectangle "
+    "is the ego vehicle."
+)
+_TRANSFER_LEAD = (
+    "Each adversarial shape in other scenes of the set, at a random place and heading, and its baseline at the same "
+    "ones: mean reduction of the score by the cell that it was put into."
+)
+
+
+def bev(sweep: Sweep, found: Sequence[Variant]) -> Section:
+    """The section: a grid a variant, the later ones folded."""
+    nothing = "No adversarial vehicle was scored: there is no grid."
+    return Section("bev", "Where the score falls", _grids(sweep.bev, found, "bev", _LEAD, nothing))
+
+
+def transfer_grid(sweep: Sweep, found: Sequence[Variant]) -> Section:
+    """The section: what shapes do in scenes and at places that they were not made for."""
+    nothing = "No shape was put into another scene by this sweep."
+    blocks = _grids(sweep.bev_transfer, found, "transfer", _TRANSFER_LEAD, nothing)
+    return Section("transfer", "In other scenes, at other places", blocks)
+
+
+def _grids(grid: pd.DataFrame, found: Sequence[Variant], key: str, lead: str, nothing: str) -> list[Block]:
+    grids = [(variant, cells) for variant in found if len(cells := pooled_cells(grid, variant))]
+    if not grids:
+        return [Paragraph(nothing, "missing")]
+    drawn = [_plot(variant, cells, key) for variant, cells in grids]
+    folds = [Fold(f"Grid: {variant.label}", [part]) for (variant, _), part in zip(grids[_SHOWN:], drawn[_SHOWN:])]
+    tables = Fold("The same as tables", [_table(variant, cells) for variant, cells in grids])
+    return [Paragraph(lead), Panels(drawn[:_SHOWN], "wide"), *folds, tables]
+
+
+def pooled_cells(grid: pd.DataFrame, variant: Variant) -> pd.DataFrame:
+    """Cells (cell_x_m, cell_y_m, cell_size_m, scores, mean_reduction) of a variant, vehicles pooled by their scores."""
+    rows = grid[(grid["method"] == "adversarial") & (grid["scores"] > 0)]
+    chosen = variant.auc[variant.auc["method"] == "adversarial"][list(GROUP_COLUMNS)].drop_duplicates()
+    if rows.empty or chosen.empty:  # columns of nothing have no types to merge on
+        return rows.iloc[:0]
+    rows = rows.merge(chosen, on=list(GROUP_COLUMNS), how="inner")
+    rows = rows.assign(weighted=rows["mean_reduction"] * rows["scores"])
+    summed = rows.groupby(["cell_x_m", "cell_y_m", "cell_size_m"], as_index=False)[["scores", "weighted"]].sum()
+    return summed.assign(mean_reduction=summed["weighted"] / summed["scores"]).drop(columns="weighted")
+
+
+def _plot(variant: Variant, cells: pd.DataFrame, key: str) -> Plot:
+    size = float(cells["cell_size_m"].iloc[0])
+    reach = float(np.abs(cells[["cell_x_m", "cell_y_m"]].to_numpy()).max()) + size
+    sides = {"range": [-reach, reach], "constrain": "domain", "dtick": 2 * size}
+    layout = {
+        "xaxis": axis("x, forward, m", **sides),
+        "yaxis": axis("y, left, m", **sides, scaleanchor="x"),
+        "shapes": [_ego()],
+    }
+    fallen = int((cells["mean_reduction"] > 0).sum())
+    share = f"{fallen / len(cells):.0%}"
+    text = f"the score falls in {fallen} of {len(cells)} cells of {size:g} m that hold a vehicle ({share})"
+    caption = f"{variant.title}: {text}"
+    traces = _heat(cells, size, reach)
+    return plot(f"{key}-{variant.key}", traces, layout, f"Bird's-eye-view grid. {caption}", caption, height_px=500)
+
+
+def _heat(cells: pd.DataFrame, size: float, reach: float) -> list[dict[str, Any]]:
+    """The cells by their reduction, and crosses where there is none."""
+    count = round(2 * reach / size)
+    values, texts = np.full((count, count), np.nan), np.full((count, count), "", dtype=object)
+    for cell in cells.itertuples():
+        column, row = round((cell.cell_x_m + reach) / size), round((cell.cell_y_m + reach) / size)
+        values[row, column] = round(cell.mean_reduction, 4)
+        texts[row, column] = f"{cell.mean_reduction:+.2f}"
+    centres = -reach + size * (np.arange(count) + 0.5)
+    heat = {
+        **{"type": "heatmap", "x": centres, "y": centres, "z": values, "xgap": 1, "ygap": 1},
+        **{"text": texts.tolist(), "texttemplate": "%{text}", "hoverongaps": False},
+        # Fixed ends, so that grids of different sweeps can be compared by eye.
+        **{"zmin": -1, "zmax": 1, "colorscale": [[0, "#2166ac"], [0.5, "#e8e8e8"], [1, "#b2182b"]]},
+        "colorbar": {"orientation": "h", "thickness": 12, "y": -0.16, "yanchor": "top"},
+        "hovertemplate": "x %{x:.0f} m, y %{y:.0f} m: %{z:+.3f}<extra></extra>",
+    }
+    empty_y, empty_x = np.nonzero(np.isnan(values))
+    marker = {"symbol": "x-thin", "size": 7, "line": {"width": 1.5, "color": "#8a8a8a"}}
+    hover = "x %{x:.0f} m, y %{y:.0f} m: no placement<extra></extra>"
+    at = {"x": centres[empty_x], "y": centres[empty_y]}
+    empty = {"type": "scatter", "mode": "markers", **at, "marker": marker, "hovertemplate": hover, "showlegend": False}
+    return [heat, empty]
+
+
+def _ego() -> dict[str, Any]:
+    length, width = EGO_M
+    sides = {"x0": -length / 2, "x1": length / 2, "y0": -width / 2, "y1": width / 2}
+    return {"type": "rect", **sides, "line": {"color": "#2f8fc9", "width": 2}, "fillcolor": "#2f8fc9"}
+
+
+def _table(variant: Variant, cells: pd.DataFrame) -> Table:
+    lines = [
+        [
+            f"{cell.cell_x_m:g} to {cell.cell_x_m + cell.cell_size_m:g}",
+            f"{cell.cell_y_m:g} to {cell.cell_y_m + cell.cell_size_m:g}",
+            str(int(cell.scores)),
+            f"{cell.mean_reduction:+.3f}",
+        ]
+        for cell in cells.itertuples()
+    ]
+    return Table(f"Reduction by cell, {variant.label}", ["x, m", "y, m", "scores", "mean reduction"], lines)

@@ -1,0 +1,131 @@
+"""The hard cases: what fooled the detector most, seen from all sides, measured, and how to take it away."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from shift3d.analysis.cases.chosen import Case, hardest
+from shift3d.analysis.cases.measures import DEFINITIONS, change_lines, in_words, measure_mesh
+from shift3d.analysis.cases.rendered import Loaded, Rendered, render_again
+from shift3d.analysis.html.blocks import Article, Block, Command, Fold, Paragraph, Section, Terms
+from shift3d.analysis.html.sections.case_figures import from_above, turnable
+from shift3d.analysis.html.sections.paths import case_path
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.table import Table
+from shift3d.errors import InputError
+from shift3d.geometry.se3 import wrap_angle
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from shift3d.task.spec import TaskSpec
+
+__all__ = ["hard_cases"]
+
+_TITLE = "The hard cases"
+
+
+def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> Section:
+    """The section: the most harmful solutions rendered again. What cannot be loaded is named, not raised."""
+    implausible = sweep.implausible
+    chosen = hardest(sweep.scores, count, implausible)
+    if not chosen:
+        nothing = "No score fell below its baseline's: there is no hard case to show."
+        return Section("cases", _TITLE, [Paragraph(nothing, "missing")])
+    parts: list[Block] = []
+    for number, case in enumerate(chosen, start=1):
+        try:
+            parts.append(_case(sweep, case, number, loaded))
+        except InputError as error:
+            text = f"Case {number}, task {case.task_id}, cannot be drawn: {error.what}"
+            parts.append(Paragraph(text, "missing"))
+    lead = (
+        f"The {len(chosen)} solutions whose score fell furthest below the baseline's of the same task, other vehicles "
+        f"and scenes first.{_left_out(implausible, chosen)} Drag a vehicle to turn both."
+    )
+    return Section(
+        "cases", _TITLE, [Paragraph(lead), *parts, Fold("How the meshes are measured", [Terms(DEFINITIONS)])]
+    )
+
+
+def _left_out(implausible: set[str], chosen: list[Case]) -> str:
+    """What became of the implausible shapes."""
+    shown = sum(case.task_id in implausible for case in chosen)
+    if not implausible:
+        return ""
+    if not shown:
+        return f" Implausible shapes ({counted(len(implausible), 'task')}) are left out: they are easy to miss."
+    return f" The last {shown} are implausible as cars: there are not enough others."
+
+
+def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:
+    (task,) = sweep.plan.tasks.starting_with(case.task_id)
+    rows = sweep.solutions[(sweep.solutions["task_id"] == case.task_id) & (sweep.solutions["replicate"] == 0)]
+    both = [rows[rows["method"] == method].iloc[0].to_dict() for method in ("baseline", "adversarial")]
+    centre = np.mean([[row["x_m"], row["y_m"]] for row in both], axis=0)
+    before, after = (render_again(task, row, centre, loaded) for row in both)
+    key = f"case-{number}"
+    path = case_path(key, sweep.trajectories[sweep.trajectories["task_id"] == case.task_id])
+    views, buttons = turnable(key, case, before, after)
+    name = f"{case.vehicle.replace('_', ' ')}, {case.mode}"
+    return Article(
+        key,
+        f"{number}. {name}: score {case.before:.2f} → {case.after:.2f}",
+        [
+            Paragraph(_changed(case, before, after)),
+            views,
+            buttons,
+            from_above(key, case, before, after, centre),
+            Fold("Measures, steps of the search, and settings", [*_measures(case, number, before, after), path,
+                 Paragraph(_settings(case, task.spec)), Paragraph(_scored_again(case, before, after))]),
+            Command("Take it away (OUT is this page's folder):",
+                    f"shift3d export OUT task={case.task_id} method=adversarial to=hard_case_{number}"),
+        ],
+    )  # fmt: skip
+
+
+def _changed(case: Case, before: Rendered, after: Rendered) -> str:
+    if case.mode == "shape":
+        return f"What changed: {in_words(measure_mesh(before.mesh), measure_mesh(after.mesh))}"
+    return f"What changed: {_moved(before, after)}"
+
+
+def _settings(case: Case, spec: TaskSpec) -> str:
+    weight = "" if spec.lambda_ is None else f", lambda {spec.lambda_:g}"
+    effects = f"effects {', '.join(spec.effects)}" if spec.effects else "no effects"
+    return f"Scene {case.scene}, attacked {spec.detector}{weight}, {effects}."
+
+
+def _moved(before: Rendered, after: Rendered) -> str:
+    """The change of pose in words, in the vehicle's own axes."""
+    shift, yaw = after.theta[:2] - before.theta[:2], before.theta[3]
+    forward = 100.0 * float(shift @ [math.cos(yaw), math.sin(yaw)])
+    left = 100.0 * float(shift @ [-math.sin(yaw), math.cos(yaw)])
+    turn = math.degrees(wrap_angle(float(after.theta[3] - yaw)))
+    pitch, roll = (math.degrees(float(after.theta[i] - before.theta[i])) for i in (4, 5))
+    return (
+        f"moved {abs(forward):.0f} cm {'forward' if forward >= 0 else 'back'} and {abs(left):.0f} cm to the "
+        f"{'left' if left >= 0 else 'right'}, turned {abs(turn):.0f}° to the {'left' if turn >= 0 else 'right'}, nose "
+        f"{abs(pitch):.1f}° {'down' if pitch >= 0 else 'up'}, left side {abs(roll):.1f}° "
+        f"{'up' if roll >= 0 else 'down'}; its shape is the baseline's."
+    )
+
+
+def _measures(case: Case, number: int, before: Rendered, after: Rendered) -> list[Block]:
+    if case.mode != "shape":
+        return []
+    lines = change_lines(measure_mesh(before.mesh), measure_mesh(after.mesh))
+    header = ["measure", "baseline", "adversarial", "change"]
+    return [Table(f"Case {number}, measured on the meshes", header, lines)]
+
+
+def _scored_again(case: Case, before: Rendered, after: Rendered) -> str:
+    """Whether the pictures show the scores that the sweep reported."""
+    off = max(abs(before.score - case.before), abs(after.score - case.after))
+    if off <= 1e-6:
+        return f"Task {case.task_id}. Scored again for this page: the sweep's scores to 1e-6."
+    scores = f"Scored again for this page: {before.score:.4f} and {after.score:.4f}, off the sweep's by {off:.1e}."
+    why = " The program is not the one that ran the sweep, or the machine rounds otherwise." if off > 1e-3 else ""
+    return f"Task {case.task_id}. {scores}{why}"

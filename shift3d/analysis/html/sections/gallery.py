@@ -1,0 +1,75 @@
+"""What an attack makes as a rule: solutions of tasks drawn at random, beside the hardest."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.analysis.cases.chosen import Case, falls, random_positions
+from shift3d.analysis.cases.rendered import POSE, Loaded, oriented
+from shift3d.analysis.figures.picture import pixels_png
+from shift3d.analysis.html.blocks import Panels, Paragraph, Picture, Section
+from shift3d.analysis.results import Sweep
+from shift3d.errors import InputError
+from shift3d.sweep.planning.tasks import PlannedTask
+
+__all__ = ["gallery"]
+
+_COUNT = 50
+_SIZE_PX = (170, 105)
+_RESOLUTION = 72  # of the meshes: 7 cm
+_RGB = {"baseline": (0.55, 0.57, 0.60), "adversarial": (0.86, 0.42, 0.12)}
+
+
+def gallery(sweep: Sweep, loaded: Loaded, count: int = _COUNT) -> Section:
+    """The section: a tile a task, whatever became of it. What cannot be drawn is named, not raised."""
+    positions = random_positions(len(sweep.plan.tasks), count, sweep.plan.spec_hash)
+    scored = {case.task_id: case for case in falls(sweep.scores)}
+    implausible, measured = sweep.implausible, set(sweep.shapes["task_id"])
+    tiles = []
+    for position in positions:
+        task = sweep.plan.tasks[position]
+        case = scored.get(task.spec.task_id)
+        rating = "" if task.spec.task_id not in measured else "plausible"
+        rating = "implausible" if task.spec.task_id in implausible else rating
+        tiles.append(_tile(sweep, task, case, rating, loaded))
+    all_of_them = len(positions) == len(sweep.plan.tasks)
+    which = f"All {len(positions)} tasks" if all_of_them else f"{len(positions)} of the {len(sweep.plan.tasks)} tasks"
+    how = "" if all_of_them else ", drawn at random, each as likely as any other: failures and implausible shapes too"
+    lead = (
+        f"{which}{how}. To the left the baseline, to the right what the attack found, as the sensor sees them; below, "
+        "the scores of both before the attacked detector."
+    )
+    return Section("gallery", "Random solutions", [Paragraph(lead), Panels(tiles, "tiles")])
+
+
+def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loaded: Loaded) -> Picture:
+    spec = task.spec
+    weight = "" if spec.lambda_ is None else f", lambda {spec.lambda_:g}"
+    name = f"{spec.vehicle.replace('_', ' ')}, {spec.mode}{weight}"
+    if case is None:
+        rows = sweep.scores[sweep.scores["task_id"] == spec.task_id]
+        status = str(rows["status"].iloc[0]).replace("_", " ") if len(rows) else "no result"
+        return Picture(None, status, name)
+    caption = f"{name}: {case.before:.2f} → {case.after:.2f}" + (f", {rating}" if rating else "")
+    alt = f"{name} in scene {spec.scene}, baseline and adversarial"
+    try:
+        return Picture(pixels_png(_pixels(sweep, task, loaded)), alt, caption)
+    except InputError as error:
+        return Picture(None, f"cannot be drawn: {error.what}", caption)
+
+
+def _pixels(sweep: Sweep, task: PlannedTask, loaded: Loaded) -> NDArray[np.uint8]:
+    """Baseline and adversarial vehicle side by side, each from where the sensor stands, a little from above."""
+    from shift3d.vehicles.picture import shaded
+
+    rows = sweep.solutions[(sweep.solutions["task_id"] == task.spec.task_id) & (sweep.solutions["replicate"] == 0)]
+    views = []
+    for method, rgb in _RGB.items():
+        row = rows[rows["method"] == method].iloc[0]
+        theta = row[list(POSE)].to_numpy(dtype=np.float64)
+        mesh = loaded.mesh(task, row["latent_code"], _RESOLUTION).copy()
+        mesh.vertices = oriented(mesh.vertices, theta)
+        towards_sensor = float(np.arctan2(-theta[1], -theta[0]))
+        views.append(shaded(mesh, towards_sensor, 0.22, *_SIZE_PX, rgb=rgb))
+    return np.concatenate(views, axis=1)

@@ -1,0 +1,71 @@
+"""The result in a sentence or two: how far the AUC falls, and how many of the shapes are plausible."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, Section
+from shift3d.analysis.tables.auc import plausible_rows, ratio_texts
+from shift3d.analysis.tables.paper import paper_table
+from shift3d.analysis.variants import Variant, aucs_of_scores
+from shift3d.wording import counted
+
+__all__ = ["headline", "in_short"]
+
+_SHOWN = 3
+
+
+def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str | None = None) -> Section:
+    """A sentence for each variant that the attacked detector scores itself; the others folded.
+
+    caveat: what to know before reading AUCs. unplaced: what is told where no vehicle found a place.
+    """
+    known = [variant for variant in found if len(variant.rows)]
+    if not known:
+        return Section("short", "In short", [Paragraph(unplaced or "No task has a score.", "missing")])
+    own = [variant for variant in known if variant.is_own] or known
+    first, rest = own[:_SHOWN], [variant for variant in known if variant not in own[:_SHOWN]]
+    blocks: list[Block] = [Paragraph(caveat, "caveat")] if caveat else []
+    blocks += [Paragraph(headline(variant), "headline") for variant in first]
+    if rest:
+        summary = f"{counted(len(rest), 'more result')}: other detectors and settings"
+        blocks.append(Fold(summary, [Items([headline(variant) for variant in rest])]))
+    return Section("short", "In short", blocks)
+
+
+def headline(variant: Variant) -> str:
+    """The fall of the mean AUC, its ratio, the paper's, and in the same sentence how many shapes are implausible."""
+    vehicles = variant.vehicles
+    before, after = (variant.aucs.mean(method, vehicles) for method in ("baseline", "adversarial"))
+    if before is None or after is None:
+        return f"{variant.title}: no baseline, or nothing found."
+    rows, baseline = (variant.rows[variant.rows["method"] == name] for name in ("adversarial", "baseline"))
+    ratio = " ".join(part for part in ratio_texts(rows, baseline) if part)
+    paper = _papers_ratio(variant)
+    counts = f"{counted(len(vehicles), 'vehicle')} in {counted(rows['place'].nunique(), 'scene')}"
+    return (
+        f"{variant.title}: the mean AUC of {counts} {'falls' if after < before else 'goes'} from {before:.3f} to "
+        f"{after:.3f}, a ratio of {ratio}{f' (paper: {paper:.2f})' if paper else ''}{_plausibility(variant)}."
+    )
+
+
+def _papers_ratio(variant: Variant) -> float | None:
+    paper = paper_table(variant.mode, variant.detector, variant.scored_by)
+    return paper.aucs.of_baseline("adversarial", variant.vehicles) if paper else None
+
+
+def _plausibility(variant: Variant) -> str:
+    """How many of the shapes are implausible, and the ratio over the others."""
+    if variant.mode != "shape":
+        return ""
+    tasks = variant.rows.drop_duplicates("task_id")
+    measured = tasks[tasks["plausible"].notna()] if "plausible" in tasks else tasks.iloc[:0]
+    if measured.empty:
+        return "; how many of the shapes are implausible was not measured"
+    implausible = int(measured["plausible"].eq(False).sum())
+    text = f", but {implausible} of {counted(len(measured), 'shape')} {'is' if implausible == 1 else 'are'} implausible"
+    left = len(measured) - implausible
+    if not implausible:
+        return f", and all {counted(len(measured), 'shape')} are plausible"
+    ratio = aucs_of_scores(plausible_rows(variant)).of_baseline("adversarial", variant.vehicles) if left else None
+    return text + (f" (ratio over the {left} plausible: {ratio:.2f})" if ratio is not None else "")

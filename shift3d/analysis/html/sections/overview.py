@@ -1,0 +1,101 @@
+"""What was run: axes, accuracy, effects, scenes, vehicles, versions, and how long it took."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Section, Terms
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.coverage import stage_times
+from shift3d.analysis.tables.table import Table
+from shift3d.sweep.planning.tasks import TaskGroup
+from shift3d.wording import counted
+
+__all__ = ["overview"]
+
+_SETTINGS = ("steps", "alpha", "lambda", "random_replicates", "noise_replicates", "noise_sigma", "max_shift_m")
+
+
+def overview(sweep: Sweep) -> Section:
+    """The section."""
+    blocks: list[Block] = [Terms(_facts(sweep)), _axes(sweep.plan.axes), *_cost(sweep), _versions(sweep)]
+    return Section("run", "What was run", blocks)
+
+
+def _facts(sweep: Sweep) -> dict[str, str]:
+    plan = sweep.plan
+    groups = plan.tasks.groups()
+    specs = [group.template for group in groups]
+    modes = _counts((group.tasks, (group.template.mode,)) for group in groups)
+    requested = _counts((group.tasks, group.effects_requested) for group in groups)
+    by_dataset = Counter(dataset for dataset, _ in sorted(plan.tasks.scenes()))
+    attack = plan.settings.get("attack", {})
+    return {
+        "Sweep": f"{plan.sweep}, hash {plan.spec_hash}",
+        "Tasks": f"{len(plan.tasks)}: {', '.join(f'{count} {mode}' for mode, count in modes.items())}",
+        "Changed settings": ", ".join(plan.overrides) or "none",
+        "Scenes": "; ".join(f"{count} of {name}" for name, count in by_dataset.items()),
+        "Vehicles": ", ".join(dict.fromkeys(spec.vehicle.replace("_", " ") for spec in specs)),
+        "Detectors": "; ".join(_detectors(specs)),
+        "Accuracy": ", ".join(dict.fromkeys(spec.accuracy for spec in specs)),
+        "Effects requested, by tasks": ", ".join(f"{name} ({count})" for name, count in requested.items()),
+        "Effects that ran, by tasks": _ran(groups),
+        "Attack": ", ".join(f"{name} {attack[name]}" for name in _SETTINGS if name in attack),
+    }
+
+
+def _detectors(specs: list[Any]) -> list[str]:
+    pairs = dict.fromkeys((spec.detector, spec.scored_by) for spec in specs)
+    return [f"{attacked} attacked, scored by {', '.join(by)}" for attacked, by in pairs]
+
+
+def _counts(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
+    """How many tasks there are of each name."""
+    counts: Counter[str] = Counter()
+    for tasks, names in named:
+        for name in names:
+            counts[name] += tasks
+    return counts
+
+
+def _ran(groups: list[TaskGroup]) -> str:
+    ran = _counts((group.tasks, group.template.effects) for group in groups)
+    return ", ".join(f"{name} ({count})" for name, count in ran.items()) or "none: occlusion alone, as the paper"
+
+
+def _axes(axes: dict[str, list[str]]) -> Block:
+    if not axes:
+        return Paragraph("No axis: one setting.", "missing")
+    lines = [[name, str(len(values)), ", ".join(values)] for name, values in axes.items()]
+    return Table("Axes of the sweep", ["axis", "values", "which"], lines)
+
+
+def _cost(sweep: Sweep) -> list[Block]:
+    timings = sweep.timings
+    if timings.empty:
+        return [Paragraph("Cost: the sweep has no timings.", "missing")]
+    tasks = timings["task_id"].nunique()
+    seconds = float(timings.loc[timings["stage"] == "total", "milliseconds"].sum()) / 1e3
+    text = f"{counted(tasks, 'task')} took {_duration(seconds)} on one thread each, {seconds / tasks:.1f} s a task."
+    return [Paragraph(text), Fold("Time by stage", [stage_times(timings, sweep.scores)])]
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _versions(sweep: Sweep) -> Fold:
+    env = sweep.environment
+    lines = [["shift3d", str(env.get("shift3d", "-"))], ["Python", str(env.get("python", "-"))]]
+    lines += [[str(name), str(version)] for name, version in sorted(env.get("libraries", {}).items())]
+    machine = f"Processor {env.get('machine', '-')}, {env.get('cpus', '-')} cores."
+    weights = sorted({pair for assets in sweep.plan.assets for pair in assets.hashes.items()})
+    tables = [
+        Table("Versions", ["what", "version"], lines),
+        Table("Weights, BLAKE2b", ["what", "hash"], [list(pair) for pair in weights]),
+    ]
+    return Fold("Versions and weights", [Paragraph(machine), *tables])

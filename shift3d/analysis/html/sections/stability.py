@@ -1,0 +1,42 @@
+"""Whether the solutions are stable and robust, where the sweep was verified."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from shift3d.analysis.figures.picture import png
+from shift3d.analysis.figures.stability import stability_figure
+from shift3d.analysis.html.blocks import Block, Fold, Heading, Items, Paragraph, Picture, Section, Terms
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstable_lines
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["stability", "stability_blocks"]
+
+_ALT = (
+    "Left: each solution's score at reference accuracy against the score that the sweep reported; right: how much of "
+    "its margin to the baseline is left under noise and off its pose"
+)
+
+
+def stability(sweep: Sweep) -> Section:
+    """The section; one line where nothing was verified."""
+    if sweep.verification is None or sweep.verification.empty:
+        text = "Not verified: shift3d verify OUT scores every solution again at reference accuracy."
+        return Section("stability", "Stability", [Paragraph(text, "missing")])
+    return Section("stability", "Stability", stability_blocks(sweep.verification, shown=20))
+
+
+def stability_blocks(verification: pd.DataFrame, shown: int | None) -> list[Block]:
+    """The table, the figure and what is unstable. shown: at most so many of these, None: all."""
+    unstable = int((~verification["stable"]).sum())
+    listed: Block = Items(unstable_lines(verification, shown)) if unstable else Paragraph("None.")
+    return [
+        stability_table(verification),
+        Picture(png(stability_figure(verification)), _ALT),
+        Heading(f"{unstable} unstable"),
+        listed,
+        Fold("What the columns mean", [Terms(MEANINGS)]),
+    ]

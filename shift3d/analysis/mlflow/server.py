@@ -1,0 +1,70 @@
+"""MLflow's web server on loopback, in this process: no signal leaves a part of it behind, SIGKILL included."""
+
+from __future__ import annotations
+
+import os
+import socket
+import warnings
+
+from shift3d.analysis.mlflow.auc_view import shared_views
+from shift3d.analysis.mlflow.client import patience
+from shift3d.errors import InputError
+
+__all__ = ["HOST", "open_port", "serve"]
+
+HOST = "127.0.0.1"
+_SHUTDOWN_S = 3  # for requests in flight, after SIGINT or SIGTERM
+
+
+def open_port(port: int) -> socket.socket:
+    """A listening socket on loopback. Who connects before the server is up waits for it.
+
+    Raises:
+        InputError: the port is taken, needs rights or is no port.
+    """
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((HOST, port))
+        listening.listen()
+    except (OSError, OverflowError) as error:
+        listening.close()
+        reason = getattr(error, "strerror", None) or str(error)
+        remedy = "Give another: --port 0 takes any that is free"
+        raise InputError(f"port {port} cannot be opened ({reason})", where=HOST, remedy=remedy) from error
+    return listening
+
+
+def serve(uri: str, listening: socket.socket) -> None:
+    """Serve a store until a signal ends it: one process, without MLflow's eight of background jobs for LLM traces.
+
+    Raises:
+        InputError: the store cannot be opened.
+        KeyboardInterrupt: SIGINT, after requests in flight.
+    """
+    import uvicorn  # before MLflow, which protects its routes against foreign origins where it finds uvicorn loaded
+
+    with patience(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # MLflow's imports say what MLflow should do about its own libraries
+        from mlflow import MlflowClient
+        from mlflow.server import constants
+        from mlflow.server.fastapi_app import app
+        from mlflow.server.handlers import initialize_backend_stores
+
+        artifacts = "mlflow-artifacts:/"
+        os.environ |= {
+            constants.BACKEND_STORE_URI_ENV_VAR: uri,
+            constants.ARTIFACT_ROOT_ENV_VAR: artifacts,
+            constants.SERVE_ARTIFACTS_ENV_VAR: "true",
+            "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
+        }
+        try:
+            initialize_backend_stores(uri, uri, artifacts)
+        except Exception as error:  # whatever the store's driver raises
+            reason = " ".join(str(error).split())[:200]
+            raise InputError(f"the store cannot be opened ({reason})", where=uri, remedy="Give --uri") from error
+        address = f"http://{HOST}:{listening.getsockname()[1]}"
+        for name, path in shared_views(MlflowClient(uri)):
+            print(f"runs of {name} with their AUCs: {address}/{path}", flush=True)
+        config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=_SHUTDOWN_S)
+        uvicorn.Server(config).run(sockets=[listening])

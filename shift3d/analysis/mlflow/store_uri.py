@@ -1,0 +1,48 @@
+"""Whether MLflow can have a store at a URI, found out before the work and without importing MLflow."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from shift3d.errors import InputError
+from shift3d.settings.messages import choice_error
+from shift3d.settings.schema import MlflowConfig, NoTrackingConfig
+from shift3d.store.atomic import check_writable
+
+__all__ = ["check_store", "check_tracking"]
+
+_SCHEMES = (
+    "sqlite", "http", "https", "file", "postgresql", "mysql", "mssql", "databricks", "databricks-uc", "uc",
+)  # fmt: skip
+_PLUGINS = "mlflow.tracking_store"
+
+
+def check_tracking(tracking: MlflowConfig | NoTrackingConfig) -> None:
+    """`check_store` of the store that settings name, where they name one."""
+    if isinstance(tracking, MlflowConfig):
+        check_store(tracking.uri)
+
+
+def check_store(uri: str, where: str = "tracking.uri") -> None:
+    """Refuse a store that MLflow would refuse, and a file or folder that cannot be written. A server may be away.
+
+    Raises:
+        InputError: naming the schemes that there are, or the folder.
+    """
+    if not uri:
+        raise InputError("no store is named", where=where, remedy="Give one, as sqlite:///mlflow.db")
+    parts = urlsplit(uri)
+    scheme = parts.scheme.partition("+")[0]  # mysql+pymysql: the database and its driver
+    if not scheme:
+        check_writable(Path(uri))
+        return
+    plugins = importlib.metadata.entry_points(group=_PLUGINS)
+    known = [*_SCHEMES, *(point.name for point in plugins if point.name not in _SCHEMES)]
+    if scheme not in known:
+        raise choice_error("scheme", scheme, known, f"{where} {uri}")
+    if scheme == "file":
+        check_writable(Path(parts.path))
+    elif scheme == "sqlite" and len(parts.path) > 1:
+        check_writable(Path(parts.path.removeprefix("/")).parent)  # sqlite:///here.db, sqlite:////root/there.db

@@ -1,0 +1,138 @@
+"""One MLflow run a sweep: settings, AUCs, recall curves and final Parquet files, and a run below it for each group."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from shift3d.analysis.mlflow.auc_view import share_view
+from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, rounded, runs_of
+from shift3d.analysis.mlflow.sweep_groups import MOST_GROUPS, Recall, groups, overall
+from shift3d.store.resolve import LocationLike, local_copy
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from mlflow import MlflowClient
+    from mlflow.entities import Run
+
+__all__ = ["SweepRecord", "mirror"]
+
+_FILES = ("spec.yaml", "env.json", "plan.parquet")
+
+
+@dataclass(frozen=True)
+class SweepRecord:
+    """What is mirrored of a sweep.
+
+    sweep, spec_hash: the run's name and what makes it the same run when a sweep is finished again. folder: the output
+    folder; files of ``final/`` become artifacts. settings: nested plain values, logged flat as params. auc, curves:
+    ``final/auc.parquet`` and ``final/curves.parquet`` as frames. counts: further metrics by name (tasks, seconds).
+    """
+
+    sweep: str
+    spec_hash: str
+    folder: LocationLike
+    settings: Mapping[str, Any]
+    auc: pd.DataFrame
+    curves: pd.DataFrame
+    counts: Mapping[str, float]
+
+
+def mirror(record: SweepRecord, uri: str, experiment: str) -> str | None:
+    """Write a sweep's run, or write it again in place. Returns None, or why MLflow could not be written.
+
+    A sweep's results are in its folder: whatever goes wrong here is a warning and never the sweep's failure.
+    """
+    return attempt(lambda: _write(record, uri, experiment))
+
+
+def _write(record: SweepRecord, uri: str, experiment: str) -> None:
+    client = open_client(uri)
+    experiment_id = experiment_of(client, experiment)
+    with local_copy(record.folder, ("final", *_FILES)) as folder:
+        digest = hashlib.blake2b((folder / "final" / "scores.parquet").read_bytes(), digest_size=16).hexdigest()
+        run_id = _run_of(client, experiment_id, record, digest)
+        children = _write_children(client, experiment_id, run_id, record)
+        aucs = _write_parent(client, run_id, record, children)
+        share_view(client, experiment_id, aucs)
+        _write_dataset(client, run_id, record, digest)
+        client.log_artifacts(run_id, str(folder / "final"), "final")
+        for name in _FILES:
+            client.log_artifact(run_id, str(folder / name))
+    client.log_text(run_id, record.auc.to_csv(index=False), "auc.csv")
+    client.set_terminated(run_id, "FINISHED")
+
+
+def _run_of(client: MlflowClient, experiment_id: str, record: SweepRecord, digest: str) -> str:
+    """The sweep's run, by the hash of its spec, or a new one.
+
+    Other scores of the same spec (quarantined tasks have run since) are another run, and replace it: in MLflow a curve
+    that was logged cannot be taken back.
+    """
+    for run in runs_of(client, experiment_id, "shift3d.spec_hash", record.spec_hash):
+        if run.data.tags.get("shift3d.scores", digest) == digest:
+            return str(run.info.run_id)
+        for child in (*_children(client, experiment_id, run.info.run_id).values(), run):
+            client.delete_run(child.info.run_id)
+    tags = {"shift3d.spec_hash": record.spec_hash, "shift3d.sweep": record.sweep, "shift3d.scores": digest}
+    name = f"{record.sweep}-{record.spec_hash}"
+    return str(client.create_run(experiment_id, run_name=name, tags=tags).info.run_id)
+
+
+def _children(client: MlflowClient, experiment_id: str, run_id: str) -> dict[str, Run]:
+    """Runs of a sweep's groups by name."""
+    runs = runs_of(client, experiment_id, "mlflow.parentRunId", run_id, most=5 * MOST_GROUPS)
+    return {run.data.tags.get("shift3d.group", ""): run for run in runs}
+
+
+def _write_children(client: MlflowClient, experiment_id: str, run_id: str, record: SweepRecord) -> str:
+    """One run a group, those that are not there yet or were cut short. Returns how many of the groups have one."""
+    there = _children(client, experiment_id, run_id)
+    shown = groups(record.auc, record.curves)
+    for group in shown:
+        child = there.get(group.name)
+        if child is None:
+            tags = {"mlflow.parentRunId": run_id, "shift3d.group": group.name, "shift3d.sweep": record.sweep}
+            child = client.create_run(experiment_id, run_name=group.name, tags=tags)
+        elif child.info.status == "FINISHED":
+            continue
+        recalls = {} if group.recall is None else {"recall": group.recall}
+        points = [*((name, value, 0) for name, value in group.metrics.items()), *_points(recalls)]
+        # The same time again: a second try after one that was cut short repeats points and adds none.
+        log(client, child.info.run_id, points, child.info.start_time, group.params)
+        client.set_terminated(child.info.run_id, "FINISHED")
+    return f"{len(shown)} of {len(record.auc)}"
+
+
+def _points(recalls: Mapping[str, Recall]) -> list[tuple[str, float, int]]:
+    """Curves over the threshold in percent."""
+    return [(name, value, percent) for name, recall in recalls.items() for percent, value in enumerate(recall)]
+
+
+def _write_parent(client: MlflowClient, run_id: str, record: SweepRecord, children: str) -> list[str]:
+    """AUCs, curves, counts and settings. Returns the names of the AUCs."""
+    run = client.get_run(run_id)
+    aucs, recalls = overall(record.auc, record.curves)
+    known = run.data.metrics
+    values = {**aucs, **record.counts}
+    changed = [(name, value, 0) for name, value in values.items() if known.get(name) != rounded(value)]
+    for name, text in (("shift3d.folder", str(record.folder)), ("shift3d.groups_shown", children)):
+        client.set_tag(run_id, name, text)
+    # What is logged later is the value that MLflow shows, so a count that has changed needs a time of its own.
+    log(client, run_id, changed, int(1e3 * time.time()), {"sweep": record.sweep, **flat(record.settings)})
+    log(client, run_id, _points(recalls), run.info.start_time)
+    return list(aucs)
+
+
+def _write_dataset(client: MlflowClient, run_id: str, record: SweepRecord, digest: str) -> None:
+    """What the numbers were taken over, by the hash of its content: two sweeps with one digest have the same scores."""
+    from mlflow.entities import Dataset, DatasetInput, InputTag
+
+    source = json.dumps({"uri": f"{record.folder}/final/scores.parquet"})
+    rows = json.dumps({"groups": len(record.auc), "scores": int(record.auc["scores"].sum())})
+    dataset = Dataset(f"{record.sweep}-scores", digest, "local", source, profile=rows)
+    client.log_inputs(run_id, [DatasetInput(dataset, [InputTag("mlflow.data.context", "scores")])])

@@ -1,0 +1,121 @@
+"""What MLflow shows of a sweep: one row a group of its AUC table, and recall over the threshold in steps of 1 %."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shift3d.analysis.mlflow.client import metric_name
+from shift3d.analysis.variants import SETTINGS, variants
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["MOST_GROUPS", "Group", "groups", "overall"]
+
+MOST_GROUPS = 200
+"""Groups that get a run of their own: beyond that, MLflow's lists show nothing to anybody."""
+
+_KEY = ("mode", "vehicle", "method")
+_VARIANTS = ("dataset", "lambda", *SETTINGS)
+_NUMBERS = ("auc", "scores", "tasks_scored", "tasks_planned", "mean_adversarial_loss", "mean_latent_distance")
+_PERCENT = np.arange(101) / 100.0
+
+Recall = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Group:
+    """One row of the AUC table.
+
+    name: mode, vehicle, method, and whatever else differs within the sweep. params: all that the group is by name.
+    metrics: its numbers, those that there are. recall: (101,) at score thresholds of 0, 1, ... 100 %, or None.
+    """
+
+    name: str
+    params: Mapping[str, str]
+    metrics: Mapping[str, float]
+    recall: Recall | None
+
+
+def groups(auc: pd.DataFrame, curves: pd.DataFrame) -> list[Group]:
+    """The groups that are shown: at most :data:`MOST_GROUPS`, those of the chosen lambda first, in the table's order.
+
+    Args:
+        auc, curves: ``final/auc.parquet`` and ``final/curves.parquet`` as frames.
+    """
+    recalls = dict(_recalls(curves))
+    several = _several(auc)
+    shown = auc.sort_values("selected", ascending=False, kind="stable").head(MOST_GROUPS)
+    return [
+        Group(
+            name="/".join([*(_text(row[name]) for name in _KEY), *(f"{name}={_text(row[name])}" for name in several)]),
+            params={name: _text(row[name]) for name in (*_KEY, *_VARIANTS, "selected")},
+            metrics={name: float(row[name]) for name in _NUMBERS if row[name] == row[name] and row[name] is not None},
+            recall=recalls.get(_identity(row)),
+        )
+        for row in shown.to_dict("records")
+    ]
+
+
+def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], dict[str, Recall]]:
+    """AUCs by vehicle and their means over vehicles, of the chosen lambda, and the mean recall curves.
+
+    Returns:
+        ``auc/shape/coupe/adversarial`` and ``auc/shape/mean/adversarial`` to a number; ``recall/shape/adversarial``
+        to (101,), the mean over vehicles.
+    """
+    recalls = dict(_recalls(curves))
+    values: dict[str, float] = {}
+    mean_recalls: dict[str, Recall] = {}
+    for variant in variants(auc):
+        for method in variant.methods:
+            tail = "/".join([method, *variant.differing.values()])
+            found = {vehicle: variant.aucs.of(method, vehicle) for vehicle in variant.vehicles}
+            found["mean"] = variant.aucs.mean(method, variant.vehicles)
+            named = {metric_name(f"auc/{variant.mode}/{name}/{tail}"): value for name, value in found.items()}
+            values |= {name: value for name, value in named.items() if value is not None}
+            rows = variant.auc[variant.auc["method"] == method]
+            means = [mean for _, group in rows.groupby("vehicle") if (mean := _mean(group, recalls)) is not None]
+            if means:
+                mean_recalls[metric_name(f"recall/{variant.mode}/{tail}")] = np.mean(means, axis=0)
+    return values, mean_recalls
+
+
+def _mean(group: pd.DataFrame, recalls: Mapping[tuple[str, ...], Recall]) -> Recall | None:
+    """The recall of one vehicle over its data sets, by their number of scores."""
+    found = [(recalls.get(_identity(row)), row["scores"]) for row in group.to_dict("records")]
+    known = [(recall, count) for recall, count in found if recall is not None]
+    if not known:
+        return None
+    mean: Recall = np.average([recall for recall, _ in known], axis=0, weights=[count for _, count in known])
+    return mean
+
+
+def _several(table: pd.DataFrame) -> list[str]:
+    """What else differs between the rows of a table."""
+    return [name for name in _VARIANTS if table[name].nunique(dropna=False) > 1]
+
+
+def _recalls(curves: pd.DataFrame) -> Iterator[tuple[tuple[str, ...], Recall]]:
+    """Each group's step function at whole percents: what holds on [t_i, t_i+1) is that of t_i."""
+    columns = [*_KEY, *_VARIANTS]
+    for key, curve in curves.groupby(columns, sort=False, dropna=False):
+        knots = curve["score_threshold"].to_numpy(dtype=np.float64)
+        at = np.searchsorted(knots, _PERCENT, side="right") - 1
+        yield tuple(_text(part) for part in key), curve["recall"].to_numpy(dtype=np.float64)[np.maximum(at, 0)]
+
+
+def _identity(row: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(_text(row[name]) for name in (*_KEY, *_VARIANTS))
+
+
+def _text(value: Any) -> str:
+    """A cell as text: a missing lambda (pose) is a dash."""
+    if value is None or value != value:
+        return "-"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,64 @@
+"""One MLflow run a training: its recipe as params, its curves as metrics against the step."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, runs_of
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+__all__ = ["TrainingCurves"]
+
+
+class TrainingCurves:
+    """Writes curves to MLflow while a training goes on; call it with points, at every checkpoint.
+
+    A training's checkpoint comes first, so that a resumed training goes on where the curve ends and no step is
+    written twice. What could not be written is kept and tried again with the next points: an MLflow that is away
+    costs a few seconds a checkpoint and never the training.
+
+    Args:
+        uri, experiment: of the store.
+        name: of the run, e.g. "train-sst". key: what makes it the same run when the training is resumed.
+        params: the recipe, nested plain values.
+    """
+
+    def __init__(self, uri: str, experiment: str, name: str, key: str, params: Mapping[str, Any]) -> None:
+        self.uri, self.experiment, self.name, self.key = uri, experiment, name, key
+        self.problem: str | None = None
+        self._params = flat(params)
+        self._pending: list[tuple[int, Mapping[str, float]]] = []
+        self._run_id: str | None = None
+
+    def __call__(self, points: Sequence[tuple[int, Mapping[str, float]]]) -> None:
+        """Write points: (step, values by name). Sets `problem` to why they could not be written, else to None."""
+        self._pending += points
+        self.problem = attempt(self._write)
+
+    def finish(self) -> None:
+        """Write what is left and mark the run as finished."""
+        self(())
+        run_id = self._run_id
+        if self.problem is None and run_id is not None:
+            self.problem = attempt(lambda: open_client(self.uri).set_terminated(run_id, "FINISHED"))
+
+    def _write(self) -> None:
+        client = open_client(self.uri)
+        if self._run_id is None:
+            self._run_id = self._run(client)
+            log(client, self._run_id, (), 0, self._params)
+        points = [(name, value, step) for step, values in self._pending for name, value in values.items()]
+        log(client, self._run_id, points, round(1000 * time.time()))
+        self._pending = []
+
+    def _run(self, client: MlflowClient) -> str:
+        experiment_id = experiment_of(client, self.experiment)
+        for run in runs_of(client, experiment_id, "shift3d.training", self.key, most=1):
+            client.update_run(run.info.run_id, status="RUNNING")
+            return str(run.info.run_id)
+        tags = {"shift3d.training": self.key}
+        return str(client.create_run(experiment_id, run_name=self.name, tags=tags).info.run_id)

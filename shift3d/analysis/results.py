@@ -1,0 +1,100 @@
+"""A finished sweep as tables, figures and pages read it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from shift3d.errors import InputError
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.schemas import SCHEMAS
+from shift3d.sweep.planning.plan import Plan
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Sweep", "read_sweep", "sweep_of"]
+
+_TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
+_LATER = ("trajectories", "bev_transfer", "choices", "shapes")  # tables that folders of older versions do not have
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep's plan and tables.
+
+    environment: what ran it (``env.json``). The others: tables of ``final/``; verification is None where the sweep was
+    not verified; trajectories, bev_transfer, choices and shapes are empty where it has none.
+    """
+
+    plan: Plan
+    environment: Mapping[str, Any]
+    scores: pd.DataFrame
+    solutions: pd.DataFrame
+    auc: pd.DataFrame
+    bev: pd.DataFrame
+    timings: pd.DataFrame
+    attempts: pd.DataFrame
+    trajectories: pd.DataFrame
+    bev_transfer: pd.DataFrame
+    choices: pd.DataFrame
+    shapes: pd.DataFrame
+    verification: pd.DataFrame | None = None
+
+    @property
+    def scored(self) -> pd.DataFrame:
+        """Rows that have a score, with the effects that were asked for (a row for each), and `place`: their scene.
+
+        plausible: whether the task's adversarial shape is; None where that was not measured.
+        """
+        rows = self.scores[self.scores["score"].notna()]
+        rows = rows.assign(effects=self.plan.tasks.effects_requested_of(rows["task_id"])).explode("effects")
+        measured = dict(zip(self.shapes["task_id"], self.shapes["still_a_car"].astype(object)))
+        plausible = rows["task_id"].map(measured).astype(object)
+        place = rows["dataset"] + "/" + rows["scene"]
+        return rows.assign(place=place, plausible=plausible.where(plausible.notna(), None))
+
+    @property
+    def implausible(self) -> set[str]:
+        """Tasks whose adversarial shape is implausible."""
+        return set(self.shapes.loc[self.shapes["still_a_car"].eq(False), "task_id"])
+
+
+def sweep_of(plan: Plan, tables: Mapping[str, pd.DataFrame], environment: Mapping[str, Any]) -> Sweep:
+    """A sweep from the tables of ``final/`` that it has."""
+    later = {name: tables[name] if name in tables else SCHEMAS[name].empty_table().to_pandas() for name in _LATER}
+    own = {name: tables[name] for name in _TABLES}
+    return Sweep(plan, environment, **own, **later, verification=tables.get("verification"))
+
+
+def read_sweep(folder: LocationLike) -> Sweep:
+    """The sweep of an output folder.
+
+    Raises:
+        InputError: naming the folder or file, where it is no sweep's, has not finished, or is damaged.
+    """
+    from shift3d.store.tables import read_table
+    from shift3d.sweep.planning.folder import read_plan
+
+    folder = as_location(folder)
+    plan, final = read_plan(folder), folder / "final"
+    if not (final / "scores.parquet").is_file():
+        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
+    files = {name: final / f"{name}.parquet" for name in (*_TABLES, *_LATER, "verification")}
+    found = {name: file for name, file in files.items() if name in _TABLES or file.is_file()}
+    tables = {name: read_table(file, name).to_pandas() for name, file in found.items()}
+    return sweep_of(plan, tables, _environment(folder / "env.json"))
+
+
+def _environment(path: Location) -> dict[str, Any]:
+    try:
+        values = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        what = f"cannot be read ({type(error).__name__})"
+        raise InputError(what, where=str(path), remedy="Restore it from a copy") from error
+    if not isinstance(values, dict):
+        raise InputError("is not what a sweep wrote", where=str(path), remedy="Restore it from a copy")
+    return values

@@ -1,0 +1,1 @@
+"""Intervals, tests and bands: scenes are what is resampled."""

@@ -1,0 +1,153 @@
+"""Confidence intervals by resampling scenes: objects of one scene are no independent draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from shift3d.seeding import generator
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Interval", "mean_interval", "ratio_interval", "recall_band", "resampled_band", "vehicle_mean_interval"]
+
+FloatArray = NDArray[np.float64]
+_CONFIDENCE = 0.95
+_ENDS = ((1.0 - _CONFIDENCE) / 2.0, (1.0 + _CONFIDENCE) / 2.0)
+_DRAWS, _BAND_DRAWS = 4000, 1000
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean, and where it lies with 95 % confidence; infinite where there is nothing to resample."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def mean_interval(values: ArrayLike, groups: Sequence[object]) -> Interval:
+    """Mean of values (N,) and its bootstrap interval, whole groups (N names) drawn with replacement.
+
+    With a single group the interval is infinite. Where all groups agree it is a point. The same values give the same
+    interval.
+
+    With few groups it is too narrow, as bootstraps are: of normal draws it held the mean in 88 % of the cases with 8
+    groups, 93 % with 20, 94 % with 40, 95 % with 200 (1,000 repetitions each).
+
+    Source: Efron's BCa bootstrap (scipy), clusters resampled (Davison and Hinkley 1997, section 3.8).
+    """
+    from scipy.stats import bootstrap
+
+    numbers = np.asarray(values, dtype=np.float64)
+    names, index = np.unique(np.asarray([str(group) for group in groups]), return_inverse=True)
+    mean = float(numbers.mean())
+    if len(names) < 2:
+        return Interval(mean, -np.inf, np.inf)
+    sums, counts = np.bincount(index, numbers), np.bincount(index).astype(np.float64)
+    if np.ptp(sums / counts) <= 1e-12 * max(1.0, abs(mean)):
+        return Interval(mean, mean, mean)
+    found = bootstrap(
+        (sums, counts),
+        lambda s, c, axis: s.sum(axis=axis) / c.sum(axis=axis),
+        paired=True,
+        vectorized=True,
+        n_resamples=_DRAWS,
+        confidence_level=_CONFIDENCE,
+        method="BCa",
+        rng=generator("bootstrap", len(numbers), len(names)),
+    ).confidence_interval
+    return Interval(mean, float(found.low), float(found.high))
+
+
+def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
+    """Mean over vehicles of their mean scores, scenes with all their vehicles drawn together.
+
+    rows: columns score, vehicle, place. Scores are weighted so that their mean is the mean of the vehicles' means,
+    whatever number of scores each has.
+    """
+    share = rows.groupby("vehicle")["score"].transform("size")
+    weighted = rows["score"] * (len(rows) / (rows["vehicle"].nunique() * share))
+    return mean_interval(weighted, list(rows["place"]))
+
+
+def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame) -> Interval | None:
+    """Mean over vehicles of the AUCs of some rows over that of others, and its percentile bootstrap.
+
+    rows, reference: columns score, vehicle, place. Places are redrawn whole, with both their parts, so that what makes
+    a scene hard is in both. None where a part is empty or the reference is 0; infinite with a single place.
+    Source: Davison and Hinkley 1997, section 3.8 (clusters).
+    """
+    if rows.empty or reference.empty:
+        return None
+    places, vehicles = (sorted({*rows[name], *reference[name]}) for name in ("place", "vehicle"))
+    above, below = (_sums(part, places, vehicles) for part in (rows, reference))
+    one = np.ones((1, len(places)))
+    whole = _vehicle_mean(one, *below)[0]
+    if not whole > 0:
+        return None
+    ratio = float(_vehicle_mean(one, *above)[0] / whole)
+    if len(places) < 2:
+        return Interval(ratio, -np.inf, np.inf)
+    drawn = _redrawn(len(places), _DRAWS, "ratio of areas", len(rows), len(reference))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = _vehicle_mean(drawn, *above) / _vehicle_mean(drawn, *below)
+    low, high = np.quantile(found[np.isfinite(found)], _ENDS)  # a draw without any row of one part has no ratio
+    return Interval(ratio, min(float(low), ratio), max(float(high), ratio))
+
+
+def _redrawn(places: int, draws: int, *seed: str | int) -> FloatArray:
+    """How often each place is drawn (D, P), with replacement."""
+    rng = generator(*seed, places)
+    return rng.multinomial(places, np.full(places, 1.0 / places), size=draws).astype(np.float64)
+
+
+def _sums(rows: pd.DataFrame, places: list[str], vehicles: list[str]) -> tuple[FloatArray, FloatArray]:
+    """Sums and numbers of scores (P, V) by place and vehicle."""
+    at = np.searchsorted(places, rows["place"]), np.searchsorted(vehicles, rows["vehicle"])
+    sums, counts = (np.zeros((len(places), len(vehicles))) for _ in range(2))
+    np.add.at(sums, at, rows["score"].to_numpy(dtype=np.float64))
+    np.add.at(counts, at, 1.0)
+    return sums, counts
+
+
+def _vehicle_mean(drawn: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
+    """Mean over vehicles of their mean scores (D,) when each place counts as often as drawn (D, P) tells."""
+    numbers = drawn @ counts
+    means = np.divide(drawn @ sums, numbers, out=np.zeros_like(numbers), where=numbers > 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(means.sum(axis=1) / (numbers > 0).sum(axis=1))
+
+
+def recall_band(
+    scores: ArrayLike, places: Sequence[str], thresholds: FloatArray
+) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
+    """recall(t) = P(score > t) at thresholds (T,), and its `resampled_band`. scores: (N,) in [0, 1], of N places."""
+    values = np.asarray(scores, dtype=np.float64)
+    return resampled_band((values[:, None] > thresholds).astype(np.float64), places, "recall band")
+
+
+def resampled_band(
+    values: FloatArray, places: Sequence[str], name: str
+) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
+    """Mean over the rows of values (N, T), and its pointwise percentile bootstrap, whole places (N names) redrawn.
+
+    name: of the random draws: the same values give the same band. Returns mean, low and high (T,); low and high are
+    None where there is but one place. Source: Davison and Hinkley 1997, section 3.8 (clusters).
+    """
+    _, index = np.unique(np.asarray(places), return_inverse=True)
+    counts = np.bincount(index).astype(np.float64)
+    sums = np.zeros((len(counts), values.shape[1]))
+    np.add.at(sums, index, values)
+    mean = sums.sum(axis=0) / counts.sum()
+    if len(counts) < 2:
+        return mean, None, None
+    drawn = _redrawn(len(counts), _BAND_DRAWS, name, len(values))
+    low, high = np.quantile((drawn @ sums) / (drawn @ counts)[:, None], _ENDS, axis=0)
+    # A skewed bootstrap may leave out its own estimate; a band that does not hold its curve would mislead.
+    return mean, np.minimum(low, mean), np.maximum(high, mean)

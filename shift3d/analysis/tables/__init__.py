@@ -1,0 +1,1 @@
+"""Results as tables of text: what a command prints and a page shows."""

@@ -1,0 +1,82 @@
+"""What a sweep's accuracy cost, and what other presets would cost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from shift3d.analysis.tables.accuracy_time import settings_table
+from shift3d.analysis.tables.table import Table
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["MEASURED", "accuracy_cost", "measured_presets", "preset_table"]
+
+MEASURED = Path(__file__).resolve().parent.parent / "measured" / "presets.json"
+"""The presets' rows of a measured frontier: `docs/scripts/shipped.py` writes them from its folder."""
+_ERRORS = ("missed_hits", "false_hits", "wrong_surface")
+_HEADERS = ("time", "x paper", "missed", "wrong", "false", "p99", "max", "cosine", "step", "AUC")
+
+
+def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
+    """The presets' rows on streets of this installation's frontier, or of the one that ships; and whose they are.
+
+    folder: where a frontier was written, default outputs/frontier of the working directory.
+    Raises: InputError for a frontier file that is there and cannot be read.
+    """
+    import pandas as pd
+
+    from shift3d.store.frontier_table import FRONTIER_SCHEMA, read_frontier
+
+    file = (folder or Path("outputs") / "frontier") / "frontier.parquet"
+    if file.is_file():
+        rows, whose = read_frontier(file).to_pandas(), "this machine's frontier"
+    else:
+        rows = pd.read_json(MEASURED).reindex(columns=FRONTIER_SCHEMA.names)
+        whose = "the frontier that ships (another machine; make frontier measures this one)"
+    rows = rows[rows["preset"].notna() & (rows["scenes"] == "street")]
+    return rows.drop_duplicates("preset").set_index("preset"), whose
+
+
+def preset_table(folder: Path | None = None) -> Table:
+    """What each preset costs and gets wrong, see `measured_presets`."""
+    presets, whose = measured_presets(folder)
+    return settings_table(presets.reset_index(), f"What other presets would cost, by {whose}", "preset", _HEADERS)
+
+
+def accuracy_cost(scores: pd.DataFrame, timings: pd.DataFrame) -> list[str]:
+    """A line an accuracy preset: what the audits found, and where the time went. scores, timings: of ``final/``."""
+    by_preset = scores.groupby("accuracy", sort=True)
+    return [
+        f"{name}: {_audited(rows)} {_spent(timings[timings['task_id'].isin(rows['task_id'])])}"
+        for name, rows in by_preset
+    ]
+
+
+def _audited(rows: pd.DataFrame) -> str:
+    """What the audits found, each object counted once."""
+    rows = rows[rows["audited_beams"].notna()].drop_duplicates(["task_id", "method", "replicate"])
+    if not len(rows):
+        return "no beam was audited."
+    beams, hits = int(rows["audited_beams"].sum()), int(rows["audited_hits"].sum())
+    missed, false, wrong = (int(rows[name].sum()) for name in _ERRORS)
+    depth = 1e3 * float(rows["depth_error_max_m"].max())
+    return (
+        f"{counted(beams, 'beam')} of {counted(len(rows), 'object')} rendered again at reference accuracy: "
+        f"of {hits} true hits {missed} missed, {wrong} on another surface, {false} false; "
+        f"depth error at most {depth:.2g} mm."
+    )
+
+
+def _spent(timings: pd.DataFrame) -> str:
+    """Time that rendering and auditing took of a task's."""
+    stages = timings.groupby("stage")["milliseconds"].sum()
+    tasks, total = timings["task_id"].nunique(), float(stages.get("total", 0.0))
+    if not tasks or not total:
+        return "No times."
+    shares = [
+        f"{name} {stages[name] / total:.0%}" for name in ("render", "detector", "backward", "audit") if name in stages
+    ]
+    return f"A task took {total / tasks / 1e3:.1f} s: {', '.join(shares)}."

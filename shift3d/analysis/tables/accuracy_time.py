@@ -1,0 +1,122 @@
+"""Measured settings as tables: each one's time and errors, and what the columns mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from shift3d.accuracy_time.pareto import MISPLACED_M, effective_error_m
+from shift3d.analysis.tables.numbers import factor, length, milliseconds, share
+from shift3d.analysis.tables.table import Table
+
+__all__ = ["RULE", "frontier_lines", "meanings", "settings_table", "settings_tables"]
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of the tables: of which column of the frame, as what, and what it means."""
+
+    header: str
+    source: str
+    cell: Callable[[Any], str]
+    meaning: str
+    printed: bool = True  # on the terminal too, which has less room than the page
+
+
+_COLUMNS = (
+    _Column(
+        "conditions", "conditions", str, "cold or warm, with an SDF grid of the shape, ready for a gradient", False
+    ),
+    _Column("time", "ms_median", milliseconds, "of one rendering, median"),
+    _Column("from", "ms_low", milliseconds, "lower quartile of the time", False),
+    _Column("to", "ms_high", milliseconds, "upper quartile of the time", False),
+    _Column("x paper", "ratio_to_paper", factor, "times as fast as paper as published"),
+    _Column("x chord", "ratio_to_paper_chord", factor, "times as fast as paper, sphere chord only"),
+    _Column("evals", "evaluations_per_beam", factor, "decoder evaluations a beam through the object's ball"),
+    _Column("missed", "missed_hits", share, "hits that were not found"),
+    _Column("2 cm", "missed_hits_2cm", share, "the same, of the hits whose chord is at least 2 cm"),
+    _Column("wrong", "wrong_surface", share, "hits on a surface that is not the first"),
+    _Column("false", "false_hits", share, "hits where there is none"),
+    _Column("p50", "depth_p50_m", length, "depth error of hits on the right surface, median"),
+    _Column("p99", "depth_p99_m", length, "the same, 99th percentile"),
+    _Column("max", "depth_max_m", length, "the same, maximum"),
+    _Column("|g|", "residual_max_m", length, "largest distance of the field at a hit", False),
+    _Column("error", "error_m", length, f"all in one, see below; a beam misplaced counts {MISPLACED_M:g} m"),
+    _Column("cosine", "gradient_cosine", "{:.6f}".format, "of the loss's gradient with that of reference"),
+    _Column("norm", "gradient_norm_ratio", "{:.4f}".format, "length of that gradient over that of reference", False),
+    _Column("score", "score_delta", "{:.1e}".format, "mean change of the final score, without sign", False),
+    _Column("AUC", "auc_delta", "{:+.1e}".format, "change of the AUC"),
+    _Column("attack", "attack_score", "{:.4f}".format, "mean score that short attacks on shape and pose reach"),
+    _Column("detector", "detector_ms_median", milliseconds, "forward and backward, median", False),
+    _Column("step", "step_ms_median", milliseconds, "a whole attack step, median"),
+    _Column("step x", "step_ratio_to_paper", factor, "times as fast as the published step"),
+    _Column("open", "unresolved_beams", "{:,}".format, "beams that could not be decided", False),
+    _Column("front", "pareto", lambda flag: "*" if flag else "", "no setting that could be used instead is better"),
+)
+RULE = (
+    "A setting is dominated, and grey, where another one on the same scenes takes no more time, has no larger error, "
+    "and is better in one of the two. A setting that needs a previous rendering (warm) or an SDF grid dominates only "
+    "such as have it, too, and what is ready for a gradient is dominated only by what is ready for the same. "
+    f"The error is a bound on the mean error of a beam's depth: half of the median, 0.49 of the 99th percentile, 0.01 "
+    f"of the maximum, and {MISPLACED_M:g} m for every beam that missed, hit a wrong surface, or hit nothing that is "
+    "there. On the diagrams an error of zero has its place left of the dashed line."
+)
+
+
+def frontier_lines(frame: pd.DataFrame) -> str:
+    """The printed tables, without the columns that a terminal has no room for. frame: the frontier's table."""
+    printed = [column.header for column in _COLUMNS if column.printed]
+    return "\n\n".join(str(table) for _, table in settings_tables(frame, printed))
+
+
+def settings_tables(frame: pd.DataFrame, headers: Collection[str] = ()) -> list[tuple[str, Table]]:
+    """Each scene set and its table, the fastest setting first. headers: of the columns that are wanted, default all.
+
+    Columns for which nothing was measured are left out.
+    """
+    columns = [column for column in _columns(frame) if not headers or column.header in headers]
+    found = []
+    for scenes in dict.fromkeys(frame["scenes"]):
+        rows = frame[frame["scenes"] == scenes].sort_values("ms_median", kind="stable")
+        renders, beams = rows["renders"].max(), rows["beams"].max()
+        title = f"What accuracy costs on the {scenes} scenes ({renders:,} renderings, {beams:,} beams; * on the front)"
+        found.append((str(scenes), settings_table(rows, title, str(scenes), [column.header for column in columns])))
+    return found
+
+
+def settings_table(rows: pd.DataFrame, title: str, first: str, headers: Collection[str]) -> Table:
+    """Rows as they come. first: the head of their names. headers: of the columns."""
+    rows, columns = _completed(rows), [column for column in _COLUMNS if column.header in headers]
+    lines = [[str(row["setting"]), *_cells(row, columns)] for row in rows.iloc]
+    kinds = [" ".join(["dominated"] * (not row["pareto"]) + ["ours"] * pd.notna(row["preset"])) for row in rows.iloc]
+    return Table(title, [first, *(column.header for column in columns)], lines, kinds)
+
+
+def meanings(frame: pd.DataFrame) -> dict[str, str]:
+    """What the columns mean for which something was measured."""
+    return {column.header: column.meaning for column in _columns(frame)}
+
+
+def _columns(frame: pd.DataFrame) -> list[_Column]:
+    frame = _completed(frame)
+    return [column for column in _COLUMNS if frame[column.source].notna().any()]
+
+
+def _completed(frame: pd.DataFrame) -> pd.DataFrame:
+    conditions = pd.Series([_conditions(row) for row in frame.iloc], index=frame.index, dtype=object)
+    return frame.assign(error_m=effective_error_m(frame), conditions=conditions)
+
+
+def _conditions(row: pd.Series) -> str | None:
+    """ "warm, grid, pose gradient"; None where they were not recorded, as in a frontier of version 1."""
+    if pd.isna(row["start"]):
+        return None
+    grid = ["grid"] if row["grid"] else []
+    return ", ".join([row["start"], *grid, *([] if row["gradient"] == "no" else [f"{row['gradient']} gradient"])])
+
+
+def _cells(row: pd.Series, columns: list[_Column]) -> list[str]:
+    return ["-" if pd.isna(row[column.source]) else column.cell(row[column.source]) for column in columns]

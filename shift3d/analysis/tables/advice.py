@@ -1,0 +1,229 @@
+"""A frontier in words: what each preset costs, what its neighbours would, and what never pays."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shift3d.accuracy_time.pareto import MISPLACED_M, dominators_of, effective_error_m, knee, misplaced, warm_starts
+from shift3d.analysis.tables.numbers import factor, length, milliseconds, share
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["advice"]
+
+_LADDER = ("draft", "standard", "reference")  # from the fastest to the most accurate; `paper` is what they replace
+_DEFAULT = "standard"
+
+
+def advice(frame: pd.DataFrame) -> str:
+    """One paragraph a scene set, generated from the numbers; the same frame gives the same text.
+
+    It says what the presets cost and get wrong, what the default gains over the published algorithm, what the next
+    preset up or down would cost, where the knee of the front is, and which settings are dominated by which.
+
+    Args:
+        frame: the frontier's table.
+    """
+    paragraphs = []
+    for scenes in dict.fromkeys(frame["scenes"]):
+        rows = frame[frame["scenes"] == scenes].reset_index(drop=True)
+        rows["error_m"], rows["misplaced"] = effective_error_m(rows), misplaced(rows)
+        rows["warm"] = warm_starts(rows["setting"])
+        presets = {row["preset"]: row for _, row in rows[rows["preset"].notna()].iterrows()}
+        sentences = [
+            _costs(rows, str(scenes), presets),
+            _against_paper(presets),
+            _accuracy(presets),
+            *_steps(presets),
+            _warm(rows, presets),
+            _loop(presets),
+            _attacks(rows),
+            _knee(rows),
+            *_dominated(rows),
+        ]
+        paragraphs.append(" ".join(sentence for sentence in sentences if sentence))
+    return "\n\n".join(paragraphs)
+
+
+def _costs(rows: pd.DataFrame, scenes: str, presets: dict[str, Any]) -> str:
+    first = f"On the {scenes} scenes ({rows['renders'].max():,} renderings, {rows['hits'].max():,} hits)"
+    if not presets:
+        fastest = rows.loc[rows["ms_median"].idxmin()]
+        return f"{first} no preset was measured; the fastest setting, {_timed(fastest)}."
+    ordered = sorted(presets.values(), key=lambda row: float(row["ms_median"]))
+    costs = [f"{row['preset']} takes {milliseconds(row['ms_median'])}" for row in ordered[:1]]
+    costs += [f"{row['preset']} {milliseconds(row['ms_median'])}" for row in ordered[1:]]
+    behind = [str(row["preset"]) for row in ordered if not row["pareto"] and row["preset"] != "paper"]
+    on_front = f" {_and(behind)} {_is(behind)} not on the front." if behind else ""
+    return f"{first} {_and(costs)} a rendering.{on_front}"
+
+
+def _against_paper(presets: dict[str, Any]) -> str:
+    if not {_DEFAULT, "paper"} <= presets.keys():
+        return ""
+    ours, paper = presets[_DEFAULT], presets["paper"]
+    ratio = float(ours["ratio_to_paper"])
+    clipped = ours.get("ratio_to_paper_chord")
+    chord = "" if clipped is None or np.isnan(clipped) else f" ({factor(clipped)} times on the sphere's chord alone)"
+    return (
+        f"The default, {_DEFAULT}, is {factor(ratio)} times as fast as paper as published{chord}, and misses or "
+        f"misplaces {_share(ours['misplaced'])} of the hits where paper does {_share(paper['misplaced'])}."
+    )
+
+
+def _accuracy(presets: dict[str, Any]) -> str:
+    if _DEFAULT not in presets:
+        return ""
+    row = presets[_DEFAULT]
+    chords = f"of the chords of 2 cm or more it misses {_share(row['missed_hits_2cm'])}"
+    text = f"Its depths are within {length(row['depth_p50_m'])} for half of the hits, {length(row['depth_p99_m'])} for "
+    text += f"99 % and {length(row['depth_max_m'])} for all; {chords}"
+    if not np.isnan(row["gradient_cosine"]):
+        text += f"; the cosine of its gradient with reference's is {row['gradient_cosine']:.6g}"
+    if not np.isnan(row["auc_delta"]):
+        text += f", and the AUC moves by {row['auc_delta']:+.2g}"
+    text += (
+        f". All failures in one number, with {length(MISPLACED_M)} for a beam that is misplaced, its error is at most "
+    )
+    return f"{text}{length(row['error_m'])} a beam."
+
+
+def _steps(presets: dict[str, Any]) -> list[str]:
+    """One preset down and up from the default."""
+    if _DEFAULT not in presets:
+        return []
+    here, sentences = presets[_DEFAULT], []
+    for name in (name for name in _LADDER if name in presets and name != _DEFAULT):
+        other = presets[name]
+        down = _LADDER.index(name) < _LADDER.index(_DEFAULT)
+        ratio = float(other["ms_median"] / here["ms_median"])
+        takes = f"takes {factor(ratio)} times the time" if ratio > 1 else f"saves {share(1 - ratio)} of the time"
+        error = f"an error of {length(other['error_m'])} instead of {length(here['error_m'])}"
+        if other["misplaced"] or here["misplaced"]:
+            error += f" and {_share(other['misplaced'])} of the hits misplaced instead of {_share(here['misplaced'])}"
+        sentences.append(f"One preset {'down' if down else 'up'}, {name}, {takes}, for {error}.")
+    return sentences
+
+
+def _warm(rows: pd.DataFrame, presets: dict[str, Any]) -> str:
+    """What starting from the previous rendering saves, for the default preset."""
+    found = rows[rows["setting"] == f"{_DEFAULT}, warm"]
+    if found.empty or _DEFAULT not in presets:
+        return ""
+    plain = rows[rows["setting"] == f"{_DEFAULT}, shape gradient"]
+    warm, cold, how = found.iloc[0], presets[_DEFAULT], "cold"
+    if len(plain):  # an SDF grid is of one shape: one that changes has none
+        cold, how = plain.iloc[0], "cold under the same conditions, without an SDF grid and with the gradient"
+    text = f"Warm, that is from the previous rendering on as in the attack loop, {_DEFAULT} takes "
+    text += f"{milliseconds(warm['ms_median'])}: {factor(cold['ms_median'] / warm['ms_median'])} times as fast as {how}"
+    if not np.isnan(warm["ratio_to_paper"]):
+        text += f" and {factor(warm['ratio_to_paper'])} times as fast as paper as published"
+    return text + "."
+
+
+def _loop(presets: dict[str, Any]) -> str:
+    row = presets.get(_DEFAULT)
+    if row is None or np.isnan(row["step_ms_median"]):
+        return ""
+    text = f"A whole attack step in {_DEFAULT} takes {milliseconds(row['step_ms_median'])}"
+    if not np.isnan(row["step_ratio_to_paper"]):
+        text += f", {factor(row['step_ratio_to_paper'])} times as fast as the published way"
+    return text + "."
+
+
+def _attacks(rows: pd.DataFrame) -> str:
+    """What attacks reach with each minimum |n.d|."""
+    made = rows[rows["attack_score"].notna()]
+    if made.empty:
+        return ""
+    parts = [f"{row['attack_score']:.3f} with {row['setting']}" for row in made.iloc]
+    return f"Short attacks reach a mean score of {_and(parts)}."
+
+
+def _knee(rows: pd.DataFrame) -> str:
+    # Of settings that render the same one is enough, a preset if there is one.
+    front = rows[rows["pareto"] & ~rows["warm"]].sort_values("preset", kind="stable", na_position="last")
+    front = (
+        front.drop_duplicates(["ms_median", "error_m"]).sort_values("ms_median", kind="stable").reset_index(drop=True)
+    )
+    at = knee(front["ms_median"], front["error_m"])
+    if at is None:
+        return ""
+    row = front.iloc[at]
+    text = f"The front has its knee at {row['setting']} ({_priced(row)})"
+    if at > 0:
+        faster = front.iloc[at - 1]
+        text += f": the next faster setting on it, {faster['setting']}, saves "
+        text += f"{share(1 - faster['ms_median'] / row['ms_median'])} of the time for "
+        text += f"{factor(faster['error_m'] / row['error_m'])} times the error"
+    if at + 1 < len(front):
+        better = front.iloc[at + 1]
+        text += f"{',' if at > 0 else ':'} and the next more accurate, {better['setting']}, takes "
+        text += f"{factor(better['ms_median'] / row['ms_median'])} times the time for an error of "
+        text += f"{length(better['error_m'])}"
+    return text + "."
+
+
+def _dominated(rows: pd.DataFrame) -> list[str]:
+    """Who is dominated by whom, under the dominator that has most below it first."""
+    by = dominators_of(rows)
+    losers = np.flatnonzero(by >= 0)
+    if not len(losers):
+        return ["No setting is dominated."]
+    winners, counts = np.unique(by[losers], return_counts=True)
+    parts = [
+        f"by {rows['setting'].iloc[winner]}: {', '.join(_runs(rows, by, int(winner)))}"
+        for winner in winners[np.argsort(-counts, kind="stable")]
+    ]
+    text = "Dominated are, with the time they take against that of the fastest setting that is at least as accurate, "
+    sentences = [text + "; ".join(parts) + "."]
+    low, high, names = rows["ms_low"].to_numpy(), rows["ms_high"].to_numpy(), rows["setting"].to_numpy()
+    close = [str(names[row]) for row in losers if high[by[row]] >= low[row]]
+    if close:
+        sentences.append(f"For {_and(close)} the quartiles of the two times overlap, so that may as well be a tie.")
+    return sentences
+
+
+def _runs(rows: pd.DataFrame, by: npt.NDArray[np.int64], winner: int) -> list[str]:
+    """What one setting dominates; three and more neighbours of one method as "first to last"."""
+    ratio = rows["ms_median"].to_numpy() / rows["ms_median"].iloc[winner]
+    names, parts = rows["setting"].to_numpy(), []
+    # Neighbours: of one method, in the order of its knob; methods in the table's order.
+    methods = list(dict.fromkeys(rows["method"]))
+    order = np.lexsort((rows["knob"].to_numpy(dtype=np.float64), rows["method"].map(methods.index).to_numpy()))
+    keys = [(rows["method"].iloc[row], by[row] == winner) for row in order]
+    for (_, loses), group in itertools.groupby(zip(order, keys), key=lambda pair: pair[1]):
+        run = [int(row) for row, _ in group]
+        if loses and len(run) > 2 and rows["knob"].iloc[run].notna().all():
+            spread = sorted(ratio[run])
+            parts.append(f"{names[run[0]]} to {names[run[-1]]} ({factor(spread[0])} to {factor(spread[-1])} times)")
+        elif loses:
+            parts += [f"{names[row]} ({factor(ratio[row])} times)" for row in run]
+    return parts
+
+
+def _timed(row: Any) -> str:
+    return f"{row['setting']}, takes {milliseconds(row['ms_median'])} a rendering"
+
+
+def _priced(row: Any) -> str:
+    return f"{milliseconds(row['ms_median'])}, error {length(row['error_m'])}"
+
+
+def _share(fraction: float) -> str:
+    return share(fraction) if fraction else "none"
+
+
+def _and(words: Iterable[str]) -> str:
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _is(words: list[str]) -> str:
+    return "is" if len(words) == 1 else "are"

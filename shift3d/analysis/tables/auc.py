@@ -1,0 +1,118 @@
+"""The table of AUCs: rows are methods, columns vehicles and their mean, as in the paper."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from shift3d.analysis.statistics.intervals import ratio_interval, vehicle_mean_interval
+from shift3d.analysis.tables.paper import paper_table
+from shift3d.analysis.tables.table import Cell, Table, number
+from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores
+from shift3d.methods import METHODS
+from shift3d.vehicles.outline import CAR_RULE
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["auc_table", "plausible_rows", "plausible_sentence", "ratio_texts"]
+
+
+def auc_table(variant: Variant, in_full: bool = False) -> Table:
+    """AUC by method and vehicle; below them those over the tasks whose shape is plausible, and the chosen lambdas.
+
+    in_full: with 95 % intervals and numbers of scenes as notes, and the paper's rows beside; it takes a second or two.
+    """
+    vehicles = variant.vehicles
+    paper = paper_table(variant.mode, variant.detector, variant.scored_by) if in_full else None
+    if paper and not any(paper.aucs.of(method, vehicle) for method in METHODS for vehicle in vehicles):
+        paper = None
+    lines: list[Sequence[Cell]] = []
+    kinds: list[str] = []
+    for method in METHODS:
+        if method in variant.methods:
+            lines.append(_line(METHODS[method], variant.aucs, method, vehicles, variant.rows if in_full else None))
+            kinds.append("ours" if method == "adversarial" else "")
+        if paper and method in paper.aucs.by_method:
+            lines.append(_line(f"{METHODS[method]}, paper", paper.aucs, method, vehicles))
+            kinds.append("paper")
+    plausible = plausible_rows(variant)
+    for method in ("baseline", "adversarial") if len(plausible) else ():
+        some = aucs_of_scores(plausible)
+        label = f"{METHODS[method]}, plausible shapes"
+        lines.append(_line(label, some, method, vehicles, plausible if in_full else None))
+        kinds.append("")
+    if chosen := variant.lambdas:
+        lines.append(["lambda", *(f"{chosen[name]:g}" if name in chosen else "-" for name in vehicles), "", ""])
+        kinds.append("")
+    title = f"AUC, {variant.label}"
+    if in_full:
+        title += "" if "scored_by" in variant.differing else f", scored by {variant.scored_by}"
+        title += f"; paper: {paper.name}, {variant.detector}, 500 scenes a vehicle" if paper else ""
+    names = [name.replace("_", " ") for name in vehicles] if in_full else _short(vehicles)
+    return Table(title, ["method" if in_full else "", *names, "mean", "of baseline"], lines, kinds)
+
+
+def _line(label: str, aucs: Aucs, method: str, vehicles: list[str], rows: pd.DataFrame | None = None) -> Sequence[Cell]:
+    """A method's line. rows: the scores behind it and behind the baseline's, where intervals are wanted."""
+    values = [number(aucs.of(method, vehicle)) for vehicle in vehicles]
+    mean, ratio = number(aucs.mean(method, vehicles)), number(aucs.of_baseline(method, vehicles), 2)
+    if rows is None:
+        return [label, *values, mean, ratio]
+    own, baseline = rows[rows["method"] == method], rows[rows["method"] == "baseline"]
+    each = [_noted(value, own[own["vehicle"] == vehicle]) for value, vehicle in zip(values, vehicles)]
+    between = ratio_texts(own, baseline)[1]
+    return [label, *each, _noted(mean, own), (ratio, between) if between else ratio]
+
+
+def _noted(value: str, rows: pd.DataFrame) -> Cell:
+    """An AUC with its interval and its number of scenes. rows: of one vehicle, or of all for the mean."""
+    if rows.empty:
+        return value
+    interval = vehicle_mean_interval(rows)
+    known = math.isfinite(interval.low)
+    between = f"[{interval.low:.3f}, {interval.high:.3f}]" if known else "no interval"
+    return value, between, counted(rows["place"].nunique(), "scene")
+
+
+def ratio_texts(rows: pd.DataFrame, baseline: pd.DataFrame) -> tuple[str, str]:
+    """The ratio of two mean AUCs and its interval, the latter nothing where it is a point or infinite."""
+    found = ratio_interval(rows, baseline)
+    if found is None:
+        return "-", ""
+    between = f"[{found.low:.2f}, {found.high:.2f}]" if 0 < found.high - found.low < math.inf else ""
+    return f"{found.mean:.2f}", between
+
+
+def plausible_rows(variant: Variant) -> pd.DataFrame:
+    """Rows of the tasks whose adversarial shape is plausible; none where that was not measured."""
+    if "plausible" not in variant.rows:
+        return variant.rows.iloc[:0]
+    return variant.rows[variant.rows["plausible"].eq(True)]
+
+
+def plausible_sentence(variant: Variant) -> str | None:
+    """How many adversarial shapes are plausible, by vehicle; None where it was not measured."""
+    if variant.mode != "shape" or "plausible" not in variant.rows or not variant.rows["plausible"].notna().any():
+        return None
+    tasks = variant.rows[variant.rows["plausible"].notna()].drop_duplicates("task_id")
+    plausible = tasks[tasks["plausible"].eq(True)]
+    each = [
+        f"{name.replace('_', ' ')} {plausible['vehicle'].eq(name).sum()} of {count}"
+        for name in variant.vehicles
+        if (count := tasks["vehicle"].eq(name).sum())
+    ]
+    of = f"{len(plausible)} of {len(tasks)} adversarial shapes ({', '.join(each)})"
+    return f"Plausible, {CAR_RULE}: {of}."
+
+
+def _short(names: list[str], longest: int = 16) -> list[str]:
+    """Names that are too long for a column cut to beginnings that still tell them apart."""
+    if max(map(len, names)) <= longest:
+        return names
+    length = longest
+    while len({name[:length] for name in names}) < len(set(names)):
+        length += 1
+    return [name if len(name) <= length else f"{name[:length]}~" for name in names]

@@ -1,0 +1,65 @@
+"""Which hyper-parameters the paper's rules choose on a sweep's scores, with candidates and reasons."""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from shift3d.analysis.tables.table import Table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["MEASURES", "choice_tables", "papers_choice", "reasons"]
+
+MEASURES = {"alpha": "AUC of what was found", "lambda": "mean adversarial loss"}
+_PAPER = Path(__file__).resolve().parents[1] / "measured" / "paper_choices.json"
+"""Copied from the paper's text: supplement, Hyper-Parameters."""
+_OF = ("mode", "vehicle", "alpha", "detector", "accuracy", "effects")
+
+
+@functools.cache
+def _paper() -> dict[str, dict[str, float]]:
+    found: dict[str, dict[str, float]] = json.loads(_PAPER.read_text(encoding="utf-8"))["chosen"]
+    return found
+
+
+def papers_choice(parameter: str, of: str) -> float | None:
+    """What the paper chose for a mode (alpha) or a vehicle (lambda); None where it says nothing."""
+    return _paper()[parameter].get(of)
+
+
+def choice_tables(choices: pd.DataFrame) -> list[Table]:
+    """A table a parameter: a line for each mode (alpha) or vehicle (lambda), and for each further setting that differs.
+
+    choices: the table of ``final/``.
+    """
+    several = [name for name in ("detector", "accuracy", "effects", "alpha") if choices[name].nunique() > 1]
+    tables = []
+    for parameter, rows in choices.groupby("parameter", sort=False):
+        candidates = sorted(set(rows["candidate"]))
+        lines = []
+        for values, group in rows.groupby(list(_OF), sort=False, dropna=False):
+            named = dict(zip(_OF, values))
+            of = str(named["mode"] if parameter == "alpha" else named["vehicle"])
+            settings = [f"{name} {_short(named[name])}" for name in several if named[name] == named[name]]
+            found = dict(zip(group["candidate"], group["found"]))
+            paper = papers_choice(str(parameter), of)
+            each = [f"{found[value]:.3f}" if value in found else "-" for value in candidates]
+            chosen = f"{group.loc[group['chosen'], 'candidate'].iloc[0]:g}"
+            name = ", ".join([of.replace("_", " "), *settings])
+            lines.append([name, *each, chosen, "-" if paper is None else f"{paper:g}"])
+        header = ["", *(f"{parameter} {value:g}" for value in candidates), "chosen", "paper"]
+        tables.append(Table(f"Choice of {parameter}, by {MEASURES[str(parameter)]}", header, lines))
+    return tables
+
+
+def _short(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def reasons(choices: pd.DataFrame) -> list[str]:
+    """Why each choice was made, a sentence each."""
+    return list(dict.fromkeys(choices["why"]))

@@ -1,0 +1,57 @@
+"""What ran: tasks with and without a score, and where the time went."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from shift3d.analysis.tables.table import Table
+from shift3d.methods import METHODS
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["coverage_lines", "rows_by_status", "stage_times"]
+
+
+def coverage_lines(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int, shown: int = 5) -> list[str]:
+    """How many tasks have a score, and, of the others, what each came to. shown: quarantined tasks that are named."""
+    scored = scores.loc[scores["score"].notna(), "task_id"]
+    lines = [f"{scored.nunique()} of {counted(planned, 'task')} scored"]
+    without = scores[~scores["task_id"].isin(scored)]
+    for status, count in without.groupby("status", sort=True)["task_id"].nunique().items():
+        lines.append(f"  {count} without a score: {status}")
+    quarantined = attempts[attempts["quarantined"] & ~attempts["task_id"].isin(scores["task_id"])]
+    quarantined = quarantined.drop_duplicates("task_id", keep="last")  # one that was retried has several
+    if len(quarantined):
+        lines.append(f"  {len(quarantined)} quarantined (tracebacks in final/attempts.parquet):")
+        lines += [f"    {row.task_id}  {row.error}"[:160] for row in quarantined.head(shown).itertuples()]
+        if len(quarantined) > shown:
+            lines.append(f"    and {len(quarantined) - shown} more")
+    return lines
+
+
+def rows_by_status(scores: pd.DataFrame) -> Table:
+    """Rows by method and status, and the share of them whose object may stand where it does."""
+    lines = []
+    for (method, status), rows in scores.groupby(["method", "status"], sort=False):
+        checked = rows[["overlap_ok", "contact_ok"]].dropna()
+        held = f"{checked.astype(bool).all(axis=1).mean():.0%}" if len(checked) else "-"
+        lines.append([METHODS.get(method, method), str(status).replace("_", " "), str(len(rows)), held])
+    return Table("Rows by method and status", ["method", "status", "rows", "constraints held"], lines)
+
+
+def stage_times(timings: pd.DataFrame, scores: pd.DataFrame) -> Table:
+    """Mean milliseconds and calls a task by mode and stage, and the share of the task's total; one thread each."""
+    modes = scores.drop_duplicates("task_id").set_index("task_id")["mode"]
+    timings = timings.assign(mode=timings["task_id"].map(modes))
+    tasks = timings.groupby("mode")["task_id"].nunique()
+    sums = timings.groupby(["mode", "stage"], sort=False)[["milliseconds", "calls"]].sum()
+    lines = []
+    for mode, count in tasks.items():
+        stages = sums.loc[mode].sort_values("milliseconds", ascending=False) / count
+        total = stages["milliseconds"].get("total", stages["milliseconds"].sum())
+        for stage in stages.itertuples():
+            share = f"{stage.milliseconds / total:.0%}"
+            lines.append([str(mode), str(stage.Index), f"{stage.milliseconds:.0f}", share, f"{stage.calls:.3g}"])
+    return Table("Time a task", ["mode", "stage", "ms", "share", "calls"], lines)

@@ -1,0 +1,32 @@
+"""What a sweep prints at its end."""
+
+from __future__ import annotations
+
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.accuracy_cost import accuracy_cost, preset_table
+from shift3d.analysis.tables.auc import auc_table
+from shift3d.analysis.tables.choices import choice_tables, reasons
+from shift3d.analysis.tables.coverage import coverage_lines, stage_times
+from shift3d.analysis.tables.numerics import diagnostics
+from shift3d.analysis.tables.shapes import plausible_table
+from shift3d.analysis.variants import variants
+
+__all__ = ["sweep_report"]
+
+
+def sweep_report(sweep: Sweep) -> str:
+    """AUCs, plausible shapes, chosen hyper-parameters, what ran, how long it took, and how accurate it was."""
+    plausible = plausible_table(sweep.scores, sweep.shapes)
+    tables = [auc_table(variant) for variant in variants(sweep.auc, sweep.scored)]
+    parts = [*tables, *([plausible] if plausible else []), *choice_tables(sweep.choices)]
+    return "\n\n".join(
+        [
+            *map(str, parts),
+            *(["\n".join(reasons(sweep.choices))] if len(sweep.choices) else []),
+            "\n".join(coverage_lines(sweep.scores, sweep.attempts, len(sweep.plan.tasks))),
+            str(stage_times(sweep.timings, sweep.scores)) if len(sweep.timings) else "no timings",
+            "\n".join(["What accuracy cost", *accuracy_cost(sweep.scores, sweep.timings)]),
+            str(preset_table()),
+            diagnostics(sweep.scores),
+        ]
+    )

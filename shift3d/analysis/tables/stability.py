@@ -1,0 +1,64 @@
+"""Whether the solutions are stable and robust, by method: what a command prints and a page shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from shift3d.analysis.tables.table import Table
+from shift3d.methods import METHODS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["MEANINGS", "stability_lines", "stability_table", "unstable_lines"]
+
+MEANINGS = {
+    "verified": "solutions that were scored again",
+    "unstable": "of these, score or margin to the baseline more than 0.02 from that at reference accuracy (float64)",
+    "stable": "share of the others",
+    "|score - ref|": "largest difference of a score from that at reference accuracy",
+    "again": "scored again at the sweep's accuracy, the share that came out the same bit for bit",
+    "robust": "share that keeps at least half of its margin under noise of 2 cm along the beams on the object, and a "
+    "little off its pose (1 cm, 0.1 degrees), in every draw; the baseline gets the same draws",
+}
+_GROUP = ["method", "mode", "lambda", "scored_by"]
+
+
+def stability_lines(verification: pd.DataFrame) -> str:
+    """The printed table, and what was unstable and why. verification: the table of ``final/``."""
+    parts = [str(stability_table(verification))]
+    if unstable := unstable_lines(verification, shown=10):
+        count = int((~verification["stable"]).sum())
+        parts.append("\n".join([f"{count} unstable", *(f"  {line}" for line in unstable)]))
+    return "\n\n".join(parts)
+
+
+def stability_table(verification: pd.DataFrame) -> Table:
+    """Solutions scored again, by method, mode, lambda and the detector that scored them."""
+    lines = []
+    for (method, mode, weight, scored_by), rows in verification.groupby(_GROUP, sort=False, dropna=False):
+        unstable = int((~rows["stable"]).sum())
+        difference = (rows["score"] - rows["score_reference"]).abs().max()
+        again = (rows["score"] == rows["score_again"]).mean()
+        shares = f"{1 - unstable / len(rows):.1%}", f"{difference:.1e}", f"{again:.0%}", f"{rows['robust'].mean():.0%}"
+        group = [METHODS.get(method, method), mode, "-" if math.isnan(weight) else f"{weight:g}", scored_by]
+        lines.append([*group, str(len(rows)), str(unstable), *shares])
+    header = ["method", "mode", "lambda", "scored by", *MEANINGS]
+    return Table("Scored again at reference accuracy", header, lines)
+
+
+def unstable_lines(verification: pd.DataFrame, shown: int | None = None) -> list[str]:
+    """What is unstable and why, a line a solution. shown: at most so many, and how many more there are."""
+    unstable = verification[~verification["stable"]]
+    lines = [_unstable(row) for row in unstable.head(len(unstable) if shown is None else shown).to_dict("records")]
+    left = len(unstable) - len(lines)
+    return [*lines, f"and {left} more in verification.parquet"] if left else lines
+
+
+def _unstable(row: Mapping[str, Any]) -> str:
+    return (
+        f"{row['task_id']}  {row['vehicle']} {row['scene']} {row['method']} {row['replicate']}: {row['score']:.3f}, "
+        f"reference {row['score_reference']:.3f}; {row['cause']}"
+    )

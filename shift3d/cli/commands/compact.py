@@ -1,0 +1,55 @@
+"""``shift3d compact``: a sweep's many small files as few."""
+
+from __future__ import annotations
+
+import argparse
+
+from shift3d.cli.command import Command
+from shift3d.cli.commands.gc import sweeps_in
+from shift3d.cli.completion import folder_words
+from shift3d.wording import counted
+
+__all__ = ["COMMAND"]
+
+_DESCRIPTION = """\
+Merges the commit log of a sweep into one entry and its segments into one file a table, so that they are read fast.
+Results, final tables and the resuming of the sweep stay as they are. A driver that runs is stopped by it at its next
+commit; the sweep's command resumes it. Killed at any moment it leaves a folder that can be read: run it again."""
+
+_EPILOG = """\
+examples:
+  shift3d compact outputs/default-1a2b3c4d5e6f7a8b --dry-run
+  shift3d compact outputs/default-1a2b3c4d5e6f7a8b
+  shift3d compact s3://bucket/runs/kitti"""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    parser.add_argument("--dry-run", action="store_true", help="say what would be merged, and merge nothing")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.store.housekeeping import compact
+    from shift3d.store.log import read_log
+
+    for folder in sweeps_in(arguments.out):
+        if arguments.dry_run:
+            entries = read_log(folder)
+            segments = [name for entry in entries for name, _ in entry.segments]
+            to = f"1 entry and {counted(len(set(segments)), 'segment')}"
+            print(f"{folder}: {_files(len(entries), len(segments))} would become {to}")
+            continue
+        done = compact(folder)
+        print(
+            f"{folder}: {_files(done.entries, done.segments)} became 1 entry and "
+            f"{counted(len(done.entry.segments), 'segment')}; {counted(done.removed, 'file')} removed"
+        )
+    return 0
+
+
+def _files(entries: int, segments: int) -> str:
+    return f"{counted(entries, 'log entry', 'log entries')} and {counted(segments, 'segment')}"
+
+
+COMMAND = Command("compact", "merge a sweep's files into few", _DESCRIPTION, _EPILOG, _add_arguments, _run)

@@ -1,0 +1,104 @@
+"""``shift3d effects``: the measured impact of each effect, from a sweep that ran with and without it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
+from shift3d.errors import InputError
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from shift3d.store.location import Location
+
+__all__ = ["COMMAND"]
+
+_DESCRIPTION = """\
+How far does an effect move scores, and what does it cost? From the tables of a sweep that ran the same tasks
+without effects and with one of them at a time (make sweep SWEEP=effects). Prints the table, writes
+OUT/final/effects.html, and, with --adopt, what effects=auto goes by: an effect whose change of the score lies
+below the bound with 95 % confidence is left out from then on, and the plan says so."""
+
+_EPILOG = """\
+examples:
+  make sweep SWEEP=effects
+  shift3d effects outputs/effects-1a2b3c4d5e6f7a8b
+  shift3d effects outputs/effects-1a2b3c4d5e6f7a8b --times outputs/bench.json --adopt"""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    parser.add_argument(
+        "--times", metavar="FILE", type=Path, help='milliseconds from outputs/bench.json (make bench ARGS="-k effects")'
+    )
+    parser.add_argument("--picture", metavar="FILE", type=Path, help="draw change against milliseconds into a file")
+    parser.add_argument("--adopt", action="store_true", help="let effects=auto go by these numbers")
+
+
+def _tables(folder: Location) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Scores and timings of a finished sweep."""
+    from shift3d.store.tables import read_table
+
+    scores, timings = (
+        read_table(folder / "final" / f"{name}.parquet", name).to_pandas() for name in ("scores", "timings")
+    )
+    return scores, timings
+
+
+def _measured(path: Path) -> dict[str, float]:
+    """Effect to milliseconds, of a benchmark's results.
+
+    Raises:
+        InputError: a file that holds none.
+    """
+    import json
+
+    remedy = 'Make it: make bench ARGS="-k effects"'
+    try:
+        rows = json.loads(path.expanduser().read_text(encoding="utf-8"))
+        measured = {name: float(row["value"]) for name, row in rows.items() if name.startswith("effect_")}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"cannot be read ({error})", where=str(path), remedy=remedy) from error
+    if not measured:
+        raise InputError("holds no times of effects", where=str(path), remedy=remedy)
+    return {name.removeprefix("effect_").removesuffix("_ms"): value for name, value in measured.items()}
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.figures.effects import effects_figure
+    from shift3d.analysis.html.pages import write_effects_page
+    from shift3d.analysis.tables.effects import (
+        LEAST_SCENES,
+        effect_impacts,
+        effect_milliseconds,
+        effect_table,
+        write_impact,
+    )
+    from shift3d.effects.applicability import MEASURED_IMPACT
+    from shift3d.store.resolve import as_location
+    from shift3d.sweep.planning.folder import read_plan
+
+    folder = as_location(arguments.out)
+    sweep = read_plan(folder).sweep
+    scores, timings = _tables(folder)
+    milliseconds = _measured(arguments.times) if arguments.times else effect_milliseconds(scores, timings)
+    impacts = effect_impacts(scores, milliseconds)
+    print(f"{effect_table(impacts)}\n")
+    print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, impacts)} written")
+    if arguments.picture:
+        effects_figure(impacts).savefig(arguments.picture, dpi=110, metadata={"Software": None})
+    if arguments.adopt:
+        if (fewest := min(impact.scenes for impact in impacts)) < LEAST_SCENES:
+            what = f"{counted(fewest, 'scene')} behind an effect: intervals are too narrow below {LEAST_SCENES}"
+            raise InputError(what, str(folder), f"Run the sweep with scenes.count={LEAST_SCENES} or more")
+        print(f"{write_impact(MEASURED_IMPACT, sweep, impacts)} written: effects=auto goes by it")
+    return 0
+
+
+COMMAND = Command("effects", "the measured impact of each effect", _DESCRIPTION, _EPILOG, _add_arguments, _run)

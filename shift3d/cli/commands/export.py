@@ -1,0 +1,104 @@
+"""``shift3d export``: a solution of a finished sweep as files that other tools read."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from shift3d.cli.command import Command, key_values, writable_folder
+from shift3d.cli.completion import folder_words, key_words
+from shift3d.errors import InputError
+from shift3d.methods import METHODS
+
+if TYPE_CHECKING:
+    from shift3d.store.location import Location
+
+__all__ = ["COMMAND"]
+
+_KEYS = ("task", "method", "replicate", "to", "overwrite")
+_VALUES = {"method": tuple(METHODS), "overwrite": ("true",)}
+
+_DESCRIPTION = """\
+Writes the edited scene of a solution as KITTI scene.bin (same point order as the scene) and scene.ply, which beams
+meet the vehicle as hit_mask.npy, the vehicle as object.ply (metres, sensor frame) and object.glb (its own frame, y
+up), boxes as box.json and boxes.json, and all of it as a KITTI folder, kitti/training/ (velodyne, calib, label_2)."""
+
+_EPILOG = """\
+example:
+  shift3d export outputs/default-1a2b3c4d5e6f7a8b task=0f3a method=adversarial to=hard_case
+
+task= is a task's id or its beginning; method= is baseline, random, adversarial or adversarial_noise
+(replicate= picks one of several, default 0). Both are in final/scores.parquet. A folder that has such files is
+refused without overwrite=true. The KITTI folder is read by
+scenes=kitti scenes.root=DIR/kitti, ground height included; its calibration is that of a camera in the LiDAR's place."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    text = "task=ID method=M to=DIR [replicate=N] [overwrite=true]"
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    values = key_values(arguments.words, _KEYS, ("task", "method", "to"), "export")
+    replicate = values.get("replicate", "0")
+    if not replicate.isdigit():
+        raise InputError(f"replicate={replicate!r} is not a number", where="export", remedy="Give replicate=0")
+    overwrite = values.get("overwrite", "false")
+    if overwrite not in ("true", "false"):
+        raise InputError(f"overwrite={overwrite!r} is neither true nor false", "export", "Give overwrite=true")
+    from shift3d.store.resolve import as_location
+    from shift3d.sweep.planning.folder import read_plan
+
+    out = as_location(arguments.out)
+    plan = read_plan(out)
+    task = _one_task(plan.tasks, values["task"], out)
+    row = _solution(out, task.spec.task_id, values["method"], int(replicate))
+    from shift3d.task.export import check_no_export, export_solution
+    from shift3d.task.run import load_assets
+
+    target = writable_folder(values["to"])
+    if overwrite == "false":
+        check_no_export(target)
+    export_solution(task.spec, row, load_assets(plan.assets[task.assets]), target)
+    print(f"{task.spec.vehicle} in {task.spec.scene}, {values['method']}: {target}")
+    return 0
+
+
+def _one_task(tasks: Any, prefix: str, out: Location) -> Any:
+    found = tasks.starting_with(prefix)
+    if len(found) != 1:
+        what = f"{len(found)} tasks have an id that begins with {prefix!r}"
+        raise InputError(what, where=str(out), remedy="The ids are in final/scores.parquet")
+    return found[0]
+
+
+def _solution(out: Location, task_id: str, method: str, replicate: int) -> dict[str, Any]:
+    """The solution's row: latent_code, the six columns of its pose, and its keys."""
+    import pyarrow.compute as pc
+
+    from shift3d.settings.messages import choice_error
+    from shift3d.store.tables import read_table
+
+    path = out / "final" / "solutions.parquet"
+    if not path.is_file():
+        raise InputError("the sweep is not finished", where=str(out), remedy="Run its command again: it resumes")
+    table = read_table(path, "solutions")
+    rows = table.filter(pc.equal(table["task_id"], task_id)).to_pylist()
+    if not rows:
+        raise InputError(
+            f"task {task_id} has no solution", where=str(path), remedy="See status in final/scores.parquet"
+        )
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    if method not in methods:
+        raise choice_error("method", method, methods, str(path))
+    for row in rows:
+        if (row["method"], row["replicate"]) == (method, replicate):
+            return dict(row)
+    count = sum(row["method"] == method for row in rows)
+    raise InputError(f"{method} has no replicate {replicate}", where=str(path), remedy=f"There are {count}, from 0")
+
+
+COMMAND = Command("export", "write a solution's scene, mesh and box", _DESCRIPTION, _EPILOG, _add_arguments, _run)

@@ -1,0 +1,255 @@
+"""``shift3d frontier``: what accuracy costs in time."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from shift3d.cli.command import Command, writable_folder
+from shift3d.cli.completion import overrides
+from shift3d.cli.words import take_folders
+from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    from shift3d.accuracy_time.drive import FrontierPlan, SceneGroup
+    from shift3d.accuracy_time.settings import Setting
+    from shift3d.settings.accuracy_time import FrontierSweep
+
+__all__ = ["COMMAND", "frontier_words", "groups_of", "plan_of"]
+
+_NAME = "accuracy_time"
+_WINDOW_M = 12.0  # of the truth's detector: wider than any setting's but the whole scene's
+_KITTI_FRAMES = 30
+_QUICK_REPEATS = 3
+
+_DESCRIPTION = """\
+Measures every setting of sweeps/accuracy_time.yaml on the same beams in one run: hits missed and misplaced, depth
+errors, gradient and final score against the preset `reference`, and milliseconds beside them. Writes
+frontier.parquet, report.html, frontier.png and advice.txt to outputs/frontier/ or out=DIR, prints table and advice.
+
+The published way takes up to two minutes a rendering, the whole at most 15 minutes on two quiet cores.
+The same command again resumes: what is measured, by this code on this machine, is not measured again. One thread, and
+times are of this process: leave the machine to it."""
+
+_EPILOG = """\
+examples:
+  shift3d frontier                                    everything, on procedural streets
+  shift3d frontier kitti=PATH                         on real frames as well (twice the time); PATH holds training/
+  shift3d frontier scenes=kitti scenes.root=PATH out=runs/frontier-kitti
+  shift3d frontier --quick                            three minutes: one far vehicle, eleven settings, once each
+  shift3d frontier --only 'standard|draft'            these settings alone; no ratio to paper without paper
+  shift3d frontier 'frontier.cases=[{vehicle:suv,range_m:20}]' frontier.repeats=15 --again
+
+  duckdb -c "select setting, ms_median, ratio_to_paper, missed_hits from 'outputs/frontier/frontier.parquet'\""""
+
+
+def frontier_words(prefix: str, **_: Any) -> list[str]:
+    """Completions of a word after ``shift3d frontier``."""
+    return [word for word in ("kitti=",) if word.startswith(prefix)] + overrides(prefix)
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    words = parser.add_argument(
+        "words", nargs="*", metavar="key=value", help="overrides, kitti=PATH, and out=DIR for the folder to write to"
+    )
+    words.completer = frontier_words  # type: ignore[attr-defined]
+    parser.add_argument("--only", metavar="REGEX", help="only settings whose name it is found in")
+    parser.add_argument("--quick", action="store_true", help="a few settings on one case (frontier.quick)")
+    parser.add_argument("--again", action="store_true", help="forget what was measured here, but for the truth")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.processor import configure_runtime
+
+    configure_runtime()
+    import torch
+
+    from shift3d.analysis.mlflow.store_uri import check_tracking
+
+    torch.set_num_threads(1)
+    words = [re.sub(r"^kitti=", "frontier.kitti=", word) for word in arguments.words]
+    out, words = take_folders("out", words)
+    config = _config(words)
+    check_tracking(config.tracking)
+    plan, left_out = plan_of(config, arguments.only, arguments.quick)
+    # A part of the frontier must not take the place of the whole one.
+    part = "-part" if arguments.only else "-quick" if arguments.quick else ""
+    folder = writable_folder(str(out[-1]) if out else f"outputs/frontier{part}")
+    for name in left_out:
+        print(f"left out: {name} (this processor has no instructions for bfloat16)")
+    try:
+        _measure(config, plan, folder, arguments.again)
+    except KeyboardInterrupt:
+        print("interrupted: the same command resumes", file=sys.stderr)
+        return int(ExitCode.INTERRUPTED)
+    if not part:
+        _mirror(config, folder)
+    return 0
+
+
+def _config(words: list[str]) -> FrontierSweep:
+    from shift3d.settings.accuracy_time import validate_frontier
+    from shift3d.settings.compose import compose_sweep
+
+    composed = compose_sweep(_NAME, words)
+    if composed.axes:
+        what = f"{composed.axes[0].key} has several values"
+        raise InputError(what, f"sweep {_NAME}", "Give it one; what is compared are frontier.settings")
+    return validate_frontier(composed.base, f"sweep {_NAME}")
+
+
+def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[FrontierPlan, list[str]]:
+    """What is measured, and the names of settings that this processor is no match for.
+
+    Raises:
+        InputError: a pattern that is none, or that no setting's name matches.
+    """
+    from shift3d.accuracy_time.drive import FrontierPlan
+    from shift3d.accuracy_time.run import Repeats
+    from shift3d.processor import has_fast_bfloat16
+    from shift3d.settings.accuracy_time import expand_settings
+
+    section = config.frontier
+    written = expand_settings(section)
+    chosen = [pair for pair in written if _matches(only, pair[0].name) and (not quick or pair[0].name in section.quick)]
+    left_out = [setting.name for setting, _ in chosen if setting.bfloat16 and not has_fast_bfloat16()]
+    settings = tuple(_setting(*pair) for pair in chosen if pair[0].name not in left_out)
+    if not settings:
+        raise InputError(f"no setting is called like {only!r}", "--only", "See sweeps/accuracy_time.yaml")
+    cases, repeats, steps = section.cases, section.repeats, section.descent_steps
+    if quick:
+        cases = sorted(cases, key=lambda case: -case.range_m)[: section.quick_cases]
+        settings = tuple(replace(setting, displaced=False, steps=1, attack_steps=0) for setting in settings)
+        repeats, steps = min(repeats, _QUICK_REPEATS), 0
+    plan = FrontierPlan(
+        settings=settings,
+        cases=tuple((case.vehicle, case.range_m) for case in cases),
+        reference=_preset("reference", _WINDOW_M),
+        search=_preset("standard", _WINDOW_M),
+        repeats=Repeats(repeats, section.seconds, section.slow_s),
+        descent_steps=steps,
+        warm_steps=section.warm_steps,
+        within_m=section.within_m,
+    )
+    return plan, left_out
+
+
+def _matches(pattern: str | None, name: str) -> bool:
+    try:
+        return pattern is None or re.search(pattern, name) is not None
+    except re.error as error:
+        raise InputError(f"{pattern!r} is no regular expression ({error})", "--only", "Quote it") from error
+
+
+def _setting(setting: Any, accuracy: Any) -> Setting:
+    """From the schema's setting to the plain one."""
+    from shift3d.accuracy_time.settings import Setting
+    from shift3d.settings.catalogue import accuracy_settings
+
+    knob_name, values = next(iter(setting.over.items()), (None, [None]))
+    return Setting(
+        name=setting.name,
+        method=setting.method,
+        accuracy=accuracy_settings(accuracy),
+        knob=values[0],
+        knob_name=knob_name,
+        preset=setting.preset if setting.name == setting.preset else None,
+        crop_m=setting.crop_m,
+        warm=setting.warm,
+        gradient=setting.gradient,
+        grid=setting.grid,
+        follow=setting.follow,
+        displaced=setting.displaced,
+        steps=setting.steps,
+        attack_steps=setting.attack_steps,
+    )
+
+
+def _preset(name: Any, crop_m: float) -> Setting:
+    from shift3d.accuracy_time.settings import Setting
+    from shift3d.settings.catalogue import accuracy_settings
+    from shift3d.settings.schema import AccuracyConfig
+
+    return Setting(name, "presets", accuracy_settings(AccuracyConfig(name=name, render={})), crop_m=crop_m)
+
+
+def groups_of(config: FrontierSweep) -> list[SceneGroup]:
+    """The sweep's scenes, and KITTI's where they are asked for. Raises InputError for a folder without frames."""
+    from shift3d.accuracy_time.drive import SceneGroup
+    from shift3d.settings.catalogue import scene_set
+    from shift3d.settings.schema import KittiConfig
+    from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
+
+    scenes = [config.scenes]
+    if config.frontier.kitti is not None:
+        scenes.append(KittiConfig(kind="kitti", root=config.frontier.kitti, count=_KITTI_FRAMES, names=None))
+    attack, section, groups = config.attack, config.frontier, []
+    for chosen in scenes:
+        centre, half_width = scene_set(chosen).placement_sector_rad
+        placement = attack.placement.model_dump() | {"min_object_points": section.min_object_points}
+        spec = TaskSpec(
+            vehicle="",
+            scene="",
+            dataset="",
+            mode="shape",
+            lambda_=float(attack.lambda_),
+            alpha=float(attack.alpha),
+            detector=config.detector.name,
+            accuracy="reference",
+            base_seed=config.seed,
+            attack=AttackSpec(**attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})),
+            placement=PlacementSpec(**placement, sector_centre_rad=centre, sector_half_width_rad=half_width),
+        )
+        assets = AssetsSpec(
+            scenes=chosen.model_dump(mode="json"),
+            vehicles=config.vehicle.model_dump(mode="json", exclude={"name"}),
+            detectors={config.detector.name: config.detector.weights},
+        )
+        groups.append(SceneGroup(chosen.kind, assets, spec))
+    return groups
+
+
+def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: bool) -> None:
+    """Measure, write the table and its report, print them."""
+    from shift3d.accuracy_time.drive import expected_minutes, measure_frontier
+    from shift3d.accuracy_time.rows import frontier_rows
+    from shift3d.accuracy_time.timing import machine
+    from shift3d.analysis.html.pages import write_frontier_report
+    from shift3d.cli.progress import SecondsBar
+    from shift3d.store.frontier_table import frontier_table
+    from shift3d.store.tables import write_table
+
+    groups = groups_of(config)
+    cases = len(plan.cases) * len(groups)
+    minutes = expected_minutes(plan, len(groups))
+    print(f"{len(plan.settings)} settings on {cases} cases, about {minutes} min on a quiet core without bfloat16")
+    print(f"writing to {folder}", flush=True)
+    with SecondsBar(plan.expected_seconds(len(groups))) as bar:
+        measured = measure_frontier(groups, plan, folder, again, bar.tell)
+    if undecided := sum(case.undecided for case in measured):
+        print(f"warning: the reference could not decide {undecided} beams: what they hit is not known", file=sys.stderr)
+    rows = frontier_rows(plan.settings, measured)
+    write_table(folder / "frontier.parquet", frontier_table(rows, machine()))
+    print(f"\n{write_frontier_report(folder)}\n\n{folder / 'report.html'}, frontier.parquet, frontier.png, advice.txt")
+
+
+def _mirror(config: FrontierSweep, folder: Path) -> None:
+    from shift3d.settings.schema import MlflowConfig
+
+    if not isinstance(config.tracking, MlflowConfig):
+        return
+    from shift3d.analysis.mlflow.accuracy_time import mirror_frontier
+
+    uri = config.tracking.uri
+    if problem := mirror_frontier(folder, uri, config.tracking.experiment):
+        print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
+    else:
+        print(f"in MLflow, {uri}: shift3d ui")
+
+
+COMMAND = Command("frontier", "measure what accuracy costs in time", _DESCRIPTION, _EPILOG, _add_arguments, _run)

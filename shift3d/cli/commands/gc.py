@@ -1,0 +1,74 @@
+"""``shift3d gc``: remove what no reader of a sweep's folder looks at."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from shift3d.store.location import Location
+
+__all__ = ["COMMAND", "sweeps_in"]
+
+_DESCRIPTION = """\
+Removes from a sweep's folder (or s3://, gs://) what killed drivers left: segments that the commit log does not name,
+log entries that a compaction replaced, and temporary files. Safe while the sweep runs: files of the driver that may be
+running are never touched. Files that shift3d did not write stay, and are named."""
+
+_EPILOG = """\
+examples:
+  shift3d gc outputs/default-1a2b3c4d5e6f7a8b --dry-run    what would be removed
+  shift3d gc outputs/default-1a2b3c4d5e6f7a8b
+  shift3d gc s3://bucket/runs/kitti"""
+_SHOWN = 20
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    parser.add_argument("--dry-run", action="store_true", help="say what would be removed, and remove nothing")
+
+
+def sweeps_in(out: str) -> list[Location]:
+    """A sweep's folder, and its verification's, which is a sweep itself.
+
+    Raises:
+        InputError: it is no sweep's folder.
+    """
+    from shift3d.store.resolve import as_location
+    from shift3d.sweep.planning.spec_file import read_spec
+    from shift3d.sweep.results.verified_scores import FOLDER
+
+    folder = as_location(out)
+    read_spec(folder)
+    verification = folder / FOLDER
+    return [folder, verification] if (verification / "spec.yaml").is_file() else [folder]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.store.housekeeping import collect, find_garbage
+
+    for folder in sweeps_in(arguments.out):
+        garbage = find_garbage(folder)
+        action = "would be removed" if arguments.dry_run else "removed"
+        print(
+            f"{folder}: {counted(len(garbage.segments), 'segment')} that no log entry names, "
+            f"{counted(len(garbage.replaced), 'log entry', 'log entries')} that a compaction replaced, "
+            f"{counted(len(garbage.temporary), 'temporary file')} {action}"
+        )
+        for file in garbage.files[:_SHOWN]:
+            print(f"  {file}")
+        if len(garbage.files) > _SHOWN:
+            print(f"  and {len(garbage.files) - _SHOWN} more")
+        for name in garbage.unknown[:_SHOWN]:
+            print(f"  left alone, not written by shift3d: {folder / 'data' / name}")
+        if not arguments.dry_run:
+            collect(garbage)
+    return 0
+
+
+COMMAND = Command("gc", "remove what killed drivers left", _DESCRIPTION, _EPILOG, _add_arguments, _run)

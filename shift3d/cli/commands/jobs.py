@@ -1,0 +1,61 @@
+"""``shift3d jobs``: the launch specs that there are, and their text."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from shift3d.cli.command import Command
+from shift3d.errors import InputError
+from shift3d.settings.folders import files, looked_in, shown
+
+__all__ = ["COMMAND"]
+
+_DESCRIPTION = """\
+Lists the launch specs: how a sweep is started on this machine, a Ray cluster, Kubernetes, Slurm or AWS. NAME prints one
+of them; its first lines say how it is used. Those of a folder jobs/ where the command runs come first."""
+
+_EPILOG = """\
+examples:
+  shift3d jobs                              what there is, and where it lies
+  shift3d jobs kuberay > kuberay.yaml       a copy to fill in
+  shift3d jobs slurm > slurm.sbatch && sbatch --nodes=4 slurm.sbatch default out=/shared/FOLDER tracking=none
+  shift3d sweep default job=ray_cluster     local, ray_cluster and ray_job are taken by their names"""
+
+
+def _names(prefix: str = "", **_: Any) -> list[str]:
+    """Names of the specs, as tab completion asks for them."""
+    return [name for name in files("jobs", "*") if name.startswith(prefix)]
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    name = parser.add_argument("name", nargs="?", metavar="NAME", help="print this one")
+    name.completer = _names  # type: ignore[attr-defined]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    found = files("jobs", "*")
+    if arguments.name is None:
+        print("\n".join(f"{name:<14} {_summary(path)}\n{'':<14} {shown(path)}" for name, path in found.items()))
+        return 0
+    path = found.get(Path(arguments.name).stem)
+    if path is None:
+        from shift3d.settings.messages import choice_error
+
+        raise choice_error("job", arguments.name, found, "jobs", looked_in("jobs"))
+    try:
+        print(path.read_text(), end="")
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read ({error})", where=shown(path), remedy="Restore it, or remove it") from error
+    return 0
+
+
+def _summary(path: Path) -> str:
+    """The first sentence of a spec's comment, in which it says what it is."""
+    lines = path.read_text(errors="replace").splitlines()
+    comment = next((line for line in lines if line.startswith("# ")), "")
+    return comment.removeprefix("# ").split(". ")[0]
+
+
+COMMAND = Command("jobs", "list the launch specs, or print one", _DESCRIPTION, _EPILOG, _add_arguments, _run)

@@ -1,0 +1,102 @@
+"""``shift3d plan``: what a sweep would run."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from shift3d.cli import words
+from shift3d.cli.command import Command
+
+if TYPE_CHECKING:
+    from shift3d.store.location import Location
+    from shift3d.sweep.planning.kind import TaskKind
+    from shift3d.sweep.planning.plan import Plan
+
+__all__ = ["COMMAND", "add_tasks", "show"]
+
+
+_DESCRIPTION = """\
+Says how many tasks a sweep has; which effects their scenes call for, with what each costs; how long it would take;
+and, with --tasks, every task in order with its id. Runs nothing. The same as: shift3d sweep plan.
+
+The time a task takes is that of the sweep's own folder as far as it has run, or of timings=OUT; else the figures that
+ship. What the folder has done already, or that of reuse=OUT, is not counted.
+
+Ids and the name of the folder depend on what the scenes hold. Where many streets would have to be made for them alone,
+the plan leaves them out; --tasks, reuse= and the sweep itself make the streets, and remember what they found."""
+
+_EPILOG = """\
+examples:
+  shift3d plan default vehicle=suv scenes.count=2 --tasks
+  shift3d plan default scenes.count=500 timings=outputs/default-1a2b3c4d runner.workers=64"""
+
+
+def add_tasks(parser: argparse.ArgumentParser, help_text: str) -> None:
+    """The option that lists tasks."""
+    parser.add_argument("--tasks", action="store_true", help=help_text)
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    words.add_words(parser)
+    add_tasks(parser, "list every task, with its id")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.sweep.planning.kind import shift3d_kind
+
+    return show(arguments.words, shift3d_kind(), arguments.tasks)
+
+
+def show(given: Sequence[str], kind: TaskKind, tasks: bool = False) -> int:
+    """Print what a sweep of a kind of task would run. given: the words of the command. tasks: list each of them.
+
+    Raises:
+        InputError: the sweep itself would be refused.
+    """
+    from shift3d.analysis.forecast.expected import expected_lines
+    from shift3d.analysis.mlflow.store_uri import check_tracking
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.settings.schema import LocalRunnerConfig
+    from shift3d.sweep.planning.folder import check_folder, default_folder
+    from shift3d.sweep.planning.plan import make_plan
+    from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
+
+    timings, rest = words.take_folders("timings", given)
+    asked = words.read_words(rest)
+    if asked.out:
+        asked.out.check_writable()
+    begun = asked.out is not None and (asked.out / "spec.yaml").is_file()
+    catalogue = kind.catalogue if tasks or begun or asked.reuse else kind.preview or kind.catalogue
+    plan, config = make_plan(compose_sweep(asked.name, asked.overrides), catalogue)
+    check_tracking(config.tracking)
+    print(plan_summary(plan), flush=True)
+    folder = asked.out or (None if plan.preview else default_folder(plan))
+    if folder:
+        check_folder(folder, plan)
+    workers = 1 if isinstance(config.runner, LocalRunnerConfig) else config.runner.workers or os.cpu_count() or 1
+    print(expected_lines(plan, folder, asked.reuse, timings, workers))
+    print(_where(plan, folder))
+    for line in plan_lines(plan) if tasks else ():
+        print(line)
+    if not tasks:
+        print("every task with its id: --tasks")
+    return 0
+
+
+def _where(plan: Plan, folder: Location | None) -> str:
+    if folder:
+        return f"would write to {folder}"
+    return f"would write to outputs/{plan.sweep}-HASH, by what its scenes hold: --tasks makes them and names it"
+
+
+COMMAND = Command(
+    "plan",
+    "show what a sweep would run",
+    _DESCRIPTION,
+    _EPILOG,
+    _add_arguments,
+    _run,
+)

@@ -1,0 +1,235 @@
+"""``shift3d sweep``: plan, run or resume, tables, MLflow."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from typing import TYPE_CHECKING
+
+from shift3d.cli.command import Command
+from shift3d.cli.commands.plan import add_tasks, show
+from shift3d.cli.completion import sweep_words
+from shift3d.cli.words import Request, add_words, read_words
+from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from shift3d.analysis.results import Sweep
+    from shift3d.settings.schema import Config
+    from shift3d.store.location import Location
+    from shift3d.sweep.drive import SweepResult
+    from shift3d.sweep.planning.kind import TaskKind
+    from shift3d.sweep.planning.plan import Plan
+
+__all__ = ["COMMAND", "run_with"]
+
+_DESCRIPTION = """\
+Runs the sweep NAME (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
+or gs://BUCKET/PREFIX: workers then need no common folder.
+The same command again resumes: what is done is not run again.
+
+An override changes a setting (conf/ has them all) or picks an option of a group; several values
+separated by commas are an axis: a task for each.
+
+NAME is sweeps/NAME.yaml of the folder where the command runs, else of those that ship with shift3d. An option of a
+group, vehicle=NAME, is conf/vehicle/NAME.yaml, job=NAME is jobs/NAME.yaml, found likewise: your own file comes first,
+and takes the place of one of its name that ships. A sweep of your own begins with `defaults: [/config, _self_]`, or
+with a sweep that ships in the place of /config."""
+
+_EPILOG = """\
+examples:
+  shift3d sweep                                  5 vehicles x 4 streets x (shape with lambda 1, 10; pose)
+  shift3d sweep default scenes.count=20          more streets
+  shift3d sweep default vehicle=suv mode=shape attack.lambda=0.1,1,10
+  shift3d sweep default accuracy=draft,standard  one axis more
+  shift3d sweep default detector=sst             attack SST, and let PointPillars score what it found
+  shift3d sweep kitti scenes.root=PATH out=runs/kitti
+  shift3d sweep kitti scenes.root=PATH scenes.skip_bad=true      without the frames that cannot be read
+  shift3d sweep kitti scenes.root=PATH vehicle=deepsdf vehicle.folder=PATH vehicle.name=NAME,NAME
+  shift3d sweep default out=s3://bucket/runs/a runner.address=auto
+  shift3d sweep smoke runner=local tracking=none in this process, nothing but the folder
+  shift3d sweep default job=ray_cluster out=s3://BUCKET/FOLDER  on a cluster, see jobs/
+  shift3d sweep plan default scenes.count=20     what would run, how long and at what cost; runs nothing
+  shift3d sweep default scenes.count=20 reuse=outputs/default-1a2b3c4d   a grown grid runs what is new in it
+  shift3d sweep status outputs/default-1a2b3c4d  how it is going, from any shell or machine
+  shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also what it gave up on"""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_words(parser, sweep_words)
+    parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing, as: sweep plan")
+    add_tasks(parser, "with plan or --dry-run: list every task, with its id")
+    parser.add_argument(
+        "--retry-quarantined", action="store_true", help="run the tasks again that earlier runs gave up on"
+    )
+    parser.add_argument(
+        "--reuse",
+        metavar="OUT",
+        action="append",
+        default=[],
+        help="take over what another sweep's folder has done of the same tasks; also reuse=OUT",
+    )
+    parser.add_argument(
+        "--task", metavar="ID", help="run this one task here, show its rows or its traceback, write nothing"
+    )
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    if arguments.words[:1] == ["status"]:
+        return _status(arguments.words[1:])  # before what a sweep imports: it is polled
+    from shift3d.processor import configure_runtime
+    from shift3d.sweep.planning.kind import shift3d_kind
+
+    configure_runtime()
+    return run_with(arguments, shift3d_kind())
+
+
+def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
+    """Run the command with a kind of task."""
+    from shift3d.analysis.mlflow.store_uri import check_tracking
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.sweep.drive import run_sweep
+    from shift3d.sweep.planning.folder import default_folder
+    from shift3d.sweep.planning.plan import make_plan
+    from shift3d.sweep.planning.plan_view import plan_summary
+
+    if arguments.words[:1] == ["status"]:
+        return _status(arguments.words[1:])
+    words = [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)]
+    if words[:1] == ["plan"] or arguments.dry_run:
+        return show(words[1:] if words[:1] == ["plan"] else words, kind, arguments.tasks)
+    if arguments.tasks:
+        raise InputError("--tasks lists the tasks of a plan", remedy="shift3d sweep plan NAME --tasks")
+    asked = read_words(words)
+    if asked.job and asked.job.address and not arguments.task:
+        return _submit(asked, asked.job.address, arguments.retry_quarantined)
+    if asked.out and not arguments.task:
+        asked.out.check_writable()  # before scenes are looked at, which may take minutes
+    plan, config = make_plan(compose_sweep(asked.name, asked.overrides), kind.catalogue)
+    check_tracking(config.tracking)
+    folder = asked.out or default_folder(plan)
+    print(plan_summary(plan), flush=True)
+    if arguments.task:
+        from shift3d.sweep.single import run_single
+
+        print(run_single(plan, kind, arguments.task))
+        return 0
+    print(f"writing to {folder}", flush=True)
+    result = run_sweep(
+        plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined, reuse=asked.reuse
+    )
+    if result.reused:
+        others = ", ".join(map(str, asked.reuse))
+        print(f"{result.reused} of {counted(result.planned, 'task')} were done in {others}")
+    if result.final is None:
+        command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
+        left = result.planned - result.done - result.quarantined
+        print(f"interrupted: {result.done} of {counted(result.planned, 'task')} done, {left} left", file=sys.stderr)
+        print(f"the same command resumes: {command}", file=sys.stderr)
+        return int(ExitCode.INTERRUPTED)
+    placed = _show(plan, config, result)
+    return int(ExitCode.DONE if placed and not result.quarantined else ExitCode.INCOMPLETE)
+
+
+def _submit(asked: Request, address: str, retry_quarantined: bool) -> int:
+    """Hand the sweep to a cluster's Jobs API."""
+    from shift3d.settings.folders import own_folders
+    from shift3d.sweep.execution.ray.job import submit_sweep
+
+    folders = [f"out={asked.out}"] if asked.out else []
+    folders += [f"reuse={other}" for other in asked.reuse]
+    flags = ["--retry-quarantined"] if retry_quarantined else []
+    environment = asked.job.runtime_env if asked.job else None
+    return submit_sweep([asked.name, *asked.overrides, *folders, *flags], address, environment, own_folders())
+
+
+def _status(words: list[str]) -> int:
+    """How a sweep is going. words: its output folder."""
+    from shift3d.sweep.status import read_status, status_lines
+
+    if len(words) != 1:
+        raise InputError("which sweep?", where="sweep status", remedy="shift3d sweep status outputs/NAME-HASH")
+    print(status_lines(read_status(words[0].removeprefix("out="))))
+    return 0
+
+
+def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
+    """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
+    from shift3d.analysis.results import sweep_of
+    from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
+    from shift3d.analysis.tables.coverage import coverage_lines
+    from shift3d.analysis.tables.report import sweep_report
+    from shift3d.analysis.tables.stability import stability_lines
+    from shift3d.sweep.planning.plan_view import skipped_lines
+
+    final = result.final
+    assert final is not None
+    sweep = sweep_of(plan, {name: final.frame(name) for name in final.tables}, environment={})
+    unplaced = nothing_placed(sweep.scores, plan.settings)
+    if unplaced:
+        covered = "\n".join(coverage_lines(sweep.scores, sweep.attempts, result.planned))
+        print(f"\n{unplaced}\n\n{covered}\n", flush=True)
+    else:
+        if caveat := trial_caveat(plan.tasks):
+            print(f"\n{caveat}")
+        print(f"\n{sweep_report(sweep)}\n", flush=True)
+        _show_effects(sweep, result.folder)
+    for line in skipped_lines(plan):
+        print(line)
+    print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
+    if unplaced:
+        pass  # there is nothing to verify
+    elif sweep.verification is not None:
+        print(f"\n{stability_lines(sweep.verification)}\n")
+    else:
+        print(f"are its hard cases hard, or rounding? shift3d verify {result.folder}")
+    _mirror(plan, config, result)
+    return unplaced is None
+
+
+def _show_effects(sweep: Sweep, folder: Location) -> None:
+    """The impact of effects, where the sweep ran the same tasks with them and without."""
+    variants = {asked for group in sweep.plan.tasks.groups() for asked in group.effects_requested}
+    if "none" not in variants or len(variants) == 1:
+        return
+    from shift3d.analysis.html.pages import write_effects_page
+    from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds, effect_table
+
+    try:
+        impacts = effect_impacts(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
+    except InputError as error:
+        print(f"nothing to compare: {error}\n")
+        return
+    page = write_effects_page(folder / "final" / "effects.html", sweep.plan.sweep, impacts)
+    print(f"{effect_table(impacts)}\n\n{page}")
+
+
+def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
+    from shift3d.settings.schema import MlflowConfig
+
+    if not isinstance(config.tracking, MlflowConfig) or result.final is None:
+        return
+    from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
+
+    counts = {
+        "tasks_done": result.done,
+        "tasks_quarantined": result.quarantined,
+        "tasks_planned": result.planned,
+    }
+    if "verification" in result.final.tables:
+        stable = result.final.frame("verification")["stable"]
+        counts |= {"solutions_verified": len(stable), "solutions_unstable": int((~stable).sum())}
+    settings = {"settings": plan.settings, "axes": plan.axes}
+    auc, curves = result.final.frame("auc"), result.final.frame("curves")
+    record = SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, auc, curves, counts)
+    uri = config.tracking.uri
+    if problem := mirror(record, uri, config.tracking.experiment):
+        print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
+        print("the same command again writes it there once MLflow answers", file=sys.stderr)
+    else:
+        print(f"MLflow run {plan.sweep}-{plan.spec_hash} in {uri}: shift3d ui")
+
+
+COMMAND = Command("sweep", "run a sweep, or resume it", _DESCRIPTION, _EPILOG, _add_arguments, _run)

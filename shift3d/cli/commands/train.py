@@ -1,0 +1,232 @@
+"""``shift3d train``: the weights that ship, or weights for one's own scenes and vehicles."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+from shift3d.cli.command import Command, key_values, writable_folder
+from shift3d.cli.completion import key_words
+from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame, whole_number
+from shift3d.detectors.names import DETECTOR_NAMES
+from shift3d.errors import InputError
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from shift3d.analysis.mlflow.training import TrainingCurves
+    from shift3d.training.command import TrainOptions
+
+__all__ = ["COMMAND"]
+
+_DESCRIPTION = """\
+Trains the shape model (model=sdf) or a detector (model=pointpillars, centerpoint, sst). Without more, it is the
+recipe of the shipped weights, from procedural data alone, and replaces them in shift3d/weights. With other
+vehicles (model=sdf vehicles=PATH), scenes, steps or a start, everything goes to out= and nothing that ships
+is touched. The same command again resumes; Ctrl-C and SIGTERM end it after a checkpoint.
+
+Seeds are fixed: the same command on the same processor and threads= gives the same bytes, interrupted or not.
+Beside the weights stands a JSON file: recipe, scenes, seconds, device, versions, curve. Curves go to MLflow
+(make ui); an MLflow that is away does not hold a training up."""
+
+_EPILOG = f"""\
+examples:
+  shift3d train model=sdf                          9,000 steps, 40 minutes on two quiet cores with bfloat16
+  shift3d train model=pointpillars                 20,000 steps, under 3 hours on two quiet cores with bfloat16
+  shift3d train model=centerpoint                  as many, encoder and backbone from PointPillars' weights
+  shift3d train model=sst                          16,000 steps, grown from the small one's weights
+  shift3d train model=sst_small                    14,000 steps, 3 hours on one core with bfloat16
+  shift3d train model=sst device=cuda              the same on a GPU (not run there yet)
+  shift3d train model=pointpillars scenes=street count=20 inserted=0 steps=300 out=DIR    a quick try
+  shift3d train model=pointpillars scenes=kitti root=PATH start_from=shipped steps=500 out=DIR
+                                                   adapt the shipped weights to real frames, vehicles inserted,
+                                                   at a fifth of the learning rate
+  shift3d train model=pointpillars start_from=FILE steps=0 out=DIR
+                                                   batch statistics and heads alone (600 steps)
+  shift3d train model=pointpillars start_from=shipped recipe.pasted=0 recipe.scale=0.9,1.1 out=DIR
+                                                   any field of the recipe; an unknown one lists them
+  shift3d train model=sdf vehicles=PATH length_m=4.5 out=DIR
+                                                   a decoder of your own meshes and their codes, into DIR
+  shift3d train model=sdf vehicles=wide count=1000 out=DIR
+                                                   the same of the wide family's seen kinds (never run to its end)
+
+detectors: vehicles are meshes of the wide family's seen kinds, each another one; none is made by the decoder, and what
+attacks draw on is held out (docs/why/family.md). Half of the crops of the later steps hold two to four more of them,
+cast into the scene on ground that is free (inserted=0: none). Of frames that are labelled in part (KITTI: in the
+camera's view) only that part is trained on.
+mixed precision: bfloat16 on CUDA and on processors that multiply it; elsewhere float32. mlflow=none writes no curves.
+
+{FRAME_TEXT}"""
+
+_FIELD = "recipe."
+_SCENE_KEYS = ("scenes", "root", "count", "inserted", "start_from")
+_KEYS = ("model", "out", "threads", "device", "mlflow", "steps", *_SCENE_KEYS, "vehicles", *FRAME_KEYS)
+_VALUES = {
+    "model": ("sdf", *DETECTOR_NAMES),
+    "device": ("auto", "cpu", "cuda"),
+    "scenes": ("street", "kitti"),
+    "start_from": ("shipped",),
+    "mlflow": ("none",),
+    **FRAME_VALUES,
+}
+_WIDE_COUNT = 1_000
+_STORE, _EXPERIMENT = "sqlite:///mlflow.db", "shift3d-training"
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    text = (
+        f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
+        "[mlflow=URI|none]; "
+        "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped] "
+        "[recipe.FIELD=VALUE]; "
+        f"sdf: vehicles=PATH|wide [count=N] [{'=] ['.join(FRAME_KEYS)}=]"
+    )
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    fields = [word for word in arguments.words if word.startswith(_FIELD)]
+    values = key_values([word for word in arguments.words if word not in fields], _KEYS, ("model",), "train")
+    if "vehicles" in values:
+        return _train_on_meshes(values)
+    for key in FRAME_KEYS:
+        if key in values:
+            raise InputError(f"{key}= says something about vehicles=", where="train", remedy="Give vehicles=PATH too")
+    from shift3d.training.command import train
+
+    model, options = values["model"], _options(values, _recipe_words(fields))
+    curves = _curves(values, model, options)
+    began = time.monotonic()
+    weights = train(model, options, None if curves is None else _warning(curves))
+    _finish(curves)
+    print(f"{model}: done after {(time.monotonic() - began) / 60:.1f} min, weights and their JSON: {weights}")
+    return 0
+
+
+def _number(values: dict[str, str], key: str) -> int | None:
+    return whole_number(values, key, 2, "train") if key in values else None
+
+
+def _recipe_words(words: list[str]) -> dict[str, str]:
+    """recipe.FIELD=VALUE words by field."""
+    names = [word.partition("=")[0] for word in words]
+    found = key_values(words, names, (), "train")
+    return {name.removeprefix(_FIELD): value for name, value in found.items()}
+
+
+def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> TrainOptions:
+    from shift3d.training.command import TrainOptions
+
+    scenes = values.get("scenes", "street")
+    folder = f"outputs/train-{values['model']}" + ("" if scenes == "street" else f"-{scenes}")
+    return TrainOptions(
+        out=writable_folder(values.get("out", folder)),
+        threads=_number(values, "threads"),
+        device=values.get("device", "auto"),
+        scenes=scenes,
+        root=values.get("root"),
+        count=_number(values, "count"),
+        # Without steps of its own a training only settles the heads of weights that are there.
+        steps=0 if values.get("steps") == "0" and "start_from" in values else _number(values, "steps"),
+        inserted=0 if values.get("inserted") == "0" else _number(values, "inserted"),
+        start_from=values.get("start_from"),
+        recipe=recipe or {},
+    )
+
+
+def _curves(values: dict[str, str], model: str, options: TrainOptions) -> TrainingCurves | None:
+    """The MLflow run of this training, None where none is wanted."""
+    uri = values.get("mlflow", _STORE)
+    if uri == "none":
+        return None
+    from shift3d.analysis.mlflow.store_uri import check_store
+
+    check_store(uri, "mlflow")
+    from dataclasses import asdict
+
+    from shift3d.analysis.mlflow.training import TrainingCurves
+    from shift3d.training.command import MODELS, detector_recipe
+
+    words = {key: value for key, value in values.items() if key not in ("mlflow", "threads", "out")}
+    words |= {f"{_FIELD}{name}": value for name, value in options.recipe.items()}
+    params: dict[str, Any] = {"command": words, "out": str(options.out)}
+    if model in MODELS and model != "sdf":
+        params["recipe"] = asdict(detector_recipe(model, options))
+    elif "vehicles" not in values and model == "sdf":
+        from shift3d.training.sdf.train import SdfRecipe
+
+        params["recipe"] = asdict(SdfRecipe())
+    # One run a folder and command: the same command again goes on with it.
+    key = f"{options.out.resolve()} {sorted(words.items())}"
+    return TrainingCurves(uri, _EXPERIMENT, f"train-{model}", key.replace("'", ""), params)
+
+
+def _warning(curves: TrainingCurves) -> Any:
+    """The report of a training that says once that MLflow is away."""
+    warned: list[bool] = []
+
+    def report(points: Any) -> None:
+        curves(points)
+        if curves.problem and not warned:
+            warned.append(True)
+            print(f"warning: no curves in MLflow ({curves.uri}): {curves.problem}", file=sys.stderr)
+
+    return report
+
+
+def _finish(curves: TrainingCurves | None) -> None:
+    if curves is not None:
+        curves.finish()
+        if curves.problem:
+            print(f"warning: the curves are not all in MLflow ({curves.uri}): {curves.problem}", file=sys.stderr)
+
+
+def _train_on_meshes(values: dict[str, str]) -> int:
+    """Train on meshes: everything goes to out=, the shipped weights stay as they are."""
+    if values["model"] != "sdf":
+        what = f"vehicles= is for model=sdf, not model={values['model']}"
+        raise InputError(what, where="train", remedy="Give model=sdf")
+    wide = values["vehicles"] == "wide"
+    _check_mesh_words(values, wide)
+    frame = None if wide else mesh_frame(values, "train")
+    from shift3d.training.sdf.on_meshes import SAMPLES_A_SHAPE, STEPS, train_on_meshes
+    from shift3d.training.sdf.wide_meshes import WIDE_FRAME, samples_a_shape, write_wide_meshes
+
+    options = _options({**values, "out": values.get("out", "outputs/train-vehicles")})
+    count = options.count or _WIDE_COUNT
+    path = str(write_wide_meshes(options.out, count)) if wide else values["vehicles"]
+    curves = _curves(values, "sdf", options)
+    vehicles = train_on_meshes(
+        path,
+        frame or WIDE_FRAME,
+        options.out,
+        options.threads or os.cpu_count() or 1,
+        options.steps or STEPS,
+        samples_a_shape(count) if wide else SAMPLES_A_SHAPE,
+        compute=options.compute(),
+        report=None if curves is None else _warning(curves),
+    )
+    _finish(curves)
+    chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
+    print(
+        f"{counted(len(vehicles), 'vehicle')}, decoder and codes in {options.out}/; symmetric Chamfer distance "
+        f"to their meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
+    )
+    return 0
+
+
+def _check_mesh_words(values: dict[str, str], wide: bool) -> None:
+    """Raises InputError for words that say nothing about training on meshes, or on those of the wide family."""
+    for key in _SCENE_KEYS:
+        if key in values and not (wide and key == "count"):
+            raise InputError(f"{key}= is for detectors", where="train", remedy=f"Leave out {key}=")
+    for key in FRAME_KEYS:
+        if wide and key in values:
+            what = f"{key}= is for mesh files; the wide family is built in metres"
+            raise InputError(what, where="train", remedy=f"Leave out {key}=, or give vehicles=./wide for a folder")
+
+
+COMMAND = Command("train", "train shipped weights, or your own", _DESCRIPTION, _EPILOG, _add_arguments, _run)

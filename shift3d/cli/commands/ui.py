@@ -1,0 +1,45 @@
+"""``shift3d ui``: MLflow on loopback."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from shift3d.cli.command import Command
+from shift3d.errors import InputError
+
+__all__ = ["COMMAND"]
+
+_DEFAULT_URI = "sqlite:///mlflow.db"
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--uri", default=_DEFAULT_URI, help="the store that sweeps write to (%(default)s)")
+    parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (%(default)s); 0: any free one")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.mlflow.server import HOST, open_port, serve
+    from shift3d.analysis.mlflow.store_uri import check_store
+
+    check_store(arguments.uri, "--uri")
+    if arguments.uri.startswith("sqlite:///") and not Path(arguments.uri.removeprefix("sqlite:///")).exists():
+        raise InputError("there is no run yet", where=arguments.uri, remedy="Run a sweep first: shift3d sweep")
+    with open_port(arguments.port) as listening:
+        port = listening.getsockname()[1]
+        print(f"MLflow on http://{HOST}:{port}, in some seconds (Ctrl-C ends it)", flush=True)
+        try:
+            serve(arguments.uri, listening)
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
+COMMAND = Command(
+    "ui",
+    "compare sweeps in MLflow, on loopback",
+    "Serves the MLflow runs of finished sweeps on 127.0.0.1: AUCs, settings and files side by side.",
+    "example:\n  shift3d ui --port 5001",
+    _add_arguments,
+    _run,
+)

@@ -1,0 +1,93 @@
+"""``shift3d verify``: score a finished sweep's solutions again, at reference accuracy."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
+from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
+
+__all__ = ["COMMAND"]
+
+_DESCRIPTION = """\
+Is a blind spot real, or a rounding? Every solution of a finished sweep is scored again: at reference accuracy
+(float64, along the decoder's linear pieces), with fresh noise on the beams that meet it, and a little off its
+pose. The result goes into OUT/final: columns score_reference and stable of scores.parquet, all of it in
+verification.parquet, and the page stability.html. The same command again resumes; a sweep that is run again keeps
+its verification."""
+
+_EPILOG = """\
+examples:
+  shift3d verify outputs/default-1a2b3c4d5e6f7a8b                   on Ray, as the sweep
+  shift3d verify outputs/default-1a2b3c4d5e6f7a8b runner=local      in this process
+  shift3d verify outputs/default-1a2b3c4d5e6f7a8b runner.workers=2 runner.address=auto
+
+stable: score and margin to the baseline are those of the reference to within 0.02.
+robust: under every draw of noise and pose at least half of the margin is left.
+A solution takes about as long as twenty steps of its attack, more than half of it for the reference rendering."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    parser.add_argument("words", nargs="*", metavar="runner=...", help="where it runs: settings of conf/runner")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.html.pages import write_stability_page
+    from shift3d.analysis.tables.numerics import diagnostics
+    from shift3d.analysis.tables.stability import stability_lines
+    from shift3d.processor import configure_runtime
+    from shift3d.store.resolve import as_location
+    from shift3d.sweep.verification import verification_plan, verify_sweep
+
+    configure_runtime()
+    folder = as_location(arguments.out)
+    runner = _runner(arguments.words)
+    plan = verification_plan(folder)
+    print(f"verifying {counted(len(plan.tasks), 'task')} of {folder}", flush=True)
+    result = verify_sweep(folder, plan, runner)
+    if result.final is None:
+        left = result.planned - result.done - result.quarantined
+        print(f"interrupted: {result.done} of {counted(result.planned, 'task')} verified, {left} left", file=sys.stderr)
+        print("the same command resumes", file=sys.stderr)
+        return int(ExitCode.INTERRUPTED)
+    scores, verification = result.final.frame("scores"), result.final.frame("verification")
+    print(f"\n{stability_lines(verification)}\n\n{diagnostics(scores)}\n")
+    page = write_stability_page(folder / "final" / "stability.html", plan.sweep, scores, verification)
+    print(f"{page} written in {result.seconds:.0f} s; the sweep's command again puts it into MLflow")
+    if result.quarantined:
+        attempts = folder / "verification" / "final" / "attempts.parquet"
+        print(f"{counted(result.quarantined, 'task')} could not be verified: {attempts}", file=sys.stderr)
+        return int(ExitCode.INCOMPLETE)
+    return 0
+
+
+def _runner(words: list[str]) -> RayRunnerConfig | LocalRunnerConfig:
+    """The runner that overrides describe, from what conf/ has.
+
+    Raises:
+        InputError: another setting than the runner's; what was searched is verified as it is.
+    """
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.settings.expand import expand
+
+    for word in words:
+        if not word.partition("=")[0].split(".")[0] == "runner":
+            raise InputError(
+                f"cannot read {word!r}", where="verify", remedy="Only the runner can be set: runner=local, runner.KEY="
+            )
+    return next(iter(expand(compose_sweep("default", words)))).runner
+
+
+COMMAND = Command(
+    "verify", "score a sweep's solutions again, at reference accuracy", _DESCRIPTION, _EPILOG, _add_arguments, _run
+)

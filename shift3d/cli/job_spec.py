@@ -1,0 +1,89 @@
+"""``job=NAME``: a launch spec of jobs/, which says where a sweep runs and nothing of what it measures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import yaml  # type: ignore[import-untyped]
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+
+from shift3d.errors import InputError
+from shift3d.settings.folders import files, find, looked_in
+
+__all__ = ["JobSpec", "read_job", "take_job"]
+
+
+class JobSpec(BaseModel):
+    """A launch spec that ``shift3d sweep`` itself reads; the others in jobs/ are read by the tools that they are for.
+
+    kind: "local" and "ray_cluster": the driver runs here. "ray_job": it runs on the cluster at ``address``, submitted
+    through Ray's Jobs API with ``runtime_env``. runner: settings of the runner, under those of the command.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    kind: Literal["local", "ray_cluster", "ray_job"]
+    runner: dict[str, str | int | float | None]
+    address: str | None = None
+    runtime_env: dict[str, Any] | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.runner.get("kind") not in ("ray", "local"):
+            raise ValueError("runner.kind is missing: ray or local")
+        if (self.address is None) == (self.kind == "ray_job"):
+            raise ValueError("address belongs to a ray_job, and to no other kind")
+        return self
+
+    def overrides(self, given: Sequence[str]) -> list[str]:
+        """The runner's settings as overrides that go before those given; none where these name a runner."""
+        if any(word.startswith("runner=") for word in given):
+            return []
+        rest = [f"runner.{key}={_text(value)}" for key, value in self.runner.items() if key != "kind"]
+        return [f"runner={self.runner['kind']}", *rest]
+
+
+def _text(value: str | int | float | None) -> str:
+    return "null" if value is None else str(value)
+
+
+def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
+    """The job that the last ``job=`` word names, and the words without any.
+
+    Raises:
+        InputError: see :func:`read_job`.
+    """
+    named = [word.removeprefix("job=") for word in words if word.startswith("job=")]
+    rest = [word for word in words if not word.startswith("job=")]
+    return read_job(named[-1]) if named else None, rest
+
+
+def read_job(name: str) -> JobSpec:
+    """A spec by the name of its file in jobs/ (the current folder's first), or by the path of another file.
+
+    Raises:
+        InputError: there is none, another tool reads it, or it does not hold what a spec holds.
+    """
+    remedy = f"One of: {', '.join(job_names())}, or the path of a file like them. {looked_in('jobs')}"
+    named = Path(name).expanduser() if name.endswith((".yaml", ".yml")) else find("jobs", name)
+    path = named or Path("jobs") / f"{name}.yaml"
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
+        raise InputError(f"job={name} cannot be read", where=str(path), remedy=remedy) from error
+    try:
+        return JobSpec.model_validate(values)
+    except ValidationError as error:
+        if isinstance(values, dict) and values.keys() & {"apiVersion", "cluster_name"}:
+            what, remedy = f"job={name} is for another tool", "Its first lines say how it is used"
+        else:
+            first = error.errors()[0]
+            what = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
+        raise InputError(what, where=str(path), remedy=remedy) from error
+
+
+def job_names() -> list[str]:
+    """Names of the specs that ``job=`` takes."""
+    return [name for name, path in files("jobs").items() if "\nrunner:" in path.read_text()]

@@ -1,0 +1,55 @@
+"""Incremental inference: from frame to frame of one scene, what did not change is not computed again.
+
+An attack shows a detector the same scene some forty times; between two times a few hundred points move. A network of
+finite receptive field then changes only around these, and a loss around the object needs only what its proposals see.
+Exactly that is computed (`pillars`, `tokens`). The result is that of the whole scene, up to the order
+of floating-point sums.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
+
+from shift3d.detectors.base import BevWindow, Detector, Proposals
+
+__all__ = ["IncrementalInference", "WholeWindow", "incremental_inference"]
+
+
+class IncrementalInference(Protocol):
+    """`Detector.proposals` for many frames of one scene."""
+
+    def proposals(
+        self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
+    ) -> Proposals:
+        """As the detector's own, of the window's core; window None: of the cached one.
+
+        points: (N, 3), network frame, metres. N and the order stay the same where as much as possible is to be
+        saved; any points are right. requires_grad: (N,) bool, the points whose gradient is asked for; that of
+        others may be missing. None: all of them.
+        """
+        ...
+
+
+@runtime_checkable
+class _Incremental(Protocol):
+    def incremental(self, window: BevWindow) -> IncrementalInference: ...
+
+
+def incremental_inference(detector: Detector, window: BevWindow) -> IncrementalInference:
+    """A detector's own incremental inference, or one that computes the whole window in every frame."""
+    return detector.incremental(window) if isinstance(detector, _Incremental) else WholeWindow(detector, window)
+
+
+class WholeWindow:
+    """Computes the whole window in every frame."""
+
+    def __init__(self, detector: Detector, window: BevWindow) -> None:
+        self._detector, self._window = detector, window
+
+    def proposals(
+        self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
+    ) -> Proposals:
+        """See `IncrementalInference`."""
+        return self._detector.proposals(points, window or self._window)

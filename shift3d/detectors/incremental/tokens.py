@@ -1,0 +1,188 @@
+"""SST through the frames of one scene: only windows of tokens that changed and are needed are attended again.
+
+A layer carries what a token says to the tokens of its window, the next one, whose windows are shifted, to those of the
+windows around. What an attack moves therefore reaches more and more windows, layer by layer, while the proposals
+around the object need fewer and fewer. A layer is computed where both meet; all other tokens are those of earlier
+calls. Gradients are kept by the same rule: for tokens that a point with a gradient reaches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.detectors.base import BevWindow, Proposals
+from shift3d.detectors.incremental.active_sites import ActiveSites, SiteIndices, empty_set, whole_set
+from shift3d.detectors.incremental.point_sites import PointSites, contains
+from shift3d.detectors.models.sst import SstNet
+from shift3d.detectors.models.token_windows import Tokens
+
+__all__ = ["IncrementalTokens"]
+
+Plain = Callable[[Tensor, BevWindow], Proposals]
+
+
+@dataclass(frozen=True)
+class _Flow:
+    """What goes from layer to layer.
+
+    new: the cells whose tokens are not what the next layer was computed with. with_grad: (n,) cells, ascending, of the
+    tokens that carry a gradient; features: (n, width) theirs.
+    """
+
+    new: ActiveSites
+    with_grad: SiteIndices
+    features: Tensor
+
+
+class _Lattice:
+    """The windows of one shift that lie on a part of the grid."""
+
+    def __init__(self, part: BevWindow, size: int, shift: int) -> None:
+        self._lines = _owners(part.y0, part.num_y, size, shift)
+        self._columns = _owners(part.x0, part.num_x, size, shift)
+
+    def whole(self, cells: ActiveSites) -> ActiveSites:
+        """All cells of the windows that hold one of these."""
+        held = cells[1:-1, 1:-1]
+        for axis, owner in enumerate((self._lines, self._columns)):
+            held = np.logical_or.reduceat(held, np.flatnonzero(np.diff(owner, prepend=-1)), axis)
+        result = np.zeros_like(cells)
+        result[1:-1, 1:-1] = held[self._lines][:, self._columns]
+        return result
+
+
+def _owners(first: int, count: int, size: int, shift: int) -> SiteIndices:
+    """(count,) which window along an axis each cell lies in, from 0 on."""
+    owner = (first + np.arange(count) + shift) // size
+    return np.asarray(owner - owner[0], dtype=np.int64)
+
+
+class IncrementalTokens:
+    """Incremental inference of SST. Not for use from several threads at once."""
+
+    def __init__(self, net: SstNet, window: BevWindow, exact: torch.dtype, plain: Plain, answer: Plain) -> None:
+        """net: for inference; exact: its dtype of what must be exact.
+
+        plain: the detector's own proposals, for windows beyond the cached one. answer: (features of the core, its
+        window) -> proposals.
+        """
+        self._net, self._window, self._exact, self._plain, self._answer = net, window, exact, plain, answer
+        self._points = PointSites(net.grid, window, exact)
+        transformer = net.spec.transformer
+        self._lattices = [_Lattice(window, transformer.window, shift) for shift in transformer.shifts]
+        # Of the encoder and of every layer: the cells that changed since they were computed, at first all.
+        self._stale = [whole_set(self._points.shape) for _ in range(len(self._lattices) + 1)]
+        # Tokens of the encoder and of every layer. A cell that has ever held a point keeps its row.
+        self._row_of_cell: SiteIndices = np.full(self._points.shape.rows, -1, dtype=np.int64)
+        self._tables = [torch.zeros(0, transformer.width, dtype=exact) for _ in self._stale]
+        self._rows_taken = 0
+
+    def proposals(
+        self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
+    ) -> Proposals:
+        """See `IncrementalInference`. A window that reaches beyond the cached one is computed as a whole.
+
+        Deterministic to the bit for the same calls in the same order; the same points after other calls may
+        differ by rounding.
+        """
+        window = window or self._window
+        if points.ndim != 2 or points.shape[1] != 3 or not contains(self._window, window):
+            return self._plain(points, window)
+        needed = self._needed(window)
+        points = points.to(self._exact)
+        changed = self._points.changed(points.detach())
+        held = self._points.cells()
+        self._take_rows(np.flatnonzero(held))
+        tracked = torch.is_grad_enabled() and points.requires_grad
+        grad_cells = self._points.cells(requires_grad) if tracked else empty_set(self._points.shape)
+        flow = self._encode(points, changed, grad_cells & needed[0], needed[0])
+        for index in range(len(self._lattices)):
+            flow = self._attend(index, flow, needed[index + 1], held)
+        cells = np.flatnonzero(needed[-1] & held)
+        features = self._read(-1, cells, flow)
+        return self._answer(self._net.core_features(features, self._tokens(cells), [window]), window)
+
+    def _needed(self, window: BevWindow) -> list[ActiveSites]:
+        """The cells of the encoder and of every layer that the window's core depends on."""
+        columns, lines = (
+            [*self._net.transformer.needed_spans(low, high), (low, high)] for low, high in self._net.core_spans(window)
+        )
+        result = []
+        for (x_low, x_high), (y_low, y_high) in zip(columns, lines, strict=True):
+            cells = empty_set(self._points.shape)
+            inner, first_x, first_y = cells[1:-1, 1:-1], self._window.x0, self._window.y0
+            inner[max(0, y_low - first_y) : y_high - first_y, max(0, x_low - first_x) : x_high - first_x] = True
+            result.append(cells)
+        return result
+
+    def _take_rows(self, cells: SiteIndices) -> None:
+        """Give these cells a row in every table, where they have none."""
+        new = cells[self._row_of_cell[cells] < 0]
+        self._row_of_cell[new] = self._rows_taken + np.arange(len(new))
+        self._rows_taken += len(new)
+        if self._rows_taken > len(self._tables[0]):
+            more = self._rows_taken * 5 // 4 - len(self._tables[0])  # shadows that move uncover cells at every call
+            self._tables = [torch.cat((table, table.new_zeros(more, table.shape[1]))) for table in self._tables]
+
+    def _rows(self, cells: SiteIndices) -> Tensor:
+        return torch.from_numpy(self._row_of_cell[cells])
+
+    def _tokens(self, cells: SiteIndices) -> Tokens:
+        """Cells of the cached window as tokens of the grid."""
+        line, column = np.divmod(cells, self._points.shape.width + 2)
+        return Tokens(np.zeros_like(cells), column + self._window.x0 - 1, line + self._window.y0 - 1)
+
+    def _read(self, level: int, cells: SiteIndices, flow: _Flow) -> Tensor:
+        """(n, width) the tokens of these cells (n,), ascending, those with a gradient attached to it."""
+        features = self._tables[level].index_select(0, self._rows(cells))
+        among = np.isin(flow.with_grad, cells, assume_unique=True)
+        if not among.any():
+            return features
+        places = torch.from_numpy(np.searchsorted(cells, flow.with_grad[among]))
+        return features.index_copy(0, places, flow.features[torch.from_numpy(among)])
+
+    def _write(self, level: int, cells: SiteIndices, features: Tensor) -> None:
+        self._tables[level].index_copy_(0, self._rows(cells), features.detach())
+
+    def _encode(self, points: Tensor, changed: ActiveSites, with_grad: ActiveSites, needed: ActiveSites) -> _Flow:
+        """Features of the pillars that changed and are needed, with their gradient where it is asked for."""
+        changed = changed | self._stale[0]
+        due, self._stale[0] = changed & needed, changed & ~needed
+        with torch.no_grad():
+            self._write(0, *self._pillars(points.detach(), due & ~with_grad))
+        cells, features = self._pillars(points, with_grad)
+        self._write(0, cells, features)
+        return _Flow(due, cells, features)
+
+    def _pillars(self, points: Tensor, among: ActiveSites) -> tuple[SiteIndices, Tensor]:
+        """The cells among these that hold a point, ascending, and their features."""
+        pillars, features = self._net.pillar_features(points.index_select(0, self._points.rows(among)), self._window)
+        return self._points.indices(pillars), features
+
+    def _attend(self, index: int, flow: _Flow, needed: ActiveSites, held: ActiveSites) -> _Flow:
+        """A layer, in the windows with a token that is new or has a gradient, where they are needed.
+
+        What a needed window reads is needed of the layer before: its tokens are all there.
+        """
+        lattice, level = self._lattices[index], index + 1
+        with_grad = empty_set(self._points.shape)
+        with_grad.reshape(-1)[flow.with_grad] = True
+        changed = lattice.whole(flow.new) | self._stale[level]
+        grad_windows = lattice.whole(lattice.whole(with_grad) & needed)
+        due_windows = lattice.whole(changed & needed) & ~grad_windows
+        self._stale[level] = changed & ~(due_windows | grad_windows)
+        with torch.no_grad():
+            cells = np.flatnonzero(due_windows & held)
+            self._write(level, cells, self._layer(index, cells, self._read(index, cells, flow)))
+        cells = np.flatnonzero(grad_windows & held)
+        features = self._layer(index, cells, self._read(index, cells, flow))
+        self._write(level, cells, features)
+        return _Flow(changed & (due_windows | grad_windows), cells, features)
+
+    def _layer(self, index: int, cells: SiteIndices, features: Tensor) -> Tensor:
+        return self._net.transformer.layer(index, features, self._tokens(cells)) if len(cells) else features

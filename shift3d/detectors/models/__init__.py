@@ -1,0 +1,1 @@
+"""Networks, what they predict against (anchors, centres), box coding, weights."""

@@ -1,0 +1,199 @@
+"""SST, the single-stride sparse transformer, as one module for training and inference.
+
+Source: Embracing Single Stride 3D Object Detector with Sparse Transformer (Fan et al. 2022), in its public
+Waymo configuration with one frame and xyz alone.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars, assign_pillars
+from shift3d.detectors.models.anchor_heads import AnchorHeads
+from shift3d.detectors.models.anchors import WAYMO_ANCHORS, AnchorSpec
+from shift3d.detectors.models.folding import folded_linear, folded_sequence
+from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
+from shift3d.detectors.models.token_windows import Tokens
+from shift3d.detectors.models.voxel_encoder import VoxelEncoder, decorate_with_height
+from shift3d.detectors.models.window_transformer import SST_TRANSFORMER, TransformerSpec, WindowTransformer
+
+__all__ = ["SST_SMALL_SPEC", "SST_SPEC", "SstNet", "SstSpec"]
+
+
+@dataclass(frozen=True)
+class SstSpec:
+    """Sizes of SST. dilations: of the 3x3 convolutions on the dense map; out_channels: what the heads read.
+
+    name: what a network of these sizes is called in settings and tables.
+    """
+
+    transformer: TransformerSpec = SST_TRANSFORMER
+    encoder_hidden: int = 64
+    dilations: tuple[int, ...] = (1, 1, 2)
+    out_channels: int = 384
+    name: str = "sst"
+
+
+SST_SPEC = SstSpec()
+SST_SMALL_SPEC = SstSpec(
+    transformer=TransformerSpec(width=64, heads=4, feed_forward=128, blocks=3),
+    encoder_hidden=32,
+    out_channels=192,
+    name="sst_small",
+)
+"""Half the width and blocks: a third of the time of a training step, a sixth of the parameters (our choice)."""
+
+
+def _convolution(in_channels: int, channels: int, size: int, dilation: int = 1) -> list[nn.Module]:
+    return [
+        nn.Conv2d(in_channels, channels, size, padding=size // 2 * dilation, dilation=dilation, bias=False),
+        nn.BatchNorm2d(channels, eps=1e-3, momentum=0.01),
+        nn.ReLU(inplace=True),
+    ]
+
+
+class SstNet(DetectorNet):
+    """Points -> logits, codes, direction logits of every anchor in the window's core.
+
+    Every pillar is a token and every token attends: nothing is dropped, and nothing is shuffled, so that the
+    result does not depend on the order of the points (the public code shuffles, and drops in training).
+    """
+
+    def __init__(self, spec: SstSpec = SST_SPEC, grid: Grid = WAYMO_GRID, anchors: AnchorSpec = WAYMO_ANCHORS) -> None:
+        super().__init__()
+        self.name = spec.name
+        self.spec = spec
+        self.grid = grid
+        width = spec.transformer.width
+        self.encoder = VoxelEncoder(spec.encoder_hidden, width)
+        self.transformer = WindowTransformer(spec.transformer)
+        layers = [module for dilation in spec.dilations for module in _convolution(width, width, 3, dilation)]
+        self.dense = nn.Sequential(*layers, *_convolution(width, spec.out_channels, 1))
+        self.heads = AnchorHeads(spec.out_channels, anchors)
+
+    def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
+        """[low, high) itself: any cell can be asked for alone."""
+        return max(0, low), min(cells, high)
+
+    def outer_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
+        """Cells of the axis on which the core depends: convolutions, then windows layer by layer."""
+        low, high = self._dense_span(core_low, core_high, cells)
+        low, high = self.transformer.needed_spans(low, high)[0]
+        return max(0, low), min(cells, high)
+
+    def _dense_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
+        reach = sum(self.spec.dilations)
+        return max(0, core_low - reach), min(cells, core_high + reach)
+
+    def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
+        """(B, out_channels, h, w) of the windows' cores. clouds: (N_b, 3), network frame.
+
+        Windows of a batch have the same shape; cores that are only a part of theirs, the same place too.
+        Differentiable w.r.t. points and weights.
+        """
+        encoded, tokens = self._encoded(clouds, windows)
+        # Tokens are let go by place on the grid, which differs within a batch: only a single scene is cut.
+        span_x, span_y = (
+            self.core_spans(windows[0]) if len(windows) == 1 else ((0, self.grid.num_x), (0, self.grid.num_y))
+        )
+        attended, tokens = self.transformer(encoded, tokens, span_x, span_y)
+        return self.core_features(attended, tokens, windows)
+
+    def core_features(self, attended: Tensor, tokens: Tokens, windows: Sequence[BevWindow]) -> Tensor:
+        """`features` from what the transformer made of the tokens in the windows' `core_spans`, (P, width)."""
+        spans = [self.core_spans(window) for window in windows]
+        canvas = self._canvas(attended, tokens, spans)
+        dense = self.dense(canvas.to(self._dense_dtype()))
+        window, ((x0, _), (y0, _)) = windows[0], spans[0]
+        rows = slice(window.core_y0 - y0, window.core_y0 - y0 + window.core_num_y)
+        columns = slice(window.core_x0 - x0, window.core_x0 - x0 + window.core_num_x)
+        result: Tensor = dense[:, :, rows, columns]
+        return result
+
+    def core_spans(self, window: BevWindow) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Cells (x, y) of the dense map: the core and what the convolutions read around it, in the window."""
+        x_low, x_high = self._dense_span(window.core_x0, window.core_x0 + window.core_num_x, self.grid.num_x)
+        y_low, y_high = self._dense_span(window.core_y0, window.core_y0 + window.core_num_y, self.grid.num_y)
+        return (
+            (max(window.x0, x_low), min(window.x0 + window.num_x, x_high)),
+            (max(window.y0, y_low), min(window.y0 + window.num_y, y_high)),
+        )
+
+    def pillar_features(self, points: Tensor, window: BevWindow) -> tuple[Pillars, Tensor]:
+        """The window's pillars that hold a point, and their features (P, width). Differentiable w.r.t. the points.
+
+        points: (N, 3), network frame, metres.
+        """
+        pillars = assign_pillars(points, self.grid, window)
+        if not pillars.counts.numel():
+            return pillars, points.new_zeros(0, self.spec.transformer.width)
+        return pillars, self.encoder(decorate_with_height(points, pillars, self.grid), pillars)
+
+    def _encoded(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> tuple[Tensor, Tokens]:
+        """Features (P, width) of every pillar of the batch, and where they lie."""
+        decorated, owner, counts, cells = [], [], [], []
+        pillars_before = 0
+        for index, (points, window) in enumerate(zip(clouds, windows, strict=True)):
+            pillars = assign_pillars(points, self.grid, window)
+            decorated.append(decorate_with_height(points, pillars, self.grid))
+            owner.append(pillars.pillar + pillars_before)
+            counts.append(pillars.counts)
+            batch = np.full(pillars.counts.numel(), index, dtype=np.int64)
+            cells.append((batch, pillars.cell_x.cpu().numpy(), pillars.cell_y.cpu().numpy()))
+            pillars_before += pillars.counts.numel()
+        tokens = Tokens(*(np.concatenate(values) for values in zip(*cells, strict=True)))
+        if not pillars_before:
+            return decorated[0].new_zeros(0, self.spec.transformer.width), tokens
+        empty = torch.empty(0, dtype=torch.int64)
+        joint = Pillars(empty, torch.cat(owner), torch.cat(counts), empty, empty)
+        with torch.autocast(decorated[0].device.type, enabled=False):  # bfloat16 knows a coordinate to 0.3 m at 70 m
+            return self.encoder(torch.cat(decorated), joint), tokens
+
+    def _canvas(self, features: Tensor, tokens: Tokens, spans: list[tuple[tuple[int, int], tuple[int, int]]]) -> Tensor:
+        """Features on the dense map, (B, C, h, w), channels last in memory, zero where no token is."""
+        x_low, y_low = (np.asarray([span[axis][0] for span in spans]) for axis in (0, 1))
+        width, height = (spans[0][axis][1] - spans[0][axis][0] for axis in (0, 1))
+        column, line = tokens.cell_x - x_low[tokens.batch], tokens.cell_y - y_low[tokens.batch]
+        inside = (column >= 0) & (column < width) & (line >= 0) & (line < height)
+        flat = torch.from_numpy((tokens.batch * height + line) * width + column).to(features.device)
+        if not inside.all():
+            kept = torch.from_numpy(inside).to(features.device)
+            features, flat = features[kept], flat[kept]
+        dense = features.new_zeros(len(spans) * height * width, features.shape[1]).index_copy(0, flat, features)
+        return dense.view(len(spans), height, width, -1).permute(0, 3, 1, 2)
+
+    def _dense_dtype(self) -> torch.dtype:
+        weight = self.dense[0].weight
+        assert isinstance(weight, Tensor)
+        return weight.dtype
+
+    def inference(self, precision: Precision) -> SstNet:
+        """A copy in evaluation mode, batch norms folded in float64, layers in their arithmetic.
+
+        The encoder, the sums and the norms of the transformer stay in float32 for bfloat16: only products are
+        taken in half the bytes.
+        """
+        exact, dense = arithmetic(precision)
+        folded = copy.deepcopy(self)
+        encoder = folded.encoder
+        scale: Tensor = encoder.feature_scale  # type: ignore[assignment]
+        encoder.first = folded_linear(encoder.first, encoder.first_norm, scale)
+        encoder.second = folded_linear(encoder.second, encoder.second_norm)
+        encoder.first_norm = encoder.second_norm = nn.Identity()
+        encoder.feature_scale = torch.ones_like(scale)
+        folded.dense = folded_sequence(folded.dense)
+        folded = folded.eval().requires_grad_(False).to(exact)
+        for layer in folded.transformer.modules():
+            if isinstance(layer, nn.Linear):
+                layer.to(dense)
+        folded.dense.to(dense).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        for head in folded.heads.layers:
+            head.to(dense)
+        return folded

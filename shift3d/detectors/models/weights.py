@@ -1,0 +1,87 @@
+"""Networks by name, and their weight files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
+
+from shift3d.detectors.models.anchors import WAYMO_ANCHORS
+from shift3d.detectors.models.centerpoint import CenterPointNet
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.sst import SST_SMALL_SPEC, SstNet
+from shift3d.errors import InputError
+
+__all__ = ["ANCHOR_SIZE", "NETWORKS", "WEIGHTS_FOLDER", "load_network", "load_weights"]
+
+WEIGHTS_FOLDER = Path(__file__).resolve().parents[2] / "weights"
+NETWORKS: dict[str, Callable[[], DetectorNet]] = {
+    "pointpillars": PointPillarsNet,
+    "centerpoint": CenterPointNet,
+    "sst": SstNet,
+    "sst_small": partial(SstNet, SST_SMALL_SPEC),
+}
+ANCHOR_SIZE = "heads.anchor_size_m"
+LARGEST_WEIGHT = 1e6
+"""Of anything in a file: the largest trained value is a variance of 2,700, the largest weight 11. One flipped bit of an
+exponent makes 1e38 of a weight, finite, and infinite scores."""
+
+
+def load_network(path: Path, name: str = "pointpillars") -> DetectorNet:
+    """The trainable network with the weights of a safetensors file, in evaluation mode.
+
+    Raises: InputError if the file is missing, unreadable, or holds tensors that cannot be this network's: see
+        `load_weights`.
+    """
+    if not path.is_file():
+        raise InputError("the weight file does not exist", where=str(path), remedy=f'make train ARGS="model={name}"')
+    return load_weights(NETWORKS[name](), path)
+
+
+def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
+    """A network itself, with the weights of a safetensors file, in evaluation mode.
+
+    Raises: InputError naming file and tensor where the file is unreadable, or a tensor is missing, surplus, of another
+        shape or kind of number, not finite, beyond LARGEST_WEIGHT, a variance below zero, or an anchor without a size.
+    """
+    try:
+        state = load_file(path)
+    except (SafetensorError, OSError, ValueError) as error:
+        what = f"not a readable safetensors file: {error}"
+        raise InputError(what, where=str(path), remedy="copy it again") from error
+    expected = net.state_dict()
+    if ANCHOR_SIZE in expected:  # a file without it was trained with the published one
+        state.setdefault(ANCHOR_SIZE, torch.tensor(WAYMO_ANCHORS.size_m))
+    for name in sorted(expected.keys() | state.keys()):
+        found = tuple(state[name].shape) if name in state else None
+        wanted = tuple(expected[name].shape) if name in expected else None
+        if found != wanted:
+            raise InputError(
+                f"tensor {name} has shape {found}, the network has {wanted}",
+                where=str(path),
+                remedy="use weights trained for this version",
+            )
+        if wrong := _wrong_values(name, state[name], expected[name]):
+            raise InputError(f"tensor {name} {wrong}", where=str(path), remedy="copy it again, or train again")
+    net.load_state_dict(state)
+    return net.eval()
+
+
+def _wrong_values(name: str, found: Tensor, expected: Tensor) -> str:
+    """Why a tensor of the right shape cannot be a trained network's, or nothing. NaN fails every comparison."""
+    if found.is_floating_point() != expected.is_floating_point() or found.is_complex():
+        return f"is {str(found.dtype).removeprefix('torch.')}, not {str(expected.dtype).removeprefix('torch.')}"
+    if not found.is_floating_point() or not found.numel():
+        return ""
+    if not float(found.abs().max()) <= LARGEST_WEIGHT:
+        return f"holds values that are not finite, or beyond {LARGEST_WEIGHT:g}"
+    if name == ANCHOR_SIZE and not float(found.min()) > 0.0:
+        return "holds a size that is not positive"
+    # The norm divides by its root; folded into the layer before it, NaN would be in every score.
+    return "holds a negative variance" if name.endswith("running_var") and float(found.min()) < 0.0 else ""

@@ -1,0 +1,128 @@
+"""A trained network behind the Detector interface: exact windows, gradients to the points, boxes."""
+
+from __future__ import annotations
+
+from math import ceil, floor, isfinite
+
+import torch
+from torch import Tensor
+
+from shift3d.detectors.base import BevWindow, Detections, Proposals
+from shift3d.detectors.grid import full_window
+from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow
+from shift3d.detectors.incremental.pillars import IncrementalPillars
+from shift3d.detectors.incremental.sparse_backbone import SparseBackbone
+from shift3d.detectors.incremental.tokens import IncrementalTokens
+from shift3d.detectors.models.heads import proposal_indices
+from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
+from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
+from shift3d.detectors.models.sst import SstNet
+from shift3d.detectors.nms import suppress
+from shift3d.errors import InputError
+
+__all__ = ["TrainedDetector"]
+
+
+class TrainedDetector:
+    """A trained network for inference on CPU.
+
+    precision: "float32" (default); "bfloat16" takes the large products in half the bytes (an approximation: its
+    error is measured where it is offered); "float64" is the reference. Points are (N, 3) in the network frame;
+    their dtype follows the precision.
+    """
+
+    def __init__(self, net: DetectorNet, precision: Precision = "float32") -> None:
+        self.name = net.name
+        self.precision = precision
+        self.grid = net.grid
+        self._dtype = arithmetic(precision)[0]
+        self._net = net.inference(precision)
+        self._cells: SparseBackbone | None = None  # its matrices, made when first asked for
+
+    def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
+        """Smallest window whose proposals with anchor centres within radius_m equal the full scene's.
+
+        centre_xy: metres, network frame. The core covers the disc (a square, cut at the grid's border), the
+        window adds the receptive field; both are what the network allows (PointPillars: multiples of its stride).
+
+        Raises: InputError if the disc does not meet the grid or is none. Source: our choice, the paper is silent.
+        """
+        if not all(isfinite(value) for value in (*centre_xy, radius_m)):
+            raise InputError(f"no disc of {radius_m:g} m around {centre_xy}", where="detector window")
+        spans = []
+        for centre, origin, cells in (
+            (centre_xy[0], self.grid.x_min_m, self.grid.num_x),
+            (centre_xy[1], self.grid.y_min_m, self.grid.num_y),
+        ):
+            spans.append(self._span((centre - origin) / self.grid.cell_m, radius_m / self.grid.cell_m, cells))
+        if None in spans:
+            raise InputError(
+                f"no detector cell within {radius_m:g} m of ({centre_xy[0]:g}, {centre_xy[1]:g})",
+                where="detector window",
+                remedy="choose a centre inside the detector's range",
+            )
+        (x0, nx, cx0, cnx), (y0, ny, cy0, cny) = (span for span in spans if span is not None)
+        return BevWindow(x0, y0, nx, ny, cx0, cy0, cnx, cny)
+
+    def _span(self, centre: float, radius: float, cells: int) -> tuple[int, int, int, int] | None:
+        low, high = max(0, floor(centre - radius)), min(cells, ceil(centre + radius))
+        if low >= high:
+            return None
+        core_low, core_high = self._net.core_span(low, high, cells)
+        outer_low, outer_high = self._net.outer_span(core_low, core_high, cells)
+        return outer_low, outer_high - outer_low, core_low, core_high - core_low
+
+    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
+        """Every proposal of the window's core (of the whole grid when window is None), scored.
+
+        points: (N, 3), network frame, metres; those out of range are ignored, none at all is a valid scene.
+        Differentiable w.r.t. points, through the logits; boxes are detached. Deterministic to the bit, also
+        under permutation of the points, for a fixed number of threads.
+        """
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InputError(f"points have shape {tuple(points.shape)}, not (N, 3)", where="detector input")
+        window = window or full_window(self.grid)
+        return self._answer(self._net.features([points.to(self._dtype)], [window]), window)
+
+    def _answer(self, features: Tensor, window: BevWindow) -> Proposals:
+        """Proposals from the features (1, C, h, w) of a window's core."""
+        logits = self._net.heads.logits(features)[0].to(self._dtype)
+        with torch.no_grad():
+            rows = self._net.heads.box_rows(features.detach())
+        return self._proposals(logits, rows[0].to(self._dtype), window)
+
+    def _proposals(self, logits: Tensor, rows: Tensor, window: BevWindow) -> Proposals:
+        """Proposals from class logits (A,) and the rows of the box layers (cells, R) of a window's core."""
+        heads = self._net.heads
+        with torch.no_grad():
+            boxes = heads.decode(rows, self.grid, window)
+        return Proposals(boxes.float(), logits, proposal_indices(heads.per_cell, self.grid, window))
+
+    def incremental(self, window: BevWindow) -> IncrementalInference:
+        """Proposals inside a window for many frames of one scene, at the cost of what differs between them."""
+        net = self._net
+        if isinstance(net, SstNet):
+            return IncrementalTokens(net, window, self._dtype, self.proposals, self._answer)
+        if not (isinstance(net, PillarBackboneNet) and IncrementalPillars.is_aligned(net, window)):
+            return WholeWindow(self, window)
+        if self._cells is None:
+            self._cells = SparseBackbone(net.backbone, net.heads, self._dtype)
+        return IncrementalPillars(net, self._cells, window, self.proposals, self._proposals)
+
+    def detect(
+        self,
+        points: Tensor,
+        window: BevWindow | None = None,
+        score_threshold: float = 0.1,
+        iou_threshold: float = 0.25,
+    ) -> Detections:
+        """Boxes after suppression, best first; at most 4096 before and 500 after. Not differentiable.
+
+        In a window, suppression sees the core's proposals alone.
+        Source: the public Waymo config (thresholds 0.1 and 0.25, 4096 and 500).
+        """
+        window = window or full_window(self.grid)
+        with torch.no_grad():
+            found = self.proposals(points, window)
+            candidates = self._net.heads.candidates(found.logits, window)
+        return suppress(found, score_threshold, iou_threshold, candidates)

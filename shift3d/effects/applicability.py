@@ -1,0 +1,180 @@
+"""Which effects a scene calls for; no effect is imported here that the scene has no data for."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.errors import InputError
+from shift3d.render.field.object_field import VehicleFrame
+from shift3d.scenes.facts import SceneFacts
+
+if TYPE_CHECKING:
+    from shift3d.effects.base import Effect
+
+__all__ = ["MEASURED_IMPACT", "NEEDS", "Choice", "MeasuredImpact", "choose", "effect_named"]
+
+MEASURED_IMPACT = Path(__file__).resolve().parent / "measured" / "effects.json"
+"""What each effect was measured to be worth by `sweeps/effects.yaml`."""
+IMPACT_BOUND = 0.01
+"""`auto` leaves an effect out whose mean change of a score lies below this with 95 % confidence (our choice: half of
+what a score may differ from its reference, and the AUC that two presets may differ by)."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What an effect needs of a scene. lacking: what to say where it is not there, and how to supply it.
+    by_reader: called for by detectors alone that read more than coordinates."""
+
+    present: Callable[[SceneFacts], bool]
+    lacking: str
+    remedy: str = "Use scenes that carry it, or leave the effect out"
+    by_reader: bool = False
+
+
+_MOVING = "neither firing times with a velocity of the sensor, nor with a speed of the object"
+
+NEEDS: Mapping[str, Need] = {
+    # In the order in which they act.
+    "origins": Need(lambda scene: scene.origins > 1, "all beams start in one place"),
+    "no_return_beams": Need(lambda scene: scene.no_return_beams > 0, "it does not know its beams without a return"),
+    "rolling_shutter": Need(
+        lambda scene: scene.scan_s > 0.0 and (scene.object_speed_m_s != 0.0 or _ego_moves(scene)),
+        _MOVING,
+        "Use scenes with firing times; give effects.object_speed_m_s",
+    ),
+    "divergence": Need(
+        lambda scene: scene.sensor.divergence_rad is not None,
+        "it states no divergence of its beams",
+        "Give effects.divergence_rad",
+    ),
+    "second_returns": Need(
+        lambda scene: scene.returns > 1 and scene.has_pixels, "its points carry no return numbers and pixels"
+    ),
+    "reflectance": Need(lambda scene: scene.has_reflectance, "its points carry no reflectance", by_reader=True),
+    "wet_ground": Need(
+        lambda scene: scene.conditions.rain_mm_h > 0.0 and scene.sensor.limit_range_m is not None,
+        "it has no rain, or its sensor's limit is unknown",
+        "Give effects.rain_mm_h and effects.limit_range_m",
+    ),
+    "fog": Need(
+        lambda scene: scene.conditions.visibility_m != float("inf"),
+        "its visibility is unlimited",
+        "Give effects.visibility_m",
+    ),
+    "rain": Need(lambda scene: scene.conditions.rain_mm_h > 0.0, "it has no rain", "Give effects.rain_mm_h"),
+    "snow": Need(lambda scene: scene.conditions.snow_mm_h > 0.0, "it has no snow", "Give effects.snow_mm_h"),
+    "ray_drop": Need(
+        lambda scene: scene.sensor.limit_range_m is not None,
+        "its sensor's limit is unknown",
+        "Give effects.limit_range_m",
+    ),
+    "range_noise": Need(
+        lambda scene: scene.sensor.range_noise_m is not None,
+        "it states no range noise",
+        "Give effects.range_noise_m",
+    ),
+}
+"""Every effect by its name, in the order of the physics, with the data without which it means nothing."""
+
+
+def _ego_moves(scene: SceneFacts) -> bool:
+    return any(scene.conditions.ego_velocity_m_s or ())
+
+
+@dataclass(frozen=True)
+class MeasuredImpact:
+    """What an effect was measured to be worth. score_change: mean |change| of a score, with its 95 % interval;
+    milliseconds: a rendering, beyond the rendering without it."""
+
+    score_change: float
+    low: float
+    high: float
+    milliseconds: float
+
+    @property
+    def matters(self) -> bool:
+        """Whether the change cannot be said to lie below the bound."""
+        return not self.high < IMPACT_BOUND
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One effect for one scene: used or not, and why."""
+
+    effect: str
+    used: bool
+    reason: str
+    milliseconds: float | None = None
+
+
+def choose(
+    wanted: str | Sequence[str],
+    scene: SceneFacts,
+    vehicle: VehicleFrame,
+    detector: DetectorFacts,
+) -> list[Choice]:
+    """Effects for a scene, in their order; those that the scene has no data for are not mentioned.
+
+    Args:
+        wanted: "auto", "none", or names: these are used whether the scene calls for them or not.
+
+    Raises:
+        InputError: an unknown name; an effect that the scene has no data for.
+    """
+    if wanted == "auto":
+        return _applicable(scene, vehicle, detector)
+    if isinstance(wanted, str):
+        wanted = () if wanted == "none" else (wanted,)
+    for name in wanted:
+        if name not in NEEDS:
+            raise InputError(f"unknown effect {name!r}", "effects", f"Known: auto, none, {', '.join(NEEDS)}")
+        if not NEEDS[name].present(scene):
+            raise InputError(
+                f"scene {scene.scene_id} has no data for {name}: {NEEDS[name].lacking}", "effects", NEEDS[name].remedy
+            )
+    worth = measured_impact()
+    return [
+        Choice(name, True, "asked for", worth[name].milliseconds if name in worth else None)
+        for name in NEEDS
+        if name in wanted
+    ]
+
+
+def _applicable(scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> list[Choice]:
+    choices = []
+    for name, need in NEEDS.items():
+        if not need.present(scene) or (need.by_reader and not detector.reads_reflectance):
+            continue
+        reason = effect_named(name).applicability(scene, vehicle, detector)
+        if reason is None:
+            continue
+        worth = measured_impact().get(name)
+        used = worth is None or worth.matters
+        if not used:
+            assert worth is not None
+            reason = f"left out: {reason}, but it moves scores by {worth.score_change:.3f} (at most {worth.high:.3f})"
+        choices.append(Choice(name, used, reason, None if worth is None else worth.milliseconds))
+    return choices
+
+
+def effect_named(name: str) -> Effect:
+    """The effect of a name in `NEEDS`; its module is imported now."""
+    effect: Effect = importlib.import_module(f"shift3d.effects.{name}").EFFECT
+    return effect
+
+
+@functools.cache
+def measured_impact() -> dict[str, MeasuredImpact]:
+    """What effects were measured to be worth, by name; those that were not are missing."""
+    if not MEASURED_IMPACT.is_file():
+        return {}
+    values: dict[str, Any] = json.loads(MEASURED_IMPACT.read_text(encoding="utf-8"))["effects"]
+    keys = ("score_change", "low", "high", "milliseconds")
+    return {name: MeasuredImpact(*(float(row[key]) for key in keys)) for name, row in values.items()}

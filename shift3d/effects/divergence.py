@@ -1,0 +1,249 @@
+"""A beam is a cone: where it meets a silhouette of the object, the strongest of its echoes counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from shift3d.effects.base import EffectContext, FootprintStep, Insertion, Kind, Returns
+from shift3d.effects.chain import SCENE_ALBEDO
+from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.physics.materials import albedo_of
+from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
+from shift3d.render.beams import Beams
+from shift3d.render.field.object_field import VehicleFrame
+from shift3d.render.implicit import cosine_of_incidence
+from shift3d.render.render import render
+from shift3d.scenes.facts import SceneFacts
+
+__all__ = ["EFFECT", "LEAST_FOOTPRINT_M", "PLACEMENT_LIMIT_M", "PULSE_M", "SUB_RAY_SHARE", "Divergence", "strongest"]
+
+PULSE_M = 0.75
+"""Echoes of one beam nearer to each other than this merge: c t / 2 of a pulse of 5 ns (our choice)."""
+SUB_RAY_SHARE = 2.0 / 3.0
+"""The six outer sub-rays run at this share of the cone's half angle, and all seven weigh the same (our choice): a disc
+cut into a middle and six sectors of equal area has the sectors' centroids at 0.70 of its radius."""
+PLACEMENT_LIMIT_M = 50.0
+"""Farthest that objects are placed. Source: SHIFT3D, Experiments."""
+LEAST_FOOTPRINT_M = 0.02
+"""A cone no wider than this at that range counts as a line (our choice: the usual range noise)."""
+
+
+class Divergence:
+    """Beams whose cone crosses a silhouette, or touches the object that the axis misses, are looked at with 7 sub-rays.
+
+    The axis and a hexagon about it, of equal weight, are cast by the same renderer. Each echo has the power
+    weight * albedo * cosine / range^2; a sub-ray past the object meets what the beam met before, at that range, head
+    on (that of a silent beam nothing). Echoes within `PULSE_M` of the next one merge; the group of most power is the
+    return, at the mean range by power. Where at least half of that power is the object's, the point lies on the axis
+    at that range; else the row is the scene's again, its own point. Where all seven merge on the object, the cone lies
+    on one face, and the axis's hit stays.
+
+    Of changed rows `cosine` is the mean by power, and `albedo` contains the share of the cone that is on the object:
+    their product is what the object sends back.
+
+    Leaves every other beam as it is, bit for bit; at zero divergence all of them. Nothing is random. Differentiable
+    w.r.t. pose and code through the ranges of the sub-rays; the gradient ignores that powers change, and which echoes
+    there are. Source: shared physics, Beam divergence; constants: as they state.
+    """
+
+    name = "divergence"
+    kind: Kind = "footprint"
+    reads_incidence = False
+
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+        """See `Effect`: where the cone is wider than `LEAST_FOOTPRINT_M` at the farthest place."""
+        width = PLACEMENT_LIMIT_M * (scene.sensor.divergence_rad or 0.0)
+        if not width > LEAST_FOOTPRINT_M:
+            return None
+        return f"a beam is {100.0 * width:.0f} cm wide at {PLACEMENT_LIMIT_M:.0f} m"
+
+    def bind(self, context: EffectContext) -> FootprintStep:
+        """See `Effect`."""
+        sensor = context.scene.sensor
+        if sensor is None or not sensor.divergence_rad:
+            return lambda returns, insertion: returns
+        return _Footprint(context, SUB_RAY_SHARE * sensor.divergence_rad / 2.0)
+
+    def on_scene(self, context: EffectContext) -> bool:
+        """See `Effect`: no returns step."""
+        return False
+
+
+def strongest(range_m: Tensor, power: Tensor) -> Tensor:
+    """(C, S) bool: the echoes of the group of most power, the nearest of equal ones.
+
+    range_m, power: (C, S). A group ends where the next echo is more than `PULSE_M` farther. Not differentiable.
+    """
+    ordered, order = range_m.sort(dim=1, stable=True)
+    group = torch.nn.functional.pad((ordered.diff(dim=1) > PULSE_M).long().cumsum(1), (1, 0))
+    total = torch.zeros_like(power).scatter_add_(1, group, power.gather(1, order))
+    best = group == total.argmax(1, keepdim=True)
+    return torch.zeros_like(best).scatter_(1, order, best)
+
+
+@dataclass(frozen=True)
+class _Echoes:
+    """Of C beams, 7 sub-rays each, the axis first: (C, 7), float64 but on_object.
+
+    range_m: differentiable. light: weight * albedo * cosine. cosine: of incidence; 1 off the object.
+    """
+
+    range_m: Tensor
+    light: Tensor
+    cosine: Tensor
+    on_object: Tensor
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    """What C beams bring back: (C,).
+
+    object_wins: the return is the object's. whole: all of the cone lies on one face. range_m: differentiable.
+    """
+
+    object_wins: Tensor
+    whole: Tensor
+    range_m: Tensor
+    cosine: Tensor
+    albedo: Tensor
+
+    @staticmethod
+    def of(echoes: _Echoes) -> _Verdict:
+        """The strongest group of merged echoes. Nothing to notice (no power at all): not the object's."""
+        power = echoes.light / echoes.range_m.detach().square()
+        kept = strongest(echoes.range_m.detach(), power)
+        ours = kept & echoes.on_object
+        total, of_object = (power * kept).sum(1), (power * ours).sum(1)
+        object_wins = (of_object > 0) & (of_object >= 0.5 * total)
+        weight = power * kept / torch.where(object_wins, total, 1.0)[:, None]
+        share = power * ours / torch.where(object_wins, of_object, 1.0)[:, None]
+        cosine = torch.where(object_wins, (share * echoes.cosine).sum(1), 1.0)
+        albedo = (echoes.light * ours).sum(1) / cosine
+        return _Verdict(object_wins, ours.all(1), (weight * echoes.range_m).sum(1), cosine, albedo)
+
+
+@dataclass(frozen=True)
+class _Footprint:
+    """The step. angle_rad: between a sub-ray and the axis."""
+
+    context: EffectContext
+    angle_rad: float
+
+    def __call__(self, returns: Returns, insertion: Insertion) -> Returns:
+        rows = at_silhouettes(insertion, self.angle_rad)
+        if len(rows) == 0:
+            return returns
+        verdict = _Verdict.of(self._echoes(rows, returns, insertion))
+        was_hit = insertion.rendering.hit_mask[rows]
+        result = _moved(returns, rows, was_hit & verdict.object_wins & ~verdict.whole, verdict)
+        known = rows < len(self.context.scene.points)
+        result = self._given_back(result, rows[was_hit & ~verdict.object_wins & known])
+        return self._with_gained(result, rows, ~was_hit & verdict.object_wins, verdict, insertion)
+
+    def _echoes(self, rows: Tensor, returns: Returns, insertion: Insertion) -> _Echoes:
+        """Cast the sub-rays of rows (C,); the axis has been. Differentiable through the ranges."""
+        beams, count = insertion.beams, len(rows)
+        starts, axis, ends = beams.origins[rows], beams.directions[rows], beams.ranges_m[rows]
+        around = sub_rays(axis, self.angle_rad)
+        range_m, on_object = _cast(starts, around, ends, insertion)
+        on_axis = insertion.rendering.hit_mask[rows]
+        own = ends.index_copy(0, on_axis.nonzero().squeeze(1), returns.range_m[_places(returns, rows[on_axis])])
+        range_m, on_object = torch.cat((own[:, None], range_m), 1), torch.cat((on_axis[:, None], on_object), 1)
+        directions = torch.cat((axis[:, None], around), 1)
+        points = (starts[:, None] + range_m.detach()[..., None] * directions)[on_object]
+        cosine = torch.ones(count, 7, dtype=torch.float64)
+        cosine[on_object] = cosine_of_incidence(directions[on_object], points, insertion.metric(), insertion.theta)
+        albedo = self._scene_albedo(rows)[:, None].repeat(1, 7)
+        albedo[on_object] = albedo_of(points, insertion.theta.detach(), insertion.vehicle)
+        return _Echoes(range_m, albedo * cosine / 7.0, cosine, on_object)
+
+    def _given_back(self, returns: Returns, rows: Tensor) -> Returns:
+        """Rows that are the scene's again: their own points."""
+        if len(rows) == 0:
+            return returns
+        place = _places(returns, rows)
+        own = torch.from_numpy(self.context.scene.points[rows.numpy()]).double()
+        return replace(
+            returns,
+            points=returns.points.index_copy(0, place, own),
+            on_object=returns.on_object.index_fill(0, place, False),
+            cosine=returns.cosine.index_fill(0, place, 1.0),
+            albedo=returns.albedo.index_copy(0, place, self._scene_albedo(rows)),
+        )
+
+    def _with_gained(
+        self, returns: Returns, rows: Tensor, gained: Tensor, verdict: _Verdict, insertion: Insertion
+    ) -> Returns:
+        """With the rows whose axis misses the object and whose cone does not, in their order."""
+        if not bool(gained.any()):
+            return returns
+        row, shift = rows[gained], insertion.shift_m
+        origins, directions = insertion.beams.origins[row], insertion.beams.directions[row]
+        origins = origins if shift is None else origins + shift[row]
+        points = origins + verdict.range_m[gained, None] * directions
+        yes = torch.ones(len(row), dtype=torch.bool)
+        reflectance = None if returns.reflectance is None else self._of_scene(row, 0.0)
+        cosine, albedo = verdict.cosine[gained], verdict.albedo[gained]
+        return _together(returns, Returns(row, points, origins, directions, yes, yes, cosine, albedo, reflectance))
+
+    def _scene_albedo(self, rows: Tensor) -> Tensor:
+        """(C,) albedo of what beams met before; 0 of silent ones."""
+        return torch.where(rows < len(self.context.scene.points), self._of_scene(rows, SCENE_ALBEDO), 0.0)
+
+    def _of_scene(self, rows: Tensor, unknown: float) -> Tensor:
+        """(C,) float64 reflectance of the scene's points, 0 beyond them; `unknown` where it has none."""
+        values, count = self.context.scene.reflectance, len(self.context.scene.points)
+        if values is None:
+            return torch.full((len(rows),), unknown, dtype=torch.float64)
+        known = torch.from_numpy(values[rows.clamp_max(count - 1).numpy()]).double()
+        return torch.where(rows < count, known, 0.0)
+
+
+def _cast(starts: Tensor, around: Tensor, ends: Tensor, insertion: Insertion) -> tuple[Tensor, Tensor]:
+    """(C, 6) ranges and whether on the object, of sub-rays around (C, 6, 3) from starts (C, 3) that end at ends (C,).
+
+    Differentiable w.r.t. pose and code through the ranges.
+    """
+    count = len(ends)
+    origins, directions, ranges = starts.repeat_interleave(6, 0), around.reshape(-1, 3), ends.repeat_interleave(6)
+    carries = torch.ones(6 * count, dtype=torch.bool)
+    beams = Beams(origins + ranges[:, None] * directions, origins, directions, ranges, carries)
+    settings, space = insertion.settings, insertion.space
+    found = render(beams, insertion.field, insertion.theta, insertion.vehicle, settings, None, space)
+    along = ((found.points - origins) * directions).sum(-1)
+    return torch.where(found.hit_mask, along, ranges).reshape(count, 6), found.hit_mask.reshape(count, 6)
+
+
+def _places(returns: Returns, rows: Tensor) -> Tensor:
+    """Where rows, all of which returns contain, stand in them."""
+    return torch.searchsorted(returns.row, rows)
+
+
+def _moved(returns: Returns, rows: Tensor, moved: Tensor, verdict: _Verdict) -> Returns:
+    """With the moved (C,) of rows (C,) at their new ranges."""
+    if not bool(moved.any()):
+        return returns
+    place = _places(returns, rows[moved])
+    range_m = returns.range_m.detach().index_copy(0, place, verdict.range_m[moved])
+    chosen = torch.zeros(len(returns), dtype=torch.bool).index_fill(0, place, True)
+    return replace(
+        returns.moved_to(range_m, chosen),
+        cosine=returns.cosine.index_copy(0, place, verdict.cosine[moved]),
+        albedo=returns.albedo.index_copy(0, place, verdict.albedo[moved]),
+    )
+
+
+def _together(returns: Returns, more: Returns) -> Returns:
+    """Rows of both, ascending."""
+    order = torch.cat((returns.row, more.row)).argsort()
+    parts: dict[str, Any] = {}
+    for name, part in vars(returns).items():
+        parts[name] = None if part is None else torch.cat((part, getattr(more, name)))[order]
+    return Returns(**parts)
+
+
+EFFECT = Divergence()

@@ -1,0 +1,229 @@
+"""Fog: light is lost on both ways, and the fog itself sends some back."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.physics.power import (
+    LEAST_LOSS,
+    OVERLAP_FROM_M,
+    PowerLimit,
+    at_ranges,
+    echo_power,
+    loss,
+    overlap,
+    range_along,
+    reach_m,
+    unchanged,
+)
+from shift3d.render.field.object_field import VehicleFrame
+from shift3d.scenes.facts import SceneFacts
+
+__all__ = ["EFFECT", "PULSE_S", "Fog", "SoftEcho", "backscatter_per_m", "extinction_per_m", "soft_echo"]
+
+PULSE_S = 20e-9
+"""tau, half the length of the sin^2 pulse: its width at half height."""
+TARGET_REFLECTIVITY = 1e-6
+"""Gamma; beta_0 = Gamma / pi is what the fog's backscatter is measured against."""
+LIGHT_M_S = 299_792_458.0
+_DEPTHS, _PEAKS, _NODES = 200, 200, 3000
+
+
+def extinction_per_m(visibility_m: float) -> float:
+    """alpha = ln 20 / MOR, 1/m: at the meteorological optical range 5 % of the light is left."""
+    return math.log(20.0) / visibility_m
+
+
+def backscatter_per_m(visibility_m: float) -> float:
+    """beta = 0.046 / MOR, 1/(m sr). Source: Hahner et al. 2021."""
+    return 0.046 / visibility_m
+
+
+@dataclass(frozen=True)
+class SoftEcho:
+    """The echo of fog in front of a surface at range R0, as a table over R0.
+
+    depth_m: (D,) R0, ascending. log_gain: (D,) log of beta / beta_0 * max over R of the integral over the pulse,
+    times exp(2 alpha 0.9 m): dense fog would leave nothing of it in float64. range_m: (D,) where it is reported.
+    """
+
+    extinction_per_m: float
+    depth_m: NDArray[np.float64]
+    log_gain: NDArray[np.float64]
+    range_m: NDArray[np.float64]
+
+    def at(self, range_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Log of the echo of fog over that of the surface in clear air, and the range that it reports.
+
+        Args:
+            range_m: (K,) of the surfaces, metres. Those nearer than 0.9 m have no fog that the receiver sees in front
+                of them: -inf.
+        """
+        # Behind the last depth nothing changes any more, and most surfaces lie there.
+        log_gain, reported_m = np.full_like(range_m, self.log_gain[-1]), np.full_like(range_m, self.range_m[-1])
+        near = np.nonzero(range_m < self.depth_m[-1])[0]
+        log_gain[near] = np.interp(range_m[near], self.depth_m, self.log_gain, left=-np.inf)
+        reported_m[near] = np.interp(range_m[near], self.depth_m, self.range_m)
+        log_ratio = log_gain + 2.0 * np.log(np.maximum(range_m, OVERLAP_FROM_M))
+        return log_ratio - 2.0 * self.extinction_per_m * OVERLAP_FROM_M, reported_m
+
+
+@functools.cache
+def soft_echo(extinction: float, backscatter: float, pulse_s: float = PULSE_S) -> SoftEcho:
+    """Tabulate the echo of fog.
+
+    The integral over the pulse, with r = R - c t / 2 in place of t, is that of sin^2(pi (R - r) / (c tau)) * w(r),
+    w(r) = xi(r) exp(-2 alpha r) / r^2, for r below R0 and within c tau behind R. As sin^2 x = (1 - cos 2x) / 2, three
+    running integrals of w give it for every R and R0. The pulse is symmetric and w starts at 0.9 m: the maximum over R
+    lies between c tau / 2 and c tau behind that, so that the pulse's tail never leaves w's beginning.
+
+    Args:
+        extinction, backscatter: alpha, 1/m, and beta, 1/(m sr). pulse_s: tau.
+
+    Source: Hahner et al. 2021, equations only.
+    """
+    length = LIGHT_M_S * pulse_s
+    wave = 2.0 * math.pi / length
+    first = 1e-3 / (1.0 + extinction)
+    behind = np.concatenate(([0.0], np.geomspace(first, length, _NODES)))
+    behind = np.unique(np.append(behind, 0.1))  # where xi has its kink
+    node = OVERLAP_FROM_M + behind
+    weight = overlap(torch.from_numpy(node)).numpy() * np.exp(-2.0 * extinction * behind) / node**2
+    running = [_running(behind, weight * part) for part in (1.0, np.cos(wave * behind), np.sin(wave * behind))]
+    depth = np.geomspace(first, length, _DEPTHS)
+    # peak: where the sensor says an echo lies whose maximum is received half a pulse later.
+    peak = np.linspace(0.0, length / 2.0, _PEAKS)
+    end = np.minimum(peak + length / 2.0, depth[:, None])
+    whole, even, odd = (np.interp(end, behind, values) for values in running)
+    angle = wave * (peak + length / 2.0)
+    received = (whole - np.cos(angle) * even - np.sin(angle) * odd) / LIGHT_M_S
+    best, at = _maximum(received, peak)
+    gain = backscatter / (TARGET_REFLECTIVITY / math.pi) * best
+    return SoftEcho(extinction, OVERLAP_FROM_M + depth, np.log(gain), OVERLAP_FROM_M + np.minimum(at, depth))
+
+
+def _running(x: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Integral from the first node up to each, by trapezoids."""
+    return np.concatenate(([0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(x))))
+
+
+def _maximum(values: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Maximum along rows (D, P) and where it is, by a parabola through the three largest samples; x evenly spaced."""
+    row = np.arange(len(values))
+    middle = np.clip(values.argmax(axis=1), 1, values.shape[1] - 2)
+    before, here, after = (values[row, middle + offset] for offset in (-1, 0, 1))
+    curvature = before - 2.0 * here + after
+    shift = np.clip(np.where(curvature < 0.0, 0.5 * (before - after) / np.minimum(curvature, -1e-300), 0.0), -1.0, 1.0)
+    return here - 0.25 * (before - after) * shift, x[middle] + shift * (x[1] - x[0])
+
+
+class Fog:
+    """The stronger of two echoes: that of the surface, exp(-2 alpha R0), and that of the fog in front of it.
+
+    Where the fog's wins, the point moves along the beam to the range of that echo's maximum. An echo's maximum arrives
+    half a pulse (c tau / 2, 3 m) after the first light, and a sensor that reports a surface at R0 has that taken off;
+    it is taken off the fog's echo too. So the point never lies behind the surface. No noise is added to this range:
+    the published method scatters it without a law; our choice is the smooth fog of the equations, in which it has one
+    value. An echo of fog is not from the object (`on_object` False), with cosine 1.
+
+    A surface's echo is lost below the sensor's least power, where that is known (`power.PowerLimit`). The fog's is
+    not asked for it: it is calibrated (Gamma) against the echo of surfaces alone, not on the scale of albedo. As in
+    the published method it is proportional to the reflectance of the surface behind it.
+
+    Changed are also reflectance, as a sensor reports it (power times range squared), and albedo: from here on the
+    apparent one, as seen through the fog, so that effects that follow weaken what is left. Left as they are:
+    directions, cosine of surfaces, points that the fog does not outshine, rows without a return (fog in front of the
+    sky is left out). Unlimited visibility changes nothing.
+
+    With rain and snow: each acts in turn on what the one before has left. Extinctions add up as they should; left out
+    is that drops and flakes in front of the surface are themselves seen through the fog, and fog's echo through rain
+    beyond its own range.
+
+    Differentiable: points that stay. The gradient ignores that echoes are lost or replaced, and at which range that
+    happens; points of fog, reflectance and albedo carry none.
+
+    Source: Hahner et al. 2021, equations; range correction, noise and least power: our choice.
+    """
+
+    name = "fog"
+    kind: Kind = "returns"
+    reads_incidence = True
+
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+        """Where a hundredth of the light is lost as far as there is something to see, and that shows: in reflectance,
+        at the sensor's limit, or because fog outshines surfaces."""
+        visibility_m = scene.conditions.visibility_m
+        if not math.isfinite(visibility_m):
+            return None
+        extinction, reach = extinction_per_m(visibility_m), reach_m(scene.conditions)
+        if loss(extinction, reach) < LEAST_LOSS:
+            return None
+        outshone_m = _outshone_from_m(visibility_m, reach)
+        read = detector.reads_reflectance and scene.has_reflectance
+        if scene.sensor.limit_range_m is None and outshone_m is None and not read:
+            return None
+        reason = f"visibility {visibility_m:g} m: {100.0 * loss(extinction, 30.0):.0f} % of the light is lost "
+        reason += "at 30 m and back"
+        return reason if outshone_m is None else f"{reason}; fog outshines surfaces from {outshone_m:.0f} m on"
+
+    def bind(self, context: EffectContext) -> ReturnsStep:
+        """The table, once for each visibility in a process; two draws a beam where the limit is known."""
+        visibility_m = context.scene.conditions.visibility_m
+        if math.isinf(visibility_m):
+            return unchanged
+        limit = PowerLimit.of(context, self.name)
+        soft = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
+
+        def step(returns: Returns) -> Returns:
+            return _in_fog(returns, soft, limit)
+
+        return step
+
+    def on_scene(self, context: EffectContext) -> bool:
+        """Where the scene's points are those of clear air."""
+        return not context.scene.conditions.weather_in_points
+
+
+def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit) -> Returns:
+    range_m = range_along(returns).detach()
+    log_hard = -2.0 * soft.extinction_per_m * range_m
+    log_soft, soft_m = (torch.from_numpy(values) for values in soft.at(range_m.numpy()))
+    fog = returns.returned & (log_soft > log_hard)
+    transmission = torch.exp(log_hard)
+    power = echo_power(returns.albedo, returns.cosine, range_m)
+    lost = limit.lost(returns.without(fog), power, transmission)
+    rows = fog.nonzero().squeeze(1)
+    # As reported: power times the square of the range that the sensor believes.
+    nearness = soft_m[rows] / range_m[rows]
+    left = torch.where(returns.returned, transmission, 1.0)
+    left = left.index_copy(0, rows, torch.exp(log_soft[rows]) * nearness**2)
+    albedo = returns.albedo.index_copy(0, rows, returns.albedo[rows] * returns.cosine[rows])
+    changed = replace(
+        returns.without(lost),
+        points=at_ranges(returns, rows, soft_m[rows]),
+        on_object=returns.on_object & ~fog,
+        albedo=(albedo * left).clamp(max=1.0),
+        cosine=returns.cosine.index_fill(0, rows, 1.0),
+    )
+    if returns.reflectance is None:
+        return changed
+    return replace(changed, reflectance=(returns.reflectance * left).clamp(max=1.0))
+
+
+def _outshone_from_m(visibility_m: float, reach: float) -> float | None:
+    """Range beyond which fog outshines surfaces, to half a metre; None where that is beyond reach."""
+    range_m = np.arange(1.0, reach, 0.5)
+    soft = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
+    won = soft.at(range_m)[0] > -2.0 * soft.extinction_per_m * range_m
+    return float(range_m[won.argmax()]) if won.any() else None
+
+
+EFFECT = Fog()

@@ -1,0 +1,75 @@
+"""Beams that brought nothing back, and now may meet the object."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from shift3d.effects.base import Cast, CastStep, EffectContext, Kind
+from shift3d.effects.chain import NO_RETURN_M
+from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.render.beams import Beams
+from shift3d.render.field.object_field import VehicleFrame
+from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.sensor import NoReturnBeams
+
+__all__ = ["EFFECT", "SilentBeamsCast"]
+
+
+class SilentBeamsCast:
+    """Rows after the scene's points, one for each beam without a return, in the order of `Scene.no_return`.
+
+    They rest `NO_RETURN_M` out and return only where they meet the object. They start in their own places, unless the
+    points' beams are all cast from one place that is not their own (several sensors, without the effect `origins`):
+    then from that place too. Leaves the rows of the scene's points as they are, bit for bit; a scene that has none is
+    unchanged. Differentiable: a beam without a return that meets the object carries its gradient like any other.
+    Source: our choice: the paper moves returns alone.
+    """
+
+    name = "no_return_beams"
+    kind: Kind = "cast"
+    reads_incidence = False
+
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+        """See `Effect`. The facts do not tell where the beams point, so any is a reason."""
+        return f"{scene.no_return_beams} beams without a return may meet the object" if scene.no_return_beams else None
+
+    def bind(self, context: EffectContext) -> CastStep:
+        """See `Effect`."""
+        no_return = context.scene.no_return
+        if no_return is None or len(no_return) == 0:
+            return lambda cast: cast
+        own = torch.from_numpy(context.scene.origins.copy()).double()
+        return lambda cast: _with_rows(cast, no_return, own)
+
+    def on_scene(self, context: EffectContext) -> bool:
+        """See `Effect`: no returns step."""
+        return False
+
+
+def _with_rows(cast: Cast, no_return: NoReturnBeams, own: Tensor) -> Cast:
+    """The cast with rows without a return; own (N, 3): where the points' beams really start."""
+    beams, count = cast.beams, len(no_return)
+    directions = torch.from_numpy(no_return.directions.copy()).double()
+    directions = directions / directions.norm(dim=-1, keepdim=True)
+    origins = torch.from_numpy(no_return.origins.copy()).double()
+    if not torch.equal(beams.origins, own):
+        origins = beams.origins[:1].expand(count, 3)
+    places = torch.cat((beams.origins, origins))
+    if bool((places == places[:1]).all()):
+        places = places[:1].expand(len(places), 3)  # a view of one place is culled faster
+    resting = (origins + NO_RETURN_M * directions).to(beams.points.dtype)
+    yes = torch.ones(count, dtype=torch.bool)
+    rows = Beams(
+        torch.cat((beams.points, resting)),
+        places,
+        torch.cat((beams.directions, directions)),
+        torch.cat((beams.ranges_m, torch.full((count,), NO_RETURN_M, dtype=torch.float64))),
+        torch.cat((beams.carries, yes)),
+    )
+    return replace(cast, beams=rows, no_return=torch.cat((torch.zeros(len(beams), dtype=torch.bool), yes)))
+
+
+EFFECT = SilentBeamsCast()

@@ -1,0 +1,44 @@
+"""Beams from each sensor's own place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from shift3d.effects.base import CastStep, EffectContext, Kind
+from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.render.beams import Beams
+from shift3d.render.field.object_field import VehicleFrame
+from shift3d.scenes.facts import SceneFacts
+
+__all__ = ["EFFECT", "Origins"]
+
+
+class Origins:
+    """Every beam starts where its own sensor, or its own pixel's pose, was: `Scene.origins`, row by row.
+
+    Without it all beams start in the scene's origin, as from one sensor (`Beams.of_main_sensor`). Leaves the returns
+    and their order as they are; where all beams start in one place already, everything, bit for bit. Constant:
+    gradients are those of the first hits on the beams that are cast. Source: design section 6.
+    """
+
+    name = "origins"
+    kind: Kind = "cast"
+    reads_incidence = False
+
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+        """See `Effect`. However small the distance between the places: the facts do not tell it."""
+        return "its beams start in more than 1 place" if scene.origins > 1 else None
+
+    def bind(self, context: EffectContext) -> CastStep:
+        """See `Effect`."""
+        scene = context.scene
+        if bool((scene.origins == scene.origins[:1]).all()):
+            return lambda cast: cast
+        return lambda cast: replace(cast, beams=Beams.from_scene(scene))
+
+    def on_scene(self, context: EffectContext) -> bool:
+        """See `Effect`: no returns step."""
+        return False
+
+
+EFFECT = Origins()

@@ -1,0 +1,1 @@
+"""Physics that several effects share: materials, received power, silhouettes."""

@@ -1,0 +1,164 @@
+"""Which beams are cones that may meet more than their axis does."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.effects.base import Insertion
+from shift3d.geometry.se3 import scene_R_object
+from shift3d.render.culling import Box, Rays, rays_in_box
+from shift3d.render.field.bounding_box import verified_box
+from shift3d.render.field.object_field import ObjectField
+
+__all__ = ["at_silhouettes", "sub_rays"]
+
+_LEAST_STEP_M = 0.002
+_ON_FACE = 0.05
+"""A sub-ray meets a face where the field is less than this share of the cone's radius (our choice: of the sub-rays at a
+straight edge, that misplaces the edge by as much)."""
+_CORRECTIONS = 3
+"""Newton steps by which a sub-ray looks for a curved face, from where a flat one would be."""
+_APPROACH = 1.5
+"""The face that an axis ends on is near it for so many times longer than it would be were it flat."""
+_BOLD = 0.9
+
+
+def sub_rays(directions: Tensor, angle_rad: float) -> Tensor:
+    """(C, 6, 3) unit vectors at an angle about unit vectors (C, 3), every 60 degrees; float64."""
+    z, x = directions.new_tensor([0.0, 0.0, 1.0]), directions.new_tensor([1.0, 0.0, 0.0])
+    side = torch.linalg.cross(torch.where(directions[:, 2:].abs() < 0.9, z, x), directions)
+    side = side / side.norm(dim=-1, keepdim=True)
+    other = torch.linalg.cross(directions, side)
+    turn = torch.arange(6, dtype=torch.float64) * (math.pi / 3.0)
+    offset = turn.cos()[:, None] * side[:, None] + turn.sin()[:, None] * other[:, None]
+    rays: Tensor = math.cos(angle_rad) * directions[:, None] + math.sin(angle_rad) * offset
+    return rays
+
+
+@torch.no_grad()
+def at_silhouettes(insertion: Insertion, angle_rad: float) -> Tensor:
+    """(C,) rows of the cast beams whose sub-rays, at an angle to the axis, may meet something else, ascending.
+
+    That is: the cone comes near surface before the axis ends, or before the face that it ends on; or a sub-ray leaves
+    that face. Beams that do not pass the object's box cost nothing. Not differentiable.
+    """
+    settings, beams = insertion.settings, insertion.beams
+    theta, spread = insertion.theta.detach().double(), math.tan(angle_rad)
+    field = ObjectField.of(insertion.field, insertion.vehicle, settings.dtype, settings.batch, settings.bfloat16_band_m)
+    box = _box(insertion, field)
+    starts = beams.origins[:1] if beams.origins.stride(0) == 0 else beams.origins
+    farthest = float((theta[:3] - starts).norm(dim=-1).max()) + box.radius_m
+    rays = rays_in_box(beams, theta, box.grown(spread * farthest))
+    chosen = torch.zeros(len(beams), dtype=torch.bool)
+    until = torch.full((len(beams),), torch.inf, dtype=torch.float64)
+    row = insertion.rendering.hit_mask.nonzero().squeeze(1)
+    if len(row):
+        chosen[row], until[row] = _leave_the_face(row, field, insertion, angle_rad)
+    rays = replace(rays, far_m=torch.minimum(rays.far_m, until[rays.index]))
+    rays = rays.select((rays.near_m <= rays.far_m) & ~chosen[rays.index])
+    if insertion.space is not None and settings.sdf_grid and len(rays):
+        clearance = insertion.space.along(rays).clearance()
+        rays = rays.select(~(clearance > spread * rays.far_m))
+    chosen[rays.index[_touched(rays, field, spread, settings.step_safety, settings.max_step_m)]] = True
+    return chosen.nonzero().squeeze(1)
+
+
+def _box(insertion: Insertion, field: ObjectField) -> Box:
+    """The checked box of the object, from the rendering if it has one."""
+    warm, settings = insertion.rendering.warm, insertion.settings
+    if insertion.space is not None and settings.sdf_grid:
+        return insertion.space.box
+    if warm is not None and warm.box is not None:
+        return warm.box.box
+    size = torch.as_tensor(np.asarray(insertion.vehicle.size_m, dtype=np.float64))
+    return verified_box(field, size, settings.box_margin_m).box
+
+
+def _leave_the_face(row: Tensor, field: ObjectField, insertion: Insertion, angle_rad: float) -> tuple[Tensor, Tensor]:
+    """(H,) whether a sub-ray leaves the face of its axis's hit; (H,) range up to which the face itself is not near.
+
+    A sub-ray would meet a flat face where it meets the plane through the hit; from there it is corrected.
+    """
+    theta = insertion.theta.detach().double()
+    rotation = scene_R_object(theta)
+    origins = (insertion.beams.origins[row] - theta[:3]) @ rotation
+    directions, range_m = insertion.beams.directions[row], insertion.rendering.range_m[row]
+    axis, around = directions @ rotation, sub_rays(directions, angle_rad) @ rotation
+    normal = _normals(field, origins + range_m[:, None] * axis)
+    cosine, radius = -(normal * axis).sum(-1), math.tan(angle_rad) * range_m
+    fall = -(around * normal[:, None]).sum(-1)
+    meets = (range_m * cosine)[:, None] / torch.where(fall > 0, fall, 1.0)
+    off = ~_meet_face(
+        origins.repeat_interleave(6, 0),
+        around.reshape(-1, 3),
+        meets.reshape(-1),
+        fall.reshape(-1),
+        (_ON_FACE * radius).repeat_interleave(6),
+        field,
+    )
+    near = _near(radius)[0] / insertion.settings.step_safety
+    return off.reshape(-1, 6).any(-1), range_m - _APPROACH * near / cosine.clamp_min(1e-6)
+
+
+def _meet_face(
+    origins: Tensor, directions: Tensor, k: Tensor, fall: Tensor, tolerance_m: Tensor, field: ObjectField
+) -> Tensor:
+    """(S,) whether rays, object frame, meet surface next to ranges k (S,), where g falls by `fall` a metre (S,).
+
+    Not finite counts as no.
+    """
+    met, rows, k = torch.zeros(len(k), dtype=torch.bool), torch.nonzero(fall > 0).squeeze(1), k.clone()
+    for _ in range(1 + _CORRECTIONS):
+        g = field(origins[rows] + k[rows, None] * directions[rows]).double()
+        there = g.abs() <= tolerance_m[rows]
+        met[rows[there]] = True
+        k[rows] = k[rows] + g / fall[rows]
+        rows = rows[~there]
+    return met
+
+
+def _normals(field: ObjectField, x_object: Tensor) -> Tensor:
+    """(H, 3) float64 outward unit normals at places on the surface, object frame; 0 where the gradient is."""
+    with torch.enable_grad():
+        leaf = x_object.detach().requires_grad_()
+        (gradient,) = torch.autograd.grad(field(leaf).sum(), leaf)
+    length = gradient.norm(dim=-1, keepdim=True)
+    return gradient / torch.where(length > 0, length, 1.0)
+
+
+def _touched(rays: Rays, field: ObjectField, spread: float, safety: float, max_step_m: float) -> Tensor:
+    """(M,) bool: rays that may have surface within spread * range of them on their stretch; object frame.
+
+    Sphere tracing of the cone: `safety` of the field's distance is free on either side of a place. So the next place is
+    chosen ahead of what is known to be free; where its own reach does not lead back, the ray is looked at where it was
+    left. A step is at least half the cone's radius; what it may miss counts as touched, and so does NaN.
+    """
+    found = torch.zeros(len(rays), dtype=torch.bool)
+    k, ahead, rows = rays.near_m.clone(), torch.zeros(len(rays), dtype=torch.float64), torch.arange(len(rays))
+    while len(rows):
+        place = torch.minimum(k[rows] + ahead[rows], rays.far_m[rows])
+        near, least = _near(spread * place)
+        free = safety * field.estimate(rays.at(place, rows)).double()
+        found[rows[~(free > near)]] = True
+        reach = torch.maximum((free - spread * place) / (1.0 + spread), least).clamp_max(max_step_m)
+        back = place - reach > k[rows]
+        end = place + reach
+        going = (free > near) & (back | (end < rays.far_m[rows]))
+        k[rows] = torch.where(back, k[rows], end)
+        ahead[rows] = torch.where(back, 0.0, _BOLD * reach)
+        rows = rows[going]
+    return found
+
+
+def _near(radius: Tensor) -> tuple[Tensor, Tensor]:
+    """(M,) distance within which surface counts as touched by cones of a radius (M,), and the least step (M,), metres.
+
+    Halfway through such a step surface is nearer by half of it.
+    """
+    least = (0.5 * radius).clamp_min(_LEAST_STEP_M)
+    return radius + 0.5 * least, least

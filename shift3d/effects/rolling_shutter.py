@@ -1,0 +1,96 @@
+"""Each beam meets the object where that is when the beam fires."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from shift3d.effects.base import Cast, CastStep, EffectContext, Kind
+from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.render.field.object_field import VehicleFrame
+from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.labels import Conditions
+
+__all__ = ["ASSUMED_NOISE_M", "EFFECT", "RollingShutter", "relative_velocity"]
+
+ASSUMED_NOISE_M = 0.02
+"""Range noise of a sensor that states none. Our choice: what data sheets of spinning sensors give."""
+
+
+class RollingShutter:
+    """The object is displaced by d = v t at the time t that a beam fires; its pose belongs to time 0 of the scene.
+
+    v is the velocity of the object, less that of the sensor where points are not motion compensated: there each return
+    is given in the frame of the sensor as it fired. Compensated points have origins that follow the sensor, which is
+    the effect `origins`. Done by casting the beams displaced by -d and moving their hits back by d (`Cast.shift_m`),
+    so that a hit lies on the beam as the sensor knows it.
+
+    Leaves the returns that do not meet the object as they are; at velocity 0 everything, bit for bit. Differentiable
+    through the hits; the velocity is constant, along the heading at which the object was placed: a pose that turns does
+    not turn it, and no turning of the sensor during the scan is known. Silent beams without firing times meet the
+    object at its pose. Source: shared physics, x(t) = x0 + v (t - t_ref).
+    """
+
+    name = "rolling_shutter"
+    kind: Kind = "cast"
+    reads_incidence = False
+
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+        """See `Effect`: where the displacement over a scan exceeds the range noise.
+
+        The heading is not known here: speeds of object and sensor are added, so the displacement is an upper bound.
+        """
+        speed = abs(scene.object_speed_m_s) + float(np.linalg.norm(_apparent(scene.conditions)))
+        moved, noise = speed * scene.scan_s, scene.sensor.range_noise_m or ASSUMED_NOISE_M
+        if not moved > noise:
+            return None
+        return f"up to {speed:.1f} m/s over {scene.scan_s:.3g} s: {moved:.2f} m, range noise {noise:.2f} m"
+
+    def bind(self, context: EffectContext) -> CastStep:
+        """See `Effect`."""
+        velocity = relative_velocity(context)
+        scene = context.scene
+        if scene.time_s is None or not velocity.any():
+            return lambda cast: cast
+        times = torch.from_numpy(scene.time_s.copy()).double()
+        no_return = None if scene.no_return is None else scene.no_return.time_s
+        no_return_times = None if no_return is None else torch.from_numpy(no_return.copy()).double()
+        return lambda cast: _displaced(cast, times, no_return_times, torch.from_numpy(velocity))
+
+    def on_scene(self, context: EffectContext) -> bool:
+        """See `Effect`: no returns step."""
+        return False
+
+
+def relative_velocity(context: EffectContext) -> NDArray[np.float64]:
+    """(3,) float64 m/s, scene frame: how fast the object moves in the frame in which points are given."""
+    heading = context.heading_rad
+    own: NDArray[np.float64] = context.object_speed_m_s * np.array([math.cos(heading), math.sin(heading), 0.0])
+    return own - _apparent(context.scene.conditions)
+
+
+def _apparent(conditions: Conditions) -> NDArray[np.float64]:
+    """(3,) velocity of the frame in which points are given, m/s, scene frame."""
+    velocity = conditions.ego_velocity_m_s
+    if conditions.motion_compensated or velocity is None:
+        return np.zeros(3)
+    return np.array(velocity, dtype=np.float64)
+
+
+def _displaced(cast: Cast, times: Tensor, no_return_times: Tensor | None, velocity: Tensor) -> Cast:
+    """Beams moved against the object; times (N,) of the scene's points, then those of rows without a return."""
+    beams = cast.beams
+    extra = len(beams) - len(times)
+    if extra:
+        times = torch.cat((times, times.new_zeros(extra) if no_return_times is None else no_return_times))
+    shift = times[:, None] * velocity
+    moved = replace(beams, origins=beams.origins - shift, points=(beams.points.double() - shift).to(beams.points.dtype))
+    return replace(cast, beams=moved, shift_m=shift)
+
+
+EFFECT = RollingShutter()

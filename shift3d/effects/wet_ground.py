@@ -1,0 +1,139 @@
+"""Wet ground: a film of water darkens it."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.physics.power import PowerLimit, echo_power, unchanged
+from shift3d.render.field.object_field import VehicleFrame
+from shift3d.scenes.facts import SceneFacts
+
+__all__ = ["EFFECT", "GROUND_BAND_M", "WATER_INDEX", "WetGround", "reflected", "trapped", "wet_albedo"]
+
+WATER_INDEX = 1.33
+GROUND_BAND_M = 0.3
+"""Height about the nominal ground within which a point is taken for ground."""
+_DRY_ALBEDO, _TYPICAL_M = 0.3, 20.0
+
+
+def reflected(cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
+    """Share (K,) of unpolarised light that a face between two media reflects. Source: Fresnel.
+
+    Args:
+        cosine: (K,) of incidence, in [0, 1]. index: refractive index behind the face over that before it. Where it is
+            below 1 (from water into air) the light beyond the critical angle is reflected wholly.
+    """
+    behind = (1.0 - (1.0 - cosine**2) / index**2).clamp(min=0.0).sqrt()
+    # Both denominators vanish where both cosines do: along the face, where everything is reflected.
+    tiny = torch.finfo(torch.float64).tiny
+    across = (cosine - index * behind) / (cosine + index * behind).clamp(min=tiny)
+    along = (index * cosine - behind) / (index * cosine + behind).clamp(min=tiny)
+    share = 0.5 * (across**2 + along**2)
+    return torch.where((cosine + behind) > 0.0, share, torch.ones_like(share))
+
+
+@functools.cache
+def trapped(index: float = WATER_INDEX) -> float:
+    """R_wa: share of diffuse light from below that the water's surface throws back.
+
+    As light takes the same way in both directions and spreads by n^2, 1 - R_wa = (1 - R_aw) / n^2 with R_aw of
+    diffuse light from above, the integral of 2 cos R(cos) d(cos), which is smooth: there is no critical angle.
+    """
+    node, weight = np.polynomial.legendre.leggauss(64)
+    cosine = torch.from_numpy(0.5 * (node + 1.0))
+    entering = float(((1.0 - reflected(cosine, index)) * cosine * torch.from_numpy(weight)).sum())
+    return 1.0 - entering / index**2
+
+
+def wet_albedo(albedo: Tensor, cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
+    """Apparent albedo (K,) of a diffuse ground under water, T_aw rho T_wa / (1 - rho R_wa).
+
+    T_aw = 1 - R(incidence) enters the water. T_wa leaves it back to where it came from: the same transmission, and
+    1 / n^2 because light that leaves water spreads over a wider angle. What is thrown back between meets the ground
+    again, diffusely: R_wa. Water absorbs nothing on the way (a millimetre: 1 % at 905 nm).
+
+    Args:
+        albedo: (K,) of the dry ground. cosine: (K,) of incidence on the water.
+    """
+    through = 1.0 - reflected(cosine, index)
+    return through * albedo * through / index**2 / (1.0 - albedo * trapped(index))
+
+
+class WetGround:
+    """The scene's ground, seen through a film of water: its albedo and reflectance fall, and echoes below the sensor's
+    least power are lost.
+
+    Ground is what lies within `GROUND_BAND_M` of the nominal height and is met from above; its normal is vertical,
+    so that the beam's direction gives the incidence. Feet of what stands on it are wet alike. The film covers all of
+    it, whatever the rate (our choice); puddles that mirror what lies behind are left out.
+
+    Left as they are: points, directions, the object, everything above the ground, and scenes whose points carry their
+    weather already. No rain changes nothing.
+
+    Differentiable: nothing is; the object's points pass untouched.
+
+    Source: Fresnel transmission both ways (reference equations); diffuse light within the film: our choice (Lekner
+    and Dorf 1988).
+    """
+
+    name = "wet_ground"
+    kind: Kind = "returns"
+    reads_incidence = False
+
+    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+        """Rain that is not in the points yet, ground in view, and a limit below which its echoes are lost."""
+        conditions = scene.conditions
+        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not scene.ground_in_view:
+            return None
+        if scene.sensor.limit_range_m is None:
+            return None
+        cosine = torch.tensor([1.73 / _TYPICAL_M], dtype=torch.float64)
+        share = float(wet_albedo(torch.tensor([_DRY_ALBEDO], dtype=torch.float64), cosine)) / _DRY_ALBEDO
+        return (
+            f"rain {conditions.rain_mm_h:g} mm/h wets the ground: {100.0 * share:.0f} % of its echo is left "
+            f"at {_TYPICAL_M:g} m"
+        )
+
+    def bind(self, context: EffectContext) -> ReturnsStep:
+        """Two draws a beam."""
+        conditions, sensor = context.scene.conditions, context.scene.sensor
+        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points:
+            return unchanged
+        if sensor is None or sensor.limit_range_m is None:
+            return unchanged
+        limit, ground_z_m = PowerLimit.of(context, self.name), context.scene.ground_z_m
+
+        def step(returns: Returns) -> Returns:
+            return _wetted(returns, limit, ground_z_m)
+
+        return step
+
+    def on_scene(self, context: EffectContext) -> bool:
+        """Where the scene's points are those of dry ground."""
+        return not context.scene.conditions.weather_in_points
+
+
+def _wetted(returns: Returns, limit: PowerLimit, ground_z_m: float) -> Returns:
+    down = -returns.directions[:, 2]
+    near = (returns.points.detach()[:, 2] - ground_z_m).abs() < GROUND_BAND_M
+    ground = near & (down > 0.0) & returns.returned & ~returns.on_object
+    if not bool(ground.any()):
+        return returns
+    albedo = torch.where(ground, wet_albedo(returns.albedo, down.clamp(0.0, 1.0)), returns.albedo)
+    left = torch.where(returns.albedo > 0.0, albedo / returns.albedo.clamp(min=1e-12), 1.0)
+    power = echo_power(returns.albedo, returns.cosine, returns.range_m.detach())
+    lost = ground & limit.lost(returns, power, left)
+    reflectance = returns.reflectance
+    if reflectance is not None:
+        reflectance = torch.where(ground, reflectance * left, reflectance)
+    return replace(returns.without(lost), albedo=albedo, reflectance=reflectance)
+
+
+EFFECT = WetGround()

@@ -1,0 +1,148 @@
+"""A detector's quality by range, heading, number of points and kind of vehicle, each number with an interval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shift3d.evaluation.frames import VIEWS, DetectedFrame, compare
+from shift3d.evaluation.groups import Group, aspect, groups_of
+from shift3d.evaluation.intervals import DRAWS, frame_weights, interval, weighted_median
+from shift3d.evaluation.vehicles import ERRORS, VehicleRows, vehicle_rows
+from shift3d.evaluation.waymo import (
+    LEVELS,
+    SCORE_CUTOFFS,
+    Assignment,
+    CutoffCounts,
+    WaymoRules,
+    assign,
+    curve_of,
+    cutoff_counts,
+)
+
+__all__ = ["BreakdownRow", "breakdown"]
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+IOU = 0.7
+
+
+@dataclass(frozen=True)
+class BreakdownRow:
+    """A number: of which group, what it measures, its 95 % interval over resampled frames, and how many it is of.
+
+    measure: AP, APH (Waymo's, LEVEL_1, IoU 0.7), recall, flips, or error_ and a name of ERRORS. statistic: of AP and
+    APH the view, of recall view and IoU, of errors median, mean or std. value: None without a vehicle.
+    """
+
+    by: str
+    group: str
+    measure: str
+    statistic: str
+    value: float | None
+    low: float | None
+    high: float | None
+    number: int
+
+
+def breakdown(frames: Sequence[DetectedFrame], draws: int = DRAWS) -> tuple[VehicleRows, list[BreakdownRow]]:
+    """Every vehicle that counts, and the numbers of every group, in a fixed order.
+
+    AP of a group: vehicles of others are neither right nor wrong. A false alarm belongs to the range and the heading of
+    its own box; it has neither points nor a kind, so that for these each counts by the group's share of all vehicles
+    (our choice). Recall, flips and errors: of vehicles of LEVEL_1, see `vehicles`.
+    """
+    vehicles = vehicle_rows(frames)
+    weights = frame_weights(len(frames), draws)
+    assigned: dict[tuple[str, float, float], list[Assignment]] = {}
+    rows: list[BreakdownRow] = []
+    for group in groups_of(vehicles.kind):
+        for view in VIEWS:
+            key = (view, *group.range_m)
+            if key not in assigned:
+                assigned[key] = [assign(compare(frame, view), IOU, *key[1:]) for frame in frames]
+            rows += _areas(group, view, assigned[key], weights)
+        rows += _of_vehicles(group, vehicles, len(frames), weights)
+    return vehicles, rows
+
+
+def _areas(group: Group, view: str, assignments: Sequence[Assignment], weights: Floats) -> Iterator[BreakdownRow]:
+    truths = [assignment.comparison.truth for assignment in assignments]
+    inside = [group.members(truth.boxes, truth.num_points, truth.kinds) for truth in truths]
+    asked = [truth.counts & (truth.num_points >= LEVELS["LEVEL_1"]) for truth in truths]
+    total = sum(int(flags.sum()) for flags in asked)
+    share = sum(int((one & two).sum()) for one, two in zip(inside, asked)) / max(1, total)
+    counts = []
+    for assignment, among in zip(assignments, inside, strict=True):
+        found = assignment.comparison.found
+        wrong = np.ones(len(found.scores))
+        if group.by == "heading":
+            wrong = np.array([own == group.name for own in aspect(found.boxes)], dtype=np.float64)
+        elif group.by in ("points", "body", "attribute"):
+            wrong = np.full(len(found.scores), share)
+        counts.append(cutoff_counts(assignment, WaymoRules("LEVEL_1"), among, wrong))
+    stacked = np.array([count.table for count in counts]).reshape(-1, 4, len(SCORE_CUTOFFS))
+    numbers = np.array([count.num_truth for count in counts])
+
+    def areas(drawn: Floats) -> tuple[float | None, float | None]:
+        curve = curve_of(CutoffCounts(np.tensordot(drawn, stacked, 1), float(drawn @ numbers)))
+        return curve.average_precision, curve.average_precision_heading
+
+    values, number = areas(np.ones(len(counts))), int(numbers.sum())
+    resampled = list(zip(*map(areas, weights))) if number else []
+    for index, measure in enumerate(("AP", "APH")):
+        low, high = interval(resampled[index] if resampled else ())
+        yield BreakdownRow(group.by, group.name, measure, view, values[index], low, high, number)
+
+
+def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floats) -> Iterator[BreakdownRow]:
+    asked = group.members(rows.boxes, rows.num_points, rows.kind) & (rows.num_points >= LEVELS["LEVEL_1"])
+    low, high = group.range_m
+    asked &= (rows.range_m >= low) & (rows.range_m < high)
+    found = asked & rows.matched
+    of_frame = rows.frame
+
+    def share(hit: Flags, of: Flags) -> Callable[[Floats], float | None]:
+        above = np.bincount(of_frame[hit & of], minlength=num_frames)
+        below = np.bincount(of_frame[of], minlength=num_frames)
+        return lambda drawn: float(drawn @ above / (drawn @ below)) if drawn @ below > 0 else None
+
+    for text, overlap in (("BEV 0.7", rows.iou_bev), ("3D 0.7", rows.iou_3d)):
+        yield _row(group, "recall", text, share(rows.matched & (overlap >= IOU), asked), weights, int(asked.sum()))
+    yield _row(group, "recall", "BEV 0.5", share(rows.matched, asked), weights, int(asked.sum()))
+    yield _row(group, "flips", "share", share(rows.flipped, found), weights, int(found.sum()))
+    for column, name in enumerate(ERRORS):
+        order = np.flatnonzero(found)[np.argsort(rows.errors[found, column], kind="stable")]
+        errors, owner = rows.errors[order, column], of_frame[order]
+        for statistic, of_errors in (("median", weighted_median), ("mean", _mean), ("std", _std)):
+
+            def spread(
+                drawn: Floats,
+                errors: Floats = errors,
+                owner: npt.NDArray[np.int64] = owner,
+                of_errors: Callable[[Floats, Floats], float | None] = of_errors,
+            ) -> float | None:
+                return of_errors(errors, drawn[owner])
+
+            yield _row(group, f"error_{name}", statistic, spread, weights, len(order))
+
+
+def _row(
+    group: Group, measure: str, statistic: str, of: Callable[[Floats], float | None], weights: Floats, number: int
+) -> BreakdownRow:
+    value = of(np.ones(weights.shape[1])) if number else None
+    low, high = interval(map(of, weights) if number else ())
+    return BreakdownRow(group.by, group.name, measure, statistic, value, low, high, number)
+
+
+def _mean(values: Floats, weights: Floats) -> float | None:
+    return float(values @ weights / weights.sum()) if weights.sum() > 0.0 else None
+
+
+def _std(values: Floats, weights: Floats) -> float | None:
+    mean = _mean(values, weights)
+    return None if mean is None else float(np.sqrt(((values - mean) ** 2) @ weights / weights.sum()))

@@ -1,0 +1,49 @@
+"""Confidence intervals by resampling frames: vehicles of one frame are no independent draws."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from shift3d.seeding import generator
+
+__all__ = ["CONFIDENCE", "DRAWS", "frame_weights", "interval", "weighted_median"]
+
+Floats = npt.NDArray[np.float64]
+
+CONFIDENCE = 0.95
+DRAWS = 500
+
+
+def frame_weights(num_frames: int, draws: int = DRAWS) -> Floats:
+    """(draws, F) how often each frame is drawn, F draws with replacement each. The same for the same numbers.
+
+    Of fewer than two frames there is nothing to draw: (0, F).
+    """
+    draws = draws if num_frames > 1 else 0
+    rng = generator("evaluation frames", num_frames, draws)
+    share = np.full(num_frames, 1.0 / max(1, num_frames))
+    return rng.multinomial(num_frames, share, size=draws).astype(np.float64)
+
+
+def interval(values: Iterable[float | None]) -> tuple[float | None, float | None]:
+    """Where a statistic lies with 95 % confidence, from its values over resampled frames; None: it had none.
+
+    With fewer than two values there is nothing to tell: (None, None).
+    Source: Efron's percentile bootstrap, frames resampled as clusters.
+    """
+    known = [value for value in values if value is not None]
+    if len(known) < 2:
+        return None, None
+    low, high = np.percentile(known, (50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)))
+    return float(low), float(high)
+
+
+def weighted_median(ordered: Floats, weights: Floats) -> float | None:
+    """The lowest of rising values (N,) at which half of the weights (N,) is reached; None without weight."""
+    if not len(ordered) or weights.sum() <= 0.0:
+        return None
+    total = np.cumsum(weights)
+    return float(ordered[np.searchsorted(total, 0.5 * total[-1])])

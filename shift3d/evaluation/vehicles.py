@@ -1,0 +1,119 @@
+"""Every vehicle with what found it and by how much that is off: what is wrong is seen, not only that something is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shift3d.evaluation.frames import DetectedFrame, compare
+from shift3d.evaluation.groups import aspect
+from shift3d.geometry.iou import iou_3d
+
+__all__ = ["ERRORS", "FOUND_SCORE", "MATCH_IOU", "VehicleRows", "vehicle_rows"]
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+MATCH_IOU = 0.5
+"""Bird's-eye IoU of a detection and the vehicle whose errors it has: lenient, so that large errors are seen."""
+FOUND_SCORE = 0.3
+"""A vehicle is found by a match of at least this score."""
+ERRORS = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
+"""Found less true. x, y: along and across the true vehicle. heading: of the axis, half turns taken out."""
+
+
+@dataclass(frozen=True)
+class VehicleRows:
+    """All vehicles that count, of all frames, in the order of the frames and of their labels; (V,) each.
+
+    frame, row: index of the frame and of the label. boxes: (V, 7), scene frame. aspect: where the beam from the sensor
+    meets the vehicle: "rear", "front", "side", "oblique". kind: "" where the labels say nothing. score: of the match,
+    NaN without one. iou_bev, iou_3d: with the match, 0 without one. flipped: the match's nose points the other way.
+    errors: (V, 7), see ERRORS, NaN without a match.
+    """
+
+    frame: Ints
+    row: Ints
+    boxes: Floats
+    num_points: Ints
+    aspect: tuple[str, ...]
+    kind: tuple[str, ...]
+    score: Floats
+    iou_bev: Floats
+    iou_3d: Floats
+    flipped: Flags
+    errors: Floats
+
+    @property
+    def range_m(self) -> Floats:
+        """(V,) horizontal distance of the centres from the sensor."""
+        return np.asarray(np.hypot(self.boxes[:, 0], self.boxes[:, 1]))
+
+    @property
+    def matched(self) -> Flags:
+        """(V,) bool: found by a match of at least FOUND_SCORE."""
+        return np.asarray(self.score >= FOUND_SCORE)
+
+
+def vehicle_rows(frames: Sequence[DetectedFrame]) -> VehicleRows:
+    """Match every frame's detections, best score first, each to the free vehicle it overlaps most in bird's-eye view.
+
+    Source: greedy matching as in nuScenes; by overlap and not by distance (our choice).
+    """
+    parts = [_of_frame(index, frame) for index, frame in enumerate(frames)]
+    columns: dict[str, Any] = {
+        name: tuple(text for part in parts for text in getattr(part, name)) for name in ("aspect", "kind")
+    }
+    numbers = [field.name for field in fields(VehicleRows) if field.name not in columns]
+    columns |= {name: np.concatenate([getattr(part, name) for part in parts]) for name in numbers}
+    return VehicleRows(**columns)
+
+
+def _of_frame(index: int, frame: DetectedFrame) -> VehicleRows:
+    comparison = compare(frame, "BEV")
+    truth, found = comparison.truth, comparison.found
+    match = np.full(len(truth.boxes), -1)
+    for number in range(len(found.scores)):
+        overlap = np.where(match < 0, comparison.overlap[number], 0.0)
+        if overlap.size and overlap.max() >= MATCH_IOU:
+            match[int(overlap.argmax())] = number
+    kept = np.flatnonzero(truth.counts & (truth.num_points >= 1))
+    boxes, match = truth.boxes[kept], match[kept]
+    has, paired = match >= 0, found.boxes[np.maximum(match, 0)] if len(found.boxes) else np.full((len(kept), 7), np.nan)
+    errors, flipped = _errors(boxes, paired)
+    own = np.arange(len(kept))
+    volume = iou_3d(paired, boxes)[own, own] if len(found.boxes) else np.zeros(len(kept))
+    area = comparison.overlap[np.maximum(match, 0), kept] if len(found.boxes) else np.zeros(len(kept))
+    score = found.scores[np.maximum(match, 0)] if len(found.boxes) else np.zeros(len(kept))
+    return VehicleRows(
+        np.full(len(kept), index, dtype=np.int64),
+        kept.astype(np.int64),
+        boxes,
+        truth.num_points[kept],
+        aspect(boxes),
+        tuple(truth.kinds[row] for row in kept) if truth.kinds else ("",) * len(kept),
+        np.where(has, score, np.nan),
+        np.where(has, area, 0.0),
+        np.where(has, volume, 0.0),
+        has & flipped,
+        np.where(has[:, None], errors, np.nan),
+    )
+
+
+def _errors(truth: Floats, found: Floats) -> tuple[Floats, Flags]:
+    """(M, 7) errors of boxes found for boxes, one for one, and which are turned by more than a quarter."""
+    offset, cos, sin = found[:, :2] - truth[:, :2], np.cos(truth[:, 6]), np.sin(truth[:, 6])
+    along, across = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
+    turn = _wrapped(found[:, 6] - truth[:, 6])
+    axis = np.mod(turn + np.pi / 2, np.pi) - np.pi / 2
+    rest = found[:, 2:6] - truth[:, 2:6]
+    return np.column_stack((along, across, rest, axis)), np.asarray(np.abs(turn) > np.pi / 2)
+
+
+def _wrapped(angle: Floats) -> Floats:
+    return np.asarray(np.mod(angle + np.pi, 2 * np.pi) - np.pi)

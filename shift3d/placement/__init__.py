@@ -1,0 +1,1 @@
+"""Where a vehicle can stand in a scene: ground, constraints on a place, and sampling of places."""

@@ -1,0 +1,206 @@
+"""The vehicle's field in its own frame and in metres."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.sdf.bfloat16 import Bfloat16Field, bfloat16_twin
+from shift3d.sdf.field import Field as DecoderField
+from shift3d.sdf.pieces import Piece
+
+_WORTH_IT = 96
+"""Fewer points than this take as long to fetch the weights for as to evaluate: once, then, in float32."""
+
+
+LiveUnits = tuple[Tensor, ...] | None
+"""Hidden units that are on somewhere, a bool mask a hidden layer; None: not known, all are evaluated."""
+
+
+def either(a: LiveUnits, b: LiveUnits) -> LiveUnits:
+    """Units that are on in one survey or the other."""
+    if a is None or b is None:
+        return None
+    return tuple(one | other for one, other in zip(a, b, strict=True))
+
+
+class Field(Protocol):
+    """Signed distance of one shape in the frame the decoder was trained in, negative inside."""
+
+    def __call__(self, x_sdf: Tensor, /) -> Tensor:
+        """(N, 3) sdf-frame points to (N,) distances in sdf units, in the dtype of x_sdf."""
+        ...
+
+
+@runtime_checkable
+class PiecewiseField(Protocol):
+    """A field that is piecewise linear along lines, but for a last function that keeps sign and roots."""
+
+    def piece(self, x_sdf: Tensor, direction: Tensor, /) -> Piece:
+        """See `sdf.pieces.linear_piece`."""
+        ...
+
+
+class VehicleFrame(Protocol):
+    """How a vehicle's sdf frame lies in its object frame: x_sdf = sdf_R_object x_object / scale_m + sdf_t_object."""
+
+    @property
+    def scale_m(self) -> float: ...
+    @property
+    def sdf_R_object(self) -> np.ndarray: ...
+    @property
+    def sdf_t_object(self) -> np.ndarray: ...
+    @property
+    def size_m(self) -> tuple[float, float, float] | np.ndarray: ...
+
+
+@dataclass
+class EvaluationCount:
+    """How often a field was evaluated, in points: in all, and of these in bfloat16 alone."""
+
+    evaluations: int = 0
+    coarse: int = 0
+
+
+@dataclass(frozen=True)
+class ObjectField:
+    """Metric signed distance in the object frame: scale_m * g(x_sdf).
+
+    Takes (N, 3) float64 object-frame points, hands the field `dtype`, returns (N,) in `dtype`.
+    Differentiable with respect to the points and to whatever the field depends on.
+
+    Source: SHIFT3D, Pose Transformation; the scale ("we manually scaled each baseline object") is a
+    property of the vehicle.
+    """
+
+    sdf: Field
+    scale_m: float
+    sdf_R_object: Tensor  # noqa: N815
+    sdf_t_object: Tensor
+    dtype: torch.dtype
+    batch: int
+    rough: Bfloat16Field | None = None
+    bfloat16_band_m: float = 0.0
+    count: EvaluationCount = dataclasses.field(default_factory=EvaluationCount)
+
+    @staticmethod
+    def of(
+        sdf: Field, vehicle: VehicleFrame, dtype: torch.dtype, batch: int, bfloat16_band_m: float = 0.0
+    ) -> ObjectField:
+        """The field of a vehicle, evaluated in `dtype`, `batch` points at a time.
+
+        bfloat16_band_m: `estimate` uses bfloat16 beyond this distance from the surface; 0 never.
+        """
+        return ObjectField(
+            sdf,
+            float(vehicle.scale_m),
+            torch.as_tensor(np.asarray(vehicle.sdf_R_object, dtype=np.float64)),
+            torch.as_tensor(np.asarray(vehicle.sdf_t_object, dtype=np.float64)),
+            dtype,
+            batch,
+            bfloat16_twin(sdf, dtype) if bfloat16_band_m > 0 else None,
+            bfloat16_band_m,
+        )
+
+    def __call__(self, x_object: Tensor) -> Tensor:
+        x_sdf = self.to_sdf(x_object)
+        self.count.evaluations += len(x_sdf)
+        if len(x_sdf) <= self.batch:
+            return self.sdf(x_sdf) * self.scale_m if len(x_sdf) else x_sdf[:, 0]
+        return torch.cat([self.sdf(part) for part in x_sdf.split(self.batch)]) * self.scale_m
+
+    def estimate(self, x_object: Tensor, expected_m: Tensor | None = None) -> Tensor:
+        """The distance for deciding where to sample next: exact within bfloat16_band_m of the surface and inside it.
+
+        Args:
+            expected_m: (N,) what it may be, NaN where nobody knows: what is likely near would be evaluated twice, and
+                is evaluated exactly at once.
+
+        Not differentiable.
+        """
+        far = torch.arange(len(x_object))
+        if expected_m is not None:  # NaN compares false
+            far = torch.nonzero(~(expected_m < self.bfloat16_band_m)).squeeze(1)
+        if self.rough is None or len(far) < _WORTH_IT:
+            return self(x_object)
+        parts = self.to_sdf(x_object[far]).split(self.batch)
+        rough = torch.cat([self.rough(part) for part in parts]) * self.scale_m
+        g = torch.zeros(len(x_object), dtype=rough.dtype).index_copy(0, far, rough)
+        # A NaN is looked at again, too.
+        near = torch.nonzero(~(g >= self.bfloat16_band_m)).squeeze(1)
+        self.count.evaluations += len(x_object) - len(near)
+        self.count.coarse += len(x_object) - len(near)
+        if len(near):
+            g[near] = self(x_object[near])
+        return g
+
+    def survey(self, x_object: Tensor) -> tuple[Tensor, LiveUnits]:
+        """The distances at points (N, 3), good for deciding where to sample, and the hidden units that are on there.
+
+        In bfloat16 where `estimate` is. None for fields that are no decoder's. Not differentiable.
+        """
+        if not isinstance(self.sdf, DecoderField):
+            return self(x_object), None
+        self.count.evaluations += len(x_object)
+        self.count.coarse += len(x_object) if self.rough is not None else 0
+        parts = [(self.rough or self.sdf).survey(part) for part in self.to_sdf(x_object).split(self.batch)]
+        live = tuple(torch.stack(masks).any(0) for masks in zip(*(on for _, on in parts), strict=True))
+        return torch.cat([g for g, _ in parts]) * self.scale_m, live
+
+    def sliced(self, live: LiveUnits) -> ObjectField:
+        """The same field without the hidden units that are not live, counted together; itself where none is known."""
+        if live is None or not isinstance(self.sdf, DecoderField):
+            return self
+        sdf = self.sdf.sliced(live)
+        return dataclasses.replace(self, sdf=sdf, rough=None if self.rough is None else bfloat16_twin(sdf, self.dtype))
+
+    def float32_twin(self) -> ObjectField | None:
+        """The same field evaluated in float32, counted together; None for fields that are no decoder's.
+
+        Differs by what rounding its weights and its arithmetic does, see `settings.reachable_residual_m`.
+        """
+        if not isinstance(self.sdf, DecoderField) or self.dtype == torch.float32:
+            return None
+        weights, biases = ([part.float() for part in parts] for parts in (self.sdf.weights, self.sdf.biases))
+        twin = DecoderField(weights, biases, self.sdf.skip_layer)
+        return dataclasses.replace(self, sdf=twin, dtype=torch.float32)
+
+    def piecewise_linear(self) -> bool:
+        """Whether the field can tell its linear pieces along a beam."""
+        return isinstance(self.sdf, PiecewiseField)
+
+    def piece(self, x_object: Tensor, direction: Tensor) -> Piece:
+        """The linear pieces on which beams start; counts as two evaluations each.
+
+        Args: x_object: (N, 3) starts. direction: (N, 3) unit vectors; both object frame, float64.
+        Returns: values in metres, slopes in metres a metre, lengths in metres; float64.
+        """
+        assert isinstance(self.sdf, PiecewiseField)
+        self.count.evaluations += 2 * len(x_object)
+        along = direction @ (self.sdf_R_object.T / self.scale_m)
+        parts = [
+            self.sdf.piece(x, d)
+            for x, d in zip(self.to_sdf(x_object).split(self.batch), along.split(self.batch), strict=True)
+        ]
+        value, slope, length = (
+            torch.cat([getattr(part, name) for part in parts]).double() for name in ("value", "slope", "length")
+        )
+        return Piece(value * self.scale_m, slope * self.scale_m, length)
+
+    def to_sdf(self, x_object: Tensor) -> Tensor:
+        """Points (N, 3) of the object frame in the sdf frame, in the field's dtype."""
+        x_sdf = x_object @ (self.sdf_R_object.T / self.scale_m) + self.sdf_t_object
+        return x_sdf.to(self.dtype)
+
+    def depends_on_code(self) -> bool:
+        """Whether the field carries gradients of its own (a latent code that requires them)."""
+        if not torch.is_grad_enabled():
+            return False
+        if isinstance(self.sdf, DecoderField):
+            return bool(self.sdf.code_layers)
+        return bool(self.sdf(torch.zeros(1, 3, dtype=self.dtype)).requires_grad)

@@ -1,0 +1,229 @@
+"""The field on a grid: of a shape that is rendered many times, and, coarser, of one that changes.
+
+Poses, placements and baselines render one latent code again and again. An `SdfGrid` of its field, coarse in the whole
+box and finer around the surface, predicts samples along a ray and where it crosses the surface, without an
+evaluation. The error bound of a prediction is measured when the grid is made, at places between its nodes, and taken
+half as large again.
+
+A `ChangeGrid` has nodes every 0.45 m. Two of them say by how much the field changed between two codes.
+
+Source: our choice: the paper evaluates the field everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from shift3d.render.culling import Box, Rays
+from shift3d.render.field.bounding_box import verified_box
+from shift3d.render.field.object_field import Field, LiveUnits, ObjectField, VehicleFrame
+from shift3d.render.settings import STANDARD, RenderSettings
+
+SPACING_M = 0.05
+"""Of an SDF grid near the surface; twice as much elsewhere."""
+SAMPLE_M = 0.02
+"""Spacing of the readings along a ray."""
+CHANGE_SPACING_M = 0.45
+_FINE_BAND_M = (-0.09, 0.12)
+_CHECKS = 4000
+_MARGIN = 1.5
+_LEAST_ERROR_M = 0.005
+_CLEAN_M = 0.4
+_DENSE_M = 0.03
+_LEAST_FREE_M = 0.004
+
+
+@dataclass(frozen=True)
+class SdfGrid:
+    """Distances at nodes over a shape's box.
+
+    box: verified box, object frame. distance_m: (nx, ny, nz) float32 at its nodes, corners included. error_m: error
+    bound of a reading near the surface. evaluations: what the grid cost. live: hidden units that are on at its nodes.
+    """
+
+    box: Box
+    distance_m: Tensor
+    error_m: float
+    evaluations: int
+    live: LiveUnits = None
+
+    @staticmethod
+    def of(sdf: Field, vehicle: VehicleFrame, settings: RenderSettings = STANDARD) -> SdfGrid:
+        """The grid of one code's field. About 90,000 evaluations for a car."""
+        metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch, settings.bfloat16_band_m)
+        with torch.no_grad():
+            box = verified_box(metric, vehicle_size(vehicle), settings.box_margin_m).box
+            cells = ((box.upper - box.lower) / (2 * SPACING_M)).ceil().clamp_min(1).long()
+            coarse = metric.estimate(_nodes(box, cells)).float().reshape((cells + 1).tolist())
+            size = (2 * cells + 1).tolist()
+            fine = functional.interpolate(coarse[None, None], size, mode="trilinear", align_corners=True)[0, 0]
+            flat = fine.reshape(-1)
+            band = torch.nonzero((flat > _FINE_BAND_M[0]) & (flat < _FINE_BAND_M[1])).squeeze(1)
+            near = _nodes(box, 2 * cells)[band]
+            flat[band] = metric(near).float()
+            _, live = metric.survey(torch.cat((_nodes(box, cells), near[::4])))
+            unchecked = SdfGrid(box, flat.reshape(fine.shape), 0.0, 0)
+            error_m = max(_MARGIN * unchecked.worst_error(metric), _LEAST_ERROR_M)
+        return SdfGrid(box, unchecked.distance_m, error_m, metric.count.evaluations, live)
+
+    def worst_error(self, field: ObjectField) -> float:
+        """Largest difference from the field at places drawn near the surface, metres; infinite where one is NaN."""
+        place = torch.rand(8 * _CHECKS, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        x = self.box.lower + place * (self.box.upper - self.box.lower)
+        guess = self.at(x)
+        near = torch.nonzero((guess > _FINE_BAND_M[0] / 2) & (guess < _FINE_BAND_M[1] / 2)).squeeze(1)[:_CHECKS]
+        if len(near) == 0:
+            return 0.0
+        off = (field(x[near]).float() - guess[near]).abs()
+        return float(torch.nan_to_num(off, nan=torch.inf).max())
+
+    def at(self, x_object: Tensor) -> Tensor:
+        """(..., ) float32 distances at object-frame points (..., 3) inside the box; trilinear."""
+        place = (x_object - self.box.lower) / (self.box.upper - self.box.lower) * 2.0 - 1.0
+        return _read(self.distance_m, place.flip(-1).float())
+
+    def along(self, rays: Rays) -> GridReadings:
+        """What the grid knows along rays that are cut to its box."""
+        longest = float((rays.far_m - rays.near_m).max()) if len(rays) else 0.0
+        count = max(2, math.ceil(longest / SAMPLE_M) + 2)
+        along = torch.arange(count, dtype=torch.float64) * SAMPLE_M
+        beyond = along > (rays.far_m - rays.near_m)[:, None] + SAMPLE_M
+        # Hundreds of readings a ray: straight in the grid's own coordinates, where float32 is good to a micrometre.
+        scale = 2.0 / (self.box.upper - self.box.lower)
+        start = (rays.origins + rays.near_m[:, None] * rays.directions - self.box.lower) * scale - 1.0
+        start, step = (part.flip(-1).float()[:, None, :] for part in (start, rays.directions * scale))
+        distance = _read(self.distance_m, start + along.float()[:, None] * step).masked_fill_(beyond, torch.inf)
+        return GridReadings(rays.near_m, distance, self.error_m)
+
+
+@dataclass(frozen=True)
+class GridReadings:
+    """Distances (M, S) along M rays, every `SAMPLE_M` from near_m (M,); infinite past a ray's end.
+
+    error_m: below this a reading may be next to surface, below its negative it surely is inside. A NaN may be either.
+    """
+
+    near_m: Tensor
+    distance_m: Tensor
+    error_m: float
+
+    def crossings(self, slope: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Rays (m,) that plainly enter the object, where (m,) they cross, and dg/dk (m,) there.
+
+        Plainly: from the first reading that may be next to surface to the first that is surely inside the distance
+        falls all the way, by `slope` at least, over at most 0.4 m. A part thinner than the grid shows as a place where
+        the fall slackens.
+        """
+        doubtful, inside = ~(self.distance_m >= self.error_m), self.distance_m < -self.error_m
+        first, entered = doubtful.byte().argmax(1), inside.byte().argmax(1)
+        shallow_steps = ~(self.distance_m.diff(dim=1) <= -slope * SAMPLE_M)
+        shallow_steps = functional.pad(shallow_steps.int().cumsum(1), (1, 0))
+        rows = torch.nonzero(inside.any(1)).squeeze(1)
+        a, b = first[rows], entered[rows]
+        falls = shallow_steps[rows, b] == shallow_steps[rows, a]
+        kept = falls & ((b - a) * SAMPLE_M <= _CLEAN_M) & ((a > 0) | (self.distance_m[rows, 0] > 0))
+        rows, a = rows[kept], a[kept]
+        after = ((self.distance_m[rows] < 0) & (torch.arange(self.distance_m.shape[1]) >= a[:, None])).byte().argmax(1)
+        after = after.clamp_min(1)
+        g1, g0 = self.distance_m[rows, after].double(), self.distance_m[rows, after - 1].double()
+        share = torch.where(g0 > g1, g0 / (g0 - g1).clamp_min(1e-9), 0.5)
+        return rows, self.near_m[rows] + (after - 1 + share) * SAMPLE_M, (g1 - g0) / SAMPLE_M
+
+    def samples(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Samples that the error bound leaves outside, and each ray's first one inside: rays, ranges, g.
+
+        Sparser where the surface is far, so that the spheres around them still cover what the grid knows.
+        """
+        g, number = self.distance_m, torch.arange(self.distance_m.shape[1])
+        free = g - self.error_m
+        kept = free < _DENSE_M
+        for every in (2, 4, 8):
+            kept |= (free < every * _DENSE_M) & (number % every == 0)
+        kept |= number % 16 == 0
+        rows, at = torch.nonzero(kept & (free > _LEAST_FREE_M) & torch.isfinite(g), as_tuple=True)
+        inside = g < -self.error_m
+        entered = torch.nonzero(inside.any(1)).squeeze(1)
+        first = inside[entered].byte().argmax(1)
+        rows, at = torch.cat((rows, entered)), torch.cat((at, first))
+        return rows, self.near_m[rows] + at * SAMPLE_M, g[rows, at].double()
+
+    def clearance(self) -> Tensor:
+        """(M,) least distance along each ray, less the error bound and what may lie between two readings."""
+        return (self.distance_m.min(1).values.double() - self.error_m - 0.5 * SAMPLE_M).clamp_min(0.0)
+
+
+@dataclass(frozen=True)
+class ChangeGrid:
+    """Distances at multiples of `CHANGE_SPACING_M` in the object frame.
+
+    first: (3,) long, the lowest corner in spacings. g: (nx, ny, nz) float32, metres.
+    """
+
+    first: Tensor
+    g: Tensor
+
+    @staticmethod
+    def nodes(box: Box) -> tuple[Tensor, Tensor, list[int]]:
+        """Those of the grid that holds a box: the first (3,), the nodes (N, 3) object frame, and the grid's shape."""
+        first, last = ((end / CHANGE_SPACING_M) for end in (box.lower, box.upper))
+        first, last = first.floor().long(), last.ceil().long()
+        axes = [CHANGE_SPACING_M * torch.arange(int(a), int(b) + 1, dtype=torch.float64) for a, b in zip(first, last)]
+        return first, torch.cartesian_prod(*axes), [len(axis) for axis in axes]
+
+    @staticmethod
+    def of(distance: Callable[[Tensor], Tensor], box: Box) -> ChangeGrid:
+        """The grid that holds a box; distance: object-frame points (N, 3) to (N,) metres."""
+        first, nodes, shape = ChangeGrid.nodes(box)
+        return ChangeGrid(first, distance(nodes).float().reshape(shape))
+
+    def at(self, x: Tensor) -> Tensor:
+        """(N,) float64 trilinear estimate at points (N, 3); outside that of the nearest place inside."""
+        last = torch.tensor(self.g.shape) - 1
+        return _read(self.g, (2.0 * (x / CHANGE_SPACING_M - self.first) / last - 1.0).flip(-1).float()).double()
+
+    def variation(self, before: ChangeGrid) -> Tensor:
+        """(cells) by how much the change since an earlier grid, which this one holds, differs within each cell."""
+        change = (self.g - before._stretched_to(self))[None, None]
+        most, least = functional.max_pool3d(change, 2, 1), -functional.max_pool3d(-change, 2, 1)
+        return (most - least)[0, 0]
+
+    def cells_of(self, x: Tensor, values: Tensor) -> Tensor:
+        """(N,) float64: of values of cells, those of the cells that points (N, 3) lie in."""
+        cell = (x / CHANGE_SPACING_M - self.first).floor().long()
+        cell = torch.minimum(cell.clamp_min(0), torch.tensor(values.shape) - 1)
+        return values[tuple(cell.unbind(-1))].double()
+
+    def _stretched_to(self, other: ChangeGrid) -> Tensor:
+        """The distances on another grid that holds this one, the outermost ones going on."""
+        below = (self.first - other.first).tolist()
+        above = [n - a - b for n, a, b in zip(other.g.shape, below, self.g.shape)]
+        pad = [n for pair in zip(reversed(below), reversed(above)) for n in pair]
+        return functional.pad(self.g[None, None], pad, mode="replicate")[0, 0]
+
+
+def vehicle_size(vehicle: VehicleFrame) -> Tensor:
+    """(3,) float64 size of the baseline's box, metres."""
+    return torch.as_tensor([float(side) for side in vehicle.size_m], dtype=torch.float64)
+
+
+def _read(grid: Tensor, place: Tensor) -> Tensor:
+    """(..., ) trilinear readings at places (..., 3) float32, -1 to 1 over the grid, its last axis first."""
+    values = functional.grid_sample(
+        grid[None, None], place.reshape(1, 1, 1, -1, 3), padding_mode="border", align_corners=True
+    )
+    return values.reshape(place.shape[:-1])
+
+
+def _nodes(box: Box, cells: Tensor) -> Tensor:
+    """(prod(cells + 1), 3) float64 nodes of a box, object frame."""
+    axes = [
+        torch.linspace(float(low), float(high), int(n) + 1, dtype=torch.float64)
+        for low, high, n in zip(box.lower, box.upper, cells)
+    ]
+    return torch.cartesian_prod(*axes)

@@ -1,0 +1,104 @@
+"""The paper's renderer, kept plain: march every beam at 0.1 m, bisect 30 times.
+
+Slow on purpose. It is the twin that the fast renderer is compared with, and the price that its speed is
+measured against.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from shift3d.render.beams import Beams
+from shift3d.render.culling import SPHERE_RADIUS_M, Rays, beams_near, object_rays
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.first_hits import FirstHits
+from shift3d.render.settings import RenderSettings
+
+
+def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: RenderSettings) -> FirstHits:
+    """First crossing of g = 0 on every beam that passes the 7 m sphere.
+
+    Args:
+        beams: the scene's beams.
+        field: metric distance in the object frame.
+        theta: (6,) pose, scene frame.
+        settings: `step_m`, `max_iterations` and `sphere_chord_only` are used.
+
+    A beam whose sensor lies inside the object has no crossing from outside: it is unresolved, and so is one whose
+    field is not finite before its crossing. A sample with g exactly 0 is outside (the paper leaves g = 0 open).
+
+    Source: SHIFT3D supplement, Rendering.
+    """
+    index = beams_near(beams, theta[:3].detach(), SPHERE_RADIUS_M)
+    if len(index) == 0:
+        return FirstHits.none()
+    rays = object_rays(beams, index, theta)
+    found, unresolved = [], []
+    for rows in torch.arange(len(rays)).split(_beams_at_once(rays, settings)):
+        part = rays.select(rows)
+        samples = (part.far_m / settings.step_m).ceil().clamp_min(1.0)
+        first_inside, lost = _first_sample_inside(part, samples, field, settings)
+        hit = (first_inside > 0) & ~lost
+        k, residual = _bisect(part.select(hit), samples[hit], first_inside[hit], field, settings)
+        good = torch.isfinite(residual)
+        found.append((part.index[hit][good], k[good], residual[good]))
+        lost |= first_inside == 0
+        lost[torch.nonzero(hit).squeeze(1)[~good]] = True
+        unresolved.append(part.index[lost])
+    hits = [torch.cat(column) for column in zip(*found)]
+    return FirstHits(hits[0], hits[1], hits[2], torch.cat(unresolved))
+
+
+def _beams_at_once(rays: Rays, settings: RenderSettings) -> int:
+    """Beams whose samples fit in about a million points of memory."""
+    longest = float(rays.far_m.max()) / settings.step_m
+    return max(1, int(1_000_000 / max(longest, 1.0)))
+
+
+def _first_sample_inside(
+    rays: Rays, samples: Tensor, field: ObjectField, settings: RenderSettings
+) -> tuple[Tensor, Tensor]:
+    """(M,) first j with g < 0 at k = j far / J, or -1; and whether g is not finite there or before, or anywhere."""
+    count = int(samples.max()) + 1
+    j = torch.arange(count, dtype=torch.float64)
+    k = j * (rays.far_m / samples)[:, None]
+    wanted = j <= samples[:, None]
+    if settings.sphere_chord_only:
+        wanted &= _within_sphere(rays, k, float((rays.far_m / samples).max()))
+    row, column = torch.nonzero(wanted, as_tuple=True)
+    negative, lost = torch.zeros(wanted.shape, dtype=torch.bool), torch.zeros(wanted.shape, dtype=torch.bool)
+    for r, c in zip(row.split(settings.batch), column.split(settings.batch)):
+        g = field(rays.at(k[r, c], r))
+        negative[r, c], lost[r, c] = g < 0, ~torch.isfinite(g)
+    first = torch.where(negative.any(1), negative.to(torch.uint8).argmax(1), -1)
+    last = torch.where(first < 0, count, first)
+    return first, (lost & (torch.arange(count) <= last[:, None])).any(1)
+
+
+def _within_sphere(rays: Rays, k: Tensor, margin_m: float) -> Tensor:
+    along = -(rays.origins * rays.directions).sum(-1, keepdim=True)
+    offset = torch.linalg.cross(rays.origins, rays.directions).square().sum(-1, keepdim=True)
+    half = (SPHERE_RADIUS_M**2 - offset).clamp_min(0.0).sqrt() + margin_m
+    within: Tensor = (k >= along - half) & (k <= along + half)
+    return within
+
+
+def _bisect(
+    rays: Rays, samples: Tensor, first_inside: Tensor, field: ObjectField, settings: RenderSettings
+) -> tuple[Tensor, Tensor]:
+    """Binary search between the first sample inside and the one before it: k and |g| there.
+
+    |g| is NaN where g was not finite on the way.
+    """
+    step = rays.far_m / samples
+    outer, inner = (first_inside - 1) * step, first_inside * step
+    lost = torch.zeros(len(rays), dtype=torch.bool)
+    for _ in range(settings.max_iterations):
+        middle = 0.5 * (outer + inner)
+        g = field(rays.at(middle))
+        lost |= ~torch.isfinite(g)
+        negative = g < 0
+        outer, inner = torch.where(negative, outer, middle), torch.where(negative, middle, inner)
+    k = 0.5 * (outer + inner)
+    return k, field(rays.at(k)).double().abs().masked_fill(lost, torch.nan)

@@ -1,0 +1,101 @@
+"""Samples of the field along rays, measured or predicted, each with an error bound.
+
+A search leaves samples whose spheres of free space cover each ray. In the next rendering the shape has changed: a
+coarse grid of the field says by how much, roughly, and how roughly, so that most samples need no new evaluation.
+
+Source: our choice: the paper renders every step afresh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shift3d.render.culling import Rays
+from shift3d.render.field.sdf_grid import ChangeGrid
+
+_END_MOVES_M = 0.05
+_LEAST_ERROR_M = 1e-6
+_LONGEST_M = 4096.0
+
+
+@dataclass(frozen=True)
+class RaySamples:
+    """S samples on M rays, by ray and range.
+
+    rows: (S,) their rays. k: (S,) float64 ranges. g: (S,) float64 metric distance, metres. error: (S,) float64 error
+    bound of g, metres; 0 where it was measured.
+    """
+
+    rows: Tensor
+    k: Tensor
+    g: Tensor
+    error: Tensor
+
+    @staticmethod
+    def none() -> RaySamples:
+        """No samples."""
+        nothing = torch.empty(0, dtype=torch.float64)
+        return RaySamples(torch.empty(0, dtype=torch.long), nothing, nothing, nothing)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def select(self, chosen: Tensor) -> RaySamples:
+        """Some of the samples, by number or mask."""
+        return RaySamples(self.rows[chosen], self.k[chosen], self.g[chosen], self.error[chosen])
+
+    def before(self, end_m: Tensor) -> RaySamples:
+        """The samples in front of a range (M,) of each ray."""
+        return self.select(self.k < end_m[self.rows])
+
+    def thinned(self, spacing_m: float) -> RaySamples:
+        """Of the samples on every stretch the lowest; a stretch is `spacing_m` long, or longer where g is."""
+        level = (self.g / (2 * spacing_m)).clamp_min(1.0).log2().floor()
+        cell = (self.k / (spacing_m * 2.0**level)).floor()
+        order = torch.argsort(self.g, stable=True)
+        for key in (cell, level, self.rows):
+            order = order[torch.argsort(key[order], stable=True)]
+        first = torch.ones(len(self), dtype=torch.bool)
+        first[1:] = torch.stack([key[order][1:] != key[order][:-1] for key in (cell, level, self.rows)]).any(0)
+        kept = self.select(order[first])
+        return kept.select(by_ray_and_range(kept.rows, kept.k))
+
+    def joined(self, other: RaySamples) -> RaySamples:
+        """These samples and others, in order; where both have one at the same place, the other one."""
+        parts = [torch.cat(pair) for pair in zip(vars(self).values(), vars(other).values(), strict=True)]
+        both = RaySamples(*parts)
+        both = both.select(by_ray_and_range(both.rows, both.k))
+        kept = torch.ones(len(both), dtype=torch.bool)
+        kept[:-1] = (both.rows[1:] != both.rows[:-1]) | (both.k[1:] != both.k[:-1])
+        return both.select(kept)
+
+    def predicted(
+        self, rays: Rays, new_rays: Rays, row_of: Tensor, then: ChangeGrid, now: ChangeGrid, share: float
+    ) -> RaySamples:
+        """The samples as they are expected in a field that has changed, on rays that may have moved.
+
+        Args:
+            rays: that the samples are of. new_rays: as they are now. row_of: (M,) which of the new ones each old one
+                is, -1 where it is none.
+            then, now: grids of the field.
+            share: a prediction is off by up to this share of what the change varies by within a grid cell, and of a
+                sample's own way; see `RenderSettings.prediction_error`.
+        """
+        row = row_of[self.rows]
+        kept = torch.nonzero(row >= 0).squeeze(1)
+        old, row = self.select(kept), row[kept]
+        # The samples at the ends of a ray stay there.
+        k = torch.minimum(torch.maximum(old.k, new_rays.near_m[row]), new_rays.far_m[row])
+        before, after = rays.at(old.k, old.rows), new_rays.at(k, row)
+        moved = (after - before).norm(dim=-1)
+        error = old.error + share * (now.cells_of(after, now.variation(then)) + moved) + _LEAST_ERROR_M
+        predicted = RaySamples(row, k, old.g + now.at(after) - then.at(before), error)
+        return RaySamples.none().joined(predicted.select((k - old.k).abs() < _END_MOVES_M))
+
+
+def by_ray_and_range(rows: Tensor, k: Tensor) -> Tensor:
+    """(S,) the order of samples by ray, and by range on each ray (to 0.1 um); equal ones keep theirs."""
+    return torch.argsort(rows * _LONGEST_M + k, stable=True)

@@ -1,0 +1,135 @@
+"""Sphere tracing (Hart 1996): along a ray no crossing lies nearer than the field's own distance.
+
+`first_hits` is the plain form, kept readable: a step is a share of g, at least `step_m`, until g < 0; then a root in
+the last step. The solver `plain_sphere_tracing` is that and nothing else. `trace` is the first pass of the default
+solver over rays of which nothing is known: it steps as far as both ends of a step may cover, and leaves to
+`coverage.cover` what they do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from shift3d.render.beams import Beams
+from shift3d.render.culling import Rays, rays_in_box
+from shift3d.render.field.bounding_box import verified_box
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.first_hits import FirstHits
+from shift3d.render.settings import RenderSettings
+from shift3d.render.solvers.ray_samples import RaySamples
+from shift3d.render.solvers.roots import find_roots
+
+_BACK_STEP_M = 0.1
+_BOLDNESS = 0.95
+_STEEPEST = 10.0
+# A decoder takes as long for one point as for thirty: what is left at the end is refined in parallel by `cover`.
+_FEW = 32
+
+
+def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, settings: RenderSettings) -> FirstHits:
+    """First crossings by plain sphere tracing: the simple twin of the default solver.
+
+    Args:
+        field: metric distance in the object frame. size_m: (3,) size of the baseline's box.
+        settings: `step_m`, `step_safety`, `tolerance_m`, `max_iterations` and `box_margin_m` are used.
+
+    Not differentiable. Source: Hart 1996; the least step is the paper's march.
+    """
+    rays = rays_in_box(beams, theta, verified_box(field, size_m, settings.box_margin_m).box)
+    start = enter(rays, field)
+    k_outer, g_outer, undecided = start.k.clone(), start.g.clone(), start.undecided
+    k, g = torch.where(start.went_back, start.k_inner, start.k), torch.where(start.went_back, start.g_inner, start.g)
+    rows = torch.nonzero((g >= 0) & ~undecided).squeeze(1)
+    while len(rows):
+        k_outer[rows], g_outer[rows] = k[rows], g[rows]
+        step = (settings.step_safety * g[rows]).clamp_min(settings.step_m)
+        k[rows] = torch.minimum(k[rows] + step, rays.far_m[rows])
+        g[rows] = field(rays.at(k[rows], rows)).double()
+        undecided[rows] = ~torch.isfinite(g[rows])
+        rows = rows[(g[rows] >= 0) & (k[rows] < rays.far_m[rows])]
+    hit = torch.nonzero((g < 0) & ~undecided).squeeze(1)
+    roots = find_roots(
+        lambda along, at: field(rays.at(along, hit[at])),
+        k_outer[hit],
+        k[hit],
+        g_outer[hit],
+        g[hit],
+        settings.tolerance_m,
+        settings.max_iterations,
+    )
+    undecided[hit[~roots.converged]] = True
+    good = roots.converged
+    return FirstHits(rays.index[hit[good]], roots.k[good], roots.residual[good], rays.index[undecided])
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Where M rays start outside the object: ranges k (M,), g (M,) there, and undecided (M,) where there is no such
+    place. went_back: (M,) bool, rays whose box begins inside the object; k_inner, g_inner (M,): the last place inside.
+    """
+
+    k: Tensor
+    g: Tensor
+    k_inner: Tensor
+    g_inner: Tensor
+    went_back: Tensor
+    undecided: Tensor
+
+
+def enter(rays: Rays, field: ObjectField) -> Entries:
+    """Evaluate where rays start. One that starts inside goes back towards its sensor; a sensor inside the object sees
+    nothing of its outside."""
+    k, undecided = rays.near_m.clone(), torch.zeros(len(rays), dtype=torch.bool)
+    g = field.estimate(rays.at(k)).double()
+    went_back, k_inner, g_inner = g < 0, k.clone(), g.clone()
+    rows = torch.nonzero(went_back).squeeze(1)
+    while len(rows):
+        undecided[rows] = k[rows] <= 0
+        rows = rows[k[rows] > 0]
+        k_inner[rows], g_inner[rows] = k[rows], g[rows]
+        k[rows] = (k[rows] - _BACK_STEP_M).clamp_min(0.0)
+        g[rows] = field.estimate(rays.at(k[rows], rows)).double()
+        rows = rows[g[rows] < 0]
+    return Entries(k, g, k_inner, g_inner, went_back, undecided | ~torch.isfinite(g))
+
+
+@dataclass(frozen=True)
+class Traced:
+    """Samples of M rays, each up to its first place inside; near_m (M,) where they start; undecided (M,) bool."""
+
+    samples: RaySamples
+    near_m: Tensor
+    undecided: Tensor
+
+
+def trace(rays: Rays, field: ObjectField, settings: RenderSettings) -> Traced:
+    """Samples along rays of which nothing is known. What lies between them is not covered yet.
+
+    A beam along a panel keeps its distance, and the far end of a step covers as much of it as the near end does: if g
+    stays as its slope says, twice the length is covered. Source: Keinert et al. 2014, over-relaxation.
+    """
+    start = enter(rays, field)
+    k, g, undecided = start.k.clone(), start.g.clone(), start.undecided
+    slope = torch.full_like(k, -1.0)
+    back = torch.nonzero(start.went_back & ~undecided).squeeze(1)
+    parts = [(torch.arange(len(rays)), k.clone(), g.clone()), (back, start.k_inner[back], start.g_inner[back])]
+    going = ~undecided & ~start.went_back & (k < rays.far_m)
+    rows, longest = torch.nonzero(going).squeeze(1), max(settings.step_m, settings.max_step_m)
+    while len(rows) > _FEW:
+        here, steep = g[rows], (-slope[rows]).clamp(1.0, _STEEPEST)
+        covered = settings.step_safety * here / steep
+        bold = _BOLDNESS * (2.0 * covered + settings.step_m) / (1.0 - slope[rows].clamp(-1.0, 0.5))
+        step = torch.maximum(covered + settings.step_m, bold).clamp_max(longest)
+        k_new = torch.minimum(k[rows] + step, rays.far_m[rows])
+        g_new = field.estimate(rays.at(k_new, rows), here + slope[rows] * (k_new - k[rows])).double()
+        slope[rows] = (g_new - here) / (k_new - k[rows]).clamp_min(1e-12)
+        k[rows], g[rows] = k_new, g_new
+        parts.append((rows, k_new, g_new))
+        undecided[rows] = ~torch.isfinite(g_new)
+        rows = rows[(g_new >= 0) & (k_new < rays.far_m[rows]) & ~undecided[rows]]
+    rows, k, g = (torch.cat(part) for part in zip(*parts, strict=True))
+    samples = RaySamples(rows, k, g, torch.zeros_like(g))
+    return Traced(RaySamples.none().joined(samples.select(~undecided[rows])), start.k, undecided)

@@ -1,0 +1,255 @@
+"""What there is to run on: scenes, vehicles and weights by name, with the hashes of their content."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from shift3d.detectors.names import DETECTOR_NAMES
+from shift3d.errors import InputError
+from shift3d.processor import has_fast_bfloat16
+from shift3d.settings import messages
+from shift3d.settings.renamed import renamed_error
+from shift3d.settings.scene_cache import SceneEntry
+from shift3d.settings.scene_entries import scene_entries
+from shift3d.settings.schema import (
+    AccuracyConfig,
+    Config,
+    DetectorConfig,
+    KittiConfig,
+    StreetConfig,
+    VehicleConfig,
+    VehicleSetConfig,
+)
+
+if TYPE_CHECKING:
+    from shift3d.render.field.object_field import VehicleFrame
+    from shift3d.scenes.sets import SceneSet
+    from shift3d.vehicles.sources import VehicleSource
+
+__all__ = [
+    "Catalogue",
+    "SceneEntry",
+    "accuracy_settings",
+    "file_hash",
+    "read_catalogue",
+    "scene_set",
+    "scoring_detectors",
+    "vehicle_source",
+    "weights_file",
+]
+
+
+# Precision of the detector while it is descended; what was found is scored in float32 or better whatever this
+# says. bfloat16 changes the direction of a step and nothing that is reported. A processor without instructions for
+# it plans with float32, which is faster there; the plan says which, so that all workers of a sweep do the same.
+_SEARCH_PRECISION = {"draft": "bfloat16", "standard": "bfloat16", "paper": "float32", "reference": "float64"}
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """What a sweep's tasks refer to, by content.
+
+    scene_arguments: how the scenes were made or chosen. sector_rad: (centre, half width) of the azimuths in
+    which the scene set lets vehicles be placed. vehicles: name to hash; a hash is worked out when it is asked for.
+    frame_of: a vehicle's frame and size by its name.
+    detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
+    accuracy: every setting behind a preset's name. skipped: scenes that cannot be read and are left out, name to why.
+    """
+
+    scenes: tuple[SceneEntry, ...]
+    scene_arguments: dict[str, Any]
+    sector_rad: tuple[float, float]
+    vehicles: Mapping[str, str]
+    frame_of: Callable[[str], VehicleFrame]
+    decoder_hash: str
+    detectors: dict[str, str]
+    accuracy: dict[str, Any]
+    skipped: Mapping[str, str] = field(default_factory=dict)
+
+
+def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
+    """The scenes that settings describe. Raises InputError for a missing or unreadable folder."""
+    if isinstance(config, StreetConfig):
+        from shift3d.scenes.sets import StreetScenes
+
+        return StreetScenes(config.sensor, config.seed, config.count, config.split, options=config.options())
+    from shift3d.scenes.kitti import KittiScenes
+
+    root, reflectance_max = Path(config.root).expanduser(), config.reflectance_max
+    scenes = KittiScenes(root, config.names, reflectance_max, config.skip_bad)
+    if config.count is None:
+        return scenes
+    return KittiScenes(root, scenes.names()[: config.count], reflectance_max, config.skip_bad)
+
+
+def vehicle_source(config: VehicleConfig) -> VehicleSource:
+    """The vehicles that settings describe, whatever their ``name``. Files are read when something is asked of it."""
+    from shift3d.vehicles.sources import DeepSdfVehicles, VehicleSet
+
+    if isinstance(config, VehicleSetConfig):
+        return VehicleSet(config.folder)
+    return DeepSdfVehicles(**config.model_dump(exclude={"kind", "name"}))
+
+
+def weights_file(name: str, override: str | None) -> Path:
+    """A detector's file of weights: the one given, or the one that ships. Raises InputError where it is missing."""
+    path = _weights_path(name, override)
+    if not path.is_file():
+        remedy = "Check the path" if override else f'Give a file of them, or: make train ARGS="model={name}"'
+        raise InputError(f"no weights of {name}", where=str(path), remedy=remedy)
+    return path
+
+
+def _weights_path(name: str, override: str | None) -> Path:
+    if override:
+        return Path(override).expanduser()
+    return Path(__file__).resolve().parents[1] / "weights" / f"{name}.safetensors"
+
+
+def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
+    """Detectors that score every solution, name to weights (None: those that ship), the attacked one first.
+
+    Those that ``scored_by`` names; where it is null, those whose weights ship or are given, so that a detector
+    without weights stops nobody who did not ask for it. The small SST stands in for the published one then: where both
+    are there, it scores only what it is asked to.
+
+    Raises:
+        InputError: weights of a detector that was asked for are missing.
+    """
+    weights = config.weights_by_name()
+    others: list[str] = list(config.scored_by or ())
+    if config.scored_by is None:
+        others = [name for name in DETECTOR_NAMES if weights.get(name) or _weights_path(name, None).is_file()]
+        others = [name for name in others if not (name == "sst_small" and "sst" in others)]
+    names = list(dict.fromkeys([config.name, *others]))
+    for name in names:
+        weights_file(name, weights.get(name))
+    return {name: weights.get(name) for name in names}
+
+
+def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
+    """Every setting behind a preset, with its changes, as plain values (dtypes by name).
+
+    ``detector`` is the precision of the detector inside the search, the others are the renderer's.
+
+    Raises:
+        InputError: a setting that the renderer does not have, by its older name or at all, or a value it cannot take.
+    """
+    from dataclasses import asdict
+
+    import torch
+
+    from shift3d.render.settings import preset
+
+    settings = {
+        name: str(value).removeprefix("torch.") if isinstance(value, torch.dtype) else value
+        for name, value in asdict(preset(config.name)).items()
+    }
+    for name, value in config.render.items():
+        if (renamed := renamed_error(f"accuracy.render.{name}", value)) is not None:
+            raise renamed
+        if name not in settings:
+            raise messages.choice_error("setting", name, settings, "accuracy.render")
+        if value is None:
+            continue
+        if type(value) is not type(settings[name]) and not (
+            isinstance(value, int) and isinstance(settings[name], float) and not isinstance(value, bool)
+        ):
+            kind = type(settings[name]).__name__
+            raise InputError(
+                f"accuracy.render.{name} is {value!r}, not {kind}",
+                remedy=f"Give a {kind}, as {settings[name]!r}",
+            )
+        settings[name] = type(settings[name])(value)
+    _check_render(settings)
+    precision = config.detector or _SEARCH_PRECISION[config.name]
+    if config.detector is None and precision == "bfloat16" and not has_fast_bfloat16():
+        precision = "float32"
+    return settings | {"detector": precision}
+
+
+def _check_render(settings: dict[str, Any]) -> None:
+    """Refuse now what the renderer would refuse in every task, and infinity, which a task's id cannot hold."""
+    import torch
+
+    from shift3d.render.settings import RenderSettings
+
+    where, remedy = "accuracy.render", "Change it with accuracy.render.NAME=VALUE"
+    for name, value in settings.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"{name} is {value}", where=where, remedy="Give a finite number")
+    if settings["dtype"] not in ("float32", "float64"):
+        raise InputError(f"dtype is {settings['dtype']!r}", where=where, remedy="float32 or float64")
+    try:
+        RenderSettings(**settings | {"dtype": getattr(torch, settings["dtype"])})
+    except InputError as error:
+        raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy or remedy) from error
+
+
+def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
+    """Load what tasks of these settings refer to, and hash it.
+
+    Args:
+        preview: scenes that would be made for their hash alone have none, see `scene_entries`.
+
+    Raises:
+        InputError: a missing file, or a scene that cannot be read.
+    """
+    scenes = scene_set(config.scenes)
+    entries, skipped = _entries(config, scenes, preview)
+    source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
+    arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
+    return Catalogue(
+        scenes=entries,
+        scene_arguments=arguments,
+        sector_rad=(float(scenes.placement_sector_rad[0]), float(scenes.placement_sector_rad[1])),
+        vehicles=_VehicleHashes(source),
+        frame_of=source.vehicle,
+        decoder_hash=source.decoder_hash(),
+        detectors={name: file_hash(weights_file(name, path)) for name, path in detectors.items()},
+        accuracy=accuracy_settings(config.accuracy),
+        skipped=skipped,
+    )
+
+
+def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
+    """See `scene_entries`; the error for a frame that cannot be read says how to do without it."""
+    frames = config.scenes if isinstance(config.scenes, KittiConfig) else None
+    try:
+        return scene_entries(scenes, preview, skip_bad=frames is not None and frames.skip_bad)
+    except InputError as error:
+        if frames is None or frames.skip_bad:
+            raise
+        remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
+        raise InputError(error.what, where=error.where, remedy=remedy) from error
+
+
+class _VehicleHashes(Mapping[str, str]):
+    """Name to hash, worked out when it is asked for: a vehicle of an experiment has to be decoded for it."""
+
+    def __init__(self, source: VehicleSource) -> None:
+        self._source = source
+
+    def __getitem__(self, name: str) -> str:
+        from shift3d.vehicles.sources import vehicle_hash
+
+        if name not in self._source.names():
+            raise KeyError(name)
+        return vehicle_hash(self._source.vehicle(name))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._source.names())
+
+    def __len__(self) -> int:
+        return len(self._source.names())
+
+
+def file_hash(path: Path) -> str:
+    """128-bit BLAKE2b of a file's bytes, hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()

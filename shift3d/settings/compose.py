@@ -1,0 +1,256 @@
+"""A sweep file and overrides, composed by Hydra once, with the axes that the sweep runs over."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from shift3d.errors import InputError
+from shift3d.settings import messages
+from shift3d.settings.folders import files, find, looked_in, places, shipped, shown
+from shift3d.settings.names import quoted, text_settings
+from shift3d.settings.schema import Config
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+__all__ = ["Axis", "Composed", "compose_sweep", "sweep_names", "validate"]
+
+Values = dict[str, Any]
+_SMALL = "small"
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a sweep.
+
+    key: a setting (``attack.lambda``) or a config group (``vehicle``). texts: its values as Hydra spells
+    them. values: for a setting the value, for a group the whole settings of that option. is_group: which
+    of the two.
+    """
+
+    key: str
+    texts: tuple[str, ...]
+    values: tuple[Any, ...]
+    is_group: bool
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A sweep before its axes are expanded. base: the settings with each axis at its first value."""
+
+    name: str
+    overrides: tuple[str, ...]
+    base: Values
+    axes: tuple[Axis, ...]
+
+
+def sweep_names() -> list[str]:
+    """Names of the sweeps that there are."""
+    return list(files("sweeps"))
+
+
+def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
+    """Compose a sweep file with overrides, once, whatever the number of tasks.
+
+    An override with several values (``vehicle=coupe,suv``) is an axis, and replaces the sweep file's axis of
+    the same key in its place; the order is Hydra's own multirun order. ``size=small`` stands for the overrides that
+    the sweep's file lists under ``small``; those that are given come after them.
+
+    Raises:
+        InputError: unknown sweep, group, option or setting; an unreadable override; a continuous axis; a small size
+            of a sweep that has none.
+    """
+    where = f"sweep {name}"
+    file = find("sweeps", name)
+    if file is None:
+        raise messages.choice_error("sweep", name, sweep_names(), "sweeps/", looked_in("sweeps"))
+    compose, parse = _hydra(file, where)
+    stated = compose([])
+    params = stated["hydra"]["sweeper"]["params"] or {}
+    own = [f"{key}={value}" for key, value in params.items()]
+    small = _small(stated.get(_SMALL), parse(list(overrides)), where)
+    words = [quoted(word, text_settings(Config)) for word in [*own, *small, *overrides]]
+    axis_texts, fixed = _split(parse(words), where)
+    first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]
+    base = compose([*fixed, *first])
+    base.pop("hydra")
+    base.pop(_SMALL, None)
+    _refuse_interpolations(base, where)
+    axes = []
+    for key, texts in axis_texts.items():
+        is_group = any(folder.is_dir() for folder in places(f"conf/{key}"))
+        if is_group:
+            rest = [text for text in first if not text.startswith(f"{key}=")]
+            values = tuple(compose([*fixed, *rest, f"{key}={text}"])[key] for text in texts)
+        else:
+            values = tuple(parse([f"{key}={text}"])[0].value() for text in texts)
+        axes.append(Axis(key, tuple(texts), values, is_group))
+    # Groups first, as in Hydra, where a setting given by name wins over the option that it belongs to.
+    return Composed(name, tuple(overrides), base, tuple(axes))
+
+
+def _small(listed: Any, given: Sequence[Any], where: str) -> list[str]:
+    """The overrides that the small size of a sweep stands for; none where it is not asked for."""
+    sizes = [override for override in given if override.get_key_element() == "size"]
+    if any(override.is_sweep_override() for override in sizes):
+        raise InputError("size cannot be an axis", where=where, remedy="Give it one value")
+    if not sizes or sizes[-1].get_value_element_as_str() != _SMALL:
+        return []
+    if not isinstance(listed, dict) or not listed:
+        remedy = "Cut it by hand, as with scenes.count=4"
+        raise InputError("it has no small size", where=where, remedy=remedy)
+    # A text is written as in an override, where 1,10 are two values; the others as YAML and Hydra both have them.
+    return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in listed.items()]
+
+
+def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
+    """Two functions: overrides to plain settings (``hydra`` included), and texts to parsed overrides."""
+    from hydra import compose, initialize_config_dir
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from omegaconf import OmegaConf
+
+    search = f"hydra.searchpath=[{','.join(_search_path())}]"
+
+    def run(overrides: Sequence[str]) -> Values:
+        def composed(texts: Sequence[str]) -> DictConfig:
+            with initialize_config_dir(config_dir=str(sweep.parent.absolute()), version_base=None):
+                return compose(sweep.stem, overrides=[search, *texts], return_hydra_config=True)
+
+        def plain(texts: Sequence[str]) -> Values:
+            config = composed(texts)
+            values = OmegaConf.to_container(OmegaConf.masked_copy(config, _no_hydra(config)))
+            params = OmegaConf.to_container(config.hydra.sweeper.params) if config.hydra.sweeper.params else {}
+            return {**values, "hydra": {"sweeper": {"params": params}}}  # type: ignore[dict-item]
+
+        # Exception: Hydra has errors of its own, and lets YAML's, and many a ValueError and TypeError, through.
+        try:
+            return plain(overrides)
+        except Exception as error:
+            known = None
+            with contextlib.suppress(Exception):  # a file that cannot be read is no better without overrides
+                known = plain([])
+            raise messages.from_hydra(error, where, known, _Groups().get_group_options) from error
+
+    def parse(texts: Sequence[str]) -> Any:
+        try:
+            return OverridesParser.create(config_loader=_Groups()).parse_overrides(list(texts))  # type: ignore[arg-type]
+        except Exception as error:
+            raise messages.unreadable(error, where) from error
+
+    return run, parse
+
+
+def _search_path() -> list[str]:
+    """Where Hydra looks for groups, and then for sweeps that a sweep is made of, quoted for its grammar.
+
+    Raises:
+        InputError: another program's settings stand where shift3d's own would be taken from.
+    """
+    folders = [folder.absolute() for folder in [*places("conf"), *places("sweeps")] if folder.is_dir()]
+    own, theirs = folders[0] / "config.yaml", shipped("conf") / "config.yaml"
+    if own.is_file() and own.read_bytes() != theirs.read_bytes():
+        remedy = "Keep the groups that you add or change in conf/, without config.yaml; or run in another folder"
+        raise InputError("it would take the place of shift3d's own", where=shown(own), remedy=remedy)
+    return ["'file://" + str(folder).replace("'", "\\'") + "'" for folder in folders]
+
+
+class _Groups:
+    """What Hydra asks to expand ``glob()``: the options of a group. What begins with _ is what they have in common."""
+
+    def get_group_options(self, group_name: str, *_: object, **__: object) -> list[str]:
+        return list(files(f"conf/{group_name}"))
+
+
+def _no_hydra(config: Any) -> list[str]:
+    return [key for key in config if key != "hydra"]
+
+
+def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], list[str]]:
+    """Parsed overrides to (axis key to texts, fixed overrides), later ones replacing earlier ones of a
+    key."""
+    axes: dict[str, list[str]] = {}
+    fixed: dict[str, str] = {}
+    for override in parsed:
+        key = override.get_key_element()
+        if override.is_delete():
+            raise InputError(
+                f"{override.input_line}: a setting cannot be removed", where=where, remedy="Set it instead"
+            )
+        if override.is_sweep_override():
+            if not override.is_discrete_sweep():
+                raise InputError(
+                    f"{key} has a continuous axis ({override.input_line})",
+                    where=where,
+                    remedy="List its values, or use range(start,stop,step)",
+                )
+            fixed.pop(key, None)
+            axes[key] = list(override.sweep_string_iterator())
+        elif key in axes:
+            axes[key] = [override.get_value_element_as_str()]
+        else:
+            _refuse_no_names(key, override, where)
+            fixed[key] = override.input_line
+    empty = [key for key, texts in axes.items() if not texts]
+    if empty:
+        raise InputError(f"the axis {empty[0]} has no value", where=where, remedy=f"Give at least one: {empty[0]}=...")
+    return axes, list(fixed.values())
+
+
+def _refuse_no_names(group: str, override: Any, where: str) -> None:
+    """Hydra says of ``effects=null`` and ``effects=[3]`` neither what was wrong nor what there is."""
+    from hydra.core.override_parser.types import QuotedString
+
+    if not group:
+        raise InputError(f"{override.input_line}: no setting is named", where=where, remedy="Write key=value")
+    options, value = _Groups().get_group_options(group), override.value()
+    for name in value if isinstance(value, list) else [value]:
+        if options and not isinstance(name, str | QuotedString):
+            written = "null" if name is None else str(name)
+            raise messages.choice_error(group, written, options, where, looked_in(f"conf/{group}"))
+
+
+def _refuse_interpolations(values: Any, where: str, path: str = "") -> None:
+    if isinstance(values, dict):
+        for key, value in values.items():
+            _refuse_interpolations(value, where, f"{path}.{key}" if path else str(key))
+    elif isinstance(values, list):
+        for value in values:
+            _refuse_interpolations(value, where, path)
+    elif isinstance(values, str) and "${" in values:
+        # An interpolation could depend on an axis, and the composition is done once for all tasks.
+        raise InputError(f"{path} holds an interpolation", where=where, remedy="Write the value itself")
+
+
+def validate(values: Values, where: str) -> Config:
+    """Check settings against the schema. Raises InputError naming the field and what it may be."""
+    if not isinstance(values, dict):
+        raise InputError(f"the settings are a {type(values).__name__}", where=where, remedy="Write NAME: VALUE lines")
+    if "frontier" in values:
+        raise InputError(
+            "it measures what accuracy costs and has no tasks",
+            where=where,
+            remedy="Run it with: make frontier, or shift3d frontier",
+        )
+    if missing := _missing(values):
+        raise InputError(f"{missing} is required", where=where, remedy=f"Add {missing}=VALUE to the command")
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise messages.from_validation(error, where) from error
+
+
+def _missing(values: Values, prefix: str = "") -> str | None:
+    """Path of the first setting that still has Hydra's mark for a required value."""
+    for key, value in values.items():
+        if value == "???":
+            return f"{prefix}{key}"
+        if isinstance(value, dict) and (found := _missing(value, f"{prefix}{key}.")):
+            return found
+    return None

@@ -1,0 +1,106 @@
+"""One clear line for every way in which settings can be wrong."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+from shift3d.errors import InputError
+from shift3d.settings.folders import looked_in, shipped, shown
+from shift3d.settings.renamed import renamed_error
+
+__all__ = ["choice_error", "from_hydra", "from_validation", "one_of", "unreadable"]
+
+
+def one_of(value: str, allowed: Iterable[str]) -> str:
+    """``Did you mean 'suv'? One of: coupe, suv`` (the first sentence where something is close)."""
+    names = list(allowed)
+    close = difflib.get_close_matches(value, names, n=1, cutoff=0.5)
+    hint = f"Did you mean {close[0]!r}? " if close else ""
+    return f"{hint}One of: {', '.join(names)}"
+
+
+def choice_error(what: str, value: str, allowed: Iterable[str], where: str, looked: str = "") -> InputError:
+    """The error for an unknown name. looked: where it was looked for, as :func:`~.folders.looked_in` has it."""
+    known = one_of(value, allowed)
+    return InputError(f"unknown {what} {value!r}", where=where, remedy=f"{known}. {looked}" if looked else known)
+
+
+def from_validation(error: ValidationError, where: str) -> InputError:
+    """The first failure of a pydantic validation, naming the field, what it may be, and the remedy."""
+    first = error.errors(include_url=False)[0]
+    # A discriminated union puts its tag into the path: 'scenes.street.count' is the user's 'scenes.count'.
+    tags = {"street", "kitti", "set", "deepsdf", "ray", "local", "mlflow", "none"}
+    path = [str(part) for part in first["loc"]]
+    field = ".".join(part for i, part in enumerate(path) if not (i == 1 and part in tags))
+    value, kind = first["input"], first["type"]
+    if value == "???" or kind == "missing":
+        return InputError(f"{field} is required", where=where, remedy=f"Add {field}=VALUE to the command")
+    if kind == "extra_forbidden":
+        remedy = f"See {shown(shipped('conf'))} for all of them"
+        return InputError(f"there is no setting {field}", where=where, remedy=remedy)
+    if kind == "literal_error":
+        return choice_error(field, str(value), re.findall(r"'([^']+)'", first["ctx"]["expected"]), where)
+    if kind == "union_tag_invalid":
+        tags_text = re.findall(r"'([^']+)'", first["ctx"]["expected_tags"])
+        return choice_error(f"{field}.kind", str(first["ctx"]["tag"]), tags_text, where)
+    if kind == "value_error":  # a rule between several fields: it says which
+        return InputError(f"{field}: {first['ctx']['error']}", where=where, remedy="Change one of them")
+    what = f"{field} is {_shown(value)}: {first['msg'][0].lower()}{first['msg'][1:]}"
+    return InputError(what, where=where, remedy=f"Change it with {field}=VALUE")
+
+
+def _shown(value: object) -> str:
+    """A value as it was written, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 120 else f"{text[:120]}..."
+
+
+def from_hydra(
+    error: Exception, where: str, config: Mapping[str, Any] | None, options: Callable[[str], Sequence[str]]
+) -> InputError:
+    """Hydra's message in our form: what, the names that exist, and the nearest one.
+
+    Args:
+        config: the settings without any override, for the names of fields. options: of a group, by its name.
+    """
+    text = str(error)
+    # Of one option Hydra says that it did not find it, of one in a list that it could not load it.
+    if match := re.search(r"Could not (?:find|load) '([^']+)'", text):
+        group, _, name = match.group(1).rpartition("/")
+        if (renamed := renamed_error(group, name)) is not None:
+            return renamed
+        return choice_error(group or "sweep", name, options(group), where, looked_in(f"conf/{group}"))
+    if match := re.search(r"Could not override '([^']+)'", text):
+        key, siblings = match.group(1), _siblings(match.group(1), config or {})
+        if (renamed := renamed_error(key)) is not None:
+            return renamed
+        if key in siblings:
+            return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
+        return choice_error("setting", key, siblings, where)
+    remedy = f"See {shown(shipped('conf'))} for all settings"
+    return InputError(" ".join(text.split())[:300], where=where, remedy=remedy)
+
+
+def unreadable(error: Exception, where: str) -> InputError:
+    """The error for an override that is not of Hydra's grammar."""
+    shown = str(error).splitlines()[0].split(": ", 1)[-1]
+    return InputError(
+        f"cannot read the override {shown!r}",
+        where=where,
+        remedy="Write key=value, and quote values with spaces or brackets: 'key=\"a b\"'",
+    )
+
+
+def _siblings(key: str, config: Mapping[str, Any]) -> list[str]:
+    """Settings beside an unknown one: of the innermost of its parents that exists."""
+    prefix = ""
+    for part in key.split(".")[:-1]:
+        if not isinstance(config.get(part), Mapping):
+            break
+        config, prefix = config[part], f"{prefix}{part}."
+    return sorted(f"{prefix}{name}" for name in config)

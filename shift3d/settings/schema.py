@@ -1,0 +1,296 @@
+"""The typed schema of a task's settings and of how a sweep runs. Unknown fields are errors, never ignored."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from shift3d.detectors.names import DetectorName
+from shift3d.errors import InputError
+from shift3d.scenes.reflectance import MOST_RAW
+from shift3d.scenes.street.options import LIMITS, MOST_SENSORS, StreetOptions
+from shift3d.settings.names import Text
+
+__all__ = [
+    "AccuracyConfig",
+    "AttackConfig",
+    "Config",
+    "DeepSdfVehicleConfig",
+    "DetectorConfig",
+    "EffectsConfig",
+    "KittiConfig",
+    "LocalRunnerConfig",
+    "MlflowConfig",
+    "NoTrackingConfig",
+    "PlacementConfig",
+    "RayRunnerConfig",
+    "StreetConfig",
+    "StreetOptionsConfig",
+    "VehicleConfig",
+    "VehicleSetConfig",
+]
+
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+# Beyond these limits lie typing errors: a list of 10**12 scenes, squares of 1e300 that are infinite.
+_MOST, _LARGEST = 10**6, 1e9
+Count = Annotated[int, Field(ge=1, le=_MOST)]
+Number = Annotated[int, Field(ge=0, le=_MOST)]
+Positive = Annotated[float, Field(gt=0, le=_LARGEST, allow_inf_nan=False)]
+Share = Annotated[float, Field(gt=0, lt=1)]
+NotNegative = Annotated[float, Field(ge=0, le=_LARGEST, allow_inf_nan=False)]
+
+
+class _Record(BaseModel):
+    # strict: "0.5" is no number and true is no 1, since Hydra has read the types already. A float may be written 1.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class StreetOptionsConfig(_Record):
+    """What street scenes state and show beyond one return a beam, see `scenes.street.options`; all off by default."""
+
+    weather: Literal["dry", "rain", "fog", "snow"] = "dry"
+    rain_mm_h: Annotated[float, Field(gt=0, le=LIMITS["rain_mm_h"])] | None = None
+    visibility_m: Annotated[float, Field(gt=0, le=LIMITS["visibility_m"])] | None = None
+    snow_mm_h: Annotated[float, Field(gt=0, le=LIMITS["snow_mm_h"])] | None = None
+    sensor_model: bool = False
+    range_image: bool = False
+    returns: Literal[1, 2] = 1
+    sensors: Annotated[int, Field(ge=1, le=MOST_SENSORS)] = 1
+    ego_speed_m_s: Annotated[float, Field(ge=0, le=LIMITS["ego_speed_m_s"])] = 0.0
+    motion_compensated: bool = False
+    traffic: Literal["family", "wide", "held_out"] = "family"
+
+    def options(self) -> StreetOptions:
+        """The same for the generator. Raises InputError for settings that contradict each other."""
+        return StreetOptions(**{name: getattr(self, name) for name in StreetOptionsConfig.model_fields})
+
+    @model_validator(mode="after")
+    def _without_contradiction(self) -> Self:
+        try:
+            self.options()
+        except InputError as error:
+            raise ValueError(f"{error.what}. {error.remedy}") from error
+        return self
+
+
+class StreetConfig(StreetOptionsConfig):
+    """Procedural street scenes."""
+
+    kind: Literal["street"]
+    sensor: Literal["hdl64", "waymo_top", "mixed"]
+    split: Literal["train", "val", "test"]
+    seed: Seed
+    count: Count
+
+
+class KittiConfig(_Record):
+    """KITTI object frames under ``root``/training. reflectance_max: what the files call full reflectance; None: 1.
+    skip_bad: leave out frames that cannot be read."""
+
+    kind: Literal["kitti"]
+    root: Text
+    count: Count | None
+    names: list[Text] | None
+    reflectance_max: Annotated[float, Field(gt=0, le=MOST_RAW)] | None = None
+    skip_bad: bool = False
+
+
+class VehicleSetConfig(_Record):
+    """One vehicle of a folder with vehicles.safetensors and sdf.safetensors; folder null: those that ship."""
+
+    kind: Literal["set"]
+    name: Text
+    folder: Text | None
+
+
+class DeepSdfVehicleConfig(_Record):
+    """One instance of an experiment in the layout of the original DeepSDF repository."""
+
+    kind: Literal["deepsdf"]
+    name: Text
+    folder: Text
+    checkpoint: Text
+    forward: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    length_m: Positive | dict[Text, Positive]
+    code_norm: Positive | None
+
+
+VehicleConfig = VehicleSetConfig | DeepSdfVehicleConfig
+
+
+class DetectorConfig(_Record):
+    """The detector under attack, and those that score what was found.
+
+    weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
+    scored_by: names; None: every detector whose weights are there. The attacked one scores
+    always, and first.
+    """
+
+    name: DetectorName
+    weights: Text | None
+    scored_by: list[DetectorName] | None
+    other_weights: dict[DetectorName, Text | None]
+
+    def weights_by_name(self) -> dict[str, str | None]:
+        """Files of weights that were given, by the detector's name; None: those that ship."""
+        return {**{str(name): path for name, path in self.other_weights.items()}, self.name: self.weights}
+
+
+class PlacementConfig(_Record):
+    """Where a vehicle may be put; metres."""
+
+    min_range_m: NotNegative
+    max_range_m: Positive
+    min_object_points: Number
+    overlap_m: NotNegative
+    contact_m: Positive
+    attempts: Count
+
+    @model_validator(mode="after")
+    def _a_ring(self) -> Self:
+        if self.min_range_m >= self.max_range_m:
+            raise ValueError(f"min_range_m {self.min_range_m:g} is not below max_range_m {self.max_range_m:g}")
+        return self
+
+
+class AttackConfig(_Record):
+    """The search and its comparisons.
+
+    selection_window: steps before and after that count when one is kept. transfer_scenes: number of other scenes that
+    each adversarial shape is put into.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
+
+    steps: Number
+    selection_window: Number = 0
+    alpha: Positive
+    lambda_: Annotated[float, Field(alias="lambda", ge=0, le=_LARGEST, allow_inf_nan=False)]
+    random_replicates: Number
+    noise_replicates: Number
+    noise_sigma: NotNegative
+    max_shift_m: NotNegative
+    max_tilt_rad: NotNegative
+    detection_radius_m: Positive
+    transfer_scenes: Number = 0
+    placement: PlacementConfig
+
+
+class AccuracyConfig(_Record):
+    """A preset, and the settings that differ from it (None: as the preset has it).
+
+    detector: precision of the detector inside the search; what is found is scored in float32 or better.
+    """
+
+    name: Literal["draft", "standard", "paper", "reference"]
+    detector: Literal["bfloat16", "float32", "float64"] | None = None
+    render: dict[str, bool | int | float | str | None]
+
+
+EffectName = Literal[
+    "origins", "no_return_beams", "rolling_shutter", "divergence", "second_returns", "reflectance",
+    "wet_ground", "fog", "rain", "snow", "ray_drop", "range_noise",
+]  # fmt: skip
+
+
+class EffectsConfig(_Record):
+    """Effects beyond the paper's sensor model, and what is said about scenes beyond what they state themselves.
+
+    use: effects that are forced, by name; "auto": those that a scene calls for. Nothing: the paper's model.
+    The others: see `scenes.facts.EffectSettings`; weather is laid over the whole scene.
+    """
+
+    use: dict[Literal["auto"] | EffectName, bool]
+    visibility_m: Positive | None
+    rain_mm_h: NotNegative | None
+    snow_mm_h: NotNegative | None
+    range_noise_m: Annotated[float, Field(gt=0, le=10.0)] | None
+    divergence_rad: Annotated[float, Field(gt=0, le=0.1)] | None
+    limit_range_m: Annotated[float, Field(gt=0, le=1e5)] | None
+    power_spread: Annotated[float, Field(ge=0, le=10.0)] | None
+    object_speed_m_s: Annotated[float, Field(ge=-100.0, le=100.0)] | None
+
+    def forced(self) -> tuple[str, ...]:
+        """Names of effects that are used whether a scene calls for them or not."""
+        return tuple(name for name, on in self.use.items() if on and name != "auto")
+
+    @property
+    def auto(self) -> bool:
+        """Whether scenes are asked what they call for."""
+        return bool(self.use.get("auto"))
+
+    @property
+    def label(self) -> str:
+        """In a word: "auto", "none", or names joined by +."""
+        return "+".join([*(["auto"] if self.auto else []), *self.forced()]) or "none"
+
+    def overrides(self) -> dict[str, float]:
+        """What is said about scenes, by name."""
+        values = self.model_dump(exclude={"use"})
+        return {name: float(value) for name, value in values.items() if value is not None}
+
+
+class RayRunnerConfig(_Record):
+    """Ray workers."""
+
+    kind: Literal["ray"]
+    workers: Count | None
+    address: Text | None
+    cpus_per_worker: Positive
+    worker_memory_mb: Positive | None
+    task_timeout_s: Positive | None
+    batch_seconds: Positive
+    commit_seconds: NotNegative
+    abort_after: Count | None
+    abort_share: Share | None
+
+
+class LocalRunnerConfig(_Record):
+    """This process, one task after the other."""
+
+    kind: Literal["local"]
+    commit_seconds: NotNegative
+    abort_after: Count | None
+    abort_share: Share | None
+
+
+class MlflowConfig(_Record):
+    """An MLflow store."""
+
+    kind: Literal["mlflow"]
+    uri: Text
+    experiment: Text
+
+
+class NoTrackingConfig(_Record):
+    """No tracking."""
+
+    kind: Literal["none"]
+
+
+class Config(_Record):
+    """Everything one task is made from, and how its sweep runs.
+
+    ``runner`` and ``tracking`` cannot change a result; all else can. size: which of a sweep's sizes these settings
+    come from; by itself it changes nothing.
+    """
+
+    scenes: Annotated[StreetConfig | KittiConfig, Field(discriminator="kind")]
+    vehicle: Annotated[VehicleConfig, Field(discriminator="kind")]
+    detector: DetectorConfig
+    attack: AttackConfig
+    accuracy: AccuracyConfig
+    effects: EffectsConfig
+    runner: Annotated[RayRunnerConfig | LocalRunnerConfig, Field(discriminator="kind")]
+    tracking: Annotated[MlflowConfig | NoTrackingConfig, Field(discriminator="kind")]
+    size: Literal["full", "small"] = "full"
+    mode: Literal["shape", "pose"]
+    scene: Text | None
+    seed: Seed
+    replicate: Number
+
+    def settings(self) -> dict[str, Any]:
+        """The settings that can change a result, as plain values."""
+        return self.model_dump(mode="json", by_alias=True, exclude={"runner", "tracking"})

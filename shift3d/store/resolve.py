@@ -1,0 +1,63 @@
+"""Paths and URLs as locations."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from shift3d.errors import InputError
+from shift3d.store.local_files import LocalLocation
+from shift3d.store.location import Location
+
+__all__ = ["LocationLike", "as_location", "local_copy"]
+
+LocationLike = Location | Path | str
+"""What functions that read or write a sweep's folder take: a location, a path, or either of them as text."""
+
+
+def as_location(place: LocationLike) -> Location:
+    """A path, ``s3://bucket/prefix`` or ``gs://bucket/prefix`` as a location. Of text, ~ is the home folder.
+
+    Raises:
+        InputError: the text is empty, the URL has no bucket or another scheme, or settings in the environment cannot be
+            used.
+    """
+    if isinstance(place, Location):
+        return place
+    if place == "":
+        raise InputError("the name of a folder is empty", remedy="Give one; is a variable of the shell unset?")
+    if isinstance(place, str) and "://" in place:
+        from shift3d.store.object_store import object_location  # late: obstore is not needed for folders
+
+        return object_location(place)
+    return LocalLocation(Path(place).expanduser() if isinstance(place, str) else place)
+
+
+@contextlib.contextmanager
+def local_copy(folder: LocationLike, names: Sequence[str]) -> Iterator[Path]:
+    """A folder of this machine that holds the named files and folders of a location, while this is open.
+
+    For libraries that read paths alone. A local folder is given as it is, with whatever else it holds.
+
+    Raises:
+        InputError: they cannot be read. FileNotFoundError: a file that was listed is gone.
+    """
+    location = as_location(folder)
+    if isinstance(location, LocalLocation):
+        yield location.path
+        return
+    with tempfile.TemporaryDirectory(prefix="shift3d-") as temporary:
+        for name in names:
+            _fetch(location / name, Path(temporary) / name)
+        yield Path(temporary)
+
+
+def _fetch(source: Location, target: Path) -> None:
+    if source.is_file():
+        target.write_bytes(source.read_bytes())
+        return
+    target.mkdir()
+    for name in source.names():
+        _fetch(source / name, target / name)

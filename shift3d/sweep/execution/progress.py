@@ -1,0 +1,69 @@
+"""The progress bar: how far, how long still, and what failed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from types import TracebackType
+
+from shift3d.sweep.execution.running import Running
+from shift3d.wording import counted
+
+__all__ = ["Progress"]
+
+_LONG_S = 5.0
+
+
+class Progress:
+    """A bar on stderr; where that is no terminal, a line now and then.
+
+    Args:
+        total: tasks of the sweep. finished: those that earlier runs finished. workers: shown beside the bar.
+    """
+
+    def __init__(self, total: int, finished: int, workers: int) -> None:
+        from tqdm import tqdm
+
+        terminal = sys.stderr.isatty()
+        self._failed = 0
+        self._bar = tqdm(
+            total=total,
+            initial=finished,
+            unit="task",
+            desc=_workers(workers),
+            dynamic_ncols=True,
+            mininterval=0.2 if terminal else 15.0,
+            maxinterval=1.0 if terminal else 60.0,
+            smoothing=0.05,
+            file=sys.stderr,
+        )
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.close()
+
+    def update(self, done: int, quarantined: int, running: Sequence[Running] = (), workers: int | None = None) -> None:
+        """Count finished tasks; zero of both only redraws. running: what is in flight, the oldest first."""
+        self._failed += quarantined
+        if workers is not None:
+            self._bar.set_description(_workers(workers), refresh=False)
+        parts = [f"{self._failed} failed"] if self._failed else []
+        # Of calls that take a while it is worth knowing which they are.
+        parts += [f"{running[0].label} {running[0].seconds:.0f} s"] if running and running[0].seconds >= _LONG_S else []
+        self._bar.set_postfix_str(", ".join(parts), refresh=False)
+        if done or quarantined:
+            self._bar.update(done + quarantined)
+        elif sys.stderr.isatty():
+            self._bar.refresh()
+
+    def say(self, text: str) -> None:
+        """A line above the bar."""
+        self._bar.write(text, file=sys.stderr)
+
+
+def _workers(count: int) -> str:
+    return counted(count, "worker")

@@ -1,0 +1,1 @@
+"""Ray workers: connection, worker pool, calls in flight, failures and hangs."""

@@ -1,0 +1,149 @@
+"""Connecting to Ray: a private one on this machine, or a cluster that is running."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import os
+import signal
+import socket
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from shift3d.errors import InputError
+from shift3d.settings.schema import RayRunnerConfig
+from shift3d.sweep.execution.ray.token import require_token
+
+__all__ = ["connect"]
+
+# Counters and events of a private Ray, which go to a dashboard that is not there.
+_UNCOUNTED = {
+    "enable_metrics_collection": False,
+    "enable_open_telemetry": False,
+    "event_stats": False,
+    "task_events_report_interval_ms": 0,
+}
+
+
+def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
+    """Ray, started or joined: the module, ready to use.
+
+    A private Ray listens on loopback alone, has no dashboard and none of its counters, and asks whoever comes for the
+    token of its owner.
+
+    tasks_left: a private Ray needs no more workers than this.
+
+    Raises:
+        InputError: Ray does not start, the cluster does not answer, or it does not take our token.
+    """
+    for name, value in (
+        ("RAY_USAGE_STATS_ENABLED", "0"),
+        ("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0"),
+        ("RAY_DISABLE_IMPORT_WARNING", "1"),
+        ("OMP_NUM_THREADS", "1"),
+    ):
+        os.environ.setdefault(name, value)
+    if not require_token(private=not config.address) and config.address:
+        print(
+            f"warning: no token of the Ray at {config.address} is known. If it asks for none, whoever reaches it can "
+            "run code there",
+            file=sys.stderr,
+        )
+    import ray
+
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    try:
+        if config.address:
+            _check_token(config.address)
+            ray.init(address=config.address, **quiet)
+        else:
+            workers = min(config.workers or os.cpu_count() or 1, max(tasks_left, 1))
+            with _on_loopback(), _deaf_to_sigterm():
+                ray.init(
+                    address="local",
+                    num_cpus=max(1, math.ceil(workers * config.cpus_per_worker)),
+                    include_dashboard=False,
+                    _node_ip_address="127.0.0.1",
+                    object_store_memory=256 * 2**20,
+                    _system_config=_UNCOUNTED,
+                    **quiet,
+                )
+            _end_idle_helpers(ray)
+    except ray.exceptions.AuthenticationError as error:
+        raise InputError(
+            "this Ray asks for a token, and ours is none or another one",
+            where=f"runner.address={config.address}",
+            remedy="Copy the token from there, or name its file in RAY_AUTH_TOKEN_PATH",
+        ) from error
+    except (ConnectionError, RuntimeError, ValueError, OSError, ray.exceptions.RpcError) as error:
+        message = " ".join(str(error).split())[:300]
+        raise InputError(
+            f"Ray did not start: {message}",
+            where=f"runner.address={config.address}",
+            remedy="Check the address, or use runner=local",
+        ) from error
+    return ray
+
+
+def _end_idle_helpers(ray: Any) -> None:
+    """End what a private Ray starts and nobody here uses: each wakes 20 to 30 times a second, beside workers that have
+    every core. They are the reader of logs for a driver that wants none, the autoscaler's monitor, and the server of a
+    dashboard that is off."""
+    node = ray._private.worker.global_worker.node
+    for end in (node.kill_log_monitor, node.kill_monitor, node.kill_dashboard):
+        end(check_alive=False)
+
+
+def _check_token(address: str) -> None:
+    """Ask a cluster whether it takes our token: ``ray.init`` would try for 20 s and then not say why it gave up.
+
+    Raises:
+        ray.exceptions.AuthenticationError: it does not. OSError: nobody answers there.
+    """
+    from ray._common.network_utils import parse_address  # type: ignore[attr-defined]
+    from ray._private.services import canonicalize_bootstrap_address
+    from ray._raylet import GcsClient  # type: ignore[attr-defined]
+
+    known = None if "://" in address else canonicalize_bootstrap_address(address)
+    if known and (found := parse_address(known)):
+        socket.create_connection((found[0], int(found[1])), timeout=10).close()
+        GcsClient(address=known).check_alive([], timeout=10)
+
+
+@contextlib.contextmanager
+def _deaf_to_sigterm() -> Iterator[None]:
+    """What starts meanwhile never gets SIGTERM, workers included, as Ray sees to it with SIGINT.
+
+    Who ends a job (``timeout``, Slurm, systemd) often signals all of its processes at once. A driver stops after the
+    tasks in flight, and until then needs its Ray.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _on_loopback() -> Iterator[None]:
+    """Keep a Ray that is about to start from turning 127.0.0.1 into the machine's own address.
+
+    On Linux it does so whatever it is told, and its servers then listen on every interface. On Windows and macOS it
+    does not, for the sake of their firewalls; the switch between the two is the only one there is (Ray 2.60).
+    """
+    from ray._private import ray_constants
+
+    name, before = ray_constants.ENABLE_RAY_CLUSTERS_ENV_VAR, ray_constants.ENABLE_RAY_CLUSTER
+    former = os.environ.get(name)
+    os.environ[name] = "0"  # for the processes that Ray starts
+    ray_constants.ENABLE_RAY_CLUSTER = False  # for this one, which has read the variable already
+    try:
+        yield
+    finally:
+        ray_constants.ENABLE_RAY_CLUSTER = before
+        if former is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = former

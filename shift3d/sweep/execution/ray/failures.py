@@ -1,0 +1,60 @@
+"""What an error of Ray means for the tasks of a call: and whether the task is charged for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+__all__ = ["Failure", "failure_of"]
+
+Kind = Literal["crashed", "out_of_memory", "timeout", "node_lost", "unreachable"]
+
+_NODE_TEXTS = ("node has died", "node was terminated", "node it ran on", "node died")
+_MEMORY_TEXTS = ("out of memory", "out-of-memory", "running low on memory", "OOM")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a call gave no result.
+
+    kind: as it stands in ``attempts``. what: for the reader. traceback: where the task was, if it is known.
+    """
+
+    kind: Kind
+    what: str
+    traceback: str | None = None
+
+    @property
+    def charged(self) -> bool:
+        """Whether a task that was alone may have done it. A machine that goes away is no task's fault."""
+        return self.kind in ("crashed", "out_of_memory", "timeout")
+
+
+def failure_of(ray: Any, error: Exception, node_id: str) -> Failure:
+    """What an error that a call ended with says. node_id: of the worker's machine."""
+    errors = ray.exceptions
+    text = _plain(str(error))
+    lost = (errors.NodeDiedError, errors.ObjectLostError, errors.LocalRayletDiedError)
+    if isinstance(error, lost) or getattr(error, "preempted", False) or any(t in text for t in _NODE_TEXTS):
+        return Failure("node_lost", f"the machine went away: {text}")
+    if isinstance(error, errors.OutOfMemoryError | MemoryError) or "MemoryError" in type(error).__name__:
+        return Failure("out_of_memory", f"the worker ran out of memory: {text}")
+    if not _alive(ray, node_id):
+        return Failure("node_lost", f"the machine went away: {text}")
+    if isinstance(error, errors.ActorUnavailableError):
+        return Failure("unreachable", f"the worker does not answer: {text}")
+    if any(t in text for t in _MEMORY_TEXTS):
+        return Failure("out_of_memory", f"the worker ran out of memory: {text}")
+    return Failure("crashed", f"the worker died: {text}")
+
+
+def _plain(text: str) -> str:
+    """What Ray says, without the ids before it, and without the advice after it: that names the out-of-memory killer
+    among what may have happened to any process that was killed, which proves nothing."""
+    text = " ".join(text.split())
+    start = max(text.find("The actor is dead because"), text.find("The actor died because"), 0)
+    return text[start:].partition("Some common causes include")[0].strip()[:2_000]
+
+
+def _alive(ray: Any, node_id: str) -> bool:
+    return any(node["NodeID"] == node_id and node["Alive"] for node in ray.nodes())

@@ -1,0 +1,181 @@
+"""Ray workers: long-lived actors that hold what tasks need, one call in flight each.
+
+What can go wrong with a call and what follows from it (design section 9):
+
+- the worker died, of several tasks: nobody knows which did it, so each is run again alone, and none is charged;
+- the worker died or ran out of memory, or the task hung, alone: charged, and given up on the second time;
+- the machine went away: run again, not charged.
+
+Source: our choice.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from shift3d.errors import InputError
+from shift3d.settings.schema import RayRunnerConfig
+from shift3d.store.tables import table_from_rows
+from shift3d.sweep.execution.backlog import Backlog
+from shift3d.sweep.execution.batches import BatchSizer
+from shift3d.sweep.execution.ray.calls import Call, Calls
+from shift3d.sweep.execution.ray.connection import connect
+from shift3d.sweep.execution.ray.failures import Failure, failure_of
+from shift3d.sweep.execution.ray.shipped_files import loaded
+from shift3d.sweep.execution.ray.watch import Watch
+from shift3d.sweep.execution.ray.worker import RayWorker
+from shift3d.sweep.execution.ray.worker_pool import WorkerPool
+from shift3d.sweep.execution.running import Running
+from shift3d.sweep.execution.worker import BatchOutcome, attempt_row
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.reproduce import reproduce_command, with_command
+
+__all__ = ["RayRunner"]
+
+_HEARTBEAT_S = 0.5
+
+
+class RayRunner:
+    """Runs tasks in Ray actors, on this machine or a cluster.
+
+    tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
+
+    Raises:
+        InputError: the cluster cannot be reached, or has no room for a worker; a file that travels cannot be read.
+    """
+
+    def __init__(
+        self, kind: TaskKind, plan: Plan, config: RayRunnerConfig, tasks_left: int, tried: dict[int, int] | None = None
+    ) -> None:
+        self._plan = plan
+        self._tried = tried
+        self._command = reproduce_command(kind, plan)
+        self._ray = connect(config, tasks_left)
+        try:
+            memory_mb = config.worker_memory_mb or kind.memory_mb
+            self._pool = WorkerPool(self._ray, self._starter(kind, config), config, memory_mb, tasks_left)
+        except InputError:
+            self.close()
+            raise
+        self._sizer = BatchSizer(config.batch_seconds)
+        self._calls = Calls(least_s=2 * config.batch_seconds)
+        self._watch = Watch(self._ray, config.task_timeout_s)
+        self._backlog = Backlog([])
+
+    def _starter(self, kind: TaskKind, config: RayRunnerConfig) -> Callable[[], Any]:
+        # One call in flight each, and a crash is the driver's to handle: Ray itself retries nothing.
+        options: dict[str, Any] = {"num_cpus": config.cpus_per_worker, "max_restarts": 0, "max_task_retries": 0}
+        if config.worker_memory_mb:
+            options["memory"] = int(config.worker_memory_mb * 2**20)
+        actor = self._ray.remote(**options)(RayWorker)
+        # A private Ray's workers are on this machine, and read what lies here.
+        shipped = self._ray.put(loaded(self._plan.assets) if config.address else {})
+        tasks, assets = self._ray.put(self._plan.tasks), self._ray.put(self._plan.assets)
+        return lambda: actor.remote(kind, self._plan.sweep, assets, tasks, self._command, shipped)
+
+    @property
+    def workers(self) -> int:
+        """Workers there shall be; as machines join and leave, this changes."""
+        return self._pool.wanted
+
+    def running(self) -> list[Running]:
+        """See :class:`Runner`."""
+        tasks = self._plan.tasks
+        return [
+            Running(tasks[c.positions[0]], len(c.positions), c.seconds, c.worker.process) for c in self._calls.live()
+        ]
+
+    def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
+        """See :class:`Runner`."""
+        self._backlog = Backlog(positions, self._tried)
+        while self._calls or (self._backlog and not stop.is_set()):
+            self._pool.grow(len(self._backlog) + len(self._calls))
+            self._give_out(stop)
+            waited = [*self._calls.references, *self._pool.starting]
+            ready, _ = self._ray.wait(waited, num_returns=1, timeout=_HEARTBEAT_S) if waited else ([], [])
+            outcome = self._end_of(ready[0]) if ready else BatchOutcome()
+            yield outcome
+            if outcome.fatal:
+                return
+            for hang in self._watch.hanging(self._calls.live()):
+                self._calls.pop(hang.call.reference)
+                self._pool.lost(hang.call.worker)
+                yield self._failed_call(hang.call, hang.failure, hang.position)
+
+    def _give_out(self, stop: threading.Event) -> None:
+        while not stop.is_set() and (worker := self._pool.idle()):
+            if len(self._backlog):
+                size = self._sizer.size(len(self._backlog), self._pool.wanted)
+                positions, late = self._backlog.take(size, worker.process), None
+                attempt = self._backlog.first_attempt(positions)
+            elif late := self._calls.straggler():
+                positions, attempt = late.positions, late.attempt + 1
+                self._backlog.tried(positions, attempt)
+            else:
+                return
+            call = Call(worker.actor.run.remote(positions, attempt), worker, positions, attempt, copy=late)
+            if late:
+                late.copy = call
+            self._calls.add(call)
+
+    def _end_of(self, reference: Any) -> BatchOutcome:
+        if reference in self._pool.starting:
+            return BatchOutcome(fatal=self._pool.started(reference))
+        call, wanted = self._calls.pop(reference)
+        try:
+            outcome: BatchOutcome = self._ray.get(reference)
+        except self._ray.exceptions.RayError as error:
+            self._pool.lost(call.worker)
+            return (
+                self._failed_call(call, failure_of(self._ray, error, call.worker.node_id)) if wanted else BatchOutcome()
+            )
+        if not wanted:
+            return BatchOutcome()
+        ran = len(outcome.done) + len(outcome.quarantined)
+        self._calls.finished(call, ran, outcome.seconds)
+        self._sizer.finished(ran, outcome.seconds)
+        return outcome
+
+    def _failed_call(self, call: Call, failure: Failure, culprit: int | None = None) -> BatchOutcome:
+        """A call ended without a result. culprit: the task that did it, where that is known."""
+        if culprit is None and len(call.positions) == 1:
+            culprit = call.positions[0]
+        others = [position for position in call.positions if position != culprit]
+        self._backlog.tried(call.positions, call.attempt)
+        alone = [] if culprit is None else [culprit]
+        given_up = [position for position in alone if self._give_up(position, failure)]
+        if not self._calls.copy_of(call):
+            # Where it is known who did it, the others may stay together.
+            self._backlog.put_back(others, alone=culprit is None and failure.kind != "node_lost")
+            self._backlog.put_back([position for position in alone if position not in given_up], alone=True)
+        rows = [
+            self._row(position, call, failure, position in alone, position in given_up) for position in call.positions
+        ]
+        outcome = BatchOutcome(tables={"attempts": table_from_rows("attempts", rows)})
+        outcome.quarantined = [self._id(position) for position in given_up]
+        outcome.errors = [f"{failure.kind}: {failure.what}" for _ in given_up]
+        return outcome
+
+    def _give_up(self, position: int, failure: Failure) -> bool:
+        return self._backlog.charge(position) if failure.charged else self._backlog.lose(position)
+
+    def _id(self, position: int) -> str:
+        return str(self._plan.tasks.ids[position])
+
+    def _row(self, position: int, call: Call, failure: Failure, alone: bool, given_up: bool) -> dict[str, Any]:
+        outcome = failure.kind if alone or not failure.charged else "bystander"
+        row = attempt_row(
+            self._plan.tasks.ids[position].as_py(), call.attempt, outcome, call.began_unix_s, call.seconds
+        )
+        row |= {"error": failure.what, "traceback": failure.traceback if alone else None, "quarantined": given_up}
+        row |= {"worker": call.worker.process}
+        return with_command(row, self._command) if given_up else row
+
+    def close(self) -> None:
+        """End the workers, and the private Ray where there is one."""
+        self._ray.shutdown()

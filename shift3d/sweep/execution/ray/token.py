@@ -1,0 +1,102 @@
+"""The token without which a Ray of ours runs nothing: in a file that only its owner can read."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import stat
+import sys
+from pathlib import Path
+
+from shift3d.errors import InputError
+
+__all__ = ["require_token", "token_file"]
+
+_MODE, _TOKEN, _PATH = "RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"
+
+
+def require_token(private: bool) -> bool:
+    """Turn Ray's token authentication on for this process and those that it starts. True where it is on.
+
+    What the user set in Ray's own variables stands: RAY_AUTH_MODE=disabled turns it off, RAY_AUTH_TOKEN or
+    RAY_AUTH_TOKEN_PATH name the token. Otherwise a private Ray has the token of :func:`token_file`, made where there
+    is none, and a cluster the one where Ray's own commands keep it, ``~/.ray/auth_token``. A cluster of which no token
+    is known may still be one that asks for none: False.
+
+    Source: our choice. Ray would make a token by itself, in a file that everybody on the machine can read.
+
+    Raises:
+        InputError: the file cannot be made or read, holds no token, or others can read it too.
+    """
+    if os.environ.get(_MODE, "token").lower() != "token":
+        return False
+    if not os.environ.get(_TOKEN):
+        path_text = os.environ.get(_PATH)
+        path = Path(path_text) if path_text else token_file() if private else Path.home() / ".ray" / "auth_token"
+        if private:
+            _create(path)
+        elif not path_text and not path.exists():
+            return False
+        _check(path)
+        os.environ[_PATH] = str(path)
+    os.environ[_MODE] = "token"
+    if "ray" in sys.modules:
+        # Ray reads both variables when it is imported, and keeps them.
+        from ray._raylet import AuthenticationTokenLoader, Config  # type: ignore[attr-defined]
+
+        Config.initialize("")
+        AuthenticationTokenLoader.instance().reset_cache()
+    return True
+
+
+def token_file() -> Path:
+    """Where the token of private Rays is kept between runs."""
+    return Path.home() / ".shift3d" / "ray_token"
+
+
+def _create(path: Path) -> None:
+    """A file with 256 random bits that is its owner's alone from its first moment; one that is there stays."""
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # Complete before it has its name: whoever starts at the same moment reads the whole token or none.
+        temporary = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+        try:
+            with os.fdopen(descriptor, "w") as file:
+                file.write(secrets.token_hex(32))
+            with contextlib.suppress(FileExistsError):
+                os.link(temporary, path)
+        finally:
+            temporary.unlink()
+    except OSError as error:
+        raise InputError(
+            f"no token can be written ({error.strerror})",
+            where=str(path),
+            remedy=f"Name another file in {_PATH}",
+        ) from error
+
+
+def _check(path: Path) -> None:
+    """Refuse a token that others know already, or that is none."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        with os.fdopen(descriptor, "rb") as file:
+            about = os.fstat(descriptor)
+            if not stat.S_ISREG(about.st_mode):
+                raise InputError("is no file", where=str(path), remedy=f"Name the token's file in {_PATH}")
+            token = file.read(4097).strip()
+    except OSError as error:
+        raise InputError(
+            f"the token of Ray cannot be read ({error.strerror})",
+            where=str(path),
+            remedy=f"Name its file in {_PATH}, or make one: ray get-auth-token --generate",
+        ) from error
+    if about.st_mode & 0o077 or about.st_uid not in (os.getuid(), 0):
+        raise InputError(
+            f"others can read or write this token of Ray (mode {stat.S_IMODE(about.st_mode):04o})",
+            where=str(path),
+            remedy=f"Make another one, since this one may be known: rm {path}. To keep it: chmod 600 {path}",
+        )
+    if not token or len(token) > 4096:
+        raise InputError("holds no token of Ray", where=str(path), remedy=f"Remove it: rm {path}")

@@ -1,0 +1,63 @@
+"""A worker as Ray runs it: given positions of a plan that it holds, and keeping a logbook of what it is at."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from shift3d.sweep.execution.ray.logbook import Logbook
+from shift3d.sweep.execution.ray.shipped_files import ShippedFiles, unloaded
+from shift3d.sweep.execution.worker import BatchOutcome, Worker
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.tasks import PlannedTask
+from shift3d.task.spec import AssetsSpec
+
+__all__ = ["RayWorker", "Ready"]
+
+
+@dataclass(frozen=True)
+class Ready:
+    """Where a worker runs. node_id: Ray's. process: host and process id. logbook: of its process `pid`."""
+
+    node_id: str
+    process: str
+    pid: int
+    logbook: str
+
+
+class RayWorker:
+    """Arguments as of `Worker`; tasks: of the whole plan; shipped: files that this machine may not have.
+
+    Tasks, assets and shipped come from Ray's object store, where a machine has them once.
+    """
+
+    def __init__(
+        self,
+        kind: TaskKind,
+        sweep: str,
+        assets: Sequence[AssetsSpec],
+        tasks: Sequence[PlannedTask],
+        command: str,
+        shipped: ShippedFiles,
+    ) -> None:
+        self._tasks = tasks
+        # With the first task, whose outcome can say in one line why nothing could be loaded.
+        load = kind.load
+        kind = dataclasses.replace(kind, load=lambda spec: load(unloaded(spec, shipped)))
+        self._logbook = Logbook()
+        self._worker = Worker(kind, sweep, assets, command, self._logbook.note)
+
+    def ready(self) -> Ready:
+        """Answered as soon as this process is ready."""
+        import ray
+
+        pid = os.getpid()
+        return Ready(ray.get_runtime_context().get_node_id(), f"{socket.gethostname()}:{pid}", pid, self._logbook.path)
+
+    def run(self, positions: Sequence[int], first_attempt: int) -> BatchOutcome:
+        """See `Worker.run_batch`."""
+        tasks = [self._tasks[position] for position in positions]
+        return self._worker.run_batch(tasks, first_attempt=first_attempt)

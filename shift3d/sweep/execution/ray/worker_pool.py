@@ -1,0 +1,133 @@
+"""The workers of a Ray run: how many there is room for, started, ready, busy, and replaced."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from shift3d.errors import InputError
+from shift3d.settings.schema import RayRunnerConfig
+from shift3d.sweep.execution.ray.worker import Ready
+
+__all__ = ["PooledWorker", "WorkerPool", "room_for"]
+
+# Starts that fail in a row before any worker was ready: a defect of the installation.
+_FAILED_STARTS = 3
+# How often the cluster is asked for its size: machines join and leave within minutes.
+_LOOK_S = 2.0
+
+
+def room_for(nodes: list[dict[str, Any]], cpus: float, memory_mb: float) -> int:
+    """Workers that fit on the machines that are alive, by their CPUs and by their memory.
+
+    A machine with the CPUs but too little memory holds one all the same if nothing else holds any: memory_mb is
+    an estimate, and to try is better than to refuse.
+    """
+    alive = [node["Resources"] for node in nodes if node["Alive"]]
+    by_cpu = [int(resources.get("CPU", 0) // cpus) for resources in alive]
+    by_memory = [int(resources.get("memory", 0) // (memory_mb * 2**20)) for resources in alive]
+    return max(sum(map(min, by_cpu, by_memory)), min(1, sum(by_cpu)))
+
+
+@dataclass
+class PooledWorker:
+    """A worker. where: its process and machine, None until it is ready. running: whether it has a call."""
+
+    actor: Any
+    where: Ready | None = None
+    running: bool = False
+
+    @property
+    def process(self) -> str:
+        """Host and process id."""
+        return self.where.process if self.where else "starting"
+
+    @property
+    def node_id(self) -> str:
+        """Ray's id of its machine."""
+        return self.where.node_id if self.where else ""
+
+
+class WorkerPool:
+    """Workers, from the first to the last.
+
+    Args:
+        start: starts an actor. config: how many there shall be (None: as many as there is room for), and their size.
+        most: no more than this.
+
+    Raises:
+        InputError: there is no room for one.
+    """
+
+    def __init__(self, ray: Any, start: Callable[[], Any], config: RayRunnerConfig, memory_mb: float, most: int):
+        self._ray = ray
+        self._start = start
+        self._config = config
+        self._memory_mb = memory_mb
+        self._most = most
+        self._starting: dict[Any, PooledWorker] = {}
+        self._workers: list[PooledWorker] = []
+        self._failed = 0
+        self._looked = 0.0
+        self.wanted = self._room()
+        if self.wanted < 1:
+            raise InputError(
+                f"Ray has no room for a worker of {config.cpus_per_worker} CPUs",
+                where="runner",
+                remedy="Lower runner.cpus_per_worker, or use runner=local",
+            )
+
+    def _room(self) -> int:
+        room = room_for(self._ray.nodes(), self._config.cpus_per_worker, self._memory_mb)
+        # A cluster that grows on demand grows by workers that wait for room, so what was asked for is started.
+        return min(self._config.workers or room, self._most)
+
+    @property
+    def size(self) -> int:
+        """Workers that are there."""
+        return len(self._workers)
+
+    @property
+    def starting(self) -> list[Any]:
+        """References that are ready when a worker is."""
+        return list(self._starting)
+
+    def grow(self, tasks: int) -> None:
+        """Start what is missing. tasks: waiting or in flight; more workers than that would idle."""
+        now = time.monotonic()
+        if now - self._looked >= _LOOK_S:
+            self._looked = now
+            self.wanted = max(self._room(), 1)
+        # After a failed start one at a time.
+        at_once = 1 if self._failed else self.wanted
+        missing = min(self.wanted, tasks) - len(self._workers) - len(self._starting)
+        for _ in range(min(missing, at_once - (len(self._starting) if self._failed else 0))):
+            actor = self._start()
+            self._starting[actor.ready.remote()] = PooledWorker(actor)
+
+    def started(self, reference: Any) -> InputError | None:
+        """A start has ended: the worker is idle, or was lost. The error says why none can be started at all."""
+        worker = self._starting.pop(reference)
+        try:
+            worker.where = self._ray.get(reference)
+        except self._ray.exceptions.RayError as error:
+            self._failed += 1
+            if self._failed < _FAILED_STARTS or self._workers:
+                return None
+            what = " ".join(str(error).split())[-600:]
+            return InputError(f"no worker starts: {what}", where="runner", remedy="Every machine needs this shift3d")
+        self._failed = 0
+        self._workers.append(worker)
+        return None
+
+    def idle(self) -> PooledWorker | None:
+        """A worker without a call; None where all are busy. Whether it has died meanwhile its next call tells."""
+        return next((worker for worker in self._workers if not worker.running), None)
+
+    def lost(self, worker: PooledWorker) -> None:
+        """A worker is dead or of no use any more; whatever is left of it is ended."""
+        if worker in self._workers:
+            self._workers.remove(worker)
+        self._ray.kill(worker.actor)

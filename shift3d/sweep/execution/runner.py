@@ -1,0 +1,103 @@
+"""What runs a plan's tasks: in this process, or through Ray."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+
+from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
+from shift3d.sweep.execution.batches import BatchSizer
+from shift3d.sweep.execution.running import Running
+from shift3d.sweep.execution.worker import BatchOutcome, Worker
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.reproduce import reproduce_command
+
+__all__ = ["LocalRunner", "Runner", "make_runner"]
+
+
+class Runner(Protocol):
+    """Runs tasks and yields outcomes as they come, in any order."""
+
+    @property
+    def workers(self) -> int:
+        """How many there are to be, now."""
+        ...
+
+    def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
+        """Run until all tasks have an outcome, or, once ``stop`` is set, until those in flight have one.
+
+        An outcome without tasks may be yielded at any time: a chance for the caller to commit and to draw.
+
+        Args:
+            positions: of the tasks in the plan.
+        """
+        ...
+
+    def running(self) -> list[Running]:
+        """What is in flight, the oldest first."""
+        ...
+
+    def close(self) -> None:
+        """End what was started, at once."""
+        ...
+
+
+class LocalRunner:
+    """This process, one task after the other. A task that hangs is not ended: nobody else is here to do it."""
+
+    workers = 1
+
+    def __init__(self, kind: TaskKind, plan: Plan, batch_seconds: float, tried: dict[int, int]) -> None:
+        self._plan = plan
+        self._tried = tried
+        self._worker = Worker(kind, plan.sweep, plan.assets, reproduce_command(kind, plan))
+        self._sizer = BatchSizer(batch_seconds)
+        self._running: list[Running] = []
+
+    def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
+        """See :class:`Runner`."""
+        start = 0
+        while start < len(positions) and not stop.is_set():
+            size = self._sizer.size(len(positions) - start, 1)
+            batch = positions[start : start + size].tolist()
+            tasks = [self._plan.tasks[position] for position in batch]
+            self._running = [Running(tasks[0], len(tasks), 0.0, "this process")]
+            yield BatchOutcome()
+            first = 1 + max(self._tried.get(position, 0) for position in batch) if self._tried else 1
+            outcome = self._worker.run_batch(tasks, stop.is_set, first)
+            ran = len(outcome.done) + len(outcome.quarantined)
+            self._sizer.finished(ran, outcome.seconds)
+            start += ran
+            yield outcome
+            if outcome.fatal:
+                return
+
+    def running(self) -> list[Running]:
+        """See :class:`Runner`."""
+        return self._running
+
+    def close(self) -> None:
+        """Nothing to end."""
+
+
+def make_runner(
+    kind: TaskKind,
+    plan: Plan,
+    config: RayRunnerConfig | LocalRunnerConfig,
+    tasks_left: int,
+    tried: dict[int, int] | None = None,
+) -> Runner:
+    """The runner that the settings name.
+
+    Args:
+        tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
+    """
+    if isinstance(config, LocalRunnerConfig):
+        return LocalRunner(kind, plan, config.commit_seconds, tried or {})
+    from shift3d.sweep.execution.ray.runner import RayRunner
+
+    return RayRunner(kind, plan, config, tasks_left, tried)

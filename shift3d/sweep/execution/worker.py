@@ -1,0 +1,256 @@
+"""What runs tasks, in whichever process: one batch at a time, each task tried, retried or given up on."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import socket
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from shift3d.errors import InputError
+from shift3d.processor import configure_runtime
+from shift3d.store.schemas import SEGMENTS, SPEC_COLUMNS
+from shift3d.store.tables import table_from_rows
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.reproduce import with_command
+from shift3d.sweep.planning.tasks import PlannedTask
+from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
+
+__all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows"]
+
+# How often a task is tried, and the pause before each new try of I/O. A deterministic failure is tried
+# twice in case it was not deterministic after all; what the file system or the network did may pass.
+_DETERMINISTIC_TRIES = 2
+_IO_TRIES = 4
+_IO_PAUSE_S = (0.5, 2.0, 8.0)
+_GIVES_BACK_S = 1.0
+"""After a batch this long memory is given back, which takes some hundredths of a second."""
+
+
+@dataclass
+class BatchOutcome:
+    """What a batch came to.
+
+    done, quarantined: task ids in the order they were run. tables: segment tables by name.
+    errors: of each quarantined one. fatal: why no task can be run at all (assets cannot be loaded); the sweep stops
+    with it. peak_mb: the most memory that the worker's process has had, 10^6 bytes.
+    """
+
+    done: list[str] = field(default_factory=list)
+    quarantined: list[str] = field(default_factory=list)
+    tables: dict[str, pa.Table] = field(default_factory=dict)
+    errors: list[str] = field(default_factory=list)
+    fatal: InputError | None = None
+    seconds: float = 0.0
+    peak_mb: float = 0.0
+
+
+def attempt_row(task_id: str, attempt: int, outcome: str, started_unix_s: float, seconds: float) -> Row:
+    """One row of ``attempts``, of this process.
+
+    outcome: done; failed or out_of_memory (the task's exception); crashed, out_of_memory or timeout (its worker's end);
+    bystander (the end of a worker that had other tasks, too); node_lost or unreachable (its machine's). seconds: by a
+    clock that never jumps.
+    """
+    return {
+        "task_id": task_id,
+        "attempt": attempt,
+        "outcome": outcome,
+        "error": None,
+        "traceback": None,
+        "quarantined": False,
+        "worker": _process(),
+        "started_unix_s": started_unix_s,
+        "seconds": seconds,
+    }
+
+
+@functools.cache
+def _process() -> str:
+    return f"{socket.gethostname()}:{os.getpid()}"
+
+
+class Worker:
+    """Holds what tasks need and runs them. The same class in this process and in a Ray actor.
+
+    command: that shows a task again, up to its id. note: told the place in its batch of each task that begins, and None
+    after the last one.
+    """
+
+    def __init__(
+        self,
+        kind: TaskKind,
+        sweep: str,
+        assets: Sequence[AssetsSpec],
+        command: str = "",
+        note: Callable[[int | None], None] = lambda _: None,
+    ) -> None:
+        self._kind = kind
+        self._sweep = sweep
+        self._assets_specs = assets
+        self._command = command
+        self._assets: dict[int, Any] = {}
+        self._note = note
+
+    def run_batch(
+        self, tasks: Sequence[PlannedTask], stop: Callable[[], bool] = lambda: False, first_attempt: int = 1
+    ) -> BatchOutcome:
+        """Run tasks in order.
+
+        Args:
+            stop: asked before each task; the tasks left when it says True are in neither list.
+            first_attempt: number of the first try, for ``attempts``.
+        """
+        began = time.perf_counter()
+        outcome = BatchOutcome()
+        results: list[_Rows] = []
+        for index, task in enumerate(tasks):
+            if stop():
+                break
+            try:
+                assets = self._load(task.assets)
+            except InputError as error:
+                outcome.fatal = error
+                break
+            self._note(index)
+            results.append(self._run_task(task.spec, assets, first_attempt))
+        self._note(None)
+        outcome.tables = self._tables_of(results)
+        for rows in results:
+            (outcome.done if rows.done else outcome.quarantined).append(rows.task_id)
+            if not rows.done:
+                outcome.errors.append(rows.attempts[-1]["error"])
+        outcome.seconds = time.perf_counter() - began
+        outcome.peak_mb = _peak_mb()
+        if outcome.seconds > _GIVES_BACK_S:
+            _give_memory_back()
+        return outcome
+
+    def _tables_of(self, results: list[_Rows]) -> dict[str, pa.Table]:
+        try:
+            return _tables(results)
+        except ValueError:
+            for rows in results:
+                _refuse_broken_rows(rows, self._command)
+            return _tables(results)
+
+    def _load(self, index: int) -> Any:
+        if index not in self._assets:
+            threads = self._assets_specs[index].threads
+            configure_runtime(threads)
+            self._assets[index] = self._kind.load(self._assets_specs[index])
+            configure_runtime(threads)  # again: loading may have imported torch
+        return self._assets[index]
+
+    def _run_task(self, spec: TaskSpec, assets: Any, attempt: int) -> _Rows:
+        rows = _Rows(spec.task_id)
+        tries = 0
+        while True:
+            started, began = time.time(), time.perf_counter()
+            tries += 1
+            try:
+                result = completed_rows(spec, self._sweep, self._kind.run(spec, assets))
+            except Exception as error:
+                io = isinstance(error, OSError)
+                given_up = tries >= (_IO_TRIES if io else _DETERMINISTIC_TRIES)
+                outcome = "out_of_memory" if isinstance(error, MemoryError) else "failed"
+                row = attempt_row(spec.task_id, attempt, outcome, started, time.perf_counter() - began)
+                row |= _failure(error, given_up)
+                rows.attempts.append(with_command(row, self._command) if given_up else row)
+                if given_up:
+                    return rows
+                if io:
+                    time.sleep(_IO_PAUSE_S[tries - 1])
+                attempt += 1
+                continue
+            rows.done = True
+            rows.result = result
+            rows.attempts.append(attempt_row(spec.task_id, attempt, "done", started, time.perf_counter() - began))
+            return rows
+
+
+def _give_memory_back() -> None:
+    """Return to the system what the allocator keeps of tensors that are gone, where it is glibc's.
+
+    A task's tensors are of many sizes, and its heap is soon full of holes: a Ray worker held 3 GB after a dozen shape
+    attacks; of 2.0 GB after two short ones, in a process of their own, this left 1.3.
+    """
+    import ctypes
+
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # another library, or none that can be asked
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def _peak_mb() -> float:
+    """Peak resident memory of this process, 10^6 bytes."""
+    # Not from getrusage where the kernel tells it otherwise: its maximum survives exec, so that a child starts with
+    # what its parent had.
+    status = Path("/proc/self/status")
+    if status.is_file():
+        found = [line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmHWM:")]
+        if found:
+            return int(found[0]) * 1024 / 1e6
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, list[Row]]:
+    """A result's rows with the columns that its spec determines."""
+    known: Row = {name: getattr(spec, name) for name in SPEC_COLUMNS if name not in ("sweep", "lambda")}
+    known |= {"sweep": sweep, "lambda": spec.lambda_}
+    effects = {"effects": list(spec.effects)}
+    return {
+        "scores": [{**effects, **row, **known} for row in result.scores],
+        "solutions": [{**effects, **row, **known} for row in result.solutions],
+        "timings": [{**row, "task_id": spec.task_id} for row in result.timings],
+        "verification": [{**row, **known} for row in result.verification],
+        "trajectories": [{**row, **known} for row in result.trajectories],
+        "transfers": [{**row, **known} for row in result.transfers],
+        "shapes": [{**row, **known} for row in result.shapes],
+    }
+
+
+@dataclass
+class _Rows:
+    """One task's rows in a batch."""
+
+    task_id: str
+    done: bool = False
+    result: dict[str, list[Row]] = field(default_factory=dict)
+    attempts: list[Row] = field(default_factory=list)
+
+
+def _tables(results: Sequence[_Rows]) -> dict[str, pa.Table]:
+    tables = {
+        name: table_from_rows(name, [row for rows in results for row in rows.result.get(name, ())])
+        for name in SEGMENTS
+        if name != "attempts"
+    }
+    attempts = [row for rows in results for row in rows.attempts]
+    return {**tables, "attempts": table_from_rows("attempts", attempts)}
+
+
+def _refuse_broken_rows(rows: _Rows, command: str) -> None:
+    """Quarantine a task whose rows do not fit their schema: its defect, and no other task's."""
+    try:
+        _tables([rows])
+    except ValueError as error:
+        failed = {**rows.attempts[-1], "outcome": "failed", **_failure(error, True)}
+        rows.attempts[-1] = with_command(failed, command)
+        rows.done, rows.result = False, {}
+
+
+def _failure(error: Exception, given_up: bool) -> Row:
+    text = "".join(traceback.format_exception(error))[-20_000:]
+    return {"error": f"{type(error).__name__}: {error}"[:2_000], "traceback": text, "quarantined": given_up}

@@ -1,0 +1,123 @@
+"""Which effects the scenes of a plan call for, decided once for each scene, vehicle and detector."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from shift3d.effects.applicability import NEEDS, Choice, choose
+from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.settings.catalogue import Catalogue
+from shift3d.settings.schema import Config
+
+if TYPE_CHECKING:
+    from shift3d.render.field.object_field import VehicleFrame
+
+__all__ = ["EffectChoices", "EffectLine", "effect_table"]
+
+
+@dataclass(frozen=True)
+class EffectLine:
+    """What was decided about one effect. scenes: names of those for which it was decided so. reason: of the first.
+
+    milliseconds: what a rendering costs more, where that was measured.
+    """
+
+    effect: str
+    used: bool
+    reason: str
+    scenes: tuple[str, ...]
+    milliseconds: float | None
+
+
+@dataclass
+class EffectChoices:
+    """Remembers what was decided: scenes that are alike, but for their names, are asked once for a vehicle."""
+
+    _lines: dict[tuple[str, bool], tuple[Choice, dict[str, None]]] = field(default_factory=dict)
+    _alike: dict[int, tuple[Catalogue, list[int], list[SceneFacts]]] = field(default_factory=dict)
+
+    def of(self, config: Config, catalogue: Catalogue, vehicle: str, scenes: Sequence[int]) -> list[tuple[str, ...]]:
+        """The names of the effects of tasks that attack a vehicle, in the order of the physics.
+
+        Args:
+            scenes: positions in the catalogue.
+
+        Raises:
+            InputError: an effect is forced that a scene has no data for.
+        """
+        overrides = EffectSettings(**config.effects.overrides())
+        frame, detector = catalogue.frame_of(vehicle), DetectorFacts(config.detector.name)
+        kind, facts = self._kinds(catalogue)
+        found: dict[int, tuple[tuple[str, ...], list[dict[str, None]]]] = {}
+        names = []
+        for at in scenes:
+            if kind[at] not in found:
+                choices = _choices(config, facts[kind[at]].described(overrides), frame, detector)
+                lines = [self._lines.setdefault((c.effect, c.used), (c, {}))[1] for c in choices.values()]
+                used = tuple(effect for effect in NEEDS if effect in choices and choices[effect].used)
+                found[kind[at]] = used, lines
+            effects, lines = found[kind[at]]
+            names.append(effects)
+            for line in lines:
+                line[catalogue.scenes[at].name] = None
+        return names
+
+    def _kinds(self, catalogue: Catalogue) -> tuple[list[int], list[SceneFacts]]:
+        """Of each scene the number of its facts, its name apart, and the facts by number."""
+        if id(catalogue) not in self._alike:
+            numbers: dict[tuple[object, ...], int] = {}
+            facts: list[SceneFacts] = []
+            kind = []
+            for entry in catalogue.scenes:
+                values = tuple(value for name, value in vars(entry.facts).items() if name != "scene_id")
+                number = numbers.setdefault(values, len(numbers))
+                if number == len(facts):
+                    facts.append(entry.facts)
+                kind.append(number)
+            # The catalogue is kept: no other one has its identity while it lives.
+            self._alike[id(catalogue)] = (catalogue, kind, facts)
+        _, kind, facts = self._alike[id(catalogue)]
+        return kind, facts
+
+    def lines(self) -> tuple[EffectLine, ...]:
+        """What was decided, by effect in the order of the physics."""
+        order = {effect: number for number, effect in enumerate(NEEDS)}
+        return tuple(
+            EffectLine(choice.effect, choice.used, choice.reason, tuple(scenes), choice.milliseconds)
+            for (effect, _), (choice, scenes) in sorted(
+                self._lines.items(), key=lambda item: (order[item[0][0]], not item[0][1])
+            )
+        )
+
+
+def _choices(config: Config, facts: SceneFacts, frame: VehicleFrame, detector: DetectorFacts) -> dict[str, Choice]:
+    """What is decided about each effect for a scene: what it calls for where that is asked, and what is forced."""
+    found = choose("auto", facts, frame, detector) if config.effects.auto else []
+    found += choose(config.effects.forced(), facts, frame, detector)
+    return {choice.effect: choice for choice in found}
+
+
+def effect_table(lines: tuple[EffectLine, ...], scenes: int) -> str:
+    """The table of a plan: effect, scenes that call for it, expected cost, reason; one line where there is none."""
+    if not lines:
+        return "effects: occlusion alone; no scene calls for more"
+    head = ("effect", "scenes", "ms a rendering", "why (of the first scene)")
+    rows = [
+        (
+            line.effect if line.used else f"({line.effect})",
+            f"{len(line.scenes)} of {scenes}",
+            "not measured" if line.milliseconds is None else f"{line.milliseconds:.1f}",
+            line.reason,
+        )
+        for line in lines
+    ]
+    widths = [max(len(row[column]) for row in [head, *rows]) for column in range(3)]
+    text = ["effects beside occlusion; in brackets: left out"]
+    text += [
+        "  " + "  ".join(f"{row[column]:<{widths[column]}}" for column in range(3)) + f"  {row[3]}"
+        for row in [head, *rows]
+    ]
+    return "\n".join(text)

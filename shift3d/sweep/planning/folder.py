@@ -1,0 +1,176 @@
+"""The immutable part of an output folder: spec.yaml, env.json, plan.parquet."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import json
+import os
+import platform
+from typing import Any
+
+import yaml  # type: ignore[import-untyped]
+
+import shift3d
+from shift3d.errors import InputError
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks
+from shift3d.sweep.planning.spec_file import read_spec
+from shift3d.task.spec import AssetsSpec
+from shift3d.wording import counted
+
+__all__ = ["check_folder", "default_folder", "open_folder", "read_plan", "read_spec"]
+
+_LIBRARIES = ("numpy", "torch", "trimesh", "embreex", "scipy", "pyarrow", "ray", "hydra-core", "pydantic")
+
+
+def default_folder(plan: Plan) -> Location:
+    """``outputs/<name>-<hash of the spec>`` in the working directory."""
+    return as_location("outputs") / f"{plan.sweep}-{plan.spec_hash}"
+
+
+def check_folder(folder: LocationLike, plan: Plan) -> bool:
+    """Make sure that a plan can run in a folder; whether it was begun there. Nothing is changed.
+
+    Raises:
+        InputError: the folder holds another sweep or something else, or cannot be written to.
+    """
+    folder = as_location(folder)
+    folder.check_writable()
+    begun = (folder / "spec.yaml").is_file()
+    if begun:
+        found = read_spec(folder)
+        if found["spec_hash"] != plan.spec_hash:
+            raise InputError(
+                f"holds another sweep ({_difference(found, plan)})",
+                where=str(folder),
+                remedy="Choose another folder with out=DIR, or give the settings that it was begun with",
+            )
+    elif not _empty_or_begun(folder):
+        raise InputError(
+            "is not the output folder of a sweep, and not empty",
+            where=str(folder),
+            remedy="Choose another folder with out=DIR",
+        )
+    return begun
+
+
+def open_folder(folder: LocationLike, plan: Plan) -> None:
+    """Create a sweep's folder, or check that an existing one is of the same plan.
+
+    Raises:
+        InputError: see `check_folder`; or the disk is full.
+    """
+    folder = as_location(folder)
+    if not check_folder(folder, plan):
+        # spec.yaml last: a folder that has it has all three.
+        (folder / "plan.parquet").write_atomic(plan_bytes(plan.tasks))
+        environment = json.dumps(_environment(), indent=1, sort_keys=True)
+        (folder / "env.json").write_atomic(environment.encode() + b"\n")
+        if not (folder / "spec.yaml").put_if_absent(_spec_bytes(plan)):
+            open_folder(folder, plan)  # another driver was quicker: it must be of the same plan
+
+
+def _empty_or_begun(folder: Location) -> bool:
+    """No folder yet, an empty one, or one whose driver was killed between its first and its last immutable file."""
+    try:
+        return not folder.is_file() and set(folder.names()) <= {"plan.parquet", "env.json"}
+    except NotADirectoryError:
+        return False
+
+
+def _difference(found: dict[str, Any], plan: Plan) -> str:
+    if found["sweep"] != plan.sweep:
+        return f"{found['sweep']}, not {plan.sweep}"
+    if found["tasks"] != len(plan.tasks):
+        return f"{counted(found['tasks'], 'task')}, not {len(plan.tasks)}"
+    old, new = _flat(found["settings"]), _flat(plan.settings)
+    changed = [f"{key} {old.get(key)}, not {new.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key)]
+    return changed[0] if changed else "made from other scenes, vehicles, weights or axes"
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def _spec_bytes(plan: Plan) -> bytes:
+    values = {
+        "schema_version": SCHEMA_VERSION,
+        "sweep": plan.sweep,
+        "spec_hash": plan.spec_hash,
+        "tasks": len(plan.tasks),
+        "overrides": list(plan.overrides),
+        "axes": plan.axes,
+        "settings": plan.settings,
+        "skipped": dict(plan.skipped),
+        "assets": [_plain(dataclasses.asdict(assets)) for assets in plan.assets],
+    }
+    text: str = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+    return text.encode()
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: dict(value) if hasattr(value, "items") else value for key, value in values.items()}
+
+
+def _environment() -> dict[str, Any]:
+    """What ran it: for the reader, and for whoever asks why two machines differ."""
+    versions = {}
+    for name in _LIBRARIES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "absent"
+    return {
+        "shift3d": shift3d.__version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "cpus": os.cpu_count(),
+        "libraries": versions,
+    }
+
+
+def read_plan(folder: LocationLike) -> Plan:
+    """The plan of a sweep's folder, with every task's spec: what an export or a report starts from.
+
+    Raises:
+        InputError: the folder is not a sweep's, or a file in it is damaged.
+    """
+    folder = as_location(folder)
+    spec = read_spec(folder)
+    path = folder / "plan.parquet"
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error})", where=str(path), remedy="Restore it from a copy") from error
+    tasks = read_tasks(content, str(path))
+    try:
+        plan = Plan(
+            sweep=spec["sweep"],
+            overrides=tuple(spec["overrides"]),
+            settings=dict(spec["settings"]),
+            axes=dict(spec["axes"]),
+            tasks=tasks,
+            assets=tuple(AssetsSpec(**assets) for assets in spec["assets"]),
+            skipped={str(name): str(why) for name, why in dict(spec.get("skipped", {})).items()},
+        )
+        # One number that depends on every task: what was changed in either file does not give it.
+        complete = plan.spec_hash == spec["spec_hash"]
+        complete &= bool(((tasks.assets >= 0) & (tasks.assets < len(plan.assets))).all())
+    except (KeyError, ValueError, TypeError) as error:
+        what = f"is not the spec of a sweep ({type(error).__name__}: {error})"
+        raise InputError(what, where=str(folder / "spec.yaml"), remedy="Restore it from a copy") from error
+    if not complete:
+        what = "spec.yaml and plan.parquet are not of one sweep, or damaged"
+        raise InputError(what, where=str(folder), remedy="Restore both from a copy")
+    return plan

@@ -1,0 +1,42 @@
+"""What a sweep runs, by argument: the service knows no task by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from shift3d.settings.catalogue import Catalogue
+from shift3d.settings.schema import Config
+from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
+
+__all__ = ["TaskKind", "shift3d_kind"]
+
+
+@dataclass(frozen=True)
+class TaskKind:
+    """A kind of task. run and load are importable functions, since workers import them by name.
+
+    run: (spec, assets) to a result, a pure function of both. load: what a worker loads once and passes to
+    every ``run``. catalogue: settings to what there is to run on, with content hashes. preview: the same, without the
+    hashes of scenes that would take long; None: catalogue takes no time. single: whether one of its tasks
+    can be run by its id (``shift3d sweep NAME --task ID``). memory_mb: what a worker needs, about, in 2^20 bytes.
+    """
+
+    run: Callable[[TaskSpec, Any], TaskResult]
+    load: Callable[[AssetsSpec], Any]
+    catalogue: Callable[[Config], Catalogue]
+    single: bool = True
+    memory_mb: float = 1400.0
+    preview: Callable[[Config], Catalogue] | None = None
+
+
+def shift3d_kind() -> TaskKind:
+    """The real task: place a vehicle, attack it, score what was found."""
+    import functools
+
+    from shift3d.settings.catalogue import read_catalogue
+    from shift3d.task.run import load_assets, run_task
+
+    preview = functools.partial(read_catalogue, preview=True)
+    return TaskKind(run=run_task, load=load_assets, catalogue=read_catalogue, preview=preview)

@@ -1,0 +1,109 @@
+"""Where the tasks of a combination of settings take place: scenes, those of transfers, and the effects they call for.
+
+Worked out once for all combinations that differ in nothing that it depends on: a sweep of many settings over many
+scenes looks at each scene a few times, not once a task.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from shift3d.errors import InputError
+from shift3d.settings import messages
+from shift3d.settings.catalogue import Catalogue
+from shift3d.settings.schema import Config, KittiConfig
+from shift3d.sweep.planning.effect_choices import EffectChoices
+from shift3d.sweep.planning.tasks_builder import TasksBuilder
+from shift3d.task.spec import TaskSpec, TransferScene
+
+__all__ = ["Layouts"]
+
+Effects = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """One task a scene, in order.
+
+    place: of each, as the builder numbers them. kind: of each, its number in kinds: (data set, effects, whether what
+    is said about effects concerns it).
+    """
+
+    place: np.ndarray
+    kind: np.ndarray
+    kinds: tuple[tuple[str, Effects, bool], ...]
+
+
+@dataclass
+class Layouts:
+    """Remembers layouts while a plan is made. builder: numbers the places. where: for errors."""
+
+    builder: TasksBuilder
+    decided: EffectChoices
+    where: str
+    _known: dict[tuple[object, ...], _Layout] = field(default_factory=dict)
+
+    def tasks_of(self, config: Config, catalogue: Catalogue, spec: TaskSpec) -> tuple[np.ndarray, np.ndarray]:
+        """Of each task of one combination of settings: its ground and its place, as the builder numbers them.
+
+        spec: what the tasks have in common.
+
+        Raises:
+            InputError: the scene is unknown, the set is empty or too small for the transfers, or an effect is forced
+                that a scene has no data for.
+        """
+        transfers = config.attack.transfer_scenes if config.mode == "shape" else 0
+        # The catalogue lives as long as the plan is made, so its identity stands for its content.
+        key = (id(catalogue), config.scene, transfers, spec.vehicle, spec.detector, repr(config.effects))
+        if key not in self._known:
+            self._known[key] = self._layout(config, catalogue, spec.vehicle, transfers)
+        layout, overrides = self._known[key], config.effects.overrides()
+        grounds = [
+            self.builder.template(
+                replace(spec, dataset=dataset, effects=effects, effect_settings=overrides if concerned else {})
+            )
+            for dataset, effects, concerned in layout.kinds
+        ]
+        return np.array(grounds, dtype=np.int32)[layout.kind], layout.place
+
+    def _layout(self, config: Config, catalogue: Catalogue, vehicle: str, transfers: int) -> _Layout:
+        own = self._own(config, catalogue)
+        others = self._others(own, len(catalogue.scenes), transfers)
+        asked = own if not transfers else list(dict.fromkeys([*own, *(at for row in others for at in row)]))
+        effects = dict(zip(asked, self.decided.of(config, catalogue, vehicle, asked), strict=True))
+        scenes = catalogue.scenes
+        elsewhere = {
+            at: TransferScene(scenes[at].name, scenes[at].content_hash, effects[at]) for row in others for at in row
+        }
+        kinds: dict[tuple[str, Effects, bool], int] = {}
+        kind, place = np.empty(len(own), dtype=np.int32), np.empty(len(own), dtype=np.int32)
+        for row, at in enumerate(own):
+            entry, to = scenes[at], tuple(elsewhere[other] for other in others[row]) if transfers else ()
+            concerned = bool(effects[at]) or any(other.effects for other in to)
+            kind[row] = kinds.setdefault((entry.dataset, effects[at], concerned), len(kinds))
+            place[row] = self.builder.task_scene((entry.name, entry.content_hash, to))
+        return _Layout(place, kind, tuple(kinds))
+
+    def _own(self, config: Config, catalogue: Catalogue) -> list[int]:
+        """Positions of the scenes that settings ask for."""
+        own = [at for at, entry in enumerate(catalogue.scenes) if config.scene in (None, entry.name)]
+        if not own and config.scene is not None:
+            names = [entry.name for entry in catalogue.scenes]
+            raise messages.choice_error("scene", config.scene, names, f"{self.where}, scene")
+        if not own:
+            of = config.scenes.root if isinstance(config.scenes, KittiConfig) else config.scenes.kind
+            what = f"the scene set {of} is empty"
+            raise InputError(what, where=self.where, remedy="Check scenes.count and scenes.names")
+        return own
+
+    def _others(self, own: Sequence[int], scenes: int, count: int) -> list[list[int]]:
+        """Of each scene those that its shape is put into: the ones after it in the set, the first one after the last.
+        Tasks that follow each other share all of theirs but one, and a worker has these loaded."""
+        if count >= scenes:
+            what = f"attack.transfer_scenes is {count}, and the set has {scenes - 1} other scenes"
+            remedy = f"Give scenes.count={count + 1} or more, or fewer of them"
+            raise InputError(what, where=self.where, remedy=remedy)
+        return [[(at + step) % scenes for step in range(1, count + 1)] for at in own] if count else []

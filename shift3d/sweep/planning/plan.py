@@ -1,0 +1,176 @@
+"""The plan: every task of a sweep, in order, with its id."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from shift3d.errors import InputError
+from shift3d.settings import messages
+from shift3d.settings.catalogue import Catalogue
+from shift3d.settings.compose import Composed
+from shift3d.settings.expand import expand
+from shift3d.settings.schema import Config
+from shift3d.sweep.planning.effect_choices import EffectChoices, EffectLine
+from shift3d.sweep.planning.layout import Layouts
+from shift3d.sweep.planning.tasks import PlannedTask, TaskGroup, Tasks
+from shift3d.sweep.planning.tasks_builder import TasksBuilder
+from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
+
+__all__ = ["Plan", "PlannedTask", "TaskGroup", "Tasks", "make_plan"]
+
+# Begins what a sweep's hash is taken of. It was the schema version once, and stays: a folder that an older
+# program began is the same sweep.
+_IDENTITY = 5
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A sweep's tasks in order, without duplicates.
+
+    settings: of the first task, for the reader. axes: key to values as they were written.
+    effects: what was decided about each effect for each scene, see `sweep.effects`.
+    skipped: scenes that cannot be read and are left out, name to why.
+    preview: the content of some scenes is not known, and ids are not those that the sweep will have.
+    runner, tracking: how it runs; they are no part of the hash.
+    """
+
+    sweep: str
+    overrides: tuple[str, ...]
+    settings: dict[str, Any]
+    axes: dict[str, list[str]]
+    tasks: Tasks
+    assets: tuple[AssetsSpec, ...]
+    effects: tuple[EffectLine, ...] = ()
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    preview: bool = False
+
+    @functools.cached_property
+    def spec_hash(self) -> str:
+        """64-bit BLAKE2b of the sweep's name and its task ids, hex: what makes two output folders the
+        same. Raises ValueError for a preview, which has no hash yet."""
+        if self.preview:
+            raise ValueError("a preview has no hash")
+        state = hashlib.blake2b(json.dumps([_IDENTITY, self.sweep]).encode()[:-1] + b", [", digest_size=8)
+        # The JSON of the list of ids, from their column: ids have one length and nothing to be escaped.
+        for start in range(0, len(self.tasks), _HASHED):
+            ids = '", "'.join(self.tasks.ids[start : start + _HASHED].to_pylist())
+            state.update(f'{", " if start else ""}"{ids}"'.encode())
+        state.update(b"]]")
+        return state.hexdigest()
+
+
+_HASHED = 65_536  # ids that are text at a time
+
+
+def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -> tuple[Plan, Config]:
+    """Expand a sweep into its tasks.
+
+    Combinations that ask for the same task (a pose attack under several lambda) give one task, at its first
+    place in the order. Scenes vary fastest.
+
+    Returns:
+        the plan, and the settings of its first task (for ``runner`` and ``tracking``).
+
+    Raises:
+        InputError: unknown names, unreadable scenes or weights, or an empty sweep.
+    """
+    where = f"sweep {composed.name}"
+    catalogues: dict[str, tuple[Catalogue, int]] = {}
+    assets: list[AssetsSpec] = []
+    builder = TasksBuilder()
+    first: Config | None = None
+    decided = EffectChoices()
+    layouts = Layouts(builder, decided, where)
+    for config in expand(composed):
+        first = first or config
+        key = _assets_key(config)
+        if key not in catalogues:
+            catalogue = catalogue_of(config)
+            loaded = _assets(config, catalogue)
+            if loaded not in assets:
+                assets.append(loaded)
+            catalogues[key] = (catalogue, assets.index(loaded))
+        catalogue, index = catalogues[key]
+        spec = _spec(config, catalogue, _vehicle_name(config, catalogue, where))
+        builder.add(*layouts.tasks_of(config, catalogue, spec), index, config.effects.label)
+    tasks = builder.tasks()
+    if not tasks or first is None:
+        raise InputError("the sweep has no task", where=where, remedy="Give it at least one scene and one vehicle")
+    axes = {axis.key: list(axis.texts) for axis in composed.axes}
+    plan = Plan(
+        composed.name,
+        composed.overrides,
+        first.settings(),
+        axes,
+        tasks,
+        tuple(assets),
+        decided.lines(),
+        skipped={name: why for catalogue, _ in catalogues.values() for name, why in catalogue.skipped.items()},
+        preview=not all(entry.content_hash for catalogue, _ in catalogues.values() for entry in catalogue.scenes),
+    )
+    return plan, first
+
+
+def _assets_key(config: Config) -> str:
+    parts = (config.scenes, config.detector, config.accuracy)
+    return json.dumps([part.model_dump(mode="json") for part in parts] + [_vehicles(config)])
+
+
+def _vehicles(config: Config) -> dict[str, Any]:
+    return config.vehicle.model_dump(mode="json", exclude={"name"})
+
+
+def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
+    given = config.detector.weights_by_name()
+    return AssetsSpec(
+        scenes=config.scenes.model_dump(mode="json"),
+        vehicles=_vehicles(config),
+        detectors={name: given.get(name) for name in catalogue.detectors},
+        hashes={"decoder": catalogue.decoder_hash, **catalogue.detectors},
+    )
+
+
+def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
+    """A vehicle by its name, or by a beginning of it that is no other's."""
+    name, names, where = config.vehicle.name, list(catalogue.vehicles), f"{where}, vehicle.name"
+    fitting = [found for found in names if found.startswith(name)]
+    if name in names or len(fitting) == 1:
+        return name if name in names else fitting[0]
+    if fitting:
+        what = f"{len(fitting)} vehicles have a name that begins with {name!r}"
+        raise InputError(what, where=where, remedy=f"One of: {', '.join(fitting)}")
+    raise messages.choice_error("vehicle", name, names, where)
+
+
+def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
+    """What the tasks of one combination of settings have in common."""
+    attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})
+    centre, half_width = catalogue.sector_rad
+    placement = PlacementSpec(
+        **config.attack.placement.model_dump(), sector_centre_rad=centre, sector_half_width_rad=half_width
+    )
+    return TaskSpec(
+        vehicle=vehicle,
+        scene="",
+        dataset="",
+        mode=config.mode,
+        lambda_=float(config.attack.lambda_),
+        alpha=float(config.attack.alpha),
+        detector=config.detector.name,
+        accuracy=config.accuracy.name,
+        base_seed=config.seed,
+        replicate=config.replicate,
+        accuracy_settings=catalogue.accuracy,
+        scene_arguments=catalogue.scene_arguments,
+        attack=AttackSpec(**attack),
+        placement=placement,
+        vehicle_hash=catalogue.vehicles[vehicle],
+        decoder_hash=catalogue.decoder_hash,
+        scored_by=tuple(catalogue.detectors),
+        detector_hashes=catalogue.detectors,
+    )

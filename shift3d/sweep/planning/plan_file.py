@@ -1,0 +1,188 @@
+"""plan.parquet: a row a task; what tasks share is stored once.
+
+The spec of a task is its ``template`` and its ``task_scene``, two JSON texts that many tasks share and that the file
+holds once each; the other columns are for whoever reads the file with pandas, polars or duckdb. An id is
+worked out again from both when the file is read.
+
+Source: our choice.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from shift3d.errors import InputError
+from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.sweep.planning.task_ids import read_task_scene, read_template, task_ids, template_json
+from shift3d.sweep.planning.tasks import PlannedTask, Tasks
+from shift3d.sweep.planning.tasks_builder import tasks_of
+from shift3d.task.spec import TaskSpec
+
+__all__ = ["plan_bytes", "read_tasks"]
+
+_SHARED = pa.dictionary(pa.int32(), pa.string())
+_SCHEMA = pa.schema(
+    [
+        ("position", pa.int64()),
+        ("task_id", pa.string()),
+        ("vehicle", _SHARED),
+        ("scene", _SHARED),
+        ("dataset", _SHARED),
+        ("mode", _SHARED),
+        ("lambda", pa.float64()),
+        ("alpha", pa.float64()),
+        ("detector", _SHARED),
+        ("accuracy", _SHARED),
+        ("effects", pa.list_(pa.string())),
+        ("effects_requested", pa.list_(pa.string())),
+        ("assets", pa.int32()),
+        ("template", _SHARED),
+        ("task_scene", _SHARED),
+    ],
+    metadata={"shift3d.schema": "plan", "shift3d.schema_version": str(SCHEMA_VERSION)},
+)
+_READ = ["task_id", "effects_requested", "assets", "template", "task_scene"]
+# Columns of earlier programs, by today's names.
+_FORMER = {"ground": "template", "place": "task_scene", "effects_asked": "effects_requested"}
+_ROW_GROUP = 2**20
+# Each row group holds the texts that its rows share once; beyond this many bytes Parquet would repeat them.
+_DICTIONARY_BYTES = 2**30
+_DAMAGE = (OSError, pa.ArrowException, KeyError, ValueError, TypeError, AttributeError, IndexError, RecursionError)
+
+
+def plan_bytes(tasks: Tasks) -> bytes:
+    """Tasks as a Parquet file; the same tasks give the same bytes."""
+    import pyarrow.parquet as pq
+
+    columns = _columns(tasks)
+    table = pa.Table.from_arrays([columns[name] for name in _SCHEMA.names], schema=_SCHEMA)
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        table,
+        sink,
+        compression="zstd",
+        row_group_size=_ROW_GROUP,
+        use_dictionary=[name for name in _SCHEMA.names if _SCHEMA.field(name).type == _SHARED],
+        dictionary_pagesize_limit=_DICTIONARY_BYTES,
+        write_page_checksum=True,
+    )
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def _columns(tasks: Tasks) -> dict[str, pa.Array]:
+    used, template = np.unique(tasks.template, return_inverse=True)
+    templates = [tasks.templates[number] for number in used]
+    found, task_scene = np.unique(tasks.task_scene, return_inverse=True)
+    task_scenes = tasks.task_scenes.take(pa.array(found))
+
+    def shared(value: Callable[[TaskSpec], str]) -> pa.Array:
+        return _shared([value(spec) for spec in templates], template)
+
+    lambdas = np.array([np.nan if spec.lambda_ is None else spec.lambda_ for spec in templates])[template]
+    return {
+        "position": pa.array(np.arange(len(tasks))),
+        "task_id": tasks.ids,
+        "vehicle": shared(lambda spec: spec.vehicle),
+        "scene": _shared([read_task_scene(text)[0] for text in task_scenes.to_pylist()], task_scene),
+        "dataset": shared(lambda spec: spec.dataset),
+        "mode": shared(lambda spec: spec.mode),
+        "lambda": pa.array(lambdas, mask=np.isnan(lambdas)),
+        "alpha": pa.array(np.array([spec.alpha for spec in templates], dtype=np.float64)[template]),
+        "detector": shared(lambda spec: spec.detector),
+        "accuracy": shared(lambda spec: spec.accuracy),
+        "effects": _lists([spec.effects for spec in templates], template),
+        "effects_requested": _lists(tasks.requested_values, tasks.requested),
+        "assets": pa.array(tasks.assets),
+        "template": shared(template_json),
+        "task_scene": pa.DictionaryArray.from_arrays(pa.array(task_scene.astype(np.int32)), task_scenes),
+    }
+
+
+def _shared(values: Sequence[str], which: np.ndarray) -> pa.Array:
+    """A text for each of ``which``, numbers into values; equal ones are stored once."""
+    numbers: dict[str, int] = {}
+    codes = np.array([numbers.setdefault(value, len(numbers)) for value in values], dtype=np.int32)
+    return pa.DictionaryArray.from_arrays(pa.array(codes[which]), pa.array(list(numbers), type=pa.string()))
+
+
+def _lists(values: Sequence[tuple[str, ...]], which: np.ndarray) -> pa.Array:
+    return pa.array([list(value) for value in values], type=pa.list_(pa.string())).take(pa.array(which))
+
+
+def read_tasks(content: bytes, where: str) -> Tasks:
+    """The inverse of :func:`plan_bytes`; also of the files of earlier programs, which hold every spec in whole.
+
+    where: the file's path, for the error.
+
+    Raises:
+        InputError: it is no plan, damaged, or an id in it is not its task's.
+    """
+    import pyarrow.parquet as pq
+
+    try:
+        source = pa.BufferReader(content)
+        names = pq.read_schema(source).names
+        if "spec" in names:
+            return _whole_specs(pq.read_table(source, columns=["task_id", "spec", "assets", "effects_asked"]))
+        former = "ground" in names
+        columns = [name for name in names if _FORMER.get(name, name) in _READ]
+        table = pq.read_table(source, columns=columns, page_checksum_verification=True)
+        return _tasks(table.rename_columns([_FORMER.get(name, name) for name in table.column_names]), former)
+    except _DAMAGE as error:
+        raise InputError(f"cannot be read ({error})", where=where, remedy="Restore it from a copy") from error
+
+
+def _whole_specs(table: pa.Table) -> Tasks:
+    assets = table["assets"].to_pylist()
+    if not all(type(index) is int for index in assets):
+        raise ValueError("an index of assets is missing")
+    specs = (TaskSpec.from_dict(json.loads(text)) for text in table["spec"].to_pylist())
+    requested = (tuple(names) for names in table["effects_asked"].to_pylist())
+    tasks = tasks_of(map(PlannedTask, specs, assets, requested))
+    return replace(tasks, ids=_one_chunk(table["task_id"].cast(pa.string())))
+
+
+def _tasks(table: pa.Table, former: bool) -> Tasks:
+    """former: of an earlier program, whose ids were worked out from other names."""
+    for name in _READ:
+        if table[name].null_count:
+            raise ValueError(f"{name} is missing in {table[name].null_count} rows")
+    templates, template = _numbered(table["template"])
+    task_scenes, task_scene = _numbered(table["task_scene"])
+    # Labels hold no line feed: what is joined can be taken apart again.
+    labels, requested = _numbered(pc.binary_join(table["effects_requested"], "\n"))
+    specs = tuple(read_template(text) for text in templates.to_pylist())
+    ids = _one_chunk(table["task_id"].cast(pa.string()))
+    found = [read_task_scene(text) for text in task_scenes.to_pylist()]
+    if not former and not ids.equals(task_ids(specs, found, template, task_scene)):
+        raise ValueError("an id is not its task's")
+    return Tasks(
+        templates=specs,
+        task_scenes=task_scenes,
+        template=template,
+        task_scene=task_scene,
+        assets=table["assets"].cast(pa.int32()).to_numpy(),
+        requested=requested,
+        requested_values=tuple(tuple(text.split("\n")) if text else () for text in labels.to_pylist()),
+        ids=ids,
+    )
+
+
+def _numbered(column: pa.ChunkedArray) -> tuple[pa.Array, np.ndarray]:
+    """Distinct texts of a column, and of each row the number of its own."""
+    if not pa.types.is_dictionary(column.type):
+        column = pc.dictionary_encode(column)
+    encoded = _one_chunk(column.unify_dictionaries())
+    numbers = encoded.indices.cast(pa.int32()).to_numpy(zero_copy_only=False)
+    return encoded.dictionary.cast(pa.string()), numbers
+
+
+def _one_chunk(column: pa.ChunkedArray) -> pa.Array:
+    return column.combine_chunks() if column.num_chunks != 1 else column.chunk(0)

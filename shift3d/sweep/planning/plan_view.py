@@ -1,0 +1,52 @@
+"""A plan in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from shift3d.sweep.planning.effect_choices import effect_table
+from shift3d.sweep.planning.plan import Plan
+from shift3d.wording import counted
+
+__all__ = ["plan_lines", "plan_summary", "skipped_lines"]
+
+_SHOWN = 20
+
+
+def plan_summary(plan: Plan) -> str:
+    """How many tasks, of what; and which effects their scenes call for."""
+    groups = plan.tasks.groups()
+    vehicles = len({group.template.vehicle for group in groups})
+    scenes = len(plan.tasks.scenes())
+    modes: Counter[str] = Counter()
+    for group in groups:
+        modes[group.template.mode] += group.tasks
+    by_mode = ", ".join(f"{count} {mode}" for mode, count in sorted(modes.items(), reverse=True))
+    size = ", its small size" if plan.settings.get("size") == "small" else ""
+    counts = f"sweep {plan.sweep}{size}: {counted(len(plan.tasks), 'task')} ({by_mode}) of "
+    counts += f"{counted(vehicles, 'vehicle')} in {counted(scenes, 'scene')}"
+    return "\n".join([counts, effect_table(plan.effects, scenes), *skipped_lines(plan)])
+
+
+def skipped_lines(plan: Plan) -> list[str]:
+    """Which scenes are left out because they cannot be read, and why."""
+    if not plan.skipped:
+        return []
+    lines = [f"{counted(len(plan.skipped), 'scene')} left out that cannot be read (scenes.skip_bad):"]
+    lines += [f"  {name}: {why}" for name, why in list(plan.skipped.items())[:_SHOWN]]
+    return lines if len(plan.skipped) <= _SHOWN else [*lines, f"  and {len(plan.skipped) - _SHOWN} more, in spec.yaml"]
+
+
+def plan_lines(plan: Plan) -> Iterator[str]:
+    """One line a task: id, vehicle, scene, mode and what varies."""
+    width = max(len(group.template.vehicle) for group in plan.tasks.groups())
+    scene_width = max(len(scene) for _, scene in plan.tasks.scenes())
+    for task in plan.tasks:
+        spec = task.spec
+        weight = "" if spec.lambda_ is None else f"lambda {spec.lambda_:g}"
+        effects = ", ".join(spec.effects) or "no effects"
+        yield (
+            f"{spec.task_id}  {spec.vehicle:<{width}}  {spec.scene:<{scene_width}}  {spec.mode:<5}  "
+            f"{weight:<10}  alpha {spec.alpha:g}  {spec.accuracy}  {effects}"
+        )

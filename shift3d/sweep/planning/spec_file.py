@@ -1,0 +1,36 @@
+"""spec.yaml of a sweep, read without anything that a plan needs: who asks how a sweep is going waits for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import yaml  # type: ignore[import-untyped]
+
+from shift3d.errors import InputError
+from shift3d.store.migrations import steps
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.schemas import SCHEMA_VERSION
+
+__all__ = ["read_spec"]
+
+
+def read_spec(folder: LocationLike) -> dict[str, Any]:
+    """``spec.yaml`` of a sweep.
+
+    Raises:
+        InputError: there is none, it cannot be read, or it is of another schema version.
+    """
+    path = as_location(folder) / "spec.yaml"
+    try:
+        values = yaml.safe_load(path.read_text())
+        for step in steps(values["schema_version"], str(path)):
+            values = step.spec(values)
+        return {**values, "schema_version": SCHEMA_VERSION}
+    except FileNotFoundError as error:
+        raise InputError(
+            "is not the output folder of a sweep (it has no spec.yaml)",
+            where=str(folder),
+            remedy="Check the path",
+        ) from error
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, RecursionError) as error:
+        raise InputError("is not the spec of a sweep", where=str(path), remedy="Restore it from a copy") from error

@@ -1,0 +1,135 @@
+"""Ids of many tasks at once: what tasks share is written and hashed once.
+
+An id is that of `TaskSpec.task_id`, bit for bit. A task template is a spec without its scene. A task scene is what
+differs between the scenes of one template: the scene, its hash, and the other scenes that a shape is put into.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from shift3d.task.spec import TaskSpec, TransferScene
+
+__all__ = [
+    "TaskScene",
+    "in_scene",
+    "read_task_scene",
+    "read_template",
+    "task_ids",
+    "task_scene_json",
+    "template_json",
+    "template_of",
+]
+
+TaskScene = tuple[str, str, tuple[TransferScene, ...]]
+"""A scene, the hash of its content, and the scenes of transfers."""
+_VARYING = ("scene", "scene_hash", "transfer_scenes")
+_DIGEST = 16
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def template_of(spec: TaskSpec) -> TaskSpec:
+    """The spec without its scene."""
+    return dataclasses.replace(spec, scene="", scene_hash="", transfer_scenes=())
+
+
+def in_scene(template: TaskSpec, task_scene: TaskScene, task_id: str | None = None) -> TaskSpec:
+    """The spec of a template in a scene. task_id: where it is known already."""
+    scene, scene_hash, others = task_scene
+    spec = dataclasses.replace(template, scene=scene, scene_hash=scene_hash, transfer_scenes=others)
+    if task_id is not None:
+        vars(spec)["task_id"] = task_id  # where functools.cached_property looks for it
+    return spec
+
+
+def template_json(template: TaskSpec) -> str:
+    """The one spelling of a template: its canonical JSON without the scene."""
+    return _json({name: value for name, value in template.to_dict().items() if name not in _VARYING})
+
+
+def read_template(text: str) -> TaskSpec:
+    """The inverse of :func:`template_json`. Raises ValueError, KeyError or TypeError for another text or version."""
+    return TaskSpec.from_dict({**json.loads(text), "scene": "", "scene_hash": ""})
+
+
+def task_scene_json(task_scene: TaskScene) -> str:
+    """The one spelling of a task scene."""
+    scene, scene_hash, others = task_scene
+    listed = [{**vars(other), "effects": list(other.effects)} for other in others]
+    return _json({"scene": scene, "scene_hash": scene_hash, "transfer_scenes": listed})
+
+
+def read_task_scene(text: str) -> TaskScene:
+    """The inverse of :func:`task_scene_json`. Raises ValueError, KeyError or TypeError for another text."""
+    values = json.loads(text)
+    others = tuple(
+        TransferScene(other["scene"], other["scene_hash"], tuple(other["effects"]))
+        for other in values.get("transfer_scenes", ())
+    )
+    return values["scene"], values["scene_hash"], others
+
+
+def task_ids(
+    templates: Sequence[TaskSpec], task_scenes: Sequence[TaskScene], template: np.ndarray, task_scene: np.ndarray
+) -> pa.Array:
+    """The id of each task, an Arrow array of strings.
+
+    Args:
+        template, task_scene: int32, of each task: indices into ``templates`` and ``task_scenes``.
+    """
+    texts = [_task_scene_parts(found) for found in task_scenes]
+    order = np.argsort(template, kind="stable")
+    found = np.empty((len(template), 2 * _DIGEST), dtype=np.uint8)
+    for positions in np.split(order, np.flatnonzero(np.diff(template[order])) + 1):
+        if len(positions):
+            digests = _digests(templates[int(template[positions[0]])], texts, task_scene[positions].tolist())
+            found[positions] = np.frombuffer(digests.hex().encode(), dtype=np.uint8).reshape(-1, 2 * _DIGEST)
+    offsets = np.arange(0, found.size + 1, 2 * _DIGEST, dtype=np.int32)
+    return pa.StringArray.from_buffers(len(template), pa.py_buffer(offsets), pa.py_buffer(found))
+
+
+def _task_scene_parts(task_scene: TaskScene) -> tuple[bytes, bytes, bytes]:
+    scene, scene_hash, others = task_scene
+    listed = [{**vars(other), "effects": list(other.effects)} for other in others]
+    transfers = f',"transfer_scenes":{_json(listed)}'
+    return _json(scene).encode(), _json(scene_hash).encode(), transfers.encode()
+
+
+def _digests(template: TaskSpec, texts: Sequence[tuple[bytes, bytes, bytes]], task_scenes: Sequence[int]) -> bytes:
+    """The digests of one template's tasks, one after the other: all up to the scene is hashed once."""
+    start, between, before_transfers, end = _template_parts(template)
+    shared = hashlib.blake2b(start, digest_size=_DIGEST)
+    found = []
+    for task_scene in task_scenes:
+        scene, scene_hash, transfers = texts[task_scene]
+        state = shared.copy()
+        state.update(scene + between + scene_hash + before_transfers + transfers + end)
+        found.append(state.digest())
+    return b"".join(found)
+
+
+def _template_parts(template: TaskSpec) -> tuple[bytes, bytes, bytes, bytes]:
+    """The canonical JSON of a spec, cut where the scene, its hash and the scenes of transfers stand."""
+    values = {name: value for name, value in template.to_dict().items() if name not in _VARYING}
+    first, second, third = _VARYING
+    cuts: list[list[str]] = [[], [], [], []]
+    for name in sorted(values):
+        cuts[(name > first) + (name > second) + (name > third)].append(f"{_json(name)}:{_json(values[name])}")
+    before, between, after, end = (",".join(part) for part in cuts)
+    parts = (
+        f'{{{before},"{first}":',
+        f',{between},"{second}":',
+        f",{after}",
+        f",{end}}}",
+    )
+    return tuple(part.encode() for part in parts)  # type: ignore[return-value]

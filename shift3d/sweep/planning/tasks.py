@@ -1,0 +1,157 @@
+"""A plan's tasks as columns: a million of them in a few tens of megabytes, shared between processes without a copy."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from shift3d.sweep.planning.task_ids import in_scene, read_task_scene
+from shift3d.task.spec import TaskSpec
+
+__all__ = ["PlannedTask", "TaskGroup", "Tasks"]
+
+
+@dataclass(frozen=True)
+class PlannedTask:
+    """A task and what its worker needs loaded (an index into ``Plan.assets``).
+
+    effects_requested: settings of effects that lead to this task, one or more: "auto", "none", or names joined by +.
+    """
+
+    spec: TaskSpec
+    assets: int
+    effects_requested: tuple[str, ...] = ("none",)
+
+
+@dataclass(frozen=True)
+class TaskGroup:
+    """Tasks that differ in their scene alone. template: their spec without its scene. tasks: how many there are."""
+
+    template: TaskSpec
+    effects_requested: tuple[str, ...]
+    tasks: int
+
+
+@dataclass(frozen=True, eq=False)
+class Tasks(Sequence[PlannedTask]):
+    """Tasks in plan order. ``tasks[i]`` is made on access; a slice is Tasks again.
+
+    Its columns are Arrow and NumPy buffers, which pickle (protocol 5) passes out of band: Ray's object store holds
+    them once for all workers of a machine, so that a worker can be given the tasks once and positions a call.
+
+    templates: specs without their scene. task_scenes: JSON, see `task_ids.task_scene_json`. template, task_scene,
+    assets, requested: int32, of each task: indices into templates, task_scenes, ``Plan.assets`` and requested_values.
+    ids: Arrow strings.
+
+    Source: our choice.
+    """
+
+    templates: tuple[TaskSpec, ...]
+    task_scenes: pa.Array
+    template: np.ndarray
+    task_scene: np.ndarray
+    assets: np.ndarray
+    requested: np.ndarray
+    requested_values: tuple[tuple[str, ...], ...]
+    ids: pa.Array
+
+    def __len__(self) -> int:
+        return len(self.template)
+
+    @overload
+    def __getitem__(self, index: int) -> PlannedTask: ...
+    @overload
+    def __getitem__(self, index: slice) -> Tasks: ...
+    def __getitem__(self, index: int | slice) -> PlannedTask | Tasks:
+        if isinstance(index, slice):
+            return self.select(np.arange(len(self))[index])
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"task {index} of {len(self)}")
+        index %= len(self)
+        task_scene = read_task_scene(self.task_scenes[int(self.task_scene[index])].as_py())
+        spec = in_scene(self.templates[self.template[index]], task_scene, self.ids[index].as_py())
+        return PlannedTask(spec, int(self.assets[index]), self.requested_values[self.requested[index]])
+
+    def __iter__(self) -> Iterator[PlannedTask]:
+        return (self[index] for index in range(len(self)))
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the same tasks stand in the same order, with the same assets and settings of effects."""
+        if not isinstance(other, Tasks):
+            return NotImplemented
+        if not (self.ids.equals(other.ids) and np.array_equal(self.assets, other.assets)):
+            return False
+        if self.requested_values == other.requested_values:
+            return np.array_equal(self.requested, other.requested)
+        return all(
+            self.requested_values[one] == other.requested_values[two]
+            for one, two in zip(self.requested, other.requested, strict=True)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def select(self, positions: Sequence[int] | np.ndarray) -> Tasks:
+        """The tasks at some positions, in the order of the positions. Raises IndexError beyond the last one."""
+        chosen = np.asarray(positions, dtype=np.int64)
+        columns = {name: getattr(self, name)[chosen] for name in ("template", "task_scene", "assets", "requested")}
+        return replace(self, **columns, ids=self.ids.take(pa.array(chosen)))
+
+    def starting_with(self, prefix: str) -> Tasks:
+        """The tasks whose id begins with a text."""
+        return self.select(np.flatnonzero(pc.starts_with(self.ids, prefix).to_numpy(zero_copy_only=False)))
+
+    def without(self, ids: Collection[str]) -> np.ndarray:
+        """Positions of the tasks whose id is not among some, in order."""
+        found = pc.is_in(self.ids, value_set=pa.array(list(ids), type=pa.string()))
+        return np.flatnonzero(~found.to_numpy(zero_copy_only=False))
+
+    def groups(self) -> list[TaskGroup]:
+        """The tasks counted by what does not depend on the scene, in the order of each group's first task."""
+        key = self.template.astype(np.int64) * len(self.requested_values) + self.requested
+        keys, first, counts = np.unique(key, return_index=True, return_counts=True)
+        found = []
+        for index in np.argsort(first):
+            template, requested = divmod(int(keys[index]), len(self.requested_values))
+            found.append(TaskGroup(self.templates[template], self.requested_values[requested], int(counts[index])))
+        return found
+
+    def kinds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Tasks that differ in which scenes they are in alone, not in how many their shape is put into.
+
+        Returns: the position of each kind's first task, ascending, and of each task its kind.
+        """
+        others = self._others[self.task_scene]
+        key = self.template.astype(np.int64) * (int(others.max(initial=0)) + 1) + others
+        _, first, kind = np.unique(key, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        return first[order], np.argsort(order)[kind]
+
+    @functools.cached_property
+    def _others(self) -> np.ndarray:
+        return np.array([len(read_task_scene(text)[2]) for text in self.task_scenes.to_pylist()], dtype=np.int64)
+
+    def scenes(self) -> list[tuple[str, str]]:
+        """The scenes that tasks are in, (data set, name), in the order of their first task."""
+        names = list(dict.fromkeys(template.dataset for template in self.templates))
+        dataset = np.array([names.index(template.dataset) for template in self.templates], dtype=np.int64)
+        keys, first = np.unique(dataset[self.template] * len(self.task_scenes) + self.task_scene, return_index=True)
+        pairs = (divmod(int(keys[index]), len(self.task_scenes)) for index in np.argsort(first))
+        return list(dict.fromkeys((names[code], self._scene_names[task_scene]) for code, task_scene in pairs))
+
+    @functools.cached_property
+    def _scene_names(self) -> list[str]:
+        return [read_task_scene(text)[0] for text in self.task_scenes.to_pylist()]
+
+    def effects_requested_of(self, ids: Any) -> list[list[str]]:
+        """The settings of effects that lead to tasks, by their ids (any sequence that Arrow takes); none for an id of
+        no task."""
+        if len(self.requested_values) == 1:
+            return [list(self.requested_values[0])] * len(ids)
+        found = pc.index_in(pa.array(ids, type=pa.string()), value_set=self.ids).to_pylist()
+        return [[] if at is None else list(self.requested_values[self.requested[at]]) for at in found]

@@ -1,0 +1,68 @@
+"""Outcomes to commits: few enough that a no-op task stays cheap, soon enough that a kill loses little."""
+
+from __future__ import annotations
+
+import time
+
+import pyarrow as pa
+
+from shift3d.store.log import CommitLog
+from shift3d.store.schemas import SEGMENTS
+from shift3d.sweep.execution.worker import BatchOutcome
+
+__all__ = ["Committer"]
+
+# Results that wait for their commit take no more memory than about this, whatever commit_seconds says.
+_MOST_BYTES = 64 * 2**20
+
+
+class Committer:
+    """Collects outcomes and commits them.
+
+    Args:
+        log: the sweep's log. every_s: a commit takes place when this long has passed since the last one.
+
+    Attributes:
+        busy: an outcome is being taken in or committed; whoever interrupts then cannot know which.
+    """
+
+    def __init__(self, log: CommitLog, every_s: float) -> None:
+        self._log = log
+        self._every_s = every_s
+        self._last = time.monotonic()
+        self.busy = False
+        self._clear()
+
+    def _clear(self) -> None:
+        self._done: list[str] = []
+        self._quarantined: list[str] = []
+        self._tables: dict[str, list[pa.Table]] = {name: [] for name in SEGMENTS}
+        self._bytes = 0
+
+    def add(self, outcome: BatchOutcome) -> None:
+        """Take an outcome in, and commit where it is time.
+
+        Raises:
+            TakenOverError, InputError: see ``CommitLog.commit``.
+        """
+        self.busy = True
+        self._done += outcome.done
+        self._quarantined += outcome.quarantined
+        for name, table in outcome.tables.items():
+            if table.num_rows:
+                self._tables[name].append(table)
+                self._bytes += table.nbytes
+        self.busy = False
+        if time.monotonic() - self._last >= self._every_s or self._bytes > _MOST_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Commit what there is. Raises as :meth:`add`."""
+        if not (self._done or self._quarantined or any(self._tables.values())):
+            return  # and the first result that comes later waits for no clock
+        self._last = time.monotonic()
+        tables = {name: pa.concat_tables(parts) for name, parts in self._tables.items() if parts}
+        self.busy = True
+        self._log.commit(tuple(self._done), tuple(self._quarantined), tables)
+        self._clear()
+        self.busy = False

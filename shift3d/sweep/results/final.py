@@ -1,0 +1,176 @@
+"""The final tables: committed segments in plan order, and what is computed from them.
+
+Bytes depend on the plan and the results alone, never on who ran what when.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from shift3d.errors import InputError
+from shift3d.evaluation.recall_curve import area_under, recall_curve
+from shift3d.methods import METHODS_OF_MODE
+from shift3d.store.log import Commit
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.schemas import GROUP_COLUMNS, SEGMENTS
+from shift3d.store.segments import committed_rows
+from shift3d.store.tables import table_from_rows, write_table
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.results.bev_grids import bev_rows, groups, transfer_rows
+from shift3d.sweep.results.hyperparameters import RULE_KEYS, choice_rows, choose_lambdas
+from shift3d.sweep.results.verified_scores import read_verification, with_verification
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["FinalTables", "committed_rows", "segments_in_plan_order", "write_final"]
+
+# A verification lies in a folder of its own.
+_KEPT = tuple(name for name in SEGMENTS if name != "verification")
+
+_PLAN_GROUP = GROUP_COLUMNS[:10]  # what a task alone determines, and the detector that scores it
+
+
+@dataclass(frozen=True)
+class FinalTables:
+    """The tables of ``final/`` by name."""
+
+    tables: dict[str, pa.Table]
+
+    def frame(self, name: str) -> pd.DataFrame:
+        """One table as a data frame."""
+        frame: pd.DataFrame = self.tables[name].to_pandas()
+        return frame
+
+
+def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
+    """Write every table of ``final/`` from the commit log.
+
+    Raises:
+        InputError: a segment is missing, torn or of another length than was committed; the disk is full.
+    """
+    folder = as_location(folder)
+    tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in _KEPT}
+    if (verification := read_verification(folder)) is not None:
+        tables["scores"] = with_verification(tables["scores"], verification)
+        tables["verification"] = verification
+    scores = tables["scores"].to_pandas()
+    scored = scores[scores["score"].notna()]
+    if scored[["x_m", "y_m"]].isna().to_numpy().any():
+        remedy = "Restore the folder from a copy, or run the sweep in another one"
+        raise InputError("scores without a place", where=str(folder / "data"), remedy=remedy)
+    scored = _by_effects_asked(scored, plan)
+    auc = _auc_rows(scored, plan)
+    tables["curves"] = table_from_rows("curves", _curve_rows(scored))
+    tables["auc"] = table_from_rows("auc", auc)
+    tables["bev"] = table_from_rows("bev", bev_rows(scored))
+    steps = {group.template.attack.steps for group in plan.tasks.groups()}
+    tables["choices"] = table_from_rows("choices", choice_rows(scored, plan.sweep, steps))
+    transfers = _by_effects_asked(tables["transfers"].to_pandas(), plan)
+    tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
+    for name, table in tables.items():
+        write_table(folder / "final" / f"{name}.parquet", table)
+    return FinalTables(tables)
+
+
+def _reach_m(plan: Plan) -> float:
+    """How far from the sensor a vehicle may stand."""
+    return max(group.template.placement.max_range_m for group in plan.tasks.groups())
+
+
+def _by_effects_asked(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
+    """Scores with the effects that were asked for; where several settings lead to one task, a row for each."""
+    return scored.assign(effects=plan.tasks.effects_requested_of(scored["task_id"])).explode("effects")
+
+
+def segments_in_plan_order(folder: LocationLike, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
+    """One segment table of everything committed, rows by the position of their task in the plan.
+
+    Raises:
+        InputError: a segment is missing, torn, of another length than was committed, or of another plan.
+    """
+    return _in_plan_order(name, committed_rows(folder, entries, name), plan)
+
+
+def _in_plan_order(name: str, table: pa.Table, plan: Plan) -> pa.Table:
+    """Rows by the position of their task in the plan; within a task as the task gave them."""
+    found = pc.index_in(table["task_id"], value_set=plan.tasks.ids)
+    if found.null_count:
+        what = f"{found.null_count} rows of {name} are of tasks that the plan does not have"
+        raise InputError(what, where="data", remedy="Restore the folder from a copy, or run the sweep in another one")
+    positions = found.to_numpy()
+    if name == "attempts":
+        order = np.lexsort((table["attempt"].to_numpy(), positions))
+    else:
+        order = np.argsort(positions, kind="stable")
+    return table.take(pa.array(order)).combine_chunks()
+
+
+def _curve_rows(scored: pd.DataFrame) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    for group, members in groups(scored):
+        curve = recall_curve(members["score"])
+        for threshold, recall in zip(curve.score_threshold.tolist(), curve.recall.tolist()):
+            rows.append({**group, "score_threshold": threshold, "recall": recall})
+    return rows
+
+
+def _auc_rows(scored: pd.DataFrame, plan: Plan) -> list[dict[str, Any]]:
+    planned = _planned(plan)
+    chosen = {key: choice.chosen for key, choice in choose_lambdas(scored).items()}
+    rows = []
+    for group, members in groups(scored):
+        rows.append(
+            {
+                **group,
+                "auc": area_under(recall_curve(members["score"])),
+                "scores": len(members),
+                "tasks_scored": members["task_id"].nunique(),
+                "tasks_planned": planned.get(tuple(group[name] for name in _PLAN_GROUP), 0),
+                "mean_adversarial_loss": _mean(members["adversarial_loss"]),
+                "mean_latent_distance": _mean(members["latent_distance"]),
+                "selected": chosen.get(_rule_key(group), group["lambda"]) == group["lambda"],
+            }
+        )
+    return rows + _gaps(rows, planned)
+
+
+def _mean(values: pd.Series) -> float | None:
+    mean = float(values.mean())
+    return mean if np.isfinite(mean) else None
+
+
+def _planned(plan: Plan) -> dict[tuple[Any, ...], int]:
+    counts: dict[tuple[Any, ...], int] = {}
+    for group in plan.tasks.groups():
+        spec = group.template
+        method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
+        for asked, scored_by in itertools.product(group.effects_requested, spec.scored_by):
+            key = (plan.sweep, spec.dataset, spec.vehicle, *method, asked, scored_by)
+            counts[key] = counts.get(key, 0) + group.tasks
+    return counts
+
+
+def _gaps(rows: list[dict[str, Any]], planned: dict[tuple[Any, ...], int]) -> list[dict[str, Any]]:
+    """Rows without an AUC for what was planned and has no score at all: a gap is shown, never left out."""
+    seen = {(*(row[name] for name in _PLAN_GROUP), row["method"]) for row in rows}
+    gaps = []
+    for key, count in planned.items():
+        group = dict(zip(_PLAN_GROUP, key))
+        for method in METHODS_OF_MODE[group["mode"]]:
+            if (*key, method) not in seen:
+                empty = {"auc": None, "scores": 0, "tasks_scored": 0, "tasks_planned": count}
+                losses = {"mean_adversarial_loss": None, "mean_latent_distance": None, "selected": False}
+                gaps.append({**group, "method": method, **empty, **losses})
+    return gaps
+
+
+def _rule_key(group: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(group[name] for name in RULE_KEYS)

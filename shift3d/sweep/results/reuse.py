@@ -1,0 +1,64 @@
+"""Finished tasks of another sweep taken over: a grown grid runs what is new in it.
+
+A task's id is of everything that can change its result, so the same id in another folder is the same result.
+Rows are copied into segments of this folder, which stays whole without the other one.
+
+Source: our choice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from shift3d.errors import InputError
+from shift3d.store.log import CommitLog, read_log
+from shift3d.store.resolve import LocationLike
+from shift3d.store.schemas import SEGMENTS
+from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.spec_file import read_spec
+from shift3d.sweep.results.final import committed_rows
+
+__all__ = ["take_finished"]
+
+_TABLES = tuple(name for name in SEGMENTS if name != "verification")  # which lies in a folder of its own
+_TASKS_A_COMMIT = 100_000
+
+
+def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
+    """Commit what another sweep has finished of a plan's tasks, and this one has not; returns how many.
+
+    The other sweep may have any name, be unfinished or be running: what it has committed counts, what it gave up on
+    does not. A task's rows are committed with it or not at all, so that a driver that is killed here loses nothing.
+
+    Raises:
+        InputError: the folder is no sweep's, of another schema version, or damaged; as `CommitLog.commit`.
+    """
+    spec, entries = read_spec(other), read_log(other)
+    foreign = [entry for entry in entries if entry.spec_hash != spec["spec_hash"]]
+    if foreign:
+        what = f"entry {foreign[0].sequence:08d}.json of its log is of another sweep"
+        raise InputError(what, where=str(other), remedy="Restore it from a copy, or reuse another folder")
+    finished = pa.array([task for entry in entries for task in entry.done], type=pa.string())
+    there = pc.is_in(plan.tasks.ids, value_set=finished).to_numpy(zero_copy_only=False)
+    here = np.zeros(len(plan.tasks), dtype=bool)
+    here[plan.tasks.without(log.done())] = True
+    wanted = np.flatnonzero(there & here)
+    if not len(wanted):
+        return 0
+    tables = {name: _renamed(committed_rows(other, entries, name), plan.sweep) for name in _TABLES}
+    for start in range(0, len(wanted), _TASKS_A_COMMIT):
+        ids = plan.tasks.ids.take(pa.array(wanted[start : start + _TASKS_A_COMMIT]))
+        own = {name: table.filter(pc.is_in(table["task_id"], value_set=ids)) for name, table in tables.items()}
+        log.commit(tuple(ids.to_pylist()), (), own)
+    return len(wanted)
+
+
+def _renamed(table: pa.Table, sweep: str) -> pa.Table:
+    """Rows under this sweep's name, whatever the one was called that they come from."""
+    place = table.schema.get_field_index("sweep")
+    if place < 0:
+        return table
+    names = pa.DictionaryArray.from_arrays(np.zeros(table.num_rows, dtype=np.int32), pa.array([sweep]))
+    return table.set_column(place, table.schema.field(place), names.cast(pa.string()))

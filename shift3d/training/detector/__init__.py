@@ -1,0 +1,1 @@
+"""Training of detectors: recipes, crops, targets, losses, the loop, and detection over scene sets."""

@@ -1,0 +1,148 @@
+"""What trains anchors: which of them a vehicle trains, toward what, and the losses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+from shift3d.detectors.grid import Grid
+from shift3d.detectors.models.anchor_heads import AnchorHeads
+from shift3d.detectors.models.anchors import anchor_boxes
+from shift3d.detectors.models.box_coding import direction_bins, encode_boxes
+from shift3d.detectors.models.heads import BoxHeads
+from shift3d.training.detector.crops import Crop
+from shift3d.training.detector.focal import focal_loss
+from shift3d.training.detector.recipe import Recipe
+
+__all__ = [
+    "IGNORED",
+    "NEGATIVE",
+    "POSITIVE",
+    "AnchorObjective",
+    "AnchorTargets",
+    "assign_anchors",
+    "nearest_bev_iou",
+    "sine_code_difference",
+]
+
+IGNORED, NEGATIVE, POSITIVE = -1, 0, 1
+POSITIVE_IOU = 0.55
+NEGATIVE_IOU = 0.40
+NEGLIGIBLE_IOU = 0.05
+
+
+@dataclass(frozen=True)
+class AnchorTargets:
+    """labels (A,) int64 in {-1, 0, 1}; positives (P,) int64, anchors; codes (P, 7); directions (P,) int64."""
+
+    labels: Tensor
+    positives: Tensor
+    codes: Tensor
+    directions: Tensor
+
+    def to(self, device: torch.device) -> AnchorTargets:
+        """The same targets on a device."""
+        return AnchorTargets(*(part.to(device) for part in (self.labels, self.positives, self.codes, self.directions)))
+
+
+def _axis_aligned(boxes: Tensor) -> Tensor:
+    """Boxes snapped to the nearest axis: (N, 4) x0, y0, x1, y1."""
+    folded = torch.remainder(boxes[:, 6] + pi / 4, pi)
+    along_x = folded < pi / 2
+    half_x = torch.where(along_x, boxes[:, 3], boxes[:, 4]) / 2
+    half_y = torch.where(along_x, boxes[:, 4], boxes[:, 3]) / 2
+    x, y = boxes[:, 0], boxes[:, 1]
+    return torch.stack((x - half_x, y - half_y, x + half_x, y + half_y), dim=1)
+
+
+def nearest_bev_iou(anchors: Tensor, boxes: Tensor) -> Tensor:
+    """BEV IoU of boxes snapped to the nearest axis: (A, 7), (M, 7) -> (A, M).
+
+    Source: SECOND's public code ("nearest" IoU): cheap, and enough to decide which anchors to train.
+    """
+    a, b = _axis_aligned(anchors)[:, None], _axis_aligned(boxes)[None]
+    low, high = torch.maximum(a[..., :2], b[..., :2]), torch.minimum(a[..., 2:], b[..., 2:])
+    inner = (high - low).clamp(min=0).prod(dim=-1)
+    areas = (a[..., 2:] - a[..., :2]).prod(dim=-1) + (b[..., 2:] - b[..., :2]).prod(dim=-1)
+    return inner / (areas - inner)
+
+
+def assign_anchors(anchors: Tensor, boxes: Tensor, usable: Tensor, counts: Tensor) -> AnchorTargets:
+    """Anchors (A, 7), vehicles (M, 7) -> targets.
+
+    usable: (M,) bool; the others (too few points) only turn the anchors they overlap into ignored ones.
+    counts: (A,) bool, anchors that may be trained at all (not in the crop's rim).
+    Positive at IoU >= 0.55, and the best anchor of each usable vehicle whatever its IoU; negative below 0.40.
+    Source: public Waymo config of PointPillars.
+    """
+    labels = torch.full((len(anchors),), NEGATIVE)
+    owner = torch.zeros(len(anchors), dtype=torch.int64)
+    if len(boxes):
+        overlap = nearest_bev_iou(anchors, boxes)
+        best, owner = overlap.max(dim=1)
+        labels[best >= NEGATIVE_IOU] = IGNORED
+        labels[(best >= POSITIVE_IOU) & usable[owner]] = POSITIVE
+        ceiling = overlap.max(dim=0).values
+        forced = (overlap == ceiling) & (ceiling > NEGLIGIBLE_IOU) & usable
+        rows, columns = torch.nonzero(forced, as_tuple=True)
+        labels[rows] = POSITIVE
+        owner[rows] = columns
+    labels[~counts] = IGNORED
+    positives = torch.nonzero(labels == POSITIVE).squeeze(1)
+    matched = boxes[owner[positives]] if len(boxes) else anchors[positives]
+    codes = encode_boxes(matched, anchors[positives])
+    return AnchorTargets(labels, positives, codes, direction_bins(matched[:, 6]))
+
+
+def sine_code_difference(codes: Tensor, wanted: Tensor) -> Tensor:
+    """Difference of (P, 7) codes, the heading's by its sine, so that half turns cost nothing.
+
+    Source: SECOND (Yan et al. 2018), section 3.3.
+    """
+    heading = torch.sin(codes[:, 6:7] - wanted[:, 6:7])
+    return torch.cat((codes[:, :6] - wanted[:, :6], heading), dim=1)
+
+
+class AnchorObjective:
+    """Focal loss (class), smooth L1 (box), cross entropy (direction), each over the number of positive anchors.
+
+    Source: public Waymo config of PointPillars; weights and the box loss's knee are the recipe's.
+    """
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.recipe = recipe
+        self.weights = torch.tensor(recipe.code_weights)
+
+    def targets(self, heads: BoxHeads, grid: Grid, crop: Crop) -> AnchorTargets:
+        """Of one crop."""
+        assert isinstance(heads, AnchorHeads)
+        window, rim = crop.window, self.recipe.rim_cells
+        inner = torch.zeros(window.num_y, window.num_x, heads.per_cell, dtype=torch.bool)
+        inner[rim : window.num_y - rim, rim : window.num_x - rim] = True
+        anchors = anchor_boxes(heads.anchors, grid, window)
+        return assign_anchors(anchors, torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable), inner.reshape(-1))
+
+    def cells(self, heads: BoxHeads, target: AnchorTargets) -> Tensor:
+        """(P,) the cells of the positive anchors."""
+        return target.positives // heads.per_cell
+
+    def loss(self, logits: Tensor, box_rows: Tensor, target: AnchorTargets) -> dict[str, Tensor]:
+        """Weighted parts. logits: (A,). box_rows: (P, R), what the box layers give at the positives' cells."""
+        count, per_cell = max(1, target.positives.numel()), box_rows.shape[1] // 9
+        trained = target.labels != IGNORED
+        classes = focal_loss(logits[trained], target.labels[trained] == POSITIVE).sum()
+        own = (target.positives % per_cell).view(-1, 1, 1)
+        codes = box_rows[:, : 7 * per_cell].view(-1, per_cell, 7).take_along_dim(own, dim=1)[:, 0]
+        directions = box_rows[:, 7 * per_cell :].view(-1, per_cell, 2).take_along_dim(own, dim=1)[:, 0]
+        difference = sine_code_difference(codes, target.codes)
+        beta = self.recipe.box_beta
+        boxes = functional.smooth_l1_loss(difference, torch.zeros_like(difference), reduction="none", beta=beta)
+        boxes = (boxes * self.weights.to(boxes.device)).sum()
+        turned = functional.cross_entropy(directions, target.directions, reduction="sum")
+        parts = {"class": classes, "box": self.recipe.box_weight * boxes}
+        parts["direction"] = self.recipe.direction_weight * turned
+        return {name: part / count for name, part in parts.items()}

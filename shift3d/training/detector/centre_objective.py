@@ -1,0 +1,111 @@
+"""What trains heads without anchors: a heat map with a peak at every centre, and the box at the cells of the peak."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import torch
+from torch import Tensor
+
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.grid import Grid
+from shift3d.detectors.models.centre_heads import encode_centres
+from shift3d.detectors.models.heads import BoxHeads
+from shift3d.training.detector.crops import Crop
+from shift3d.training.detector.focal import heat_map_loss
+from shift3d.training.detector.recipe import Recipe
+
+__all__ = ["CentreObjective", "CentreTargets", "assign_centres", "gaussian_radius"]
+
+LEAST_OVERLAP = 0.1
+LEAST_RADIUS = 2
+
+
+@dataclass(frozen=True)
+class CentreTargets:
+    """heat (cells,) in [0, 1]; trained (cells,) bool; positives (P,) int64, cells; codes (P, 8)."""
+
+    heat: Tensor
+    trained: Tensor
+    positives: Tensor
+    codes: Tensor
+
+    def to(self, device: torch.device) -> CentreTargets:
+        """The same targets on a device."""
+        return CentreTargets(*(part.to(device) for part in (self.heat, self.trained, self.positives, self.codes)))
+
+
+def gaussian_radius(length: float, width: float) -> int:
+    """Cells by which a footprint (cells) may be displaced in x and y and still overlap itself by LEAST_OVERLAP.
+
+    Solves (l - r)(w - r) = 2 m / (1 + m) l w. Source: CornerNet, section 3.2; CenterPoint: overlap 0.1, at least 2.
+    """
+    total, part = length + width, length * width * (1.0 - LEAST_OVERLAP) / (1.0 + LEAST_OVERLAP)
+    return max(LEAST_RADIUS, int((total - sqrt(max(0.0, total**2 - 4.0 * part))) / 2.0))
+
+
+def assign_centres(
+    grid: Grid, window: BevWindow, boxes: Tensor, usable: Tensor, rim: int, centre_radius: int
+) -> CentreTargets:
+    """Vehicles (M, 7) -> targets of the window's cells, over y, then x.
+
+    usable: (M,) bool; around the centres of the others (too few points) nothing is trained. rim: cells at the window's
+    edge that are not trained. centre_radius: cells around a centre's own that draw its box too, so that a peak one
+    cell off draws it as well; a cell of two vehicles belongs to the nearer one. Source: CenterPoint, section 4.1; more
+    than one cell: AFDet (Ge et al. 2020).
+    """
+    y, x = torch.meshgrid(torch.arange(window.num_y), torch.arange(window.num_x), indexing="ij")
+    inner = (y >= rim) & (y < window.num_y - rim) & (x >= rim) & (x < window.num_x - rim)
+    heat, trained = torch.zeros(window.num_y, window.num_x), inner.clone()
+    nearest = torch.full(heat.shape, float("inf"))
+    owner = torch.full(heat.shape, -1)
+    for row, box in enumerate(boxes.double()):
+        at_x = (float(box[0]) - grid.x_min_m) / grid.cell_m - window.x0
+        at_y = (float(box[1]) - grid.y_min_m) / grid.cell_m - window.y0
+        radius = gaussian_radius(float(box[3]) / grid.cell_m, float(box[4]) / grid.cell_m)
+        away_x, away_y = (x - int(at_x // 1)).abs(), (y - int(at_y // 1)).abs()
+        around = torch.maximum(away_x, away_y) <= radius
+        if not bool(around.any()):
+            continue
+        if not bool(usable[row]):
+            trained &= ~around
+            continue
+        bell = torch.exp(-(away_x**2 + away_y**2) / (2.0 * ((2 * radius + 1) / 6.0) ** 2))
+        heat = torch.where(around, torch.maximum(heat, bell), heat)
+        distance = torch.hypot(x + 0.5 - at_x, y + 0.5 - at_y)
+        mine = (torch.maximum(away_x, away_y) <= centre_radius) & (distance < nearest)
+        nearest, owner = torch.where(mine, distance, nearest), torch.where(mine, row, owner)
+    positives = torch.nonzero(((owner >= 0) & trained).reshape(-1)).squeeze(1)
+    cells = torch.stack((positives % window.num_x + window.x0, positives // window.num_x + window.y0), dim=1)
+    codes = encode_centres(boxes[owner.reshape(-1)[positives]], cells, grid)
+    return CentreTargets(heat.reshape(-1), trained.reshape(-1), positives, codes)
+
+
+class CentreObjective:
+    """Heat map by its focal loss, boxes by L1, each over the number of what it counts.
+
+    Source: CenterPoint, with the weights of its public Waymo configuration (box 2).
+    """
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.recipe = recipe
+        self.weights = torch.tensor((*recipe.code_weights, recipe.code_weights[6]))
+
+    def targets(self, heads: BoxHeads, grid: Grid, crop: Crop) -> CentreTargets:
+        """Of one crop."""
+        boxes, usable = torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable)
+        recipe = self.recipe
+        return assign_centres(grid, crop.window, boxes, usable, recipe.rim_cells, recipe.centre_radius)
+
+    def loss(self, logits: Tensor, box_rows: Tensor, target: CentreTargets) -> dict[str, Tensor]:
+        """Weighted parts. logits: (cells,). box_rows: (P, 8) at the positives."""
+        centres = ((target.heat == 1.0) & target.trained).sum().clamp_min(1)
+        heat = heat_map_loss(logits[target.trained], target.heat[target.trained]).sum() / centres
+        difference = (box_rows - target.codes).abs() * self.weights.to(box_rows.device)
+        boxes = difference.sum() / max(1, len(target.positives))
+        return {"class": heat, "box": self.recipe.box_weight * boxes}
+
+    def cells(self, heads: BoxHeads, target: CentreTargets) -> Tensor:
+        """(P,) the cells of the positives."""
+        return target.positives

@@ -1,0 +1,117 @@
+"""One random training crop of a scene: around which vehicle it is cut, and its window of the grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import hypot
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.grid import Grid, cells_of
+from shift3d.geometry.boxes import points_in_boxes
+from shift3d.training.detector.augmentation import moved, thinned, vehicles_varied
+from shift3d.training.detector.pasting import VehicleDatabase, pasted
+from shift3d.training.detector.recipe import Recipe
+from shift3d.training.detector_scenes import TrainingScene
+
+__all__ = ["Crop", "random_crop", "vehicle_centre", "window_around"]
+
+Floats = npt.NDArray[np.float32]
+STRIDE = 4
+TRIES = 6
+ANYWHERE_M = 45.0
+
+
+@dataclass(frozen=True)
+class Crop:
+    """points (N, 3) and boxes (M, 7) float32, network frame; usable (M,): boxes with enough points."""
+
+    points: Floats
+    boxes: Floats
+    usable: npt.NDArray[np.bool_]
+    window: BevWindow
+
+    def points_inside(self, grid: Grid) -> Floats:
+        """Points that lie in the window and in the grid's heights."""
+        _, _, inside = cells_of(torch.from_numpy(self.points), grid, self.window)
+        return self.points[inside]
+
+
+def window_around(grid: Grid, centre_xy: tuple[float, float], cells: int) -> BevWindow:
+    """A square window near a centre, aligned to the stride, inside the grid; the core is all of it."""
+    starts = []
+    for centre, origin, count in (
+        (centre_xy[0], grid.x_min_m, grid.num_x),
+        (centre_xy[1], grid.y_min_m, grid.num_y),
+    ):
+        start = round(((centre - origin) / grid.cell_m - cells / 2) / STRIDE) * STRIDE
+        starts.append(int(np.clip(start, 0, count - cells)))
+    x0, y0 = starts
+    return BevWindow(x0, y0, cells, cells, x0, y0, cells, cells)
+
+
+def random_crop(
+    scene: TrainingScene,
+    grid: Grid,
+    recipe: Recipe,
+    rng: np.random.Generator,
+    database: VehicleDatabase | None = None,
+) -> Crop:
+    """Cut, paste vehicles into it, vary and move. The same rng state gives the same crop.
+
+    Of the recipe its crop and its augmentation are read. database: vehicles to paste; None: none are.
+    """
+    augmentation, cells = recipe.augmentation, recipe.crop_cells
+    angle, scale = rng.uniform(*augmentation.turn_rad), rng.uniform(*augmentation.scale)
+    flip = rng.random() < augmentation.flip
+    centre = _centre(scene, recipe, rng)
+    reach = (hypot(cells, cells) / 2 * grid.cell_m + 4.0) / scale
+    if database is not None and augmentation.pasted:
+        side = cells / 2 * grid.cell_m
+        scene = pasted(scene, database, centre, side, augmentation, recipe.min_points, rng)
+    near = np.hypot(scene.points[:, 0] - centre[0], scene.points[:, 1] - centre[1]) < reach
+    points = thinned(scene.points[near], scene.sensor_height_m, augmentation, rng)
+    boxes = scene.boxes[np.hypot(scene.boxes[:, 0] - centre[0], scene.boxes[:, 1] - centre[1]) < reach + 4.0]
+    points, boxes = vehicles_varied(points, boxes, augmentation, rng)
+    points, boxes = moved(points, boxes, (angle, flip, scale), augmentation, rng)
+    y = -centre[1] if flip else centre[1]
+    turned = (
+        scale * (np.cos(angle) * centre[0] - np.sin(angle) * y),
+        scale * (np.sin(angle) * centre[0] + np.cos(angle) * y),
+    )
+    counts = points_in_boxes(points, boxes).sum(axis=1)
+    return Crop(points, boxes, counts >= recipe.min_points, window_around(grid, turned, cells))
+
+
+def _centre(scene: TrainingScene, recipe: Recipe, rng: np.random.Generator) -> npt.NDArray[np.float64]:
+    """Near a vehicle mostly, anywhere sometimes: crops without any vehicle teach what is none."""
+    if rng.random() >= recipe.empty_share:
+        vehicle = vehicle_centre(scene, recipe.augmentation.range_bins_m, recipe.min_points, rng)
+        if vehicle is not None:
+            return vehicle + rng.uniform(-recipe.jitter_m, recipe.jitter_m, 2)
+    return rng.uniform(-ANYWHERE_M, ANYWHERE_M, 2)
+
+
+def vehicle_centre(
+    scene: TrainingScene, bins_m: tuple[float, ...], min_points: int, rng: np.random.Generator
+) -> npt.NDArray[np.float64] | None:
+    """(x, y) of a vehicle that is seen, each bin of ranges as often as any other that holds one; None: there is none.
+
+    bins_m: rising edges. Of vehicles that turn out to have too few points a few are tried.
+    """
+    range_m = np.hypot(scene.boxes[:, 0], scene.boxes[:, 1])
+    bins = [np.flatnonzero((range_m >= low) & (range_m < high)) for low, high in pairwise(bins_m)]
+    for _ in range(TRIES):
+        filled = [rows for rows in bins if len(rows)]
+        if not filled:
+            return None
+        rows = filled[int(rng.integers(len(filled)))]
+        row = rows[int(rng.integers(len(rows)))]
+        if points_in_boxes(scene.points, scene.boxes[row : row + 1]).sum() >= min_points:
+            return np.asarray(scene.boxes[row, :2], dtype=np.float64)
+        bins = [kept[kept != row] for kept in bins]
+    return None

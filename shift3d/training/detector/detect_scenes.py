@@ -1,0 +1,140 @@
+"""Detections over a scene set, once, for every metric: in this process or in several, to the same bits."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+import torch
+
+from shift3d.detectors.base import Detector
+from shift3d.evaluation.frames import DetectedFrame, Found, Truth
+from shift3d.scenes.kitti import CameraView, KittiScenes
+from shift3d.scenes.scene import Scene
+from shift3d.scenes.sets import SceneSet
+from shift3d.training.detector_scenes import network_points
+
+__all__ = ["SCORE_FLOOR", "Answer", "detect_frame", "detect_scenes"]
+
+# Waymo's second score cut-off. The detectors keep the best 4096 boxes before suppression whatever their score, and
+# where that many lie above 0.1 a lower floor costs nothing and brings nothing.
+SCORE_FLOOR = 0.01
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A frame with its detections, and the milliseconds that the scene and the detection took."""
+
+    frame: DetectedFrame
+    scene_ms: float
+    detect_ms: float
+
+
+def detect_frame(detector: Detector, scenes: SceneSet, name: str, score_threshold: float = SCORE_FLOOR) -> Answer:
+    """Load one scene, run the detector on its whole grid, and record truth and detections in the scene's frame.
+
+    In KITTI frames only cars count (vans and trucks are ignored: the detectors have one class for all three), boxes
+    outside the camera's view are marked as unlabelled, and labels carry KITTI's difficulty.
+
+    Raises:
+        InputError: the scene cannot be read.
+    """
+    start = perf_counter()
+    scene = scenes.load(name)
+    loaded = perf_counter()
+    points = torch.from_numpy(network_points(scene)[scene.has_beam])
+    detections = detector.detect(points, score_threshold=score_threshold)
+    done = perf_counter()
+    boxes = np.array(detections.boxes, dtype=np.float64).reshape(-1, 7)
+    boxes[:, 2] += scene.ground_z_m
+    view = scenes.camera_view(name) if isinstance(scenes, KittiScenes) else None
+    frame = DetectedFrame(name, _truth(scenes, scene), _found(boxes, np.asarray(detections.scores), view))
+    return Answer(frame, 1e3 * (loaded - start), 1e3 * (done - loaded))
+
+
+def _found(boxes: np.ndarray, scores: np.ndarray, view: CameraView | None) -> Found:
+    if view is None:
+        return Found(boxes, scores, np.ones(len(boxes), dtype=bool), np.full(len(boxes), np.nan))
+    return Found(boxes, scores, view.in_view(boxes), view.height_px(boxes))
+
+
+def _truth(scenes: SceneSet, scene: Scene) -> Truth:
+    labels = scene.labels
+    mask = labels.mask("vehicle")
+    rows = np.flatnonzero(mask)
+    names = tuple(labels.names[row] for row in rows) if labels.names else ("",) * len(rows)
+    counts, difficulty = np.ones(len(rows), dtype=bool), np.full(len(rows), -1, dtype=np.int64)
+    if isinstance(scenes, KittiScenes) and len(rows):
+        counts = np.array([name == "Car" for name in names], dtype=bool)
+        label_rows = scenes.label_rows(scene.scene_id)
+        difficulty = np.array([label_rows[row].difficulty for row in rows], dtype=np.int64)
+    boxes = labels.of_class("vehicle").reshape(-1, 7)
+    known: tuple[str, ...] = getattr(labels, "kinds", ())
+    kinds = tuple(known[row] for row in rows) if known else ()
+    return Truth(boxes, labels.num_points[mask].astype(np.int64), counts, difficulty, names, kinds)
+
+
+def detect_scenes(
+    open_detector: Callable[[], Detector],
+    open_scenes: Callable[[], SceneSet],
+    workers: int = 1,
+    score_threshold: float = SCORE_FLOOR,
+    names: list[str] | None = None,
+) -> Iterator[Answer]:
+    """Detect in every scene of a set, or in those of ``names``; answers come in that order.
+
+    open_detector, open_scenes: called once in every process; with several workers both must be picklable. Every
+    process computes on one thread: with more, sums would be taken in another order and the bits would change.
+
+    Raises:
+        InputError: a scene cannot be read, or the detector not be opened.
+    """
+    names = open_scenes().names() if names is None else names
+    if not names:
+        return
+    if min(workers, len(names)) <= 1:
+        with _one_thread():
+            detector, scenes = open_detector(), open_scenes()
+            for name in names:
+                yield detect_frame(detector, scenes, name, score_threshold)
+        return
+    open_detector()  # what is wrong with it is said here: a worker that cannot start says nothing
+    arguments = (open_detector, open_scenes, score_threshold)
+    # Spawned, not forked: a fork would copy the locks of this process's threads.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(names)), context, _open, arguments) as pool:
+        try:
+            yield from pool.map(_detect, names)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+_opened: tuple[Detector, SceneSet, float] | None = None
+
+
+def _open(open_detector: Callable[[], Detector], open_scenes: Callable[[], SceneSet], score_threshold: float) -> None:
+    global _opened
+    torch.set_num_threads(1)
+    _opened = (open_detector(), open_scenes(), score_threshold)
+
+
+def _detect(name: str) -> Answer:
+    assert _opened is not None
+    detector, scenes, score_threshold = _opened
+    return detect_frame(detector, scenes, name, score_threshold)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

@@ -1,0 +1,241 @@
+"""The loop of detector training: a fixed number of steps on crops of scenes, resumable to the same weights."""
+
+from __future__ import annotations
+
+import copy
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import count, islice
+from pathlib import Path
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.errors import InputError
+from shift3d.seeding import generator
+from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
+from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.detector.batch_statistics import recompute_statistics
+from shift3d.training.detector.crops import Crop, random_crop
+from shift3d.training.detector.objective import batch_loss, objective_of
+from shift3d.training.detector.pasting import VehicleDatabase
+from shift3d.training.detector.recipe import Recipe
+from shift3d.training.detector.recipes import one_cycle
+from shift3d.training.detector_scenes import load_cached
+from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
+
+__all__ = ["CHECKPOINT", "SHIPPED_DATA", "train_on_scenes"]
+
+CHECKPOINT = "checkpoint.pt"
+SHIPPED_DATA = "street"
+CURVE_STEPS = 25
+"""Every so many steps the curves get a point; it is the mean over them."""
+LEAST_POINTS = 10
+"""Of a crop: a batch norm has no statistics of a single point."""
+TRIES = 50
+
+Batch = tuple[int, list[Crop], list[Any]]
+
+
+class _Run:
+    """The state of one training: network, optimiser, steps done, curves and seconds."""
+
+    def __init__(
+        self, file: Path, recipe: Recipe, compute: Compute, data: str, start: Mapping[str, Any] | None
+    ) -> None:
+        torch.manual_seed(recipe.seed)
+        self.file, self.recipe, self.compute, self.data = file, recipe, compute, data
+        self.net = recipe.new_network()
+        self.objective = objective_of(recipe)
+        if start is not None:
+            self.net.load_state_dict(dict(start))
+        self.net.to(compute.device)
+        if compute.fast_bfloat16 and recipe.bfloat16:  # in float32 on a processor this layout is the slower one
+            self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.optimiser = torch.optim.AdamW(self.net.parameters(), lr=recipe.peak_rate, weight_decay=recipe.weight_decay)
+        self.done = 0
+        self.curve: list[CurvePoint] = []
+        self.reported = 0
+        seconds = self._resume()
+        self.watch = Stopwatch(seconds)
+
+    def _resume(self) -> float:
+        state = read_checkpoint(self.file)
+        if state is None:
+            return 0.0
+        for key, ours, what in (("recipe", repr(self.recipe), "recipe"), ("data", self.data, "set of scenes")):
+            # Checkpoints from before `data` was written are of the shipped streets.
+            if state.get(key, SHIPPED_DATA) != ours:
+                raise InputError(
+                    f"the checkpoint was trained by another {what}", str(self.file), remedy="choose another folder"
+                )
+        self.net.load_state_dict(state["net"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.done = int(state["steps_done"])
+        self.curve = [(int(step), values) for step, values in state.get("curve", [])]
+        self.reported = len(self.curve)
+        return float(state.get("seconds", 0.0))
+
+    def save(self, report: Report | None) -> None:
+        """Replace the checkpoint, then report the curve's points since the last one."""
+        state = {
+            "steps_done": self.done,
+            "recipe": repr(self.recipe),
+            "data": self.data,
+            "net": self.net.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "curve": [[step, dict(values)] for step, values in self.curve],
+            "seconds": self.watch.seconds,
+        }
+        write_checkpoint(self.file, state)
+        if report is not None and len(self.curve) > self.reported:
+            report(self.curve[self.reported :])
+        self.reported = len(self.curve)
+
+
+def train_on_scenes(
+    out_dir: Path,
+    recipe: Recipe,
+    mesh_scenes: Sequence[Path],
+    inserted_scenes: Sequence[Path] = (),
+    threads: int = 1,
+    checkpoint_every: int = 250,
+    stop_after: int | None = None,
+    compute: Compute | None = None,
+    report: Report | None = None,
+    data: str = SHIPPED_DATA,
+    start: Mapping[str, Any] | None = None,
+) -> DetectorNet:
+    """Train, or go on from out_dir's checkpoint, to recipe.all_steps (or stop_after, to be resumed).
+
+    A resumed training gives the weights of an uninterrupted one: the crops of a step depend on the seed and
+    the step alone. Every `checkpoint_every` steps a checkpoint replaces the last one; so it does when SIGINT or
+    SIGTERM asks to stop.
+
+    Args:
+        mesh_scenes, inserted_scenes: cached scenes without and with rendered insertions.
+        compute: default the CPU with `threads` threads.
+        report: is given the curves' points after every checkpoint.
+        data: what identifies the scenes; a checkpoint of others is refused.
+        start: a state dict to start from instead of random weights.
+    Returns: the network on its device, in evaluation mode.
+    Raises: InputError if the recipe cannot be trained by, or the checkpoint belongs to another recipe or other scenes;
+        KeyboardInterrupt when asked to stop, the checkpoint being written.
+    """
+    recipe.validate()
+    compute = compute or choose_compute("cpu", threads)
+    compute.prepare()
+    out_dir.mkdir(parents=True, exist_ok=True)
+    run = _Run(out_dir / CHECKPOINT, recipe, compute, data, start)
+    run.net.train()
+    end = recipe.all_steps if stop_after is None else min(recipe.all_steps, stop_after)
+    recent: list[dict[str, float]] = []
+    pasting = recipe.augmentation.pasted > 0 and end > 0
+    database = VehicleDatabase.of(mesh_scenes, recipe.min_points) if pasting else None
+    crops = _Crops(run, mesh_scenes, inserted_scenes, database)
+    bar = tqdm(initial=run.done, total=recipe.all_steps, desc=recipe.detector, mininterval=5.0)
+    with stop_on_signal() as stop, bar:
+        for step, made, targets in _batches(crops, run, range(run.done, end)):
+            if step >= recipe.steps:
+                _settle(run, crops.of_statistics())
+            recent.append(_train_step(run, step, made, targets))
+            run.done = step + 1
+            bar.update()
+            if run.done % CURVE_STEPS == 0 or run.done == end:
+                run.curve.append((run.done, _mean(recent)))
+                recent = []
+            if run.done % checkpoint_every == 0 or run.done == end or stop.asked:
+                run.save(report)
+                shown = "  ".join(
+                    f"{name} {value:.3g}" for name, value in (run.curve[-1][1] if run.curve else {}).items()
+                )
+                tqdm.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
+            if stop.asked and run.done < recipe.all_steps:
+                raise KeyboardInterrupt
+    if run.done == recipe.steps == recipe.all_steps:  # no head settles: the statistics alone are taken
+        _settle(run, crops.of_statistics())
+    return run.net.eval().requires_grad_(True)
+
+
+def _mean(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Mean of each value over steps."""
+    return {name: sum(part[name] for part in parts) / len(parts) for name in parts[-1]}
+
+
+def _settle(run: _Run, crops: Iterator[Crop]) -> None:
+    """From here on the network is as at inference, but for the heads."""
+    wanted = run.recipe.statistics_crops
+    if wanted and run.done == run.recipe.steps:
+        chosen = list(islice(crops, wanted))
+        clouds = [torch.from_numpy(crop.points).to(run.compute.device) for crop in chosen]
+        recompute_statistics(run.net, clouds, [crop.window for crop in chosen])
+    run.net.eval().requires_grad_(False)
+    run.net.heads.requires_grad_(True)
+
+
+def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Any]) -> dict[str, float]:
+    """One optimiser step; returns the weighted parts of the loss and the learning rate."""
+    recipe, device = run.recipe, run.compute.device
+    rate, momentum = one_cycle(step, recipe)
+    for group in run.optimiser.param_groups:
+        group["lr"], group["betas"] = rate, (momentum, 0.99)
+    clouds, windows = [torch.from_numpy(crop.points).to(device) for crop in crops], [crop.window for crop in crops]
+    with run.compute.autocast(recipe.bfloat16):
+        features = run.net.features(clouds, windows)
+        on_device = [target.to(device) for target in targets]
+        loss, parts = batch_loss(run.objective, run.net.heads, features, on_device)
+    run.optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    torch.nn.utils.clip_grad_norm_(run.net.parameters(), recipe.clip_norm)
+    run.optimiser.step()
+    return {**parts, "learning_rate": rate}
+
+
+class _Crops:
+    """The crops of a step, or of the statistics: the seed and the step alone decide them."""
+
+    def __init__(
+        self, run: _Run, mesh: Sequence[Path], inserted: Sequence[Path], database: VehicleDatabase | None
+    ) -> None:
+        self.recipe, self.grid = run.recipe, run.net.grid
+        self.mesh, self.inserted, self.database = mesh, inserted, database
+
+    def of(self, step: int, slot: int) -> Crop:
+        """One crop."""
+        recipe = self.recipe
+        rng = generator(f"{recipe.detector} crop", recipe.seed, step, slot)
+        use_inserted = step >= recipe.mesh_only_steps and rng.random() < recipe.inserted_share
+        files = self.inserted if use_inserted and len(self.inserted) else self.mesh
+        for _ in range(TRIES):
+            scene = load_cached(files[int(rng.integers(len(files)))])
+            crop = random_crop(scene, self.grid, recipe, rng, self.database)
+            if len(crop.points_inside(self.grid)) >= LEAST_POINTS:
+                return crop
+        raise InputError(
+            f"{TRIES} crops in a row hold fewer than {LEAST_POINTS} points", f"step {step}", "Give scenes with points"
+        )
+
+    def of_statistics(self) -> Iterator[Crop]:
+        """Crops of no step."""
+        return (self.of(self.recipe.all_steps, slot) for slot in count(0))
+
+
+def _batches(crops: _Crops, run: _Run, steps: range) -> Iterator[Batch]:
+    """Crops and targets of each step, the next ones made in threads while the network computes."""
+    net, ahead = run.net, run.compute.crops_ahead
+
+    def prepare(step: int) -> Batch:
+        made = [crops.of(step, slot) for slot in range(run.recipe.batch)]
+        return step, made, [run.objective.targets(heads, net.grid, crop) for crop in made]
+
+    heads = copy.deepcopy(net.heads).cpu()  # what targets read of it does not change
+    with ThreadPoolExecutor(ahead) as worker:
+        coming: deque[Future[Batch]] = deque(worker.submit(prepare, step) for step in steps[:ahead])
+        for step in steps:
+            batch = coming.popleft().result()
+            if step + ahead in steps:
+                coming.append(worker.submit(prepare, step + ahead))
+            yield batch

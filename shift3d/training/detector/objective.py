@@ -1,0 +1,62 @@
+"""The loss of a batch: class logits everywhere, boxes at the cells that have one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from shift3d.detectors.grid import Grid
+from shift3d.detectors.models.heads import BoxHeads
+from shift3d.training.detector.anchor_objective import AnchorObjective
+from shift3d.training.detector.centre_objective import CentreObjective
+from shift3d.training.detector.crops import Crop
+from shift3d.training.detector.recipe import Recipe
+
+__all__ = ["Objective", "batch_loss", "objective_of"]
+
+
+class Objective(Protocol):
+    """Targets of one kind of heads, and the loss against them."""
+
+    def targets(self, heads: BoxHeads, grid: Grid, crop: Crop, /) -> Any:
+        """Of one crop."""
+        ...
+
+    def cells(self, heads: BoxHeads, target: Any, /) -> Tensor:
+        """(P,) int64, the cells whose box is trained, one for each target of a box."""
+        ...
+
+    def loss(self, logits: Tensor, box_rows: Tensor, target: Any, /) -> dict[str, Tensor]:
+        """Weighted parts by name, "class" and "box" at least. logits: (A,). box_rows: (P, R) at `cells`."""
+        ...
+
+
+def objective_of(recipe: Recipe) -> Objective:
+    """The objective of a recipe's heads."""
+    return CentreObjective(recipe) if recipe.heads == "centres" else AnchorObjective(recipe)
+
+
+def batch_loss(
+    objective: Objective, heads: BoxHeads, features: Tensor, targets: Sequence[Any]
+) -> tuple[Tensor, dict[str, float]]:
+    """Mean over the batch, and its weighted parts. features: (B, C, h, w). Differentiable w.r.t. features and weights.
+
+    Logits and boxes are taken in the weights' precision, whatever that of the features. Boxes are computed at the
+    trained cells alone: the heads' way back over all cells was a twelfth of a step.
+    """
+    logits = heads.logits(features).float()
+    parts: dict[str, Tensor] = {}
+    positives = 0
+    with torch.autocast(features.device.type, enabled=False):
+        for index, target in enumerate(targets):
+            cells = objective.cells(heads, target)
+            rows = heads.box_rows_at(features[index], cells)
+            for name, part in objective.loss(logits[index], rows, target).items():
+                parts[name] = parts.get(name, 0.0) + part / len(targets)
+            positives += len(cells)
+    shown = {name: float(part.detach()) for name, part in parts.items()}
+    total = torch.stack(list(parts.values())).sum()
+    return total, {**shown, "positives": positives / len(targets)}

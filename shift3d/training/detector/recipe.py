@@ -1,0 +1,185 @@
+"""A recipe of detector training: everything that decides the weights, beside the scenes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import isfinite, pi
+from typing import Literal
+
+from shift3d.detectors.models.anchors import AnchorSpec
+from shift3d.detectors.models.backbone import WAYMO_BACKBONE, BackboneSpec
+from shift3d.detectors.models.centerpoint import CenterPointNet
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.sst import SstNet, SstSpec
+from shift3d.errors import InputError
+
+__all__ = ["Augmentation", "Range", "Recipe"]
+
+Range = tuple[float, float]
+"""(low, high) of a uniform draw; equal ends are a constant."""
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """How a crop differs from the scene that it is cut from. Metres, radians, shares in [0, 1].
+
+    turn_rad, scale, flip: rotation about the sensor, global scaling, and the share of mirrored crops. object_scale:
+    each vehicle's own scaling about the middle of its bottom face; Source: random object scaling of ST3D (Yang et al.
+    2021), against a size prior. shift_m: in x and y, either way. ground_shift_m, ground_slope: height of the nominal
+    ground, and the slope of half of the crops, so that boxes stand on the ground that is seen.
+
+    kept_points: share of points kept, in half of the crops. dropped_lines: share of crops that lose whole scan lines,
+    kept_line_in: one of how many lines stays (or is the one to go). range_noise_m: standard deviation along the beam.
+    swallowed: share of vehicles that lose part of their returns, as to glass or dark paint.
+
+    pasted: vehicles of other scenes put into a crop's scene, at most; Source: ground-truth sampling of SECOND (Yan et
+    al. 2018), section 3.4. pasted_range: how much farther they may stand than they were seen, points thinned by the
+    square. range_bins_m: edges of the bins of which a crop's vehicle is drawn alike, whatever they hold.
+    """
+
+    turn_rad: Range = (-pi, pi)
+    flip: float = 0.5
+    scale: Range = (0.95, 1.05)
+    object_scale: Range = (0.92, 1.08)
+    shift_m: float = 0.3
+    ground_shift_m: Range = (-0.2, 0.4)
+    ground_slope: float = 0.015
+    kept_points: Range = (0.6, 1.0)
+    dropped_lines: float = 0.25
+    kept_line_in: tuple[int, int] = (2, 3)
+    range_noise_m: Range = (0.0, 0.03)
+    swallowed: float = 0.3
+    pasted: int = 4
+    pasted_range: Range = (1.0, 1.6)
+    range_bins_m: tuple[float, ...] = (0.0, 30.0, 50.0, 75.0)
+
+    def validate(self, where: str) -> None:
+        """Refuse empty ranges and shares that are none. Raises: InputError naming the field."""
+        for name in ("turn_rad", "scale", "object_scale", "ground_shift_m", "kept_points", "range_noise_m"):
+            _check_range(name, getattr(self, name), where)
+        for name in ("scale", "object_scale", "kept_points"):
+            _check(getattr(self, name)[0] > 0.0, name, getattr(self, name), where, "Give a range above 0")
+        _check_range("kept_line_in", self.kept_line_in, where)
+        _check(self.kept_line_in[0] >= 2, "kept_line_in", self.kept_line_in, where, "Give whole numbers from 2")
+        _check_range("pasted_range", self.pasted_range, where)
+        _check(self.pasted_range[0] >= 1.0, "pasted_range", self.pasted_range, where, "Points can only be thinned")
+        for name in ("flip", "dropped_lines", "swallowed"):
+            value = getattr(self, name)
+            _check(0.0 <= value <= 1.0, name, value, where, "Give a share from 0 to 1")
+        for name in ("shift_m", "ground_slope", "pasted"):
+            _check(getattr(self, name) >= 0, name, getattr(self, name), where, "Give 0 or more")
+        bins = self.range_bins_m
+        rising = len(bins) >= 2 and bins[0] >= 0.0 and all(low < high for low, high in pairwise(bins))
+        _check(rising, "range_bins_m", bins, where, "Give at least two rising edges, such as 0,30,75")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that decides the trained weights, beside the scenes. Threads are not part of it.
+
+    network, heads: sizes of the detector and what it predicts against, which say together what it is. anchor_size_m:
+    length, width, height of the anchors: the means of published cars. grown_from: name of a detector whose shipped
+    weights, doubled in width and depth, are the start; see `growing`. backbone_from: name of a detector whose shipped
+    encoder and backbone are the start, under heads of random weights.
+
+    steps: optimiser steps; the first `mesh_only_steps` use streets alone, after which each crop comes from a scene
+    with inserted vehicles with probability `inserted_share`. crop_cells: side of the square crops; batch: crops a
+    step; rim_cells: cells so close to a crop's edge are not trained; jitter_m: how far a crop's centre lies from the
+    vehicle it was chosen for; empty_share: of crops cut anywhere. min_points: a vehicle with fewer is neither sought
+    nor background. bfloat16: take large products in half the bytes, where the processor has instructions for it.
+
+    box_weight, direction_weight: of these losses beside that of the class. code_weights: of the seven values of a box
+    (x, y, z, length, width, height, heading). box_beta: where the box loss turns from square to linear.
+    centre_radius: cells around a vehicle's centre that regress its box, centres only.
+
+    statistics_crops: crops of which batch norms take their statistics after `steps`, in one batch, so that every
+    layer has exactly those of inference; 0: the running means of training. settle_steps: steps after that, in which
+    all heads alone go on, from `settle_rate` down, on features as inference has them. In training a batch norm takes
+    the statistics of two crops, and what heads learn there is off by the difference (our choice).
+    """
+
+    network: BackboneSpec | SstSpec = WAYMO_BACKBONE
+    heads: Literal["anchors", "centres"] = "anchors"
+    anchor_size_m: tuple[float, float, float] = (4.4, 1.8, 1.55)
+    grown_from: str = ""
+    backbone_from: str = ""
+    steps: int = 20_000
+    mesh_only_steps: int = 2700
+    inserted_share: float = 0.5
+    mesh_scenes: int = 400
+    inserted_scenes: int = 240
+    crop_cells: int = 112
+    batch: int = 2
+    rim_cells: int = 6
+    jitter_m: float = 11.0
+    empty_share: float = 0.15
+    min_points: int = 5
+    augmentation: Augmentation = field(default_factory=Augmentation)
+    peak_rate: float = 1.5e-3
+    weight_decay: float = 0.01
+    warm_up_share: float = 0.3
+    clip_norm: float = 10.0
+    box_weight: float = 2.0
+    direction_weight: float = 1.0
+    code_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    box_beta: float = 1.0 / 27.0
+    centre_radius: int = 1
+    statistics_crops: int = 64
+    settle_steps: int = 600
+    settle_rate: float = 5e-4
+    bfloat16: bool = True
+    seed: int = 0
+
+    @property
+    def all_steps(self) -> int:
+        """Steps with those that settle the heads."""
+        return self.steps + self.settle_steps
+
+    @property
+    def detector(self) -> str:
+        """Name of the detector that these sizes and heads belong to."""
+        if isinstance(self.network, SstSpec):
+            return self.network.name
+        return "pointpillars" if self.heads == "anchors" else "centerpoint"
+
+    def new_network(self) -> DetectorNet:
+        """An untrained network, from torch's global random state."""
+        anchors = AnchorSpec(self.anchor_size_m)
+        if isinstance(self.network, SstSpec):
+            return SstNet(self.network, anchors=anchors)
+        if self.heads == "centres":
+            return CenterPointNet(self.network)
+        return PointPillarsNet(self.network, anchors=anchors)
+
+    def validate(self, where: str = "recipe") -> Recipe:
+        """The recipe itself. Raises: InputError naming the first field that cannot be trained by."""
+        possible = ("anchors", "centres") if isinstance(self.network, BackboneSpec) else ("anchors",)
+        _check(self.heads in possible, "heads", self.heads, where, "Give anchors, or for the pillar backbone centres")
+        _check(len(self.code_weights) == 7, "code_weights", self.code_weights, where, "Give seven numbers")
+        for name in ("crop_cells", "batch", "mesh_scenes", "min_points"):
+            _check(getattr(self, name) >= 1, name, getattr(self, name), where, "Give 1 or more")
+        for name in ("anchor_size_m", "peak_rate", "settle_rate", "clip_norm", "box_beta"):
+            value = getattr(self, name)
+            values = value if isinstance(value, tuple) else (value,)
+            _check(all(0.0 < v < float("inf") for v in values), name, value, where, "Give numbers above 0")
+        for name in ("steps", "settle_steps", "mesh_only_steps", "inserted_scenes", "statistics_crops", "centre_radius",
+                     "rim_cells", "jitter_m", "weight_decay", "box_weight", "direction_weight"):  # fmt: skip
+            _check(getattr(self, name) >= 0, name, getattr(self, name), where, "Give 0 or more")
+        for name in ("inserted_share", "empty_share", "warm_up_share"):
+            _check(0.0 <= getattr(self, name) <= 1.0, name, getattr(self, name), where, "Give a share from 0 to 1")
+        _check(self.crop_cells % 4 == 0, "crop_cells", self.crop_cells, where, "Give a multiple of 4")
+        _check(2 * self.rim_cells < self.crop_cells, "rim_cells", self.rim_cells, where, "Leave cells to train")
+        self.augmentation.validate(where)
+        return self
+
+
+def _check(holds: bool, name: str, value: object, where: str, remedy: str) -> None:
+    if not holds:  # a NaN fails every comparison
+        raise InputError(f"{name}={value}", where=where, remedy=remedy)
+
+
+def _check_range(name: str, value: tuple[float, float], where: str) -> None:
+    holds = len(value) == 2 and all(isfinite(end) for end in value) and value[0] <= value[1]
+    _check(holds, name, value, where, "The range is empty: give LOW,HIGH with LOW <= HIGH")

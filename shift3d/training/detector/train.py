@@ -1,0 +1,168 @@
+"""Training of a detector from scenes to weights: make the scenes, insert vehicles, train, export."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from safetensors.torch import save_file
+from tqdm import tqdm
+
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.errors import InputError
+from shift3d.scenes.sets import SceneSet, StreetScenes
+from shift3d.scenes.street.fleet import fleet_of
+from shift3d.scenes.street.options import StreetOptions
+from shift3d.seeding import generator
+from shift3d.training.checkpoints import read_checkpoint
+from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
+from shift3d.training.detector.recipe import Recipe
+from shift3d.training.detector.warm_start import start_file, start_state
+from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
+from shift3d.training.inserted_vehicles import with_inserted_vehicles
+from shift3d.training.progress import Report, averaged
+from shift3d.training.provenance import write_provenance
+from shift3d.vehicles.family.split import SPLIT
+
+__all__ = [
+    "export_weights",
+    "inserted_scene_files",
+    "mesh_scene_files",
+    "train_detector",
+]
+
+CURVE_POINTS = 30
+"""About how many points of the curve stand in the provenance."""
+TRAFFIC = "wide"
+"""Whose vehicles training streets and insertions have: the wide family's seen kinds."""
+
+
+def train_detector(
+    out_dir: Path,
+    recipe: Recipe,
+    threads: int = 1,
+    weights_file: Path | None = None,
+    scenes: SceneSet | None = None,
+    start_from: Path | None = None,
+    compute: Compute | None = None,
+    report: Report | None = None,
+) -> DetectorNet:
+    """The whole recipe: make scenes, train on them, then on those with inserted vehicles too, export.
+
+    Args:
+        out_dir: scenes, checkpoint and weights; an interrupted training goes on from there.
+        threads: may change from call to call; the weights then agree to rounding, not to the bit.
+        weights_file: where the safetensors go, and their provenance as JSON (default out_dir/<detector>.safetensors).
+        scenes: labelled scenes to train on, default the shipped recipe's procedural streets. Of each only the
+            labelled sector is used, see :func:`~shift3d.training.detector_scenes.from_scene`.
+        start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
+        compute: default the CPU with `threads` threads. report: see :func:`train_on_scenes`.
+    Returns: the trained network on the CPU, in evaluation mode.
+    Raises: InputError when the recipe cannot be trained by, weights to start from are missing, the scenes hold no
+        vehicle, or the checkpoint is of another recipe, other scenes or another start; KeyboardInterrupt when asked to
+        stop.
+    """
+    compute = compute or choose_compute("cpu", threads)
+    recipe.validate()
+    data = _identity(scenes, start_file(recipe, start_from))
+    start = start_state(recipe, start_from)
+    compute.prepare()
+    base = mesh_scene_files(out_dir, recipe.mesh_scenes) if scenes is None else scene_files(out_dir, scenes)
+    shared: dict[str, Any] = {"compute": compute, "report": report, "data": data, "start": start}
+    train_on_scenes(out_dir, recipe, base, stop_after=recipe.mesh_only_steps, **shared)
+    inserted: list[Path] = []
+    if recipe.inserted_scenes and recipe.inserted_share > 0.0:
+        inserted = inserted_scene_files(out_dir, base, recipe)
+    net = train_on_scenes(out_dir, recipe, base, inserted, **shared).to("cpu")
+    weights_file = weights_file or out_dir / f"{recipe.detector}.safetensors"
+    export_weights(net, weights_file, recipe)
+    state = read_checkpoint(out_dir / CHECKPOINT)
+    assert state is not None
+    write_provenance(weights_file, _facts(recipe, scenes, start_from, compute, state))
+    return net
+
+
+def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
+    """What stands in a checkpoint for scenes and start."""
+    parts = [f"{SHIPPED_DATA}-{TRAFFIC}" if scenes is None else f"{scenes.dataset}-{_digest(scenes)}"]
+    if start_from is not None and start_from.is_file():
+        parts.append(hashlib.blake2b(start_from.read_bytes(), digest_size=8).hexdigest())
+    return " from ".join(parts)
+
+
+def _digest(scenes: SceneSet) -> str:
+    text = "\n".join([scenes.dataset, str(getattr(scenes, "folder", "")), *scenes.names()])
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def _facts(
+    recipe: Recipe, scenes: SceneSet | None, start_from: Path | None, compute: Compute, state: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The provenance of finished weights."""
+    start_from = start_file(recipe, start_from)
+    names = [] if scenes is None else scenes.names()
+    curve = averaged(state.get("curve", []), CURVE_POINTS)
+    street = {"dataset": f"street-mixed-{TRAFFIC}", "split": "train", "count": recipe.mesh_scenes}
+    return {
+        "model": recipe.detector,
+        "recipe": asdict(recipe),
+        "steps": state["steps_done"],
+        "scenes": street if scenes is None else {"dataset": scenes.dataset, "count": len(names), "names": names},
+        "vehicles": {"made_by": "meshes of the wide family, none by the decoder", **SPLIT.to_dict()},
+        "started_from": None if start_from is None else start_from.name,
+        "compute": compute.facts(recipe.bfloat16),
+        "training_seconds": round(float(state.get("seconds", 0.0)), 1),
+        "curve": [
+            {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}} for step, values in curve
+        ],
+    }
+
+
+def export_weights(net: DetectorNet, file: Path, recipe: Recipe) -> None:
+    """Write the weights as safetensors, with the recipe in the metadata, replacing the file in one step."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_name(file.name + ".partial")
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
+    save_file(tensors, partial, metadata={"model": recipe.detector, "recipe": repr(recipe)})
+    partial.replace(file)
+
+
+def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:
+    """Cached procedural scenes of both sensors, split train, with vehicles of the wide family's seen kinds."""
+    scenes = StreetScenes("mixed", count=count, split="train", options=StreetOptions(traffic=TRAFFIC))
+    names = tqdm(scenes.names(), desc="street scenes", mininterval=5.0)
+    return cache_scenes(out_dir / f"{TRAFFIC}-train", names, lambda name: from_scene(scenes.load(name)))
+
+
+def scene_files(out_dir: Path, scenes: SceneSet) -> list[Path]:
+    """Cached scenes of any set, cut to their labelled sector, in the order of its names.
+
+    Raises: InputError for a frame that cannot be read, or when no scene holds a vehicle.
+    """
+    folder = out_dir / f"scenes-{_digest(scenes)}"
+    names = tqdm(scenes.names(), desc=f"{scenes.dataset} scenes", mininterval=5.0)
+    files = cache_scenes(folder, names, lambda name: from_scene(scenes.load(name), scenes.placement_sector_rad))
+    if not any(len(load_cached(file).boxes) for file in files):
+        raise InputError(
+            "no scene has a labelled vehicle", where=f"{scenes.dataset} scenes", remedy="Give labelled scenes"
+        )
+    return files
+
+
+def inserted_scene_files(out_dir: Path, base: Sequence[Path], recipe: Recipe) -> list[Path]:
+    """Cached scenes with more vehicles of the wide family's seen kinds in the base scenes, in their order."""
+    # Scenes of another set must not be taken for those of the streets when both were made in one folder.
+    folder = out_dir / f"inserted-{base[0].parent.name}"
+    names = [f"inserted-{index:05d}" for index in range(recipe.inserted_scenes)]
+    fleet = fleet_of(TRAFFIC, "train")
+
+    def build(name: str) -> TrainingScene:
+        rng = generator("inserted scene", recipe.seed, name)
+        scene = load_cached(base[int(name.rsplit("-", 1)[1]) % len(base)])
+        return with_inserted_vehicles(scene, fleet, rng)
+
+    return cache_scenes(folder, tqdm(names, desc="inserting vehicles", mininterval=5.0), build)

@@ -1,0 +1,109 @@
+"""shift3d from its wheel alone, in a folder that has nothing: a sweep of one's own, its report, and Ray workers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from jobs.ray_head import REPOSITORY, SERVICE, ray_head
+from service.drivers import DETERMINISTIC
+
+FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md")
+FOLDERS = ("shift3d", "conf", "sweeps", "jobs")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from a copy: setuptools leaves files beside what it builds. Nothing is downloaded."""
+    folder = tmp_path_factory.mktemp("build")
+    for name in FOLDERS:
+        shutil.copytree(REPOSITORY / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in FILES:
+        shutil.copy(REPOSITORY / name, folder)
+    words = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation", "-w", str(folder / "dist"), str(folder)]
+    subprocess.run([sys.executable, "-m", "pip", "wheel", *words], check=True)
+    (built,) = (folder / "dist").glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The Python of an environment that has the wheel, and of the tests' own its libraries."""
+    folder = tmp_path_factory.mktemp("venv")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
+    found = folder / "bin" / "python"
+    words = ["--quiet", "--no-deps", "--no-index", str(wheel)]
+    subprocess.run([sys.executable, "-m", "pip", "--python", str(found), "install", *words], check=True)
+    # A plain path: the tests' own shift3d, where it is installed for editing, is found by a hook that this leaves out.
+    site = sysconfig.get_path("purelib", vars={"base": str(folder), "platbase": str(folder)})
+    (Path(site) / "libraries.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
+    return found
+
+
+def environment(**more: str) -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | more
+
+
+def run(python: Path, folder: Path, *words: str, **more: str) -> str:
+    """What a command of the installed shift3d prints; it must end well."""
+    command = [str(python.parent / "shift3d"), *words]
+    done = subprocess.run(
+        command, cwd=folder, env=environment(**more), capture_output=True, text=True, timeout=240, check=False
+    )
+    assert done.returncode == 0, f"{words}: {done.stdout[-2000:]} {done.stderr[-2000:]}"
+    return done.stdout
+
+
+def test_it_carries_every_file_that_is_no_code(wheel: Path) -> None:
+    carried = set(zipfile.ZipFile(wheel).namelist())
+    for folder in FOLDERS:
+        for path in (REPOSITORY / folder).rglob("*"):
+            name = path.relative_to(REPOSITORY).as_posix()
+            if path.is_file() and "__pycache__" not in name:
+                assert (name if folder == "shift3d" else f"shift3d/_data/{name}") in carried
+
+
+def test_a_sweep_of_ones_own_in_an_empty_folder(python: Path, tmp_path: Path) -> None:
+    where = [str(python), "-c", "import shift3d; print(shift3d.__file__)"]
+    found = subprocess.run(where, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True).stdout
+    assert Path(found.strip()).is_relative_to(python.parents[1])
+    assert "sweep smoke: 4 tasks" in run(python, tmp_path, "sweep", "plan", "smoke")
+    assert run(python, tmp_path, "jobs", "kuberay") == (REPOSITORY / "jobs" / "kuberay.yaml").read_text()
+    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": "shift3d sweep smoke vehicle=su", "_ARGCOMPLETE_IFS": "\n"}
+    asked |= {"COMP_POINT": "30", "_ARGCOMPLETE_COMP_WORDBREAKS": " ", "_ARGCOMPLETE_STDOUT_FILENAME": "answer"}
+    run(python, tmp_path, **asked)
+    assert (tmp_path / "answer").read_text().strip() == "vehicle=suv"
+
+    (tmp_path / "sweeps").mkdir()
+    (tmp_path / "conf" / "attack").mkdir(parents=True)
+    (tmp_path / "sweeps" / "mine.yaml").write_text("defaults: [smoke, override /attack: tiny, _self_]\nmode: pose\n")
+    (tmp_path / "conf" / "attack" / "tiny.yaml").write_text("defaults: [short, _self_]\nsteps: 1\n")
+    words = ["mode=pose", "accuracy=draft", "runner.workers=2", "tracking=none", "out=out"]
+    assert "out/final written" in run(python, tmp_path, "sweep", "mine", *words, OMP_NUM_THREADS="1")
+    scores = pd.read_parquet(tmp_path / "out" / "final" / "scores.parquet")
+    assert set(scores["vehicle"]) == {"coupe", "suv"} and set(scores["status"]) == {"ok"}
+    run(python, tmp_path, "report", "out")
+    assert "mine" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_two_machines_of_a_cluster_that_have_the_wheel_alone(python: Path, tmp_path: Path) -> None:
+    words = "sweep default scenes.count=4 tracking=none"
+    with ray_head(None, python=str(python), path=str(SERVICE)) as found:
+        slow = environment(**found, SHIFT3D_TEST_SECONDS="0.2")
+        commands = {
+            "cluster": (f"shift3d {words} job=ray_cluster runner.workers=2", slow),
+            "here": (f"{sys.executable} {SERVICE / 'driver.py'} {words} runner=local", dict(os.environ)),
+        }
+        for name, (command, known) in commands.items():
+            subprocess.run(["bash", "-c", f"{command} out={name}"], cwd=tmp_path, env=known, timeout=120, check=True)
+    assert len(set(pd.read_parquet(tmp_path / "cluster" / "final" / "attempts.parquet")["worker"])) == 2
+    for table in DETERMINISTIC:
+        file = Path("final") / f"{table}.parquet"
+        assert (tmp_path / "cluster" / file).read_bytes() == (tmp_path / "here" / file).read_bytes()

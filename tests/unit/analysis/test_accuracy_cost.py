@@ -1,0 +1,64 @@
+"""What accuracy cost, and would cost, is what the frames hold."""
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from frontier_by_hand import flagged, frontier_row
+
+from shift3d.analysis.tables.accuracy_cost import MEASURED, accuracy_cost, measured_presets, preset_table
+from shift3d.store.frontier_table import frontier_table
+from shift3d.store.tables import write_table
+
+
+def score(task: str, method: str, accuracy: str = "standard", **audit: Any) -> dict[str, Any]:
+    names = ("audited_beams", "audited_hits", "missed_hits", "false_hits", "wrong_surface", "depth_error_max_m")
+    row = {"task_id": task, "method": method, "replicate": 0, "accuracy": accuracy, "scored_by": "pointpillars"}
+    return {**row, **dict.fromkeys(names), **audit}
+
+
+def timing(task: str, stage: str, milliseconds: float) -> dict[str, Any]:
+    return {"task_id": task, "method": "adversarial", "stage": stage, "milliseconds": milliseconds, "calls": 1}
+
+
+CLEAN = {"audited_beams": 64, "audited_hits": 32, "missed_hits": 0, "false_hits": 0, "wrong_surface": 0}
+
+
+def test_audits_are_summed_each_object_once() -> None:
+    rows = [
+        score("a", "baseline", **CLEAN, depth_error_max_m=1e-4),
+        score("a", "baseline", **CLEAN, depth_error_max_m=1e-4) | {"scored_by": "sst"},
+        score("a", "adversarial", **{**CLEAN, "missed_hits": 2, "wrong_surface": 1}, depth_error_max_m=3e-4),
+        score("a", "random"),
+    ]
+    (text,) = accuracy_cost(pd.DataFrame(rows), pd.DataFrame([timing("a", "total", 2000.0)]))
+    assert "standard: 128 beams of 2 objects" in text
+    assert "of 64 true hits 2 missed, 1 on another surface, 0 false; depth error at most 0.3 mm" in text
+
+
+def test_time_is_that_of_the_presets_own_tasks() -> None:
+    rows = [score("a", "baseline"), score("b", "baseline", "draft")]
+    times = [timing("a", "total", 4000.0), timing("a", "render", 1000.0), timing("b", "total", 1000.0)]
+    draft, standard = accuracy_cost(pd.DataFrame(rows), pd.DataFrame(times))
+    assert "A task took 4.0 s: render 25%." in standard
+    assert "A task took 1.0 s" in draft and "no beam was audited" in draft
+
+
+def test_without_a_frontier_of_ones_own_the_shipped_one_speaks(tmp_path: Path) -> None:
+    presets, whose = measured_presets(tmp_path)
+    assert {"draft", "standard", "paper", "reference"} == set(presets.index) and "ships" in whose
+    assert MEASURED.is_file()
+    assert presets.loc["draft", "ms_median"] < presets.loc["reference", "ms_median"]
+
+
+def test_other_presets_stand_in_a_table_with_what_they_lose(tmp_path: Path) -> None:
+    measured = [
+        frontier_row("standard", 2.0, preset="standard", missed_hits=0.001),
+        frontier_row("paper", 800.0, preset="paper"),
+    ]
+    write_table(tmp_path / "frontier.parquet", frontier_table(flagged(measured)))
+    table = preset_table(tmp_path)
+    assert "this machine's frontier" in table.title
+    rows = {str(line[0]): dict(zip(table.header, line)) for line in table.lines}
+    assert rows["standard"]["time"] == "2 ms" and rows["standard"]["missed"] == "0.1 %"
+    assert rows["standard"]["x paper"] == "400" and rows["paper"]["missed"] == "0"

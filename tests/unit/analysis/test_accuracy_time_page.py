@@ -1,0 +1,360 @@
+"""The frontier's report: the words say what the numbers say, and the diagram can be read."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from frontier_by_hand import flagged, frame_of, frontier_row, realistic_rows, with_depth
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+
+from shift3d.analysis.figures.labels import LABEL
+from shift3d.analysis.figures.setting_marks import RING
+from shift3d.analysis.figures.work_precision import work_precision_figure
+from shift3d.analysis.html.pages import frontier_html, write_frontier_report
+from shift3d.analysis.tables.accuracy_time import frontier_lines
+from shift3d.analysis.tables.advice import advice
+from shift3d.analysis.tables.numbers import factor, length, milliseconds, share
+from shift3d.errors import InputError
+from shift3d.store.frontier_table import frontier_table
+from shift3d.store.tables import write_table
+
+
+def march(knob: float, ms: float, p99_m: float, **more: Any) -> dict[str, Any]:
+    named = {"method": "march", "knob": knob, "knob_name": "step_m"}
+    return frontier_row(f"march {knob:g} m", ms, **named, **with_depth(p99_m), **more)
+
+
+def small_rows() -> list[dict[str, Any]]:
+    """Six cold settings and a warm one. Front: draft, standard, reference, and the warm one."""
+    found = {"gradient_cosine": 0.9995, "auc_delta": -0.002, "step_ms_median": 25.0, "step_ratio_to_paper": 320.0}
+    return [
+        march(0.4, 100.0, 2e-2),
+        march(0.2, 200.0, 1e-2),
+        march(0.1, 400.0, 5e-3),
+        frontier_row("paper", 800.0, preset="paper", missed_hits=0.003, wrong_surface=0.002, **with_depth(1e-3)),
+        frontier_row("draft", 1.0, preset="draft", missed_hits=0.001, **with_depth(1e-3)),
+        frontier_row("standard", 2.0, preset="standard", **with_depth(1e-5), **found),
+        frontier_row("standard, warm", 0.5, method="warm", **with_depth(1e-5)),
+        frontier_row("reference", 5000.0, preset="reference"),
+    ]
+
+
+def test_the_advice_cites_the_numbers_that_follow_from_the_rows() -> None:
+    text = advice(frame_of(small_rows()))
+    assert "\n" not in text
+    for sentence in (
+        "On the street scenes (10 renderings, 10,000 hits) draft takes 1 ms, standard 2 ms, paper 800 ms and "
+        "reference 5 s a rendering.",
+        "The default, standard, is 400 times as fast as paper as published (100 times on the sphere's chord alone), "
+        "and misses or misplaces none of the hits where paper does 0.5 %.",
+        "Its depths are within 1 µm for half of the hits, 10 µm for 99 % and 460 µm for all; of the chords of 2 cm or "
+        "more it misses none; the cosine of its gradient with reference's is 0.9995, and the AUC moves by -0.002.",
+        "with 1 m for a beam that is misplaced, its error is at most 10 µm a beam.",
+        "One preset down, draft, saves 50 % of the time, for an error of 2 mm instead of 10 µm and 0.1 % of the hits "
+        "misplaced instead of none.",
+        "One preset up, reference, takes 2,500 times the time, for an error of 0 instead of 10 µm.",
+        "standard takes 0.5 ms: 4 times as fast as cold and 1,600 times as fast as paper as published.",
+        "A whole attack step in standard takes 25 ms, 320 times as fast as the published way.",
+        "The front has its knee at standard (2 ms, error 10 µm): the next faster setting on it, draft, saves 50 % of "
+        "the time for 200 times the error, and the next more accurate, reference, takes 2,500 times the time for an "
+        "error of 0.",
+        # Their error is 20, 10, 5 and 6 mm: draft is more accurate than all of them, and standard slower.
+        "by draft: march 0.1 m to march 0.4 m (100 to 400 times), paper (800 times).",
+    ):
+        assert sentence in text
+    assert "quartiles" not in text and "not on the front" not in text
+
+
+def test_a_preset_behind_the_front_and_a_tie_in_time_are_said() -> None:
+    rows = [
+        frontier_row("standard", 2.0, preset="standard", **with_depth(1e-4)),
+        frontier_row("secant", 1.9, method="secant", **with_depth(1e-5)),
+    ]
+    text = advice(frame_of(rows))
+    assert "standard is not on the front." in text
+    assert "by secant: standard (1.05 times)." in text
+    assert "For standard the quartiles of the two times overlap" in text
+    apart = [rows[0] | {"ms_low": 1.99}, rows[1] | {"ms_high": 1.95}]
+    assert "quartiles" not in advice(frame_of(apart))
+
+
+def test_settings_between_which_another_is_not_dominated_are_not_one_run() -> None:
+    rows = [march(0.4, 10.0, 1e-2), march(0.3, 11.0, 1e-2), march(0.2, 3.0, 1e-6), march(0.1, 12.0, 1e-2)]
+    text = advice(frame_of([*rows, march(0.05, 13.0, 1e-2)]))
+    assert "by march 0.2 m: march 0.05 m (4.33 times), march 0.1 m (4 times), march 0.3 m (3.67 times)" in text
+
+
+def test_advice_without_presets_without_paper_and_on_two_scene_sets() -> None:
+    (one,) = advice(frame_of([march(0.1, 2.0, 1e-3)])).split("\n\n")
+    assert one == (
+        "On the street scenes (10 renderings, 10,000 hits) no preset was measured; the fastest setting, march 0.1 m, "
+        "takes 2 ms a rendering. No setting is dominated."
+    )
+    rows = small_rows()
+    both = advice(frame_of([*rows, *(row | {"scenes": "kitti"} for row in rows[4:6])])).split("\n\n")
+    assert both[0] == advice(frame_of(rows))
+    assert both[1].startswith("On the kitti scenes") and "paper" not in both[1]
+    assert advice(frame_of(rows)) == advice(frame_of(rows))
+
+
+def test_the_table_has_the_fastest_first_and_no_column_that_nothing_was_measured_for() -> None:
+    lines = frontier_lines(frame_of(small_rows())).splitlines()
+    assert [line[:14].strip() for line in lines[3:]] == [
+        *("standard, warm", "draft", "standard", "march 0.4 m", "march 0.2 m", "march 0.1 m", "paper", "reference"),
+    ]
+    cells = dict(zip(re.split(r"\s{2,}", lines[1].strip()), re.split(r"\s{2,}", lines[5].strip())))
+    assert cells | {"street": "standard", "time": "2 ms", "x paper": "400", "p99": "10 µm", "front": "*"} == cells
+    assert cells | {"cosine": "0.999500", "AUC": "-2.0e-03", "step": "25 ms", "missed": "0"} == cells
+    assert lines[3].endswith("*") and not lines[9].endswith("*") and " - " in lines[4]
+    plain = [
+        row | dict.fromkeys(("gradient_cosine", "auc_delta", "step_ms_median", "step_ratio_to_paper"))
+        for row in small_rows()
+    ]
+    assert not {"cosine", "AUC", "step"} & set(frontier_lines(frame_of(plain)).splitlines()[1].split())
+
+
+def test_numbers_as_people_read_them() -> None:
+    lengths = [0.0, 3.2e-9, 4.567e-8, 1e-6, 0.00099951, 0.0123, 1.5]
+    assert [length(v) for v in lengths] == ["0", "3.2 nm", "45.7 nm", "1 µm", "1 mm", "12.3 mm", "1.5 m"]
+    assert [milliseconds(v) for v in (0.0312, 8.0, 812.3, 999.7, 5310.0)] == [
+        *("0.0312 ms", "8 ms", "812 ms", "1 s", "5.31 s"),
+    ]
+    assert [share(v) for v in (0.0, 5e-5, 0.0034, 1.0)] == ["0", "0.005 %", "0.34 %", "100 %"]
+    assert [factor(v) for v in (1.0, 1.2345, 387.2, 12345.0)] == ["1", "1.23", "387", "12,300"]
+
+
+def crowded_rows() -> list[dict[str, Any]]:
+    """Fourteen settings on the front, close to one another."""
+    rows = [march(0.4 / (i + 1), 1.0 * 1.12**i, 1e-3 * 0.8**i) for i in range(12)]
+    rows.append(frontier_row("draft", 0.95, preset="draft", **with_depth(1.1e-3)))
+    return [*rows, frontier_row("standard", 4.0, preset="standard", **with_depth(1e-5))]
+
+
+CASES = {
+    "realistic": [*realistic_rows(), *realistic_rows("kitti", 1.7)],
+    "crowded": crowded_rows(),
+    "without any error": [frontier_row("draft", 1.0, preset="draft"), frontier_row("standard", 1.0, preset="standard")],
+    "one setting": [march(0.1, 2.0, 1e-3)],
+}
+
+
+def boxes(texts: list[Text]) -> list[Bbox]:
+    return [Text.get_window_extent(text) for text in texts if text.get_visible() and text.get_text()]
+
+
+def overlapping(one: Bbox, other: Bbox) -> bool:
+    return bool(one.x0 < other.x1 and other.x0 < one.x1 and one.y0 < other.y1 and other.y0 < one.y1)
+
+
+def labels_of(axes: Any) -> list[Text]:
+    return [text for text in axes.texts if text.get_gid() == LABEL]
+
+
+@pytest.mark.parametrize("case", list(CASES))
+def test_no_label_covers_another_and_every_preset_is_named(case: str) -> None:
+    frame = frame_of(CASES[case])
+    figure = work_precision_figure(frame)
+    figure.canvas.draw()
+    assert len(figure.axes) == 2 * frame["scenes"].nunique()
+    for number, axes in enumerate(figure.axes):
+        rows = frame[frame["scenes"] == list(dict.fromkeys(frame["scenes"]))[number // 2]]
+        placed = boxes(labels_of(axes))
+        named = rows[rows["preset"].notna() | rows["pareto"]]
+        expected = {
+            name if np.isnan(knob) else f"{knob:g}" for name, knob in zip(named["setting"], named["knob"], strict=True)
+        }
+        assert {text.get_text() for text in labels_of(axes)} == expected
+        assert not [pair for pair in combinations(placed, 2) if overlapping(*pair)]
+        assert all(axes.bbox.x0 <= b.x0 and b.x1 <= axes.bbox.x1 for b in placed)
+        assert all(axes.bbox.y0 <= b.y0 and b.y1 <= axes.bbox.y1 for b in placed)
+        ticks = [axes.get_xticklabels(), axes.get_yticklabels()]
+        for texts in [*ticks, *(child.get_yticklabels() for child in axes.child_axes)]:
+            assert not [pair for pair in combinations(boxes(texts), 2) if overlapping(*pair)]
+    (legend,) = figure.legends
+    drawn = [axes.get_tightbbox() for axes in figure.axes]
+    assert not [box for box in drawn if overlapping(legend.get_window_extent(), box)]
+    assert not [pair for pair in combinations(boxes(legend.get_texts()), 2) if overlapping(*pair)]
+
+
+def test_labels_keep_off_the_markers() -> None:
+    frame = frame_of(realistic_rows())
+    figure = work_precision_figure(frame)
+    figure.canvas.draw()
+    for axes in figure.axes:
+        markers = np.concatenate([axes.transData.transform(line.get_xydata()) for line in marked(axes)])
+        for box in boxes(labels_of(axes)):
+            inside = (markers > (box.x0, box.y0)) & (markers < (box.x1, box.y1))
+            assert not inside.all(axis=1).any()
+
+
+def marked(axes: Any) -> list[Any]:
+    return [line for line in axes.lines if line.get_marker() not in ("None", None, "")]
+
+
+def test_a_line_joins_a_method_in_the_order_of_its_knob_and_dominated_settings_are_hollow() -> None:
+    rows = small_rows()
+    rows[0], rows[2] = rows[2], rows[0]  # the order of the rows is not that of the knob
+    figure = work_precision_figure(frame_of(rows), "street")
+    left, right = figure.axes
+    lines = [line.get_xydata() for line in left.lines if len(line.get_xydata()) == 3]
+    np.testing.assert_allclose(lines, [[[5e-3, 400.0], [1e-2, 200.0], [2e-2, 100.0]]])
+    hollow = {tuple(line.get_xydata()[0].round(9)) for line in marked(left) if line.get_markerfacecolor() == "white"}
+    dominated = [row for row in flagged(rows) if not row["pareto"]]
+    assert {time for _, time in hollow} == {row["ms_median"] for row in dominated} == {100.0, 200.0, 400.0, 800.0}
+    # Missed and wrong of paper, 0.3 % and 0.2 %, on the other panel.
+    assert [0.005, 800.0] in [[round(x, 9), y] for line in marked(right) for x, y in line.get_xydata().tolist()]
+
+
+def test_the_scales_are_logarithmic_and_the_ratio_is_one_at_paper() -> None:
+    figure = work_precision_figure(frame_of(small_rows()), "street")
+    for axes in figure.axes:
+        assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    (ratio,) = figure.axes[1].child_axes
+    figure.canvas.draw()
+    for times_as_fast, ms in ((1.0, 800.0), (400.0, 2.0), (0.16, 5000.0)):
+        place = figure.axes[1].transData.transform((1.0, ms))[1]
+        assert ratio.transData.transform((0.0, times_as_fast))[1] == pytest.approx(place)
+
+
+def test_methods_differ_in_colour_and_in_marker() -> None:
+    figure = work_precision_figure(frame_of(realistic_rows()), "street")
+    handles = figure.legends[0].legend_handles[:-2]  # the last ones say what hollow markers and rings are
+    methods = {row["method"] for row in realistic_rows()}
+    assert len(handles) == len(methods) == 8
+    assert len({handle.get_marker() for handle in handles}) == len({handle.get_color() for handle in handles}) == 8
+    assert figure.legends[0].get_texts()[0].get_text() == "march, whole beam (step 0.4 to 0.0125 m)"
+
+
+def test_a_setting_in_the_place_of_another_is_a_ring_and_a_method_that_renders_as_presets_do_is_named() -> None:
+    standard = frontier_row("standard", 2.0, preset="standard", **with_depth(1e-5))
+    crops = [
+        frontier_row(f"crop {crop:g} m", 2.0, method="crop", knob=crop, knob_name="crop_m", **with_depth(1e-5))
+        for crop in (5.0, 8.0)
+    ]
+    plain = [march(0.1, 3.0, 1e-4), march(0.05, 4.0, 1e-5)]
+    same = frontier_row("step 0.1 m", 3.0, method="step", knob=0.1, knob_name="step_m", **with_depth(1e-4))
+    figure = work_precision_figure(frame_of([standard, *crops, *plain, same]), "street")
+    left, _ = figure.axes
+    rings = [line for line in left.lines if line.get_gid() == RING]
+    assert [line.get_xydata().round(9).tolist() for line in rings] == [[[1e-4, 3.0]]]
+    entries = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert entries[-1] == "render as the presets: crop" and "crop" not in {
+        entry.split(" (")[0] for entry in entries[:-1]
+    }
+
+
+def test_what_is_ready_for_a_gradient_has_panels_of_its_own() -> None:
+    rows = [*small_rows(), frontier_row("standard, warm pose", 3.0, gradient="pose", method="warm", **with_depth(1e-5))]
+    figure = work_precision_figure(frame_of(rows), "street")
+    assert [axes.get_title(loc="left").split(":")[0] for axes in figure.axes[::2]] == [
+        *("street", "street, ready for a gradient"),
+    ]
+    assert {text.get_text() for text in labels_of(figure.axes[2])} == {"standard, warm pose"}
+
+
+@pytest.mark.parametrize("case", ["realistic", "crowded"])
+def test_no_leader_runs_through_the_marker_of_another_point(case: str) -> None:
+    figure = work_precision_figure(frame_of(CASES[case]))
+    figure.canvas.draw()
+    for axes in figure.axes:
+        markers = np.concatenate([axes.transData.transform(line.get_xydata()) for line in marked(axes)])
+        for note in labels_of(axes):
+            start = axes.transData.transform(note.xy)
+            box = Text.get_window_extent(note)
+            line = np.array([(box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2]) - start
+            others = markers[np.hypot(*(markers - start).T) > 10.0] - start  # two markers may overlap
+            along = np.clip(others @ line / (line @ line), 0.0, 1.0)
+            assert np.hypot(*(others - along[:, None] * line).T).min(initial=np.inf) > 5.0
+
+
+def test_scenes_that_were_not_measured_are_refused() -> None:
+    with pytest.raises(ValueError, match="'kitti'"):
+        work_precision_figure(frame_of(small_rows()), "kitti")
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and the text between them."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_the_page_needs_nothing_but_itself() -> None:
+    rows = [
+        *small_rows(),
+        march(
+            0.05,
+            900.0,
+            1e-3,
+        )
+        | {"setting": "<script>alert(1)</script> & co"},
+    ]
+    frame = frame_of([*rows, *(row | {"scenes": "kitti"} for row in rows)])
+    text = frontier_html(frame, {"processor": "a <b> c", "cores": 2})
+    page = Page(text)
+    assert page.open == []
+    assert not {"script", "link", "iframe", "object", "b"} & {tag for tag, _ in page.tags}
+    for tag, attributes in page.tags:
+        for name in ("src", "href", "srcset", "data", "action"):
+            assert (
+                name not in attributes
+                or (tag == "img" and (attributes[name] or "").startswith("data:image/png;base64,"))
+                or (name == "href" and (attributes[name] or "").startswith("#"))
+            )
+    assert "http" not in re.sub(r"base64,[^\"]*|http-equiv", "", text) and "url(" not in text and "@import" not in text
+    assert sum(tag == "img" for tag, _ in page.tags) == 2
+    for paragraph in advice(frame).split("\n\n"):
+        assert paragraph in page.text
+    assert "a <b> c, cores 2" in page.text and "<script>alert(1)</script> & co" in page.text
+
+
+def test_a_report_is_written_from_the_table_alone_with_the_same_bytes(tmp_path: Path) -> None:
+    table = frontier_table(flagged(small_rows()), {"cores": 2})
+    for name in ("a", "b"):
+        write_table(tmp_path / name / "frontier.parquet", table)
+    printed = write_frontier_report(tmp_path / "a")
+    assert printed == write_frontier_report(tmp_path / "b")
+    a, b = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b"))
+    assert a == b and set(a) == {"frontier.parquet", "report.html", "frontier.png", "advice.txt"}
+    assert a["frontier.png"].startswith(b"\x89PNG")
+    told = a["advice.txt"].decode().rstrip("\n")
+    assert told == advice(pd.read_parquet(tmp_path / "a" / "frontier.parquet")) and printed.endswith(told)
+    with pytest.raises(InputError, match="no measured frontier"):
+        write_frontier_report(tmp_path / "c")
+    write_table(tmp_path / "c" / "frontier.parquet", frontier_table([]))
+    with pytest.raises(InputError, match="holds no setting"):
+        write_frontier_report(tmp_path / "c")
+
+
+def test_a_figure_that_is_saved_is_the_figure_that_was_measured(tmp_path: Path) -> None:
+    figure = work_precision_figure(frame_of(realistic_rows()), "street")
+    figure.canvas.draw()
+    before = [box.bounds for axes in figure.axes for box in boxes(labels_of(axes))]
+    figure.savefig(tmp_path / "figure.png")
+    figure.canvas.draw()
+    assert isinstance(figure, Figure)
+    assert [box.bounds for axes in figure.axes for box in boxes(labels_of(axes))] == before

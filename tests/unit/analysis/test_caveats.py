@@ -1,0 +1,32 @@
+"""A sweep whose numbers mean nothing says so, whatever its name, with the command for numbers that do."""
+
+from __future__ import annotations
+
+import pytest
+import valid_sweeps
+
+from shift3d.analysis.tables.caveats import trial_caveat
+from shift3d.settings.compose import compose_sweep
+from shift3d.sweep.planning.plan import make_plan
+
+
+def caveat(name: str, *overrides: str) -> str | None:
+    return trial_caveat(make_plan(compose_sweep(name, ["vehicle=suv", *overrides]), valid_sweeps.catalogue)[0].tasks)
+
+
+@pytest.mark.parametrize("words", [["smoke"], ["default", "attack.steps=5"], ["default", "attack.steps=0,5"]])
+def test_a_search_that_is_cut_short_is_said(words: list[str]) -> None:
+    said = caveat(*words)
+    assert said and "mean nothing, with a search of 5 steps (the paper's: 40)" in said
+    assert said.endswith("AUCs that do: make sweep")
+
+
+def test_too_few_scenes_are_said_whatever_the_search() -> None:
+    said = caveat("default")
+    assert said and "2 scenes (at least 4)" in said and "steps" not in said
+
+
+def test_a_sweep_with_scenes_and_steps_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(valid_sweeps, "SCENES", ("north", "south", "east", "west"))
+    assert caveat("default") is None
+    assert caveat("default", "attack.steps=5,40") is None, "of several searches one is whole"

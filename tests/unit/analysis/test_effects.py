@@ -1,0 +1,99 @@
+"""The measured impact of effects: paired over the same objects, with intervals, and what auto makes of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from shift3d.analysis.html.pages import write_effects_page
+from shift3d.analysis.statistics.intervals import mean_interval
+from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds, effect_table, write_impact
+from shift3d.errors import InputError
+
+SCENES = [f"street-{number}" for number in range(12)]
+
+
+def tables(changes: dict[str, np.ndarray], milliseconds: dict[str, float]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Scores of one vehicle in 12 scenes without effects (0.5, adversarial 0.2) and with each of some, changed."""
+    scores, timings = [], []
+    for effect, change in {"": np.zeros(len(SCENES)), **changes}.items():
+        for scene, moved in zip(SCENES, change, strict=True):
+            task = f"{effect}-{scene}"
+            same = {"vehicle": "suv", "dataset": "street", "mode": "shape", "lambda": 1.0, "alpha": 0.01}
+            same |= {"detector": "p", "accuracy": "standard", "scored_by": "p", "replicate": 0, "task_id": task}
+            for method, score in (("baseline", 0.5), ("adversarial", 0.2), ("random", 0.9)):
+                effects = [effect] if effect else []
+                scores.append({**same, "scene": scene, "method": method, "score": score + moved, "effects": effects})
+            timings.append({"task_id": task, "method": "baseline", "stage": "render", "milliseconds": 100.0})
+            if effect:
+                stage = f"effect_{effect}"
+                timings.append(
+                    {"task_id": task, "method": "baseline", "stage": stage, "milliseconds": milliseconds[effect]}
+                )
+    return pd.DataFrame(scores), pd.DataFrame(timings)
+
+
+def test_changes_are_paired_and_absolute_and_auto_follows_the_bound() -> None:
+    wobble = np.where(np.arange(12) % 2, 0.1, -0.1)
+    scores, timings = tables({"fog": wobble, "range_noise": np.full(12, 1e-3)}, {"fog": 20.0, "range_noise": 3.0})
+    found = effect_impacts(scores, effect_milliseconds(scores, timings))
+    fog, noise = found
+    assert (fog.effect, fog.scenes, fog.objects) == ("fog", 12, 12)
+    assert fog.score_change.mean == pytest.approx(0.1) and fog.auc_baseline.mean == pytest.approx(0.0, abs=1e-12)
+    assert fog.auc_adversarial is not None and fog.auc_adversarial.low < 0.0 < fog.auc_adversarial.high
+    assert (fog.milliseconds, noise.milliseconds) == (pytest.approx(20.0), pytest.approx(3.0))
+    assert fog.measured.matters and not noise.measured.matters
+    assert "left out" in str(effect_table(found)).splitlines()[-1]
+
+
+def test_one_scene_says_nothing_so_the_effect_stays() -> None:
+    scores, timings = tables({"fog": np.full(12, 1e-3)}, {"fog": 1.0})
+    (fog,) = effect_impacts(scores[scores["scene"] == SCENES[0]], effect_milliseconds(scores, timings))
+    assert fog.score_change.high == np.inf and fog.measured.matters
+
+
+def test_a_sweep_without_pairs_is_refused() -> None:
+    scores, _ = tables({"fog": np.zeros(12)}, {"fog": 1.0})
+    with pytest.raises(InputError, match=r"with and without one effect.*sweeps/effects\.yaml"):
+        effect_impacts(scores[scores["effects"].map(len) == 0], {})
+    apart = scores[(scores["scene"] == SCENES[0]) ^ (scores["effects"].map(len) == 0)]
+    with pytest.raises(InputError, match="scored both with fog and without"):
+        effect_impacts(apart, {})
+
+
+def test_page_and_what_auto_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from shift3d.effects import applicability
+
+    scores, timings = tables({"fog": np.full(12, 0.2)}, {"fog": 20.0})
+    found = effect_impacts(scores, effect_milliseconds(scores, timings))
+    text = write_effects_page(tmp_path / "effects.html", "effects", found).read_text()
+    assert "fog: 0.200 for 20 ms" in text and "data:image/png" in text
+    monkeypatch.setattr(applicability, "MEASURED_IMPACT", write_impact(tmp_path / "impact.json", "effects", found))
+    applicability.measured_impact.cache_clear()
+    try:
+        assert applicability.measured_impact()["fog"].score_change == 0.2
+    finally:
+        applicability.measured_impact.cache_clear()
+    assert json.loads((tmp_path / "impact.json").read_text())["effects"]["fog"]["objects"] == 12
+
+
+def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(0)
+    groups = np.repeat(np.arange(200), 3)
+    held = 0
+    for _ in range(300):
+        values = rng.normal(size=200)[groups] + 0.3 * rng.normal(size=600)  # scenes differ more than objects of one
+        interval = mean_interval(values, list(groups))
+        held += interval.low <= 0.0 <= interval.high
+    assert abs(held / 300 - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300)
+
+
+def test_resampling_single_objects_would_have_promised_too_much() -> None:
+    values = np.repeat(np.linspace(-1, 1, 10), 20)
+    by_scene = mean_interval(values, list(np.repeat(np.arange(10), 20)))
+    by_object = mean_interval(values, list(range(200)))
+    assert by_scene.high - by_scene.low > 3 * (by_object.high - by_object.low)

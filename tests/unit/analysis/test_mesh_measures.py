@@ -1,0 +1,50 @@
+"""A vehicle's measures on its mesh are those of a data sheet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from shift3d.analysis.cases.measures import change_lines, in_words, measure_mesh
+from shift3d.analysis.cases.rendered import simplified
+
+
+def test_a_box_is_measured_in_centimetres() -> None:
+    box = trimesh.creation.box((4.2, 1.8, 1.5))
+    found = measure_mesh(box)
+    assert (found.length_cm, found.width_cm, found.height_cm) == pytest.approx((420.0, 180.0, 150.0))
+    assert found.volume_m3 == pytest.approx(4.2 * 1.8 * 1.5) and found.pieces == 1
+    assert found.clearance_cm == pytest.approx(0.0, abs=1e-6)
+    assert found.nose_cm == pytest.approx(150.0) and found.windshield_deg == pytest.approx(90.0)
+    assert "not measured" not in str(change_lines(found, found))
+    assert in_words(found, found).startswith("No measure changes")
+
+
+def profile(lift_m: float, hood_m: float, windshield_deg: float) -> trimesh.Trimesh:
+    """A car of 4 m x 1.8 m x 1.5 m drawn from the side: a hood of 1 m, a windshield, a roof; a bridge on two feet."""
+    roof_m = 1.0 - (1.5 - hood_m) / np.tan(np.radians(windshield_deg))
+    ends = [(-2.0, -1.2), (-1.2, roof_m), (roof_m, 1.0), (1.0, 1.2), (1.2, 2.0)]
+    parts = []
+    for rear, front in ends:
+        low = 0.0 if abs(rear + front) > 3.0 else lift_m
+        tops = np.interp((rear, front), (roof_m, 1.0), (1.5, hood_m))
+        side = [(rear, low), (front, low), (rear, tops[0]), (front, tops[1])]
+        parts.append(trimesh.convex.convex_hull([(x, y, z) for x, z in side for y in (-0.9, 0.9)]))
+    return trimesh.util.concatenate(parts)
+
+
+@pytest.mark.parametrize("hood_m", [0.8, 0.95, 1.05])
+def test_windshield_nose_and_clearance_are_found_and_said(hood_m: float) -> None:
+    before, after = measure_mesh(profile(0.2, hood_m, 30.0)), measure_mesh(profile(0.26, hood_m, 50.0))
+    assert before.windshield_deg == pytest.approx(30.0, abs=1.5)
+    assert after.windshield_deg == pytest.approx(50.0, abs=2.5)
+    assert before.nose_cm == pytest.approx(100 * hood_m) and before.clearance_cm == pytest.approx(20.0)
+    said = in_words(before, after)
+    assert "underside 6 cm farther from the ground" in said and "windshield 2" in said and "steeper" in said
+
+
+def test_a_large_mesh_is_made_small_enough_for_a_page() -> None:
+    vertices, faces = simplified(trimesh.creation.icosphere(subdivisions=6))
+    assert len(faces) <= 5000 and np.abs(np.linalg.norm(vertices, axis=1) - 1.0).max() < 0.02
+    assert faces.max() < len(vertices)

@@ -1,0 +1,134 @@
+"""AUC over plausible shapes, the ratio's interval, and the grid of other scenes."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import valid_sweeps
+from analysed import variant
+
+from shift3d.analysis.html.document import blocks_html
+from shift3d.analysis.html.sections.auc import auc_blocks
+from shift3d.analysis.html.sections.bev import transfer_grid
+from shift3d.analysis.results import Sweep, read_sweep
+from shift3d.analysis.statistics.intervals import ratio_interval
+from shift3d.analysis.tables.auc import auc_table
+from shift3d.analysis.tables.paper import paper_table
+from shift3d.analysis.tables.shapes import plausible_table
+from shift3d.analysis.variants import variants
+from shift3d.store.log import read_log
+from shift3d.store.tables import table_from_rows
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
+
+
+def rows_of(scores: list[float], vehicle: str = "suv") -> pd.DataFrame:
+    return pd.DataFrame({"score": scores, "vehicle": vehicle, "place": [f"s{i:02}" for i in range(len(scores))]})
+
+
+def test_the_ratio_is_that_of_the_means_over_vehicles() -> None:
+    above = pd.concat([rows_of([0.2, 0.4]), rows_of([0.3], "coupe")])
+    below = pd.concat([rows_of([0.8, 0.8]), rows_of([0.4], "coupe")])
+    found = ratio_interval(above, below)
+    assert found is not None and found.mean == pytest.approx(0.3 / 0.6)
+    assert found.low <= found.mean <= found.high
+    alone = ratio_interval(rows_of([0.2]), rows_of([0.4]))
+    assert alone is not None and alone.mean == 0.5 and np.isinf(alone.high)
+    assert ratio_interval(above.iloc[:0], below) is None and ratio_interval(above, rows_of([0.0])) is None
+
+
+def test_a_constant_ratio_has_a_point_for_an_interval() -> None:
+    below = rows_of(list(np.random.default_rng(0).uniform(0.3, 0.9, 30)))
+    found = ratio_interval(below.assign(score=0.5 * below["score"]), below)
+    assert found is not None and (found.low, found.high) == pytest.approx((0.5, 0.5))
+
+
+def test_the_interval_holds_the_ratio_about_as_often_as_it_says() -> None:
+    rng, held, times = np.random.default_rng(5), 0, 200
+    for _ in range(times):
+        hard = rng.uniform(0.5, 1.0, 40)  # what makes a scene hard is in both
+        below = rows_of(list(hard * rng.uniform(0.8, 1.0, 40)))
+        above = rows_of(list(hard * rng.uniform(0.2, 0.6, 40)))
+        found = ratio_interval(above, below)
+        assert found is not None
+        held += found.low <= 0.4 / 0.9 <= found.high
+    assert 0.89 <= held / times <= 0.99
+
+
+def shapes_and_scores() -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Four tasks; two shapes are still cars and fall from 0.8 to 0.6, two are not and fall to 0."""
+    shapes, scores = [], []
+    for number in range(4):
+        task = {"task_id": f"t{number}", "vehicle": "suv", "detector": "p", "alpha": 0.01, "lambda": 1.0}
+        shapes.append(task | {"still_a_car": number < 2})
+        for method, score in (("baseline", 0.8), ("adversarial", 0.6 if number < 2 else 0.0)):
+            scores.append(task | {"method": method, "score": score, "scored_by": "p", "replicate": 0})
+    return pd.DataFrame(shapes), pd.DataFrame(scores)
+
+
+def last_line(scores: pd.DataFrame, shapes: pd.DataFrame) -> list[str]:
+    return str(plausible_table(scores, shapes)).splitlines()[-1].split()
+
+
+def test_plausible_shapes_by_lambda() -> None:
+    shapes, scores = shapes_and_scores()
+    line = last_line(scores, shapes)
+    assert line[-9:] == ["2", "of", "4", "0.800", "0.300", "0.37", "0.800", "0.600", "0.75"]
+    assert plausible_table(scores, shapes.iloc[:0]) is None
+    assert last_line(scores, shapes.assign(still_a_car=False))[-3:] == ["-", "-", "-"]
+
+
+def test_means_are_those_of_the_vehicles_as_in_the_table_of_aucs() -> None:
+    """A suv that falls from 0.8 to 0.6 twice, and a coupe once from 0.4 to 0.1."""
+    shapes, scores = shapes_and_scores()
+    shapes["still_a_car"] = [True, True, True, False]
+    coupe = scores["task_id"].eq("t2")
+    scores.loc[coupe, "score"] = np.where(scores.loc[coupe, "method"] == "baseline", 0.4, 0.1)
+    shapes.loc[shapes["task_id"] == "t2", "vehicle"] = scores.loc[coupe, "vehicle"] = "coupe"
+    assert last_line(scores, shapes)[-3:] == ["0.600", "0.350", "0.58"]
+
+
+def test_auc_over_plausible_shapes_stands_beside_that_over_all() -> None:
+    scores = {("baseline", "suv"): [0.8] * 4, ("adversarial", "suv"): [0.6, 0.6, 0.0, 0.0]}
+    found = variant(scores, plausible={f"suv-{number}": number < 2 for number in range(4)})
+    shown = blocks_html(auc_blocks(found))
+    assert "adversarial, plausible shapes" in shown and "2 of 4 adversarial shapes (suv 2 of 4)" in shown
+    assert "<td>0.300<small>" in shown and "<td>0.600" in shown and "<td>0.75</td>" in shown
+    printed = str(auc_table(found)).splitlines()
+    assert printed[-2].split()[-3:] == ["0.600", "0.600", "0.75"]
+    unknown = dataclasses.replace(found, rows=found.rows.assign(plausible=None))
+    assert "plausible shapes" not in blocks_html(auc_blocks(unknown))
+
+
+def test_the_papers_sst_stands_beside_the_small_one() -> None:
+    assert paper_table("shape", "sst_small", "sst_small") == paper_table("shape", "sst", "sst")
+    assert paper_table("pose", "sst_small", "pointpillars") == paper_table("pose", "sst", "pointpillars")
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+    folder = tmp_path_factory.mktemp("cars") / "sweep"
+    valid_sweeps.write_sweep(folder)
+    write_final(folder, read_plan(folder), read_log(folder))
+    return read_sweep(folder)
+
+
+def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -> None:
+    found = variants(sweep.auc, sweep.scored)
+    assert "No shape was put into another scene" in blocks_html(transfer_grid(sweep, found).blocks)
+    row = found[0].rows.iloc[0]
+    group: dict[str, Any] = {name: row[name] for name in ("sweep", "dataset", "vehicle", "mode", "lambda", "alpha",
+                                                          "detector", "accuracy", "effects", "scored_by")}  # fmt: skip
+    cells = []
+    for x in (-20.0, -10.0, 0.0, 10.0):
+        filled = x == 10.0
+        values = {"scores": 3 if filled else 0, "mean_score_baseline": 0.9 if filled else None}
+        values |= {"mean_score": 0.5 if filled else None, "mean_reduction": 0.4 if filled else None}
+        cells.append({**group, "method": "adversarial", "cell_x_m": x, "cell_y_m": 0.0, "cell_size_m": 10.0, **values})
+    grid = table_from_rows("bev_transfer", cells).to_pandas()
+    shown = blocks_html(transfer_grid(dataclasses.replace(sweep, bev_transfer=grid), found).blocks)
+    assert "falls in 1 of 1 cells of 10 m" in shown and '"x-thin"' in shown and "+0.400" in shown

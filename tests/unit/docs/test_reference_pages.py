@@ -1,0 +1,35 @@
+"""docs/reference says what the code and the configuration say."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+from shift3d.render.settings import RenderSettings
+from shift3d.store.schemas import SCHEMAS
+
+ROOT = Path(__file__).parents[3]
+MADE = runpy.run_path(str(ROOT / "docs" / "scripts" / "reference_pages.py"))
+
+
+def test_the_pages_are_what_the_code_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    for path, content in MADE["pages"]().items():
+        assert path.read_text(encoding="utf-8") == content, f"{path.name}: run make docs"
+
+
+def test_every_setting_has_a_meaning() -> None:
+    rows = [line for line in MADE["settings_page"]().splitlines() if line.startswith("| `")]
+    assert len(rows) > 80
+    assert [row for row in rows if row.endswith("|  |")] == []
+    assert all(MADE["render_meanings"]()[name] for name in RenderSettings.__dataclass_fields__)
+
+
+def test_no_column_is_described_that_is_not_there() -> None:
+    import yaml
+
+    known = yaml.safe_load((ROOT / "docs" / "scripts" / "columns.yaml").read_text(encoding="utf-8"))
+    assert set(known["tables"]) == set(SCHEMAS)
+    assert set(known["columns"]) == {field.name for schema in SCHEMAS.values() for field in schema}

@@ -1,0 +1,205 @@
+"""Snow: extinction and flakes in the beam against closed forms, and all weather together."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+from analytic_fields import Frame
+from scipy.integrate import quad
+
+from shift3d.effects.applicability import NEEDS, effect_named
+from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.fog import extinction_per_m
+from shift3d.effects.rain import DIVERGENCE_RAD, EXIT_M, drops
+from shift3d.effects.snow import EFFECT, FLAKE_ALBEDO, FLAKE_WIDTH, flakes
+from shift3d.render.beams import Beams
+from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.scene import Conditions, Scene
+from shift3d.scenes.sensor import SensorModel
+
+COUNT = 40_000
+BLIND = DetectorFacts("xyz")
+
+
+def situation_of(conditions: Conditions, sensor: SensorModel | None = None, seed: int = 4) -> EffectContext:
+    directions = np.random.default_rng(1).standard_normal((COUNT, 3))
+    points = (60.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+    scene = Scene("white", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, conditions=conditions, sensor=sensor)
+    return EffectContext(scene, Beams.from_scene(scene), Frame(), seed)
+
+
+def snowing(snow_mm_h: float, sensor: SensorModel | None = None, in_points: bool = False) -> EffectContext:
+    return situation_of(Conditions("snow", snow_mm_h=snow_mm_h, weather_in_points=in_points), sensor)
+
+
+def returns_of(
+    context: EffectContext, range_m: float, albedo: float | torch.Tensor = 0.5, cosine: float = 1.0
+) -> Returns:
+    """Every beam on the object, at one range."""
+    beams, one = context.beams, torch.ones(COUNT, dtype=torch.float64)
+    yes = torch.ones(COUNT, dtype=torch.bool)
+    points = beams.origins + range_m * beams.directions
+    return Returns(
+        torch.arange(COUNT), points, beams.origins, beams.directions, yes, yes, cosine * one, albedo * one, 0.5 * one
+    )
+
+
+def rows_of(returns: Returns, rows: torch.Tensor) -> Returns:
+    return Returns(**{name: None if part is None else part[rows] for name, part in vars(returns).items()})
+
+
+def assert_same(one: Returns, other: Returns) -> None:
+    for name, part in vars(one).items():
+        assert torch.equal(part, vars(other)[name]), name
+
+
+def extinction(snow_mm_h: float) -> float:
+    """1e-6 (pi / 4) 2 N0 integral of (w D)^2 exp(-lambda D), D of the melted drop, w the flake's width over it."""
+    return 1e-6 * math.pi * 7600.0 * snow_mm_h**-0.87 * FLAKE_WIDTH**2 / (2.55 * snow_mm_h**-0.48) ** 3
+
+
+@pytest.mark.parametrize("snow_mm_h", [0.1, 1.0, 5.0])
+def test_extinction_is_its_closed_form(snow_mm_h):
+    assert flakes(snow_mm_h).extinction_per_m == pytest.approx(extinction(snow_mm_h), rel=1e-12)
+
+
+def test_visibility_in_moderate_snow():
+    """Weather services call it moderate between visibilities of 1 km and 0.5 km, and melted rates of 1 to 2.5 mm/h."""
+    for rate, visibility_m in ((1.0, 1000.0), (2.5, 500.0)):
+        assert math.log(20.0) / flakes(rate).extinction_per_m == pytest.approx(visibility_m, rel=0.25)
+
+
+def test_flakes_are_as_many_as_the_drops_they_melt_to():
+    assert flakes(1.0).per_m3 == pytest.approx(7600.0 / 2.55)
+
+
+@pytest.mark.parametrize("range_m", [1.5, 2.5, 4.0])
+def test_in_front_of_nothing_every_flake_counts(range_m):
+    context = snowing(1.0)
+    after = EFFECT.bind(context)(returns_of(context, range_m, cosine=0.0))
+    width = [EXIT_M + DIVERGENCE_RAD * r for r in (0.9, range_m)]
+    volume = math.pi / 12.0 * (width[1] ** 3 - width[0] ** 3) / DIVERGENCE_RAD
+    expected = -math.expm1(-7600.0 / 2.55 * volume)
+    share = float((~after.on_object).double().mean())
+    assert abs(share - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
+
+
+@pytest.mark.parametrize(("snow_mm_h", "range_m", "albedo"), [(0.3, 20.0, 0.4), (2.0, 40.0, 0.1)])
+def test_flakes_that_cover_enough_of_the_beam(snow_mm_h, range_m, albedo):
+    context = snowing(snow_mm_h)
+    after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
+    alpha, slope = extinction(snow_mm_h), 2.55 * snow_mm_h**-0.48
+    power = albedo / range_m**2 * math.exp(-2.0 * alpha * range_m)
+
+    def rate(r: float) -> float:
+        seen = min(max((r - 0.9) / 0.1, 0.0), 1.0) * math.exp(-2.0 * alpha * r)
+        width = EXIT_M + DIVERGENCE_RAD * r
+        share = power * r**2 / (FLAKE_ALBEDO * seen) if seen else math.inf
+        if share > 1.0:
+            return 0.0
+        melted_mm = 1e3 * width * math.sqrt(share) / FLAKE_WIDTH
+        return 7600.0 * snow_mm_h**-0.87 / slope * math.exp(-slope * melted_mm) * math.pi / 4.0 * width**2
+
+    expected = -math.expm1(-quad(rate, 0.9, range_m, points=[1.0], limit=500)[0])
+    flake = ~after.on_object
+    assert abs(float(flake.double().mean()) - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
+    near = float(after.range_m[flake].median())
+    share = -math.expm1(-quad(rate, 0.9, near, points=[min(1.0, near)], limit=500)[0]) / expected
+    assert abs(share - 0.5) < 3.0 * 0.5 / math.sqrt(int(flake.sum()))
+    assert torch.equal(after.points[~flake], returns_of(context, range_m).points[~flake])
+
+
+@pytest.mark.parametrize("range_m", [10.0, 20.0])
+def test_beer_and_lambert_in_what_survives(range_m):
+    """Albedo uniform in [0, 1]; a narrow beam and a poor sensor, so that flakes cannot come in between."""
+    context = snowing(2.0, SensorModel(limit_range_m=25.0, divergence_rad=1e-5))
+    albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
+    alone = after.on_object  # neither it nor a flake's draw depends on the albedo of what is lost
+    noticed = albedo >= 0.9 / 25.0**2 * range_m**2 * math.exp(2.0 * extinction(2.0) * range_m)
+    assert torch.equal(after.returned[alone], noticed[alone])
+    expected = 1.0 - 0.9 / 25.0**2 * range_m**2 * math.exp(2.0 * extinction(2.0) * range_m)
+    assert abs(float(noticed.double().mean()) - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
+
+
+def test_no_snow_is_the_identity():
+    context = snowing(0.0, SensorModel(limit_range_m=20.0))
+    before = returns_of(context, 60.0)
+    assert_same(before, EFFECT.bind(context)(before))
+
+
+def test_a_beam_gets_the_same_in_any_batch():
+    context = snowing(1.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
+    before, rows = returns_of(context, 50.0, 0.3), torch.arange(3, COUNT, 7)
+    assert_same(rows_of(EFFECT.bind(context)(before), rows), EFFECT.bind(context)(rows_of(before, rows)))
+
+
+def test_flakes_lie_on_their_beams():
+    context = snowing(2.0)
+    before = returns_of(context, 50.0)
+    after = EFFECT.bind(context)(before)
+    across = after.points - (after.points * before.directions).sum(-1, keepdim=True) * before.directions
+    assert float(across.norm(dim=-1).max()) < 1e-12
+    assert bool((after.range_m[~after.on_object] > 0.9).all())
+
+
+def test_gradients_pass_where_the_surface_stays_and_nowhere_else():
+    context = snowing(2.0)
+    before = returns_of(context, 50.0)
+    points = before.points.clone().requires_grad_()
+    after = EFFECT.bind(context)(dataclasses.replace(before, points=points))
+    weight = torch.rand(COUNT, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    (after.points * weight).sum().backward()
+    assert torch.equal(points.grad, torch.where(after.on_object[:, None], weight, 0.0))
+
+
+def test_extinctions_of_all_weather_add_up():
+    """Fog, rain and snow in turn: what is left of a surface's echo is exp(-2 (sum of alphas) R)."""
+    conditions = Conditions("fog", rain_mm_h=5.0, snow_mm_h=0.3, visibility_m=300.0, weather_in_points=False)
+    context = situation_of(conditions)
+    before = returns_of(context, 15.0, 0.9)
+    after = before
+    names = [name for name in NEEDS if name in ("snow", "rain", "fog")]
+    assert names == ["fog", "rain", "snow"]
+    for name in names:
+        after = effect_named(name).bind(context)(after)  # type: ignore[operator]
+    surface = after.on_object & after.returned
+    assert float(surface.double().mean()) > 0.5
+    total = extinction_per_m(300.0) + drops(5.0).extinction_per_m + extinction(0.3)
+    # Snow sees the range that rain has scattered by 2 %.
+    expected = torch.full((COUNT,), 0.5 * math.exp(-2.0 * total * 15.0), dtype=torch.float64)
+    torch.testing.assert_close(after.reflectance[surface], expected[surface], rtol=5e-3, atol=0)
+
+
+def test_all_weather_loses_by_the_sum_of_extinctions():
+    """A sharp limit, met by each in turn, loses on the object what the whole extinction loses at once."""
+    conditions = Conditions("fog", snow_mm_h=0.5, visibility_m=200.0, weather_in_points=False)
+    context = situation_of(conditions, SensorModel(limit_range_m=40.0, divergence_rad=1e-5))
+    albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    after = returns_of(context, 15.0, albedo)
+    for name in ("fog", "snow"):
+        after = effect_named(name).bind(context)(after)  # type: ignore[operator]
+    total = extinction_per_m(200.0) + extinction(0.5)
+    noticed = albedo * math.exp(-2.0 * total * 15.0) / 15.0**2 >= 0.9 / 40.0**2
+    assert torch.equal(after.returned[after.on_object], noticed[after.on_object])
+
+
+def facts_of(snow_mm_h: float) -> SceneFacts:
+    return SceneFacts("s", conditions=Conditions("snow", snow_mm_h=snow_mm_h))
+
+
+def test_called_for_with_figures():
+    reason = EFFECT.applicability(facts_of(1.0), Frame(), BLIND)
+    # 1 - exp(-2 * 3.24e-3 * 30) = 0.177
+    assert reason == "snow 1 mm/h: 18 % of the light is lost at 30 m and back"
+    assert EFFECT.applicability(facts_of(0.0), Frame(), BLIND) is None
+    # 2 * 50 m * 3.24e-3 Rr^0.57 = 1 % at 0.0023 mm/h.
+    assert EFFECT.applicability(facts_of(0.001), Frame(), BLIND) is None
+
+
+def test_recordings_have_their_snow_already():
+    assert not EFFECT.on_scene(snowing(1.0, in_points=True))
+    assert EFFECT.on_scene(snowing(1.0))

@@ -1,0 +1,76 @@
+"""What a sweep refers to: scene sets, weights, and every setting behind an accuracy preset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+import shift3d
+from shift3d.errors import InputError
+from shift3d.render.settings import PRESETS
+from shift3d.settings.catalogue import accuracy_settings, scene_set, scoring_detectors, weights_file
+from shift3d.settings.schema import AccuracyConfig, DetectorConfig, KittiConfig, StreetConfig
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_accuracy_states_every_setting_in_plain_values(name: str) -> None:
+    settings = accuracy_settings(AccuracyConfig(name=name, render={}))  # type: ignore[arg-type]
+    preset = PRESETS[name]
+    assert settings.pop("detector") in ("bfloat16", "float32", "float64")
+    assert settings.keys() == vars(preset).keys()
+    for field, value in settings.items():
+        assert isinstance(value, bool | int | float | str)
+        expected = getattr(preset, field)
+        assert getattr(torch, str(value)) == expected if field == "dtype" else value == expected
+
+
+def test_accuracy_changes() -> None:
+    settings = accuracy_settings(AccuracyConfig(name="standard", render={"step_m": 1}))
+    assert settings["step_m"] == 1.0 and isinstance(settings["step_m"], float)
+    assert accuracy_settings(AccuracyConfig(name="paper", render={"step_m": None}))["step_m"] == 0.1
+    with pytest.raises(InputError, match="Did you mean 'step_m'"):
+        accuracy_settings(AccuracyConfig(name="standard", render={"step": 0.1}))
+    with pytest.raises(InputError, match=r"accuracy\.render\.step_m is 'far', not float"):
+        accuracy_settings(AccuracyConfig(name="standard", render={"step_m": "far"}))
+
+
+def test_street_scenes_by_settings() -> None:
+    config = StreetConfig(kind="street", sensor="mixed", split="test", seed=0, count=3)
+    assert len(scene_set(config).names()) == 3
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=str(tmp_path / "kitti")):
+        scene_set(KittiConfig(kind="kitti", root=str(tmp_path / "kitti"), count=None, names=None)).names()
+    with pytest.raises(InputError, match=r"absent\.safetensors: no weights of sst\. Check the path"):
+        weights_file("sst", str(tmp_path / "absent.safetensors"))
+
+
+def attacked(name: str, scored_by: list[str] | None, **weights: str | None) -> DetectorConfig:
+    own = weights.pop(name, None)
+    return DetectorConfig(name=name, weights=own, scored_by=scored_by, other_weights=weights)  # type: ignore[arg-type]
+
+
+def test_the_attacked_detector_scores_first_and_always(tmp_path: Path) -> None:
+    file = tmp_path / "sst.safetensors"
+    file.touch()
+    both = {"pointpillars": None, "sst": str(file)}
+    assert list(scoring_detectors(attacked("pointpillars", None, sst=str(file))).items()) == list(both.items())
+    assert list(scoring_detectors(attacked("sst", None, sst=str(file)))) == ["sst", "pointpillars"]
+    small = scoring_detectors(attacked("sst_small", None, sst=str(file)))
+    assert list(small) == ["sst_small", "pointpillars", "sst"], "attacked, it scores"
+    assert scoring_detectors(attacked("sst", [], sst=str(file))) == {"sst": str(file)}
+    assert list(scoring_detectors(attacked("sst", ["pointpillars", "sst"], sst=str(file)))) == ["sst", "pointpillars"]
+    assert list(scoring_detectors(attacked("pointpillars", ["sst"], sst=str(file)))) == ["pointpillars", "sst"]
+
+
+def test_a_detector_without_weights_is_left_out_unless_it_is_asked_for(tmp_path: Path) -> None:
+    folder = Path(shift3d.__file__).parent / "weights"
+    shipped = ["pointpillars", "sst" if (folder / "sst.safetensors").is_file() else "sst_small"]
+    assert list(scoring_detectors(attacked("pointpillars", None, sst=None))) == shipped
+    with pytest.raises(InputError, match=r"absent: no weights of sst"):
+        scoring_detectors(attacked("pointpillars", ["sst"], sst=str(tmp_path / "absent")))
+    with pytest.raises(InputError, match=r"absent: no weights of sst"):
+        scoring_detectors(attacked("sst", None, sst=str(tmp_path / "absent")))

@@ -1,0 +1,186 @@
+"""Sweeps are composed once and expand to what Hydra's own multirun would run, in its order."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
+
+from shift3d.errors import InputError
+from shift3d.render.settings import RenderSettings
+from shift3d.settings.compose import compose_sweep, sweep_names, validate
+from shift3d.settings.expand import expand
+from shift3d.settings.folders import shipped
+
+ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1"]  # the sweep file's own axes, each at one value
+SWEEPS = [
+    ["vehicle=suv,coupe"],
+    ["mode=pose", "attack.lambda=0.1,10", "vehicle=suv"],
+    [*ONE, "attack.steps=range(10,40,10)", "accuracy=draft,paper"],
+    [*ONE, "accuracy.render.step_m=0.05,0.1", "accuracy=draft,paper", "scenes.sensor=hdl64"],
+    ["vehicle=glob(c*)", "mode=pose", "attack.lambda=1"],
+    [*ONE, "scene='street a','street b'"],
+    # Groups that are axes together with settings of their options, whichever is named first.
+    [*ONE, "attack=short,paper", "attack.alpha=0.01,0.1"],
+    [*ONE, "attack.steps=3,4", "attack=short,paper"],
+    ["vehicle=suv", "mode=pose", "attack.lambda=1", "effects=none,auto", "replicate=range(2)"],
+    # Ranges: a step, none, downwards, of floats; choices named as such, with a name, sorted and shuffled in the file.
+    [*ONE, "seed=range(0,6,3)", "attack.alpha=range(0.1,0.4,0.1)"],
+    [*ONE, "seed=range(start=5,stop=1,step=-2)", "replicate=choice(0,2,1)"],
+    [*ONE, "seed=sort(3,1,2)", "attack.alpha=sort(0.1,0.3,reverse=true)"],
+    # Choices of lists and of mappings, of texts with commas, of null.
+    [*ONE, "detector.scored_by=[pointpillars],[pointpillars,sst],null"],
+    [*ONE, "detector.scored_by=choice([sst],[])", "scene=null,north"],
+    [*ONE, "scene='a,b',\"c d\""],
+    # Globs of options, with some left out.
+    ["vehicle=glob([c*,s*],exclude=[set,sports*])", "mode=pose", "attack.lambda=1,10"],
+    ["vehicle=glob(*,exclude=[deepsdf,set])", "mode=pose", "attack.lambda=1"],
+]
+
+
+def hydra_multirun(name: str, overrides: list[str]) -> list[dict[str, Any]]:
+    """Settings of every job as Hydra's multirun makes them: its sweeper's split, then one composition a job."""
+    search = f"hydra.searchpath=[file://{shipped('conf')}]"
+    with initialize_config_dir(config_dir=str(shipped("sweeps")), version_base=None):
+        first = compose(name, overrides=[search], return_hydra_config=True)
+        params = [f"{key}={value}" for key, value in first.hydra.sweeper.params.items()]
+        # compose() alone knows no options of groups on the search path, and glob() asks for them.
+        loader = GlobalHydra.instance().config_loader()
+        loader.get_group_options = lambda group, *_, **__: sorted(
+            p.stem for p in (shipped("conf") / group).glob("*.yaml")
+        )
+        parsed = OverridesParser.create(config_loader=loader).parse_overrides([*params, *overrides])
+        jobs = BasicSweeper.split_arguments(parsed, None)[0]
+        configs = [compose(name, overrides=[search, *job]) for job in jobs]
+    return [OmegaConf.to_container(config) for config in configs]  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("overrides", SWEEPS, ids=lambda words: " ".join(words) or "none")
+def test_same_tasks_in_the_same_order_as_hydras_multirun(overrides: list[str]) -> None:
+    ours = list(expand(compose_sweep("default", overrides)))
+    theirs = [validate(settings, "hydra") for settings in hydra_multirun("default", overrides)]
+    assert ours == theirs
+    assert len(ours) > 1
+
+
+def test_an_override_wins_over_the_option_that_it_belongs_to() -> None:
+    configs = list(
+        expand(compose_sweep("default", ["attack=short,paper", "attack.steps=7", "vehicle=suv", "mode=shape"]))
+    )
+    assert {config.attack.steps for config in configs} == {7}
+    assert {config.attack.noise_replicates for config in configs} == {2, 10}
+
+
+# accuracy_time is measured by `shift3d frontier`, see test_frontier_config.
+@pytest.mark.parametrize("name", [name for name in sweep_names() if name != "accuracy_time"])
+def test_every_sweep_is_valid(name: str) -> None:
+    overrides = ["scenes.root=somewhere"] if name == "kitti" else []
+    assert list(expand(compose_sweep(name, overrides)))
+
+
+def test_cars_of_an_experiment_take_the_place_of_the_sweeps_own() -> None:
+    words = ["scenes.root=somewhere", "vehicle=deepsdf", "vehicle.folder=there", "vehicle.name=van_1,suv_2"]
+    configs = list(expand(compose_sweep("kitti", [*words, "vehicle.length_m={default:4.5,van:4.9}"])))
+    assert {(config.vehicle.kind, config.vehicle.name) for config in configs} == {
+        ("deepsdf", "van_1"),
+        ("deepsdf", "suv_2"),
+    }
+    assert len(configs) == 2 * 2 * 2
+    assert configs[0].settings()["vehicle"]["length_m"] == {"default": 4.5, "van": 4.9}
+
+
+def test_a_sweep_of_sst_is_one_override() -> None:
+    pointpillars, sst = (list(expand(compose_sweep("default", words))) for words in ([], ["detector=sst"]))
+    assert len(pointpillars) == len(sst)
+    assert {config.detector.name for config in sst} == {"sst"}
+
+
+def test_accuracy_lists_every_setting_of_the_renderer() -> None:
+    configs = list(expand(compose_sweep("smoke", ["vehicle=suv", "mode=shape"])))
+    assert set(configs[0].accuracy.render) == {field.name for field in dataclasses.fields(RenderSettings)}
+
+
+def test_every_option_of_every_group_is_valid() -> None:
+    folders = [path for path in shipped("conf").iterdir() if path.is_dir()]
+    for folder in sorted(path for path in folders if path.name != "size"):  # no axis: see test_sizes
+        options = sorted(path.stem for path in folder.glob("[!_]*.yaml"))
+        composed = compose_sweep("smoke", ["vehicle=suv", "mode=shape", f"{folder.name}={','.join(options)}"])
+        for axis in composed.axes:
+            if axis.key == folder.name:
+                for value in axis.values:
+                    known = {key: "somewhere" for key, default in value.items() if default == "???"}
+                    validate({**composed.base, folder.name: {**value, **known}}, "here")
+        assert options
+
+
+def test_configuration_names_no_code() -> None:
+    files = [*shipped("conf").rglob("*.yaml"), *shipped("sweeps").glob("*.yaml")]
+    assert files
+    for path in files:
+        assert not re.search(r"_target_|_partial_|!!python|\beval\b", path.read_text()), path
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["vehicle=sub"], "unknown vehicle 'sub'. Did you mean 'suv'? One of: beach_wagon"),
+        (["scenes.cout=3"], "unknown setting 'scenes.cout'. Did you mean 'scenes.count'?"),
+        (["sceness.count=3"], "unknown setting 'sceness.count'"),
+        (["attack.alpha=interval(0,1)"], "continuous axis"),
+        (["attack.alpha="], "attack.alpha is ''"),
+        (["a b=(c"], "cannot read the override"),
+        (["effects={fog}"], "cannot read the override"),
+        (["scenes.count=[1"], "cannot read the override"),
+        (["=3"], "no setting is named"),
+        (["effects=[fogg]"], "unknown effects 'fogg'. Did you mean 'fog'? One of: auto, divergence, fog"),
+        (["effects=[fog,rian]"], "unknown effects 'rian'. Did you mean 'rain'?"),
+        (["scenes=[streeet]"], "unknown scenes 'streeet'. Did you mean 'street'? One of: kitti, street"),
+        (["effects=[fog,3]"], "unknown effects '3'. One of: auto"),
+        (["effects=null"], "unknown effects 'null'. One of: auto"),
+        (["scenes.sensor=hdl65"], "Did you mean 'hdl64'? One of: hdl64, waymo_top, mixed"),
+        (["attack.steps=-1"], "attack.steps is -1: input should be greater than or equal to 0"),
+        (["attack.steps=many"], "attack.steps is 'many': input should be a valid integer"),
+        (["attack.steps=2.5"], "attack.steps is 2.5"),
+        (["attack.alpha=nan"], "attack.alpha is nan: input should be a finite number"),
+        (["mode=shap,pose"], "unknown mode 'shap'. Did you mean 'shape'?"),
+        (["accuracy=standart"], "Did you mean 'standard'?"),
+        (["runner.workers=1,2"], "cannot be an axis"),
+        (["runner=rey"], "Did you mean 'ray'?"),
+        (["scenes=kitti"], "scenes.root is required. Add scenes.root=VALUE"),
+        (["vehicle=deepsdf", "vehicle.name=a"], "vehicle.folder is required. Add vehicle.folder=VALUE"),
+        (["vehicle=deepsdf", "vehicle.name=a", "vehicle.folder=b", "vehicle.length_m=-1"], "vehicle.length_m"),
+        (["detector=ssd"], "Did you mean 'sst'?"),
+        (["detector.scored_by=[ssd]"], "Did you mean 'sst'?"),
+        (["accuracy.render={step:0.05}"], "accuracy.render cannot be set as a whole"),
+        (["~scenes"], "cannot be removed"),
+        (["+extra=3"], "there is no setting extra"),
+        (["+scenes.extra=3"], "there is no setting scenes.extra"),
+        (["scene=${vehicle.name}"], "interpolation"),
+        (["vehicle._target_=os.system"], "unknown setting 'vehicle._target_'"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_bad_settings_are_one_line_with_a_remedy(overrides: list[str], message: str) -> None:
+    with pytest.raises(InputError) as failure:
+        list(expand(compose_sweep("default", overrides)))
+    assert message in str(failure.value)
+    assert "\n" not in str(failure.value)
+    assert failure.value.where == "sweep default"
+    assert failure.value.remedy
+
+
+def test_kitti_without_a_folder_says_which_setting_is_missing() -> None:
+    with pytest.raises(InputError, match=r"scenes\.root is required"):
+        list(expand(compose_sweep("kitti")))
+
+
+def test_unknown_sweep() -> None:
+    with pytest.raises(InputError, match="Did you mean 'kitti'"):
+        compose_sweep("kiti")

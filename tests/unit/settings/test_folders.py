@@ -1,0 +1,121 @@
+"""Sweeps, groups and launch specs of one's own: found first, beside those that ship, and said where they are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from shift3d.cli.completion import overrides, plan_words
+from shift3d.cli.job_spec import take_job
+from shift3d.cli.main import main
+from shift3d.errors import InputError
+from shift3d.settings.compose import compose_sweep, sweep_names
+from shift3d.settings.expand import expand
+from shift3d.settings.folders import own_folders, places, shipped
+
+
+@pytest.fixture(params=["team", "a team's folder, 2 = two"])
+def team(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that a command runs in."""
+    folder = tmp_path / request.param
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+def steps(name: str, *words: str) -> set[int]:
+    return {config.attack.steps for config in expand(compose_sweep(name, words))}
+
+
+def test_an_empty_folder_has_what_ships(team: Path) -> None:
+    assert {"default", "smoke"} <= set(sweep_names()) and steps("smoke") == {5}
+    assert own_folders() == [] and [folder.is_dir() for folder in places("sweeps")] == [False, True]
+
+
+def test_a_sweep_and_an_option_of_ones_own_stand_beside_those_that_ship(team: Path) -> None:
+    write(team / "sweeps" / "mine.yaml", "defaults: [/config, override /attack: tiny, _self_]\nscenes: {count: 2}\n")
+    write(team / "conf" / "attack" / "tiny.yaml", "defaults: [paper, _self_]\nsteps: 3\n")
+    assert steps("mine") == {3} and steps("smoke", "attack=tiny") == {3} and steps("mine", "attack=short") == {5}
+    assert steps("smoke", "attack=short,tiny") == {3, 5}, "an option of one's own is a value of an axis"
+    assert steps("smoke", "attack=glob(t*)") == {3}
+    assert compose_sweep("mine").base["scenes"]["count"] == 2
+    assert [folder.name for folder in own_folders()] == ["sweeps", "conf"]
+
+
+def test_a_file_of_ones_own_takes_the_place_of_its_name(team: Path) -> None:
+    before = steps("smoke")
+    write(team / "conf" / "attack" / "short.yaml", "defaults: [paper, _self_]\nsteps: 2\n")
+    assert (before, steps("smoke")) == ({5}, {2})
+    write(team / "sweeps" / "smoke.yaml", "defaults: [/config, _self_]\nattack: {steps: 4}\n")
+    assert steps("smoke") == {4}
+
+
+def test_a_sweep_may_be_made_of_one_that_ships(team: Path) -> None:
+    write(team / "sweeps" / "mine.yaml", "defaults: [smoke, _self_]\nattack: {steps: 1}\n")
+    configs = list(expand(compose_sweep("mine")))
+    assert {(config.vehicle.name, config.mode, config.attack.steps) for config in configs} == {
+        (vehicle, mode, 1) for vehicle in ("coupe", "suv") for mode in ("shape", "pose")
+    }
+
+
+def test_a_group_that_shift3d_does_not_have_is_refused(team: Path) -> None:
+    write(team / "conf" / "weather" / "wet.yaml", "rain: 1\n")
+    with pytest.raises(InputError, match="there is no setting weather"):
+        list(expand(compose_sweep("smoke", ["+weather=wet"])))
+
+
+def test_another_programs_settings_are_not_taken_for_ours(team: Path) -> None:
+    write(team / "conf" / "config.yaml", "defaults: [model: resnet]\n")
+    with pytest.raises(InputError, match=r"\./conf/config\.yaml: it would take the place of shift3d's own.*another"):
+        compose_sweep("smoke")
+    write(team / "conf" / "config.yaml", (shipped("conf") / "config.yaml").read_text())
+    assert steps("smoke") == {5}, "a copy of all that ships"
+
+
+@pytest.mark.parametrize(
+    ("words", "name", "folder"),
+    [
+        (["sweep", "mne"], "'mine'", "sweeps"),
+        (["sweep", "mine", "attack=tinny"], "'tiny'", "conf/attack"),
+        (["sweep", "mine", "effects=[fogg]"], "'fog'", "conf/effects"),
+        (["sweep", "mine", "effects=null"], "auto", "conf/effects"),
+        (["sweep", "mine", "job=moon"], "my_cluster", "jobs"),
+        (["jobs", "moon"], "my_cluster", "jobs"),
+    ],
+)
+def test_an_unknown_name_says_what_there_is_and_where_it_was_looked_for(
+    words: list[str], name: str, folder: str, team: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(team / "sweeps" / "mine.yaml", "defaults: [/config, _self_]\n")
+    write(team / "conf" / "attack" / "tiny.yaml", "defaults: [paper, _self_]\n")
+    write(team / "jobs" / "my_cluster.yaml", "kind: local\nrunner:\n  kind: local\n")
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert name in line and line.endswith(f"Looked in ./{folder} and {shipped(folder)}")
+
+
+def test_a_launch_spec_of_ones_own(team: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(team / "jobs" / "local.yaml", "# Ours.\nkind: local\nrunner:\n  kind: local\n")
+    job, _ = take_job(["job=local"])
+    assert job is not None and job.runner == {"kind": "local"}
+    assert main(["jobs"]) == 0
+    listed = capsys.readouterr().out
+    assert "./jobs/local.yaml" in listed and str(shipped("jobs") / "kuberay.yaml") in listed
+    assert main(["jobs", "slurm.sbatch"]) == 0
+    assert capsys.readouterr().out == (shipped("jobs") / "slurm.sbatch").read_text()
+
+
+def test_the_shell_is_offered_both(team: Path) -> None:
+    write(team / "sweeps" / "mine.yaml", "defaults: [/config, _self_]\n")
+    write(team / "conf" / "attack" / "tiny.yaml", "defaults: [paper, _self_]\n")
+    write(team / "jobs" / "my_cluster.yaml", "kind: local\nrunner:\n  kind: local\n")
+    assert {"mine", "smoke"} <= set(plan_words(""))
+    assert set(overrides("attack=")) == {"attack=paper", "attack=short", "attack=tiny"}
+    assert {"job=my_cluster", "job=local"} <= set(plan_words("job="))
+    assert {"attack.steps="} == set(overrides("attack.steps"))

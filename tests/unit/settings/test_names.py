@@ -1,0 +1,75 @@
+"""Numbers that name things are names."""
+
+from __future__ import annotations
+
+import pytest
+
+from shift3d.errors import InputError
+from shift3d.settings.compose import compose_sweep
+from shift3d.settings.expand import expand
+from shift3d.settings.names import quoted, text_settings
+from shift3d.settings.schema import Config, DeepSdfVehicleConfig, KittiConfig, MlflowConfig
+
+DEEPSDF = ["vehicle=deepsdf", "vehicle.folder=here", "mode=shape", "attack.lambda=1"]
+KITTI = ["scenes.root=here", "vehicle=suv", "mode=shape", "attack.lambda=1"]
+
+
+def vehicles(*words: str) -> list[DeepSdfVehicleConfig]:
+    return [config.vehicle for config in expand(compose_sweep("default", [*DEEPSDF, *words]))]  # type: ignore[misc]
+
+
+def test_the_texts_among_the_settings() -> None:
+    assert text_settings(Config) == {
+        *("scene", "scenes.root", "scenes.names", "vehicle.name", "vehicle.folder", "vehicle.checkpoint"),
+        *("detector.weights", "runner.address", "tracking.uri", "tracking.experiment"),
+    }
+
+
+@pytest.mark.parametrize("written", ["2000", "'2000'", '"2000"'])
+def test_an_epoch_is_a_name(written: str) -> None:
+    (vehicle,) = vehicles("vehicle.name=car", f"vehicle.checkpoint={written}")
+    assert vehicle.checkpoint == "2000"
+
+
+def test_names_stay_as_they_were_written() -> None:
+    names = ["1e5", "007", "1_000", "10.50", "-3", "7", "suv"]
+    assert [vehicle.name for vehicle in vehicles(f"vehicle.name={','.join(names)}")] == names
+    (vehicle,) = vehicles("vehicle.name=3", "vehicle.length_m={3:4.5,van:4.9}")
+    assert vehicle.name == "3" and vehicle.length_m == {"3": 4.5, "van": 4.9}
+
+
+def test_frames_are_names() -> None:
+    words = [*KITTI, "scenes.names=[999999, 000001,12]", "scene=12", "tracking.experiment=2026"]
+    (config,) = expand(compose_sweep("kitti", words))
+    assert isinstance(config.scenes, KittiConfig) and config.scenes.names == ["999999", "000001", "12"]
+    assert isinstance(config.tracking, MlflowConfig)
+    assert (config.scene, config.tracking.experiment) == ("12", "2026")
+    (config,) = expand(compose_sweep("kitti", [*KITTI, "scene=null"]))
+    assert config.scene is None
+
+
+def test_numbers_of_a_file_are_names_too() -> None:
+    config = KittiConfig.model_validate({"kind": "kitti", "root": 7, "count": None, "names": [12, "000001"]})
+    assert (config.root, config.names) == ("7", ["12", "000001"])
+
+
+@pytest.mark.parametrize(
+    ("word", "same"),
+    [
+        ("attack.steps=3", True),
+        ("scenes.count=3,4", True),
+        ("scenes.root=/data/2026", True),
+        ("vehicle.name=car-7", True),
+        ("vehicle.name='a, 5'", True),
+        ("+scene=5", False),
+        ("scenes.names=[5]", False),
+    ],
+)
+def test_only_numbers_of_texts_are_quoted(word: str, same: bool) -> None:
+    assert (quoted(word, text_settings(Config)) == word) is same
+
+
+@pytest.mark.parametrize("word", ["vehicle.name=true", "attack.steps=many", "mode=3", "scenes.root=[1]"])
+def test_what_is_no_name_is_refused(word: str) -> None:
+    with pytest.raises(InputError):
+        list(expand(compose_sweep("kitti", [*KITTI, word])))

@@ -1,0 +1,99 @@
+"""What a plan has to look at: nothing that a configuration says, and nothing twice."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from shift3d.errors import InputError
+from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.sets import SceneSet, StreetScenes
+from shift3d.settings import scene_cache
+from shift3d.settings.scene_cache import SceneEntry
+from shift3d.settings.scene_entries import scene_entries as entries_and_skipped
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "cache"
+    monkeypatch.setattr(scene_cache, "user_cache", lambda: folder)
+    return folder
+
+
+def scene_entries(scenes: SceneSet, preview: bool = False) -> tuple[SceneEntry, ...]:
+    entries, skipped = entries_and_skipped(scenes, preview)
+    assert not skipped
+    return entries
+
+
+def unreadable(self: object, name: str) -> None:
+    raise AssertionError(f"{name} was looked at")
+
+
+def test_a_preview_of_many_streets_makes_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(StreetScenes, "load", unreadable)
+    entries = scene_entries(StreetScenes("mixed", count=500), preview=True)
+    assert len(entries) == 500 and not any(entry.content_hash for entry in entries)
+    assert {entry.dataset for entry in entries} == {"street-hdl64", "street-waymo_top"}
+
+
+def test_a_street_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = StreetScenes("mixed", count=2)
+    made = scene_entries(scenes)
+    assert [entry.content_hash for entry in made] == [scenes.load(name).content_hash() for name in scenes.names()]
+    monkeypatch.setattr(StreetScenes, "load", unreadable)
+    assert scene_entries(scenes) == made == scene_entries(scenes, preview=True)
+
+
+def test_few_streets_are_made_for_a_preview_too() -> None:
+    (entry,) = scene_entries(StreetScenes(count=1), preview=True)
+    assert entry.content_hash
+
+
+def test_another_program_looks_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = StreetScenes(count=1)
+    scene_entries(scenes)
+    monkeypatch.setattr(scene_cache, "_program", lambda: "another")
+    monkeypatch.setattr(StreetScenes, "load", unreadable)
+    with pytest.raises(AssertionError, match="looked at"):
+        scene_entries(scenes)
+
+
+def test_a_frame_is_read_again_where_a_file_changed(
+    tmp_path: Path, real_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path / "kitti"
+    shutil.copytree(real_data("kitti"), root)
+    scenes = KittiScenes(root, ["000001", "000002"])
+    first = scene_entries(scenes)
+    label = root / "training" / "label_2" / "000002.txt"
+    label.write_text(label.read_text() + "DontCare -1 -1 -10 0 0 1 1 -1 -1 -1 -1000 -1000 -1000 -10\n")
+    looked_at, load = [], KittiScenes.load
+    monkeypatch.setattr(KittiScenes, "load", lambda self, name: (looked_at.append(name), load(self, name))[1])
+    assert scene_entries(scenes) == first and looked_at == ["000002"]
+
+
+def test_without_a_cache_everything_works(cache: Path) -> None:
+    cache.write_text("a file where the folder should be")
+    scenes = StreetScenes(count=1)
+    assert scene_entries(scenes) == scene_entries(scenes)
+
+
+def test_damaged_entries_are_made_again(cache: Path) -> None:
+    scenes = StreetScenes(count=1)
+    made = scene_entries(scenes)
+    for damage in ("", "{", "[]", '{"name": 3}', "null"):
+        (file,) = (cache / "scenes").iterdir()
+        file.write_text(damage)
+        assert scene_entries(scenes) == made
+
+
+def test_a_scene_that_cannot_be_read_is_named(tmp_path: Path, real_data: Callable[[str], Path]) -> None:
+    root = tmp_path / "kitti"
+    shutil.copytree(real_data("kitti"), root)
+    (root / "training" / "velodyne" / "000002.bin").write_bytes(b"short")
+    with pytest.raises(InputError, match=r"000002\.bin: 5 bytes"):
+        scene_entries(KittiScenes(root, ["000001", "000002"]))

@@ -1,0 +1,148 @@
+"""Recipes: words change fields, what cannot be trained by is refused, warm starts draw the same boxes."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+from random_networks import random_net, random_scene
+
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.models import weights as weights_module
+from shift3d.detectors.models.anchors import AnchorSpec
+from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.trained_detector import TrainedDetector
+from shift3d.errors import InputError
+from shift3d.training.detector import warm_start
+from shift3d.training.detector.batch_statistics import recompute_statistics
+from shift3d.training.detector.recipe import Augmentation, Recipe
+from shift3d.training.detector.recipes import RECIPES, changed
+from shift3d.training.detector.train import export_weights
+from shift3d.training.detector.warm_start import start_state, with_anchor_size
+
+WINDOW = BevWindow(200, 200, 64, 64, 200, 200, 64, 64)
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_every_shipped_recipe_can_be_trained_by_and_is_of_its_name(name: str) -> None:
+    assert RECIPES[name].validate().detector == name
+
+
+def test_words_change_fields_of_the_recipe_and_of_its_augmentation() -> None:
+    words = {"peak_rate": "1e-4", "pasted": "0", "scale": "1,1", "bfloat16": "false", "range_bins_m": "0,20,40,75"}
+    found = changed(Recipe(), words)
+    expected = dataclasses.replace(
+        Recipe(),
+        peak_rate=1e-4,
+        bfloat16=False,
+        augmentation=Augmentation(pasted=0, scale=(1.0, 1.0), range_bins_m=(0.0, 20.0, 40.0, 75.0)),
+    )
+    assert found == expected and changed(Recipe(), {}) == Recipe()
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("sclae", "1,1", "recipe.sclae is unknown"),
+        ("network", "1", "recipe.network is unknown"),
+        ("pasted", "many", "recipe.pasted='many'"),
+        ("scale", "1.1,0.9", "The range is empty"),
+        ("scale", "1.1", "The range is empty"),
+        ("object_scale", "0,1", "above 0"),
+        ("range_bins_m", "30", "rising edges"),
+        ("range_bins_m", "0,50,30", "rising edges"),
+        ("kept_points", "nan,1", "The range is empty"),
+        ("pasted_range", "0.5,1", "thinned"),
+        ("flip", "1.5", "share"),
+        ("batch", "0", "1 or more"),
+        ("peak_rate", "0", "above 0"),
+        ("anchor_size_m", "4.4,1.8,0", "above 0"),
+        ("code_weights", "1,1", "seven"),
+        ("rim_cells", "60", "cells to train"),
+        ("crop_cells", "90", "multiple of 4"),
+        ("settle_steps", "-1", "0 or more"),
+    ],
+)
+def test_what_cannot_be_trained_by_is_refused_in_one_line(field: str, value: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as error:
+        changed(Recipe(), {field: value})
+    assert "\n" not in str(error.value) and field in str(error.value)
+
+
+def test_heads_that_a_network_does_not_have_are_refused() -> None:
+    with pytest.raises(InputError, match="heads=centres"):
+        dataclasses.replace(RECIPES["sst"], heads="centres").validate()
+
+
+def test_anchors_of_another_size_draw_the_same_boxes() -> None:
+    net = random_net("pointpillars")
+    torch.nn.init.normal_(net.heads.boxes.weight, std=0.05)
+    torch.nn.init.normal_(net.heads.boxes.bias, std=0.2)
+    other = PointPillarsNet(net.spec, anchors=AnchorSpec((3.0, 1.0, 1.0)))
+    other.load_state_dict(with_anchor_size(net.state_dict(), (4.4, 1.8, 1.55)))
+    one, two = (TrainedDetector(each.eval()).proposals(random_scene(), WINDOW) for each in (net, other))
+    assert other.heads.anchors.size_m == pytest.approx((4.4, 1.8, 1.55))
+    assert torch.equal(one.logits, two.logits)
+    assert float(one.boxes[:, 3].std()) > 0.05
+    assert torch.allclose(one.boxes, two.boxes, atol=2e-4, rtol=1e-4)
+
+
+def test_a_file_without_an_anchor_size_has_the_published_one(tmp_path: Path) -> None:
+    from safetensors.torch import save_file
+
+    net = random_net("pointpillars")
+    state = {name: tensor.contiguous() for name, tensor in net.state_dict().items() if "anchor" not in name}
+    save_file(state, tmp_path / "old.safetensors")
+    loaded = weights_module.load_weights(
+        PointPillarsNet(net.spec, anchors=AnchorSpec((1.0, 1.0, 1.0))), tmp_path / "old.safetensors"
+    )
+    assert loaded.heads.anchors.size_m == pytest.approx((4.73, 2.08, 1.77))
+
+
+def test_a_backbone_from_another_detector_comes_without_its_heads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pillars = random_net("pointpillars")
+    monkeypatch.setitem(weights_module.NETWORKS, "pointpillars", lambda: PointPillarsNet(pillars.spec))
+    monkeypatch.setattr(warm_start, "WEIGHTS_FOLDER", tmp_path)
+    export_weights(pillars, tmp_path / "pointpillars.safetensors", Recipe())
+    recipe = Recipe(network=pillars.spec, heads="centres", backbone_from="pointpillars")
+    state = start_state(recipe, None)
+    assert state is not None
+    net = recipe.new_network()
+    net.load_state_dict(dict(state))
+    theirs = pillars.state_dict()
+    assert all(torch.equal(tensor, theirs[name]) for name, tensor in state.items() if not name.startswith("heads."))
+    assert len(net.heads.boxes.bias) == 8
+    with pytest.raises(InputError, match="does not exist"):
+        start_state(dataclasses.replace(recipe, backbone_from="sst"), None)
+
+
+@pytest.mark.parametrize("name", ["pointpillars", "sst"])
+def test_recomputed_statistics_are_those_that_inference_meets(name: str) -> None:
+    """Every norm's input at inference, over the same crops, has the mean and variance that the norm keeps."""
+    net = random_net(name).double()
+    clouds = [random_scene(6000, seed).double() for seed in range(6)]
+    before = {key: tensor.clone() for key, tensor in net.state_dict().items()}
+    recompute_statistics(net, clouds, [WINDOW] * 6)
+    assert not net.training
+    seen: dict[str, torch.Tensor] = {}
+    norms = {
+        key: module
+        for key, module in net.named_modules()
+        if isinstance(module, torch.nn.BatchNorm1d | torch.nn.BatchNorm2d)
+    }
+    for key, module in norms.items():
+        module.register_forward_hook(lambda _, inputs, __, key=key: seen.update({key: inputs[0]}))
+    with torch.no_grad():
+        net.features(clouds, [WINDOW] * 6)
+    for key, module in norms.items():
+        values = seen[key].transpose(0, 1).flatten(1)
+        # To n / (n - 1): a norm divides by the one in training and keeps the other, of some thousand values.
+        assert ((module.running_mean - values.mean(dim=1)).abs() < 0.01 * values.std(dim=1)).all(), key
+        assert torch.allclose(module.running_var, values.var(dim=1), rtol=0.02, atol=1e-6), key
+        assert module.momentum == 0.01
+    kept = {key for key, tensor in net.state_dict().items() if torch.equal(tensor, before[key])}
+    assert kept == {key for key in before if "running" not in key and "num_batches" not in key}
