@@ -12,7 +12,7 @@ from toy_detector import WaveDetector
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
 from shift3d.attack.pose import PoseLimits, attack_pose, project
 from shift3d.attack.problem import AttackProblem, measure
-from shift3d.attack.shape import attack_shape, standing
+from shift3d.attack.shape import attack_shape, on_ground
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, place
 from shift3d.render import Beams, preset
@@ -193,12 +193,12 @@ def test_no_random_pose_is_a_result_not_an_error(problem: AttackProblem) -> None
 def test_a_changed_shape_keeps_standing_on_the_ground(problem: AttackProblem) -> None:
     # The third number scales the height: without settling this shape would float or sink.
     code = torch.tensor([0.0, 0.0, -0.4, 0.0, 0.0, 0.0], dtype=torch.float64)
-    theta = standing(code, problem, 0.15)
+    theta = on_ground(code, problem, 0.15)
     assert float(theta[2]) < float(problem.theta0[2]) - 0.02
     assert torch.equal(theta[[0, 1, 3, 4, 5]], problem.theta0[[0, 1, 3, 4, 5]])
     assert measure(problem, code, theta).check.contact_ok
     assert not measure(problem, code, problem.theta0).check.contact_ok
-    assert torch.equal(standing(code, problem, 0.0), problem.theta0)
+    assert torch.equal(on_ground(code, problem, 0.0), problem.theta0)
 
 
 def test_placement_stays_clear_of_the_scenes_vehicles(beams: Beams, placement: Placement) -> None:

@@ -8,7 +8,7 @@ import math
 import pytest
 import torch
 
-from shift3d.attack.shape import SNAP_M, standing
+from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.errors import InputError
 from shift3d.settings.catalogue import accuracy_settings
 from shift3d.settings.schema import AccuracyConfig
@@ -65,7 +65,7 @@ def test_baseline_and_shape_are_scored_at_one_place_of_the_other_scene(moved: Ta
     (found,) = (solution for solution in moved.solutions if solution["method"] == "adversarial")
     code = torch.tensor(found["latent_code"])
     assert score_object(problem, problem.code0, theta, 5.0).answers["pointpillars"].score == row["score_baseline"]
-    stands = standing(code, problem, SNAP_M)
+    stands = on_ground(code, problem, SNAP_M)
     assert torch.equal(stands[[0, 1, 3, 4, 5]], theta[[0, 1, 3, 4, 5]]) and float(stands[2]) == row["z_shape_m"]
     assert score_object(problem, code, stands, 5.0).answers["pointpillars"].score == row["score"]
 
