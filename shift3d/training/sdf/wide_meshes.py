@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tqdm import tqdm
+from trimesh.exchange.ply import export_ply
 
 from shift3d.store.atomic import write_atomic
 from shift3d.vehicles.family.wide import Side, build_wide_mesh, wide_vehicle
@@ -36,5 +37,6 @@ def write_wide_meshes(out: Path, count: int, side: Side = "seen") -> Path:
         file = folder / f"{spec.kind.replace('+', '-')}-{index:05d}.ply"
         if not file.is_file():
             folder.mkdir(parents=True, exist_ok=True)
-            write_atomic(file, build_wide_mesh(spec, RESOLUTION_M, FACES).export(file_type="ply"))
+            mesh = build_wide_mesh(spec, RESOLUTION_M, FACES)
+            write_atomic(file, export_ply(mesh))
     return folder
