@@ -1,7 +1,7 @@
 """A wide vehicle as one vector of numbers: what the codes of the parametric decoder are made of.
 
-The vector holds which body type and which attributes a vehicle has (ones and zeros), and every length of its chassis and
-its parts. Two vehicles of one kind differ in the lengths alone, so that a search over these stays among vehicles.
+The vector holds which body type and which attributes a vehicle has (ones and zeros), and every length of its chassis
+and its parts. Two vehicles of one kind differ in the lengths alone, so that a search over these stays among vehicles.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _numbers(record: object) -> Iterator[tuple[str, float]]:
 class ParameterTable:
     """Parameters of a family as rows of one table.
 
-    names: (P,) of the columns: "is:sedan", "has:roof_box", then lengths. centre, spread: (P,) of the columns' values, in
+    names: (P,) of the columns: "is:sedan", "has:roof_box", lengths. centre, spread: (P,) of the columns' values, in
     the unit of the parameter, over the vehicles that have it; a row holds (value - centre) / spread, and 0 where a
     vehicle has no such parameter.
     """
