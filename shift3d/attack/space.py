@@ -13,8 +13,9 @@ from torch import Tensor
 
 from shift3d.attack.baselines import random_code
 from shift3d.errors import InputError
+from shift3d.vehicles.parameter_box import BoxOfParameters
 
-__all__ = ["SPACES", "BoxOfParameters", "CodeSpace", "free_space", "parameter_space", "pca_space"]
+__all__ = ["SPACES", "CodeSpace", "free_space", "parameter_space", "pca_space"]
 
 SPACES = ("free", "pca", "parameters")
 BALL = 0.95
@@ -32,21 +33,6 @@ class CodeSpace:
     code: Callable[[Tensor], Tensor]
     project: Callable[[Tensor], Tensor]
     draw: Callable[[np.random.Generator, float], Tensor]
-
-
-@dataclass(frozen=True)
-class BoxOfParameters:
-    """The parameters of a vehicle that its kind leaves open, in units of the decoder's table.
-
-    basis: (k, d) what one unit of each adds to the code. start, low, high: (k,) the vehicle's own and its kind's range.
-    names: of the parameters.
-    """
-
-    basis: NDArray[np.float32]
-    start: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    names: tuple[str, ...]
 
 
 def free_space(code0: Tensor) -> CodeSpace:

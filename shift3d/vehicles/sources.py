@@ -19,7 +19,8 @@ from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.sdf.foreign import Experiment, experiment_files, load_experiment
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles
+from shift3d.vehicles.parameter_box import BoxOfParameters, read_parameters
+from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles, family_vehicles
 
 __all__ = ["DeepSdfVehicles", "VehicleSet", "VehicleSource", "vehicle_hash"]
 
@@ -39,6 +40,14 @@ class VehicleSource(Protocol):
 
     def vehicle(self, name: str) -> Vehicle:
         """One of them. Raises InputError for an unknown name."""
+        ...
+
+    def codes(self) -> NDArray[np.float32]:
+        """(N, code) of every vehicle that the decoder is known to draw, in a fixed order."""
+        ...
+
+    def parameters(self, name: str) -> BoxOfParameters:
+        """What the generator of a vehicle leaves open. Raises InputError where its codes are made of none."""
         ...
 
     def decoder(self) -> Decoder | DeepSdfNetwork:
@@ -75,6 +84,14 @@ class VehicleSet:
     def vehicle(self, name: str) -> Vehicle:
         """See `VehicleSource`."""
         return _known(name, self._vehicles, self._folder)
+
+    def codes(self) -> NDArray[np.float32]:
+        """See `VehicleSource`."""
+        return np.stack([found.latent_code for found in family_vehicles(self._folder / DEFAULT_VEHICLES.name)])
+
+    def parameters(self, name: str) -> BoxOfParameters:
+        """See `VehicleSource`."""
+        return read_parameters(self._folder / DEFAULT_VEHICLES.name, name)
 
     def decoder(self) -> Decoder:
         """See `VehicleSource`."""
@@ -148,6 +165,16 @@ class DeepSdfVehicles:
     def names(self) -> list[str]:
         """See `VehicleSource`."""
         return list(self._experiment.instances)
+
+    def codes(self) -> NDArray[np.float32]:
+        """See `VehicleSource`."""
+        codes: NDArray[np.float32] = (self._experiment.codes * self._code_scale).numpy().astype(np.float32)
+        return codes
+
+    def parameters(self, name: str) -> BoxOfParameters:
+        """See `VehicleSource`."""
+        what, remedy = "the codes of a DeepSDF checkpoint are made of no parameters", "Give attack.space=pca or free"
+        raise InputError(what, f"{self._folder}, attack.space=parameters", remedy)
 
     def decoder(self) -> Decoder | DeepSdfNetwork:
         """See `VehicleSource`. The same object every time."""

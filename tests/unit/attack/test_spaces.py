@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from shift3d.attack.space import BoxOfParameters, free_space, parameter_space, pca_space
+from shift3d.attack.space import free_space, parameter_space, pca_space
 from shift3d.errors import InputError
+from shift3d.vehicles.parameter_box import BoxOfParameters
 
 AXES = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 3)))[0].T
 SPREAD = np.array([3.0, 1.0, 0.5])
