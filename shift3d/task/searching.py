@@ -13,8 +13,9 @@ from shift3d.attack.shape import shape_search
 from shift3d.attack.space import CodeSpace, free_space, parameter_space, pca_space
 from shift3d.attack.trials import Search
 from shift3d.seeding import generator
-from shift3d.task.assets import Assets
+from shift3d.task.assets import Assets, require_planned
 from shift3d.task.spec import TaskSpec
+from shift3d.vehicles.sources import space_hash
 
 __all__ = ["best_of_draws", "pose_limits", "search_task"]
 
@@ -60,6 +61,8 @@ def _search(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Search:
 
 
 def _space(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> CodeSpace:
+    found = space_hash(assets.vehicles, spec.vehicle, spec.attack.space)
+    require_planned(f"the codes of {spec.vehicle}", spec.attack.space_hash, found)
     if spec.attack.space == "pca":
         codes = assets.vehicles.codes()
         return pca_space(problem.code0, codes, spec.attack.components, f"vehicle {spec.vehicle}, attack.space=pca")

@@ -62,9 +62,9 @@ class AttackSpec:
     pose, metres. max_tilt_rad: largest |pitch| and |roll|. detection_radius_m: how near the vehicle's centre the
     centre of a box that detects it must lie.
 
-    search: how it goes; every search has ``steps`` evaluations. space: where a shape may go; components: of space pca.
-    rate, placements, starts: of search expectation. random_search: 1 where the best of as many random draws stands
-    beside the solution, as method ``random_search``.
+    search: how it goes; every search has ``steps`` evaluations. space: where a shape may go; components: of space pca;
+    space_hash: of the codes or ranges that bound it. rate, placements, starts: of search expectation. random_search: 1
+    where the best of as many random draws stands beside the solution, as method ``random_search``.
 
     Source: SHIFT3D sections Hyper-parameters, Evaluation Metrics and Adversarial Pose Generation Results; searches but
     descent, and spaces but free, are our choice.
@@ -85,6 +85,7 @@ class AttackSpec:
     placements: int = 2
     starts: int = 1
     random_search: int = 0
+    space_hash: str = ""
 
     @property
     def label(self) -> str:
@@ -98,7 +99,7 @@ class AttackSpec:
 
 
 _LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,
-          "random_search": 0}  # fmt: skip
+          "random_search": 0, "space_hash": ""}  # fmt: skip
 """Fields that specs of version 6 had not from the beginning, with the values that leave a task as it was."""
 
 

@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.parameter_box import BoxOfParameters, read_parameters
 from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles, family_vehicles
 
-__all__ = ["DeepSdfVehicles", "VehicleSet", "VehicleSource", "vehicle_hash"]
+__all__ = ["DeepSdfVehicles", "VehicleSet", "VehicleSource", "space_hash", "vehicle_hash"]
 
 _T = TypeVar("_T")
 MEASURED_RESOLUTION = 129
@@ -63,6 +63,23 @@ def vehicle_hash(vehicle: Vehicle) -> str:
     """128-bit BLAKE2b, hex, of everything that a task reads of a vehicle."""
     digest = hashlib.blake2b(json.dumps([vehicle.name, float(vehicle.scale_m)]).encode(), digest_size=16)
     for array in (vehicle.latent_code, vehicle.sdf_R_object, vehicle.sdf_t_object, vehicle.size_m):
+        digest.update(np.asarray(array, dtype=np.float64).tobytes())
+    return digest.hexdigest()
+
+
+def space_hash(source: VehicleSource, vehicle: str, space: str) -> str:
+    """128-bit BLAKE2b, hex, of what bounds a search beside the vehicle itself; empty for space free.
+
+    Raises: InputError where the vehicle is made of no parameters, and space is parameters.
+    """
+    if space == "free":
+        return ""
+    arrays: tuple[NDArray[Any], ...] = (source.codes(),)
+    if space == "parameters":
+        box = source.parameters(vehicle)
+        arrays = (box.basis, box.start, box.low, box.high)
+    digest = hashlib.blake2b(space.encode(), digest_size=16)
+    for array in arrays:
         digest.update(np.asarray(array, dtype=np.float64).tobytes())
     return digest.hexdigest()
 
