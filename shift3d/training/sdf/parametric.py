@@ -8,7 +8,7 @@ Source: our choice. Loss, optimiser and samples are DeepSDF's (Park et al. 2019,
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,9 @@ from shift3d.seeding import derive_seed
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute
 from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
-from shift3d.training.sdf.wide_shapes import WideShapes
+from shift3d.training.sdf.wide_shapes import WideShapes, wide_shapes
 
-__all__ = ["CHECKPOINT", "ParametricRecipe", "train_parametric"]
+__all__ = ["CHECKPOINT", "ParametricRecipe", "train_parametric", "train_wide"]
 
 CHECKPOINT = "parametric.pt"
 CURVE_STEPS = 100
@@ -39,7 +39,7 @@ class ParametricRecipe:
     start: "shipped" for the shipped decoder's network, "" for random weights. basis_std: of the basis' first values.
     """
 
-    shapes: int = 2400
+    shapes: int = 1200
     samples_a_shape: int = 16_000
     shapes_a_step: int = 360
     points_a_shape: int = 24
@@ -177,3 +177,20 @@ def train_parametric(
             if stop.asked and run.step < recipe.steps:
                 raise KeyboardInterrupt
     return file
+
+
+def train_wide(
+    out: Path, compute: Compute, count: int | None = None, steps: int | None = None, report: Report | None = None
+) -> list[float]:
+    """Sample the wide family, train, and leave the vehicle set in `out`; returns its Chamfer distances in cm.
+
+    count, steps: None for the recipe's. Raises: InputError where `out` holds another training.
+    """
+    from shift3d.training.sdf.parametric_export import export_parametric
+
+    recipe = ParametricRecipe()
+    recipe = replace(recipe, shapes=count or recipe.shapes, steps=steps or recipe.steps)
+    recipe = replace(recipe, shapes_a_step=min(recipe.shapes_a_step, recipe.shapes))
+    shapes = wide_shapes(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", compute.threads)
+    checkpoint = train_parametric(out, recipe, shapes, compute, report=report)
+    return list(export_parametric(checkpoint, shapes, out).values())
