@@ -1,4 +1,4 @@
-"""From a parametric training's checkpoint to a vehicle set: a typical vehicle of every kind, with its open parameters."""
+"""From a parametric training to a vehicle set: a typical vehicle of every kind, with its open parameters."""
 
 from __future__ import annotations
 
