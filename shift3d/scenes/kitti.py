@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d, points_in_boxes
 from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.ground_height import estimate_ground_z
 from shift3d.scenes.kitti_files import (
     CLASSES,
     GROUND,
@@ -24,7 +25,7 @@ from shift3d.scenes.kitti_files import (
 )
 from shift3d.scenes.scene import Labels, Scene
 
-NOMINAL_GROUND_Z_M = -1.73
+NOMINAL_GROUND_Z_M = -1.73  # over the labelled sample frames the estimate lies between -1.80 and -1.63
 IMAGE_SIZE = (1242, 375)  # pixels; frames differ by a few, and the images are not needed otherwise
 
 
@@ -132,7 +133,7 @@ class KittiScenes:
             dataset=self.dataset,
             points=points,
             origins=np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape),
-            ground_z_m=read_ground_z(ground) if ground.is_file() else estimate_ground_z(points),
+            ground_z_m=read_ground_z(ground) if ground.is_file() else estimate_ground_z(points, NOMINAL_GROUND_Z_M),
             labels=self._labels(name, points),
             reflectance=reflectance,
         )
@@ -188,24 +189,6 @@ class KittiScenes:
                 str(self.folder / "label_2" / f"{orphans[0]}.txt"),
                 "Add the frame, remove the label file, or list the frames to use in scenes.names.",
             )
-
-
-def estimate_ground_z(points: NDArray[np.float32]) -> float:
-    """Height of the ground around a car-mounted HDL-64E, metres, rounded to 1 cm.
-
-    The fullest 5 cm layer between 4 and 12 m from the sensor, within 0.35 m of the nominal -1.73, refined by
-    the median of the points within 15 cm of it. With fewer than 500 points there: the nominal height.
-
-    Source: our choice; over the labelled sample frames it lies between -1.80 and -1.63.
-    """
-    distance = np.hypot(points[:, 0], points[:, 1])
-    z = points[(distance > 4.0) & (distance < 12.0), 2].astype(np.float64)
-    z = z[np.abs(z - NOMINAL_GROUND_Z_M) < 0.35]
-    if len(z) < 500:
-        return NOMINAL_GROUND_Z_M
-    counts, edges = np.histogram(z, bins=14, range=(NOMINAL_GROUND_Z_M - 0.35, NOMINAL_GROUND_Z_M + 0.35))
-    peak = edges[int(counts.argmax())] + 0.025
-    return round(float(np.median(z[np.abs(z - peak) < 0.15])), 2)
 
 
 def _first_few(names: Sequence[str] | set[str]) -> str:
