@@ -27,12 +27,13 @@ def chosen(found: Sequence[str], names: Sequence[str] | None, where: str) -> lis
     Raises:
         InputError: a name that was not found, or nothing at all.
     """
-    if not found:
-        raise InputError("no scenes", where, "Give another folder")
     known = set(found)
     for name in names or ():
         if name not in known:
-            raise InputError(f"no scene {name!r}", where, f"Choose from: {first_few(known)}")
+            remedy = f"Choose from: {first_few(known)}" if known else "Check its name"
+            raise InputError(f"no scene {name!r}", where, remedy)
+    if not found:
+        raise InputError("no scenes", where, "Give another folder")
     return list(found) if names is None else list(names)
 
 

@@ -133,8 +133,8 @@ class WaymoScenes:
         if self._wanted is not None:
             asked = {name.rpartition("-")[0] or name for name in self._wanted}
             found = list(self._frames([segment for segment in segments if segment in asked]))
-            return chosen(found or segments, self._wanted, str(self.root / "lidar"))
-        found = []
+            return chosen(found, self._wanted, str(self.root / "lidar"))
+        found: list[str] = []
         for name in self._frames(segments):
             if self._count is not None and len(found) == self._count:
                 break

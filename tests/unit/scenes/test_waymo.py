@@ -138,7 +138,7 @@ def test_frames_are_listed_in_order_and_chosen(segment: tuple[Path, Segment]) ->
     assert WaymoScenes(root, every=2).names() == names[::2]
     assert WaymoScenes(root, count=2).names() == names[:2]
     assert WaymoScenes(root, names=names[2:]).names() == names[2:]
-    with pytest.raises(InputError, match=r"no scene 'x-1'.*Choose from"):
+    with pytest.raises(InputError, match=r"no scene 'x-1'"):
         WaymoScenes(root, names=["x-1"]).names()
     for unknown in ("x-1", f"{SEGMENT}-7", SEGMENT, ""):
         with pytest.raises(InputError):
