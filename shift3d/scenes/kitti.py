@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,10 @@ from shift3d.scenes.kitti_files import (
     read_labels,
     read_points,
 )
+from shift3d.scenes.listing import first_few, names_in
 from shift3d.scenes.scene import Labels, Scene
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
 
 NOMINAL_GROUND_Z_M = -1.73  # over the labelled sample frames the estimate lies between -1.80 and -1.63
 IMAGE_SIZE = (1242, 375)  # pixels; frames differ by a few, and the images are not needed otherwise
@@ -63,7 +65,7 @@ class CameraView:
 
 
 class KittiScenes:
-    """Labelled KITTI frames under a folder.
+    """Labelled KITTI frames under a folder or bucket.
 
     Args:
         root: the folder that holds ``training/``, or ``training`` itself.
@@ -84,23 +86,24 @@ class KittiScenes:
 
     def __init__(
         self,
-        root: str | Path,
+        root: LocationLike,
         names: Sequence[str] | None = None,
         reflectance_max: float | None = None,
         keep_bad: bool = False,
     ) -> None:
-        root = Path(root)
+        root = as_location(root)
         self.reflectance_max = reflectance_max
-        self.folder = root if (root / "velodyne").is_dir() else root / "training"
+        self.folder = root if "velodyne" in names_in(root) else root / "training"
+        parts = names_in(self.folder)
         for part in ("velodyne", "calib"):
-            if not (self.folder / part).is_dir():
+            if part not in parts:
                 raise InputError(
                     f"no folder training/{part}",
                     str(root),
                     "Give the folder that holds KITTI's training/ folder.",
                 )
-        self._has_labels = (self.folder / "label_2").is_dir()
-        found = {path.stem for path in (self.folder / "velodyne").glob("*.bin")}
+        self._has_labels = "label_2" in parts
+        found = _stems(self.folder / "velodyne", ".bin")
         if keep_bad:
             found |= self._labelled() if names is None else set(names)
         if names is None:
@@ -108,7 +111,7 @@ class KittiScenes:
         for name in names or ():
             if name not in found:
                 raise InputError(
-                    f"no frame {name!r}", str(self.folder / "velodyne"), f"Choose from: {_first_few(found)}."
+                    f"no frame {name!r}", str(self.folder / "velodyne"), f"Choose from: {first_few(found)}."
                 )
         self._names = sorted(found) if names is None else list(names)
         if not self._names:
@@ -125,7 +128,7 @@ class KittiScenes:
             InputError: naming the file, the line or row, and the remedy.
         """
         if name not in self._names:
-            raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {_first_few(self._names)}.")
+            raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {first_few(self._names)}.")
         points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin", self.reflectance_max)
         ground = self.folder / GROUND / f"{name}.txt"
         scene = Scene(
@@ -145,12 +148,11 @@ class KittiScenes:
         return None
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """See `SceneSet`: path, size and time of last change of each of the frame's files."""
+        """See `SceneSet`: path and version of each of the frame's files."""
         values: list[str | int | float | None] = ["kitti", name, self.reflectance_max, self._has_labels]
         for part, suffix in (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt"), (GROUND, "txt")):
-            path = self.folder / part / f"{name}.{suffix}"
-            state = path.stat() if path.is_file() else None
-            values += [str(path.absolute()), state and state.st_size, state and state.st_ctime_ns]
+            file = self.folder / part / f"{name}.{suffix}"
+            values += [str(file.absolute()), file.version()]
         return tuple(values)
 
     def camera_view(self, name: str) -> CameraView:
@@ -179,7 +181,7 @@ class KittiScenes:
         )
 
     def _labelled(self) -> set[str]:
-        return {path.stem for path in (self.folder / "label_2").glob("*.txt")}
+        return _stems(self.folder / "label_2", ".txt") if self._has_labels else set()
 
     def _refuse_orphans(self, found: set[str]) -> None:
         orphans = sorted(self._labelled() - found)
@@ -191,6 +193,5 @@ class KittiScenes:
             )
 
 
-def _first_few(names: Sequence[str] | set[str]) -> str:
-    ordered = sorted(names)
-    return ", ".join(ordered[:5]) + (f", ... ({len(ordered)} in all)" if len(ordered) > 5 else "")
+def _stems(folder: Location, suffix: str) -> set[str]:
+    return {name.removesuffix(suffix) for name in folder.names() if name.endswith(suffix)}

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.store.location import Location
 
-__all__ = ["UNITS_REMEDY", "chosen", "first_few", "require_metres"]
+__all__ = ["UNITS_REMEDY", "chosen", "first_few", "names_in", "require_metres"]
 
 UNITS_REMEDY = "Convert the file: coordinates and ranges are metres, angles radians"
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
@@ -19,6 +20,14 @@ def first_few(names: Collection[str]) -> str:
     """The first names in order, and how many there are."""
     ordered = sorted(names)
     return ", ".join(ordered[:5]) + (f", ... ({len(ordered)} in all)" if len(ordered) > 5 else "")
+
+
+def names_in(folder: Location) -> list[str]:
+    """Names of what lies in a folder; none where there is no folder."""
+    try:
+        return folder.names()
+    except NotADirectoryError:
+        return []
 
 
 def chosen(found: Sequence[str], names: Sequence[str] | None, where: str) -> list[str]:

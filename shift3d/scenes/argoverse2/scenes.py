@@ -21,7 +21,7 @@ from shift3d.scenes.argoverse2.log import (
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.ground_height import estimate_ground_z
 from shift3d.scenes.labels import Conditions
-from shift3d.scenes.listing import chosen, first_few, require_metres
+from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.scene import Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
@@ -59,7 +59,7 @@ class Argoverse2Scenes:
     ) -> None:
         self.root, self.every, self._count = as_location(root), every, count
         self._wanted = None if names is None else list(names)[:count]
-        inside = self.root.names()
+        inside = names_in(self.root)
         self._logs = {self.root.name: self.root} if "sensors" in inside else {name: self.root / name for name in inside}
         if not self._logs:
             raise InputError("no logs", str(self.root), "Give a folder of logs, or a log, which holds sensors/lidar/")

@@ -14,7 +14,7 @@ from shift3d.geometry.rigid import inverse, moved
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.ground_height import estimate_ground_z
 from shift3d.scenes.labels import Conditions
-from shift3d.scenes.listing import chosen, first_few, require_metres
+from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.nuscenes.annotations import boxes_of, read_annotations, read_weather
 from shift3d.scenes.nuscenes.tables import LidarFile, Release
 from shift3d.scenes.scene import Scene
@@ -192,7 +192,7 @@ class NuScenesScenes:
 
 
 def _tables(root: Location, version: str | None) -> Location | None:
-    found = [name for name in root.names() if name.startswith("v1.0-")]
+    found = [name for name in names_in(root) if name.startswith("v1.0-")]
     if version is not None:
         if version not in found:
             raise InputError(f"no tables {version}/", str(root), f"Choose from: {first_few(found) or 'none there'}")
@@ -203,7 +203,7 @@ def _tables(root: Location, version: str | None) -> Location | None:
 
 
 def _stems(root: Location) -> list[str]:
-    return [name.removesuffix(_SUFFIX) for name in root.names() if name.endswith(_SUFFIX)]
+    return [name.removesuffix(_SUFFIX) for name in names_in(root) if name.endswith(_SUFFIX)]
 
 
 def _stem_file(root: Location, stem: str) -> Location:

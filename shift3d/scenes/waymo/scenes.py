@@ -13,7 +13,7 @@ from shift3d.geometry.rigid import inverse
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.ground_height import estimate_ground_z
 from shift3d.scenes.labels import Conditions, Labels
-from shift3d.scenes.listing import chosen, first_few, require_metres
+from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import NoReturnBeams
 from shift3d.scenes.waymo.annotations import read_labels, read_weather
@@ -132,8 +132,8 @@ class WaymoScenes:
         segments = self._segments()
         if self._wanted is not None:
             asked = {name.rpartition("-")[0] or name for name in self._wanted}
-            found = list(self._frames([segment for segment in segments if segment in asked]))
-            return chosen(found, self._wanted, str(self.root / "lidar"))
+            known = list(self._frames([segment for segment in segments if segment in asked]))
+            return chosen(known, self._wanted, str(self.root / "lidar"))
         found: list[str] = []
         for name in self._frames(segments):
             if self._count is not None and len(found) == self._count:
@@ -171,7 +171,7 @@ class WaymoScenes:
     def _names_in(self, folder: Location) -> list[str]:
         """What lies in a folder, asked once."""
         if str(folder) not in self._folders:
-            self._folders[str(folder)] = folder.names()
+            self._folders[str(folder)] = names_in(folder)
         return self._folders[str(folder)]
 
     @functools.cached_property

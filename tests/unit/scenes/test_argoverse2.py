@@ -184,3 +184,10 @@ def test_real_beams_turn_clockwise_and_keep_their_elevation(real_data: Callable[
         assert (step <= slack[rows][1:] + slack[rows][:-1]).all()
         spreads.append(np.ptp(np.percentile(up[rows], (25, 75))))
     assert np.degrees(np.median(spreads)) < 0.12  # 0.22 where the two LiDARs change places
+
+
+def test_a_file_in_place_of_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    for root in (tmp_path / "file", tmp_path / "absent"):
+        with pytest.raises(InputError, match="logs"):
+            Argoverse2Scenes(root)

@@ -218,3 +218,10 @@ def test_the_real_file_turns_clockwise_and_its_rings_rise(real_data: Callable[[s
         elevations.append(np.median(up[rows]))
     assert (np.diff(elevations) > 0.02).all()
     assert (np.concatenate(steps) < 0).mean() > 0.995  # compensation for the car's motion reorders a few near ones
+
+
+def test_a_file_in_place_of_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    for root in (tmp_path / "file", tmp_path / "absent"):
+        with pytest.raises(InputError, match="neither"):
+            NuScenesScenes(root)

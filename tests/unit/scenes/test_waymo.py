@@ -295,3 +295,10 @@ def test_one_frame_of_many_is_read_without_the_others(segment: tuple[Path, Segme
     at = table.column_names.index(f"{FIRST}.shape")
     pq.write_table(table.set_column(at, table.schema.field(at), pa.array(spoiled, pa.list_(pa.int32(), 3))), path)
     assert WaymoScenes(tmp_path).load(NAME).content_hash() == WaymoScenes(segment[0]).load(NAME).content_hash()
+
+
+def test_a_file_in_place_of_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    for root in (tmp_path / "file", tmp_path / "absent"):
+        with pytest.raises(InputError, match="lidar"):
+            WaymoScenes(root)
