@@ -39,7 +39,7 @@ class Argoverse2Scenes:
         root: a split (train/, val/, test/), which holds logs, or one log.
         names: ``LOG-TIMESTAMP`` of the sweeps to use; None: every sweep, in order.
         count: the first so many; those after them are not looked for.
-        every: of each log every so-manieth sweep.
+        every: of each log every n-th sweep.
 
     A scene's origin is the upper LiDAR, its axes are the vehicle's, its time 0 the sweep's start. Points keep the order
     of the file. Every beam starts where its LiDAR (two of 32 beams, one above the other) was as it fired. Points are

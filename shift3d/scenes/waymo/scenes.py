@@ -45,7 +45,7 @@ class WaymoScenes:
         names: ``SEGMENT-TIMESTAMP`` of the frames to use; None: every frame, in order.
         count: the first so many; those after them are not looked for.
         lasers: which sensors: names of `LASERS`.
-        every: of each segment every so-manieth frame.
+        every: of each segment every n-th frame.
         keep_bad: list a segment whose frames cannot be listed under its own name; loading it raises InputError.
 
     A scene's origin is the TOP laser (its axes are the vehicle's), whether or not that laser is used. Points are laser
