@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -20,6 +21,7 @@ from shift3d.settings.scene_schema import FramesConfig
 from shift3d.settings.scene_sets import scene_set
 from shift3d.settings.schema import (
     AccuracyConfig,
+    AttackConfig,
     Config,
     DetectorConfig,
     VehicleConfig,
@@ -59,7 +61,8 @@ class Catalogue:
     which the scene set lets vehicles be placed. vehicles: name to hash; a hash is worked out when it is asked for.
     frame_of: a vehicle's frame and size by its name.
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
-    accuracy: every setting behind a preset's name. skipped: scenes that cannot be read and are left out, name to why.
+    accuracy: every setting behind a preset's name. space_hash: (vehicle, config) to the hash of where its
+    search may go. skipped: scenes that cannot be read and are left out, name to why.
     """
 
     scenes: tuple[SceneEntry, ...]
@@ -71,6 +74,7 @@ class Catalogue:
     detectors: dict[str, str]
     accuracy: dict[str, Any]
     skipped: Mapping[str, str] = field(default_factory=dict)
+    space_hash: Callable[[str, AttackConfig], str] = lambda vehicle, attack: ""
 
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
@@ -215,7 +219,22 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         detectors={name: detector_hash(name, path, config.detector.module) for name, path in detectors.items()},
         accuracy=accuracy_settings(config.accuracy),
         skipped=skipped,
+        space_hash=functools.partial(_space_hash, source),
     )
+
+
+def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> str:
+    """See `vehicles.sources.space_hash`. Raises: InputError where the vehicles have no such space."""
+    from shift3d.vehicles.sources import space_hash
+
+    if attack.space == "pca":
+        import torch
+
+        from shift3d.attack.space import pca_space
+
+        code = torch.from_numpy(source.vehicle(vehicle).latent_code)
+        pca_space(code, source.codes(), attack.components, f"vehicle {vehicle}, attack.space=pca")
+    return space_hash(source, vehicle, attack.space)
 
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:

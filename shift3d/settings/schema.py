@@ -107,8 +107,9 @@ class PlacementConfig(Record):
 class AttackConfig(Record):
     """The search and its comparisons.
 
-    selection_window: steps before and after that count when one is kept. transfer_scenes: number of other scenes that
-    each adversarial shape is put into.
+    selection_window: steps before and after that count when one is kept. search, space, components, rate, placements,
+    starts, random_search: see `task.spec.AttackSpec`. transfer_scenes: number of other scenes that each adversarial
+    shape is put into.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
@@ -123,6 +124,13 @@ class AttackConfig(Record):
     max_shift_m: NotNegative
     max_tilt_rad: NotNegative
     detection_radius_m: Positive
+    search: Literal["descent", "expectation", "evolution", "random"] = "descent"
+    space: Literal["free", "pca", "parameters"] = "free"
+    components: Annotated[int, Field(ge=1, le=256)] = 10
+    rate: Positive = 0.1
+    placements: Annotated[int, Field(ge=1, le=64)] = 2
+    starts: Annotated[int, Field(ge=1, le=64)] = 1
+    random_search: Annotated[int, Field(ge=0, le=1)] = 0
     transfer_scenes: Number = 0
     placement: PlacementConfig
 
@@ -235,7 +243,7 @@ class Config(Record):
     runner: Annotated[RayRunnerConfig | LocalRunnerConfig, Field(discriminator="kind")]
     tracking: Annotated[MlflowConfig | NoTrackingConfig, Field(discriminator="kind")]
     size: Literal["full", "small"] = "full"
-    mode: Literal["shape", "pose"]
+    mode: Literal["shape", "pose", "shape_pose"]
     scene: Text | None
     seed: Seed
     replicate: Number

@@ -7,7 +7,7 @@ import pyarrow as pa
 __all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
 # A new one needs a step in store/migrations.py and a folder of the former one in tests/reference.
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
 _SPEC_FIELDS = [
@@ -21,6 +21,7 @@ _SPEC_FIELDS = [
     ("alpha", pa.float64()),
     ("detector", pa.string()),
     ("accuracy", pa.string()),
+    ("search", pa.string()),  # how the search went and where it might go, see task.spec.AttackSpec.label
 ]
 SPEC_COLUMNS = tuple(name for name, _ in _SPEC_FIELDS)
 _NULLABLE = {"lambda"}
@@ -50,6 +51,7 @@ _SCORES = _schema(
         ("contact_ok", pa.bool_()),
         ("best_step", pa.int32()),
         ("accuracy", pa.string()),
+        ("search", pa.string()),
         ("effects", pa.list_(pa.string())),
         ("score_reference", pa.float64()),
         ("stable", pa.bool_()),
@@ -114,6 +116,7 @@ _VERIFICATION = _schema(
         ("method", pa.string()),
         ("replicate", pa.int32()),
         ("accuracy", pa.string()),
+        ("search", pa.string()),
         ("score", pa.float64()),  # as the sweep reported it
         ("score_again", pa.float64()),  # at the sweep's accuracy: the same, bit for bit, on the same machine
         ("score_reference", pa.float64()),
@@ -230,6 +233,7 @@ GROUP_FIELDS = [
     ("alpha", pa.float64()),
     ("detector", pa.string()),
     ("accuracy", pa.string()),
+    ("search", pa.string()),
     ("effects", pa.string()),  # as asked for: auto, none, or names joined by +; what ran is in the scores
     ("scored_by", pa.string()),
     ("method", pa.string()),
@@ -292,6 +296,7 @@ _CHOICES = _schema(
         ("alpha", pa.float64()),  # that lambda is chosen at
         ("detector", pa.string()),
         ("accuracy", pa.string()),
+        ("search", pa.string()),
         ("effects", pa.string()),
         ("candidate", pa.float64()),
         ("found", pa.float64()),  # alpha: AUC of what was found; lambda: its mean adversarial loss

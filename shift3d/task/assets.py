@@ -70,7 +70,7 @@ class Assets:
                 self._scenes.popitem(last=False)
         self._scenes.move_to_end(name)
         scene, beams, found = self._scenes[name]
-        _require(f"scene {name}", spec.scene_hash, found)
+        require_planned(f"scene {name}", spec.scene_hash, found)
         return scene, beams
 
     def decoder_of(self, dtype: torch.dtype) -> Decoder | DeepSdfNetwork:
@@ -98,7 +98,7 @@ class Assets:
         vehicle = self.vehicles.vehicle(name)
         if name not in self._vehicle_hashes:
             self._vehicle_hashes[name] = vehicle_hash(vehicle)
-        _require(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
+        require_planned(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
         return vehicle
 
     def volume_of(self, spec: TaskSpec) -> float:
@@ -127,7 +127,7 @@ class Assets:
         return self._spaces[key]
 
 
-def _require(what: str, planned: str | None, found: str) -> None:
+def require_planned(what: str, planned: str | None, found: str) -> None:
     """Refuse content with another hash than was planned; a spec made by hand may state none."""
     if planned and planned != found:
         remedy = "Restore it, or start a new sweep in another folder with out=DIR"
@@ -142,9 +142,9 @@ def load_assets(spec: AssetsSpec) -> Assets:
     """
     for name, path in spec.detectors.items():
         found = detector_hash(name, path, spec.modules.get(name))
-        _require(f"the weights of {name}", spec.hashes.get(name), found)
+        require_planned(f"the weights of {name}", spec.hashes.get(name), found)
     source = vehicle_source(_vehicle_config(spec.vehicles))
-    _require("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
+    require_planned("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
     assets = Assets(scene_set(scene_config(spec.scenes)), source, source.decoder(), spec.detectors, spec.modules)
     # Now, not at the first task: weights that do not fit stop the sweep in one line instead of failing every task.
     for name in spec.detectors:

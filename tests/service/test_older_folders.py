@@ -56,10 +56,10 @@ def test_shapes_that_were_called_cars_by_their_sides_alone_are_not_called_so_any
     """Version 7 asks for volume and symmetry, which version 6 did not measure."""
     row: dict[str, object] = {field.name: None for field in SCHEMAS["shapes"]}
     row |= {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.1}
-    row |= {"detector": "p", "accuracy": "a", "method": "adversarial", "replicate": 0}
+    row |= {"detector": "p", "accuracy": "a", "search": "descent", "method": "adversarial", "replicate": 0}
     table = table_from_rows("shapes", [row | {"largest_piece": 0.99, "still_a_car": True}])
     metadata = {**table.schema.metadata, b"shift3d.schema_version": b"6"}
-    older = table.drop_columns(["volume_share", "mirrored"]).replace_schema_metadata(metadata)
+    older = table.drop_columns(["volume_share", "mirrored", "search"]).replace_schema_metadata(metadata)
     pq.write_table(older, tmp_path / "shapes.parquet")
     (found,) = read_table(tmp_path / "shapes.parquet", "shapes").to_pylist()
     assert (found["largest_piece"], found["volume_share"], found["mirrored"]) == (0.99, None, None)

@@ -290,7 +290,7 @@ def test_a_step_that_is_not_finite_has_no_number_and_still_has_its_row() -> None
     assert (row["loss"], row["adversarial_loss"], row["proposal_score"]) == (None, None, 0.4)
     assert not row["kept"]
     known = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape"}
-    known |= {"alpha": 0.01, "detector": "p", "accuracy": "a"}
+    known |= {"alpha": 0.01, "detector": "p", "accuracy": "a", "search": "descent"}
     assert table_from_rows("trajectories", [row | known]).num_rows == 1
 
 
