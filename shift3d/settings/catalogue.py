@@ -21,6 +21,7 @@ from shift3d.settings.schema import (
     Config,
     DetectorConfig,
     KittiConfig,
+    NaturalnessConfig,
     StreetConfig,
     VehicleConfig,
     VehicleSetConfig,
@@ -59,6 +60,7 @@ class Catalogue:
     frame_of: a vehicle's frame and size by its name.
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
     accuracy: every setting behind a preset's name. skipped: scenes that cannot be read and are left out, name to why.
+    reference_hash: of what the reference set of naturalness is made from; empty: none.
     """
 
     scenes: tuple[SceneEntry, ...]
@@ -70,6 +72,7 @@ class Catalogue:
     detectors: dict[str, str]
     accuracy: dict[str, Any]
     skipped: Mapping[str, str] = field(default_factory=dict)
+    reference_hash: str = ""
 
 
 def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
@@ -214,7 +217,17 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         detectors={name: file_hash(weights_file(name, path)) for name, path in detectors.items()},
         accuracy=accuracy_settings(config.accuracy),
         skipped=skipped,
+        reference_hash=_reference_hash(config.naturalness),
     )
+
+
+def _reference_hash(config: NaturalnessConfig) -> str:
+    """Hash of the reference set's source, without building it. Raises InputError for a folder that holds none."""
+    if (values := config.source()) is None:
+        return ""
+    from shift3d.naturalness.sources import reference_source, source_hash
+
+    return source_hash(reference_source(values))
 
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:

@@ -117,7 +117,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
 
 
 def _assets_key(config: Config) -> str:
-    parts = (config.scenes, config.detector, config.accuracy)
+    parts = (config.scenes, config.detector, config.accuracy, config.naturalness)
     return json.dumps([part.model_dump(mode="json") for part in parts] + [_vehicles(config)])
 
 
@@ -132,6 +132,7 @@ def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
         vehicles=_vehicles(config),
         detectors={name: given.get(name) for name in catalogue.detectors},
         hashes={"decoder": catalogue.decoder_hash, **catalogue.detectors},
+        reference=config.naturalness.source(),
     )
 
 
@@ -173,4 +174,5 @@ def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
         decoder_hash=catalogue.decoder_hash,
         scored_by=tuple(catalogue.detectors),
         detector_hashes=catalogue.detectors,
+        reference_hash=catalogue.reference_hash,
     )
