@@ -7,10 +7,15 @@ __all__ = ["METHODS", "METHODS_OF_MODE"]
 METHODS = {
     "baseline": "baseline",
     "random": "random",
+    "random_search": "best of random draws",
     "adversarial_noise": "adversarial + noise",
     "adversarial": "adversarial",
 }
 """By name, in the order of the paper's tables: what a reader is told."""
 
-METHODS_OF_MODE = {"shape": tuple(METHODS), "pose": tuple(name for name in METHODS if name != "adversarial_noise")}
-"""By what is attacked: the methods that a task scores."""
+METHODS_OF_MODE = {
+    "shape": tuple(METHODS),
+    "pose": tuple(name for name in METHODS if name != "adversarial_noise"),
+    "shape_pose": tuple(METHODS),
+}
+"""By what is attacked: the methods that a task may score."""

@@ -30,7 +30,14 @@ def variant(scores: dict[tuple[str, str], list[float]], mode: str = "shape", **m
     vehicles = list(dict.fromkeys(vehicle for _, vehicle in scores))
     frame = pd.DataFrame(rows).astype(dict.fromkeys(more, object))
     named: dict[str, Any] = {"mode": mode, "detector": DETECTOR, "scored_by": DETECTOR, "effects": "none"}
-    named |= {"alpha": 0.01, "accuracy": "standard", "differing": {}, "vehicles": vehicles, "key": f"{mode}-0"}
+    named |= {
+        "alpha": 0.01,
+        "accuracy": "standard",
+        "search": "descent",
+        "differing": {},
+        "vehicles": vehicles,
+        "key": f"{mode}-0",
+    }
     return Variant(**named, auc=pd.DataFrame(auc), rows=frame)
 
 

@@ -93,7 +93,7 @@ def sweep_groups(measures: Naturalness, outs: Sequence[str]) -> list[Group]:
     rows = pd.concat(frames) if frames else pd.DataFrame()
     groups = []
     if len(rows):
-        rows = rows[(rows["method"] == "adversarial") & (rows["mode"] == "shape")].drop_duplicates("task_id")
+        rows = rows[(rows["method"] == "adversarial") & (rows["mode"] != "pose")].drop_duplicates("task_id")
         for weight, part in rows.groupby("lambda"):
             codes = zip(part["vehicle"], part["latent_code"])
             shapes = (

@@ -69,10 +69,10 @@ class Sweep:
 
 
 def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
-    """Whether the adversarial shape is natural, by shape task; none where naturalness was not measured."""
+    """Whether the adversarial shape is natural, by task that searches a shape; none where naturalness was not measured."""
     if "natural" not in scores:
         return {}
-    found = scores[(scores["method"] == "adversarial") & (scores["mode"] == "shape") & scores["natural"].notna()]
+    found = scores[(scores["method"] == "adversarial") & (scores["mode"] != "pose") & scores["natural"].notna()]
     return {str(task): bool(natural) for task, natural in zip(found["task_id"], found["natural"])}
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from shift3d.methods import METHODS
+from shift3d.methods import METHODS, METHODS_OF_MODE
 from shift3d.store.schemas import GROUP_COLUMNS
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SETTINGS", "Aucs", "Variant", "aucs_of_scores", "variants"]
 
-SETTINGS = ("alpha", "detector", "scored_by", "accuracy", "effects")
+SETTINGS = ("alpha", "detector", "scored_by", "accuracy", "search", "effects")
 """What variants of one mode differ in."""
 
 
@@ -72,6 +72,7 @@ class Variant:
     detector: str
     scored_by: str
     accuracy: str
+    search: str
     effects: str
     differing: Mapping[str, str]
     vehicles: list[str]
@@ -84,7 +85,9 @@ class Variant:
         """What tells it from the sweep's other variants."""
         names = {"detector": "attacked", "scored_by": "scored by"}
         parts = [f"{names.get(name, name)} {text.replace('_', ' ')}" for name, text in self.differing.items()]
-        return ", ".join([f"adversarial {self.mode}", *parts]).replace("effects none", "no effects")
+        return ", ".join([f"adversarial {self.mode.replace('_', ' and ')}", *parts]).replace(
+            "effects none", "no effects"
+        )
 
     @property
     def title(self) -> str:
@@ -122,7 +125,7 @@ class Variant:
 
 
 def variants(auc: pd.DataFrame, scored: pd.DataFrame | None = None) -> list[Variant]:
-    """Shape before pose; of one mode, the attacked detector's own scores before those of others.
+    """Shape, pose, both together; of one mode, the attacked detector's own scores before those of others.
 
     auc: the table of ``final/``. scored: `Sweep.scored`, for what is made of single scores.
     """
@@ -133,7 +136,8 @@ def variants(auc: pd.DataFrame, scored: pd.DataFrame | None = None) -> list[Vari
         selected = group[group["selected"] & group["auc"].notna()]
         rows = selected.iloc[:0] if scored is None else _behind(selected, scored)
         found.append((named, {name: _text(named[name]) for name in several}, group, selected, rows))
-    found.sort(key=lambda item: (item[0]["mode"] != "shape", item[0]["detector"] != item[0]["scored_by"]))
+    order = list(METHODS_OF_MODE)
+    found.sort(key=lambda item: (order.index(item[0]["mode"]), item[0]["detector"] != item[0]["scored_by"]))
     return [
         Variant(**named, differing=texts, vehicles=list(dict.fromkeys(group["vehicle"])), auc=selected, rows=rows,
                 key=f"{named['mode']}-{number}")

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, snapped
+from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, drawn_pose, snapped
 from shift3d.attack.problem import AttackProblem
 from shift3d.placement.constraints import ConstraintCheck, check
 
@@ -52,7 +52,7 @@ def random_pose(
     """
     metric = problem.metric(problem.code0.detach())
     for _ in range(attempts):
-        theta = snapped(_draw_pose(problem.theta0, rng, limits), problem, metric, limits)
+        theta = snapped(drawn_pose(problem.theta0, rng, limits), problem, metric, limits)
         held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.limits, problem.others)
         if not (held.overlap_ok and held.contact_ok and held.clear_ok):
             continue
@@ -66,12 +66,3 @@ def random_pose(
         if held.valid:
             return theta, held
     return None
-
-
-def _draw_pose(theta0: Tensor, rng: np.random.Generator, limits: PoseLimits) -> Tensor:
-    shift = limits.max_shift_m * np.sqrt(rng.random())
-    direction, yaw = 2.0 * np.pi * rng.random(2)
-    pitch, roll = limits.max_tilt_rad * (2.0 * rng.random(2) - 1.0)
-    theta = theta0.detach().double().clone()
-    change = [shift * np.cos(direction), shift * np.sin(direction), 0.0, yaw, pitch, roll]
-    return theta + torch.tensor(change, dtype=torch.float64)

@@ -3,35 +3,16 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from shift3d.attack.objective import latent_distance
-from shift3d.attack.problem import AttackProblem, Measurement, count_non_finite, measure
+from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
+from shift3d.attack.trials import Search, Trials
 
-Parameters = Callable[[Tensor], tuple[Tensor, Tensor]]
-
-
-@dataclass(frozen=True)
-class Search:
-    """What distinguishes the shape attack from the pose attack.
-
-    start: first value of the variable. parameters: variable -> (code, theta). penalty: variable -> scalar added
-    to the loss. project: variable -> nearest variable that satisfies the hard constraints.
-    """
-
-    mode: Literal["shape", "pose"]
-    start: Tensor
-    parameters: Parameters
-    penalty: Callable[[Tensor], Tensor]
-    project: Callable[[Tensor], Tensor]
+__all__ = ["Search", "best_step", "descend"]
 
 
 def descend(
@@ -49,32 +30,17 @@ def descend(
 
     Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01).
     """
-    variable = search.start.detach().clone().requires_grad_()
-    trace: list[StepRecord] = []
-    tried: list[tuple[Tensor, Tensor]] = []
-    diverged, warm, incremental = False, None, problem.incremental_inference()
+    trials = Trials(problem, search, on_step)
+    variable, diverged = search.start.detach(), False
     for step in range(steps + 1):
-        code, theta = search.parameters(variable)
-        measurement = measure(problem, code, theta, warm, incremental=incremental)
-        warm = measurement.rendering.warm
-        loss = measurement.adversarial + search.penalty(variable)
-        gradient, milliseconds = _gradient(loss, variable) if step < steps else (None, 0.0)
-        where = tuple(theta.detach().tolist()), latent_distance(code, problem.code0)
-        record = _record(step, where, loss, gradient, measurement, milliseconds)
-        trace.append(record)
-        tried.append((code.detach().clone(), theta.detach().clone()))
-        if on_step is not None:
-            on_step(record)
+        gradient = trials.evaluate(variable, step < steps)
         if gradient is None:
             break
-        moved = search.project(variable.detach() - alpha * gradient)
-        if not bool(torch.isfinite(moved).all()):
+        variable = search.project(variable - alpha * gradient)
+        if not bool(torch.isfinite(variable).all()):
             diverged = True
             break
-        variable = moved.requires_grad_()
-    kept = best_step(trace, selection_window)
-    status = "diverged" if diverged else "ok" if kept else "no_valid_step"
-    return AttackResult(search.mode, *tried[kept], kept, status, tuple(trace))
+    return trials.result(best_step(trials.trace, selection_window), diverged)
 
 
 def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
@@ -94,41 +60,3 @@ def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
         if trace[step].valid and loss < lowest:
             best, lowest = step, loss
     return best
-
-
-def _gradient(loss: Tensor, variable: Tensor) -> tuple[Tensor, float]:
-    """dL/dv, zero where the loss does not depend on the variable (no hit, no overlapping proposal)."""
-    start = time.perf_counter()
-    if not loss.requires_grad:
-        return torch.zeros_like(variable), 0.0
-    (gradient,) = torch.autograd.grad(loss, variable, allow_unused=True)
-    gradient = torch.zeros_like(variable) if gradient is None else gradient
-    return gradient, 1e3 * (time.perf_counter() - start)
-
-
-def _record(
-    step: int,
-    where: tuple[tuple[float, ...], float],
-    loss: Tensor,
-    gradient: Tensor | None,
-    measured: Measurement,
-    backward_ms: float,
-) -> StepRecord:
-    """where: the pose and the distance from the baseline's code."""
-    rendering = measured.rendering
-    return StepRecord(
-        step=step,
-        theta=where[0],
-        latent_distance=where[1],
-        loss=float(loss.detach()),
-        adversarial_loss=float(measured.adversarial.detach()),
-        proposal_score=measured.proposal_score,
-        check=measured.check,
-        unresolved_beams=rendering.unresolved_beams,
-        max_residual_m=rendering.max_residual_m,
-        evaluations=rendering.evaluations,
-        grazing_gradient=None if gradient is None else rendering.grazing.gradient,
-        least_slope=rendering.grazing.least_slope,
-        non_finite=measured.non_finite + sum(count_non_finite(part) for part in (loss, gradient) if part is not None),
-        milliseconds={**measured.milliseconds, "backward": backward_ms},
-    )

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.attack.loop import Search, descend
+from shift3d.attack.loop import descend
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
+from shift3d.attack.trials import Search
 from shift3d.placement.constraints import snap_to_ground
 from shift3d.placement.ground import fit_ground
 from shift3d.render.field.object_field import ObjectField
@@ -38,6 +40,22 @@ PAPER_LIMITS = PoseLimits()
 """The paper's values."""
 
 
+def pose_search(problem: AttackProblem, limits: PoseLimits = PAPER_LIMITS) -> Search:
+    """min_theta L_adv(theta) over B(theta0) at a fixed shape. The ground-truth box moves along.
+
+    Source: SHIFT3D eq. loss_theta.
+    """
+    metric = problem.metric(problem.code0.detach())
+    return Search(
+        mode="pose",
+        start=problem.theta0.double(),
+        parameters=lambda theta: (problem.code0.detach(), theta),
+        penalty=lambda theta: theta.new_zeros(()),
+        project=lambda theta: snapped(project(theta, problem.theta0, limits), problem, metric, limits),
+        draw=lambda rng, distance: snapped(drawn_pose(problem.theta0, rng, limits), problem, metric, limits),
+    )
+
+
 def attack_pose(
     problem: AttackProblem,
     alpha: float = 0.01,
@@ -46,22 +64,27 @@ def attack_pose(
     on_step: Callable[[StepRecord], None] | None = None,
     selection_window: int = 0,
 ) -> AttackResult:
-    """min_theta L_adv(theta) over B(theta0) at a fixed shape. The ground-truth box moves along.
+    """The paper's adversarial pose: plain descent on `pose_search`.
 
     selection_window: which step is kept, see `shift3d.attack.loop.best_step`.
 
     Source: SHIFT3D eq. loss_theta and Algorithm 1.
     """
     problem = problem.with_space()
-    metric = problem.metric(problem.code0.detach())
-    search = Search(
-        mode="pose",
-        start=problem.theta0.double(),
-        parameters=lambda theta: (problem.code0.detach(), theta),
-        penalty=lambda theta: theta.new_zeros(()),
-        project=lambda theta: snapped(project(theta, problem.theta0, limits), problem, metric, limits),
-    )
-    return descend(problem, search, steps, alpha, on_step, selection_window)
+    return descend(problem, pose_search(problem, limits), steps, alpha, on_step, selection_window)
+
+
+def drawn_pose(theta0: Tensor, rng: np.random.Generator, limits: PoseLimits) -> Tensor:
+    """A pose (6,) at random in B(theta0): shift uniform in the disc, yaw uniform, pitch and roll in the limits.
+
+    Source: SHIFT3D, Adversarial Pose Generation Results ("random pose perturbations with the same constraints").
+    """
+    shift = limits.max_shift_m * np.sqrt(rng.random())
+    direction, yaw = 2.0 * np.pi * rng.random(2)
+    pitch, roll = limits.max_tilt_rad * (2.0 * rng.random(2) - 1.0)
+    theta = theta0.detach().double().clone()
+    change = [shift * np.cos(direction), shift * np.sin(direction), 0.0, yaw, pitch, roll]
+    return theta + torch.tensor(change, dtype=torch.float64)
 
 
 def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:

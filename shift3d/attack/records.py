@@ -48,12 +48,12 @@ class StepRecord:
 class AttackResult:
     """The best valid step, or the start where no step was valid.
 
-    mode: shape or pose. latent_code: (d,). theta: (6,) float64. best_step: 1..steps, or 0 where no step was valid
+    mode: shape, pose or both. latent_code: (d,). theta: (6,) float64. best_step: 1..steps, or 0 where no step was valid
     and the baseline is kept. status: "ok"; "no_valid_step"; "diverged" where a step left the finite numbers (the
     search ended there, earlier steps count). trace: one record per rendering, step 0 first.
     """
 
-    mode: Literal["shape", "pose"]
+    mode: Literal["shape", "pose", "shape_pose"]
     latent_code: Tensor
     theta: Tensor
     best_step: int

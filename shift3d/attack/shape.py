@@ -1,4 +1,4 @@
-"""Adversarial shape: descend on the latent code."""
+"""Adversarial shape: a search over codes."""
 
 from __future__ import annotations
 
@@ -6,14 +6,50 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-from shift3d.attack.loop import Search, descend
+from shift3d.attack.loop import descend
 from shift3d.attack.objective import latent_penalty
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
+from shift3d.attack.space import CodeSpace, free_space
+from shift3d.attack.trials import Search
 from shift3d.placement.constraints import snap_to_ground
 
+__all__ = ["SNAP_M", "attack_shape", "on_ground", "shape_search"]
+
 SNAP_M = 0.35
-"""How far a shape's height may follow the ground, metres. Our choice, see `attack_shape`."""
+"""How far a shape's height may follow the ground, metres. Our choice, see `shape_search`."""
+
+
+def shape_search(
+    problem: AttackProblem, lambda_: float, space: CodeSpace | None = None, snap_m: float = SNAP_M
+) -> Search:
+    """min_z L_adv(z) + lambda ||z - z0||^2 at a fixed pose.
+
+    Args:
+        problem: scene, object, detector.
+        lambda_: weight of the latent distance, >= 0.
+        space: where z may go; None: anywhere.
+        snap_m: how far the object's height may follow its shape so that it keeps standing on the ground; 0
+            leaves the pose alone.
+
+    Source: SHIFT3D eq. loss_z. The height is our choice: a wheel base that rises by 2 cm would
+    leave the object hanging in the air and end the search; a real vehicle of that shape stands lower.
+    """
+    space = space or free_space(problem.code0)
+
+    def parameters(u: Tensor) -> tuple[Tensor, Tensor]:
+        code = space.code(u)
+        return code, on_ground(code, problem, snap_m)
+
+    return Search(
+        mode="shape",
+        start=space.start,
+        parameters=parameters,
+        # Without lambda there is none, be it infinite: 0 times infinity is NaN.
+        penalty=lambda u: lambda_ * latent_penalty(space.code(u), problem.code0) if lambda_ else u.new_zeros(()),
+        project=space.project,
+        draw=space.draw,
+    )
 
 
 def attack_shape(
@@ -25,30 +61,13 @@ def attack_shape(
     on_step: Callable[[StepRecord], None] | None = None,
     selection_window: int = 0,
 ) -> AttackResult:
-    """min_z L_adv(z) + lambda ||z - z0||^2 at a fixed pose.
+    """The paper's adversarial shape: plain descent on `shape_search` over every code.
 
-    Args:
-        problem: scene, object, detector.
-        lambda_: weight of the latent distance, >= 0.
-        alpha: step size.
-        steps: re-renderings after the first.
-        snap_m: how far the object's height may follow its shape so that it keeps standing on the ground; 0
-            leaves the pose alone.
-        on_step: called with every record as it is made.
-        selection_window: which step is kept, see `shift3d.attack.loop.best_step`.
-
-    Source: SHIFT3D eq. loss_z and Algorithm 1. The height is our choice: a wheel base that rises by 2 cm would
-    leave the object hanging in the air and end the search; a real vehicle of that shape stands lower.
+    alpha: step size. steps: re-renderings after the first. on_step: called with every record as it is made.
+    selection_window: which step is kept, see `shift3d.attack.loop.best_step`.
+    Source: SHIFT3D eq. loss_z and Algorithm 1.
     """
-    search = Search(
-        mode="shape",
-        start=problem.code0,
-        parameters=lambda code: (code, on_ground(code, problem, snap_m)),
-        # Without lambda there is none, be it infinite: 0 times infinity is NaN.
-        penalty=lambda code: lambda_ * latent_penalty(code, problem.code0) if lambda_ else code.new_zeros(()),
-        project=_free,
-    )
-    return descend(problem, search, steps, alpha, on_step, selection_window)
+    return descend(problem, shape_search(problem, lambda_, snap_m=snap_m), steps, alpha, on_step, selection_window)
 
 
 def on_ground(code: Tensor, problem: AttackProblem, snap_m: float) -> Tensor:
@@ -57,8 +76,3 @@ def on_ground(code: Tensor, problem: AttackProblem, snap_m: float) -> Tensor:
         return problem.theta0
     found = snap_to_ground(problem.metric(code.detach()), problem.points_near(), problem.theta0, problem.size_m, snap_m)
     return problem.theta0 if found is None else found
-
-
-def _free(code: Tensor) -> Tensor:
-    """The shape has no hard constraint: the realism constraints gate which step is kept."""
-    return code

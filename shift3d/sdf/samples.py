@@ -90,6 +90,13 @@ def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> S
     offset = np.asarray(mesh.bounds.mean(axis=0), np.float64)
     scale = bounding_scale(mesh)
     unit = trimesh.Trimesh((mesh.vertices - offset) / scale, mesh.faces, process=False)
+    return SdfSamples(*sample_sdf_within(unit, count, rng), scale, offset)
+
+
+def sample_sdf_within(
+    unit: trimesh.Trimesh, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """As `sample_sdf` for a closed mesh that lies in the unit sphere already: points (N, 3) and distances (N,)."""
     near = int(0.47 * count)
     clouds = []
     for variance in NEAR_VARIANCES:
@@ -100,5 +107,4 @@ def sample_sdf(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> S
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     clouds.append(direction * np.cbrt(rng.uniform(size=(rest, 1))))
     points = np.concatenate(clouds).astype(np.float32)
-    distances = signed_distance(unit, points.astype(np.float64)).astype(np.float32)
-    return SdfSamples(points, distances, scale, offset)
+    return points, signed_distance(unit, points.astype(np.float64)).astype(np.float32)

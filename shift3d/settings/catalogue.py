@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -9,20 +10,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.detectors.names import DETECTOR_NAMES
+from shift3d.detectors.names import DETECTOR_NAMES, OWN
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.scene_cache import SceneEntry
 from shift3d.settings.scene_entries import scene_entries
+from shift3d.settings.scene_schema import FramesConfig
+from shift3d.settings.scene_sets import scene_set
 from shift3d.settings.schema import (
     AccuracyConfig,
+    AttackConfig,
     Config,
     DetectorConfig,
-    KittiConfig,
     NaturalnessConfig,
-    StreetConfig,
     VehicleConfig,
     VehicleSetConfig,
 )
@@ -36,6 +38,7 @@ __all__ = [
     "Catalogue",
     "SceneEntry",
     "accuracy_settings",
+    "detector_hash",
     "file_hash",
     "read_catalogue",
     "scene_set",
@@ -59,7 +62,8 @@ class Catalogue:
     which the scene set lets vehicles be placed. vehicles: name to hash; a hash is worked out when it is asked for.
     frame_of: a vehicle's frame and size by its name.
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
-    accuracy: every setting behind a preset's name. skipped: scenes that cannot be read and are left out, name to why.
+    accuracy: every setting behind a preset's name. space_hash: (vehicle, config) to the hash of where its
+    search may go. skipped: scenes that cannot be read and are left out, name to why.
     reference_hash: of what the reference set of naturalness is made from; empty: none.
     """
 
@@ -72,22 +76,8 @@ class Catalogue:
     detectors: dict[str, str]
     accuracy: dict[str, Any]
     skipped: Mapping[str, str] = field(default_factory=dict)
+    space_hash: Callable[[str, AttackConfig], str] = lambda vehicle, attack: ""
     reference_hash: str = ""
-
-
-def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
-    """The scenes that settings describe. Raises InputError for a missing or unreadable folder."""
-    if isinstance(config, StreetConfig):
-        from shift3d.scenes.sets import StreetScenes
-
-        return StreetScenes(config.sensor, config.seed, config.count, config.split, options=config.options())
-    from shift3d.scenes.kitti import KittiScenes
-
-    root, reflectance_max = Path(config.root).expanduser(), config.reflectance_max
-    scenes = KittiScenes(root, config.names, reflectance_max, config.skip_bad)
-    if config.count is None:
-        return scenes
-    return KittiScenes(root, scenes.names()[: config.count], reflectance_max, config.skip_bad)
 
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
@@ -131,8 +121,23 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
         others = [name for name in others if not (name == "sst_small" and "sst" in others)]
     names = list(dict.fromkeys([config.name, *others]))
     for name in names:
-        weights_file(name, weights.get(name))
+        detector_hash(name, weights.get(name), config.module)
     return {name: weights.get(name) for name in names}
+
+
+def detector_hash(name: str, weights: str | None, module: str | None) -> str:
+    """128-bit BLAKE2b of what a detector is made of, hex: its weights; of the user's own, its Python file with them.
+
+    Raises:
+        InputError: a file is missing.
+    """
+    if name != OWN:
+        return file_hash(weights_file(name, weights))
+    parts = [Path(part).expanduser() for part in (module, weights) if part]
+    for path in parts:
+        if not path.is_file():
+            raise InputError("no such file", where=str(path), remedy="Check detector.module and detector.weights")
+    return hashlib.blake2b("".join(map(file_hash, parts)).encode(), digest_size=16).hexdigest()
 
 
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
@@ -214,9 +219,10 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         vehicles=_VehicleHashes(source),
         frame_of=source.vehicle,
         decoder_hash=source.decoder_hash(),
-        detectors={name: file_hash(weights_file(name, path)) for name, path in detectors.items()},
+        detectors={name: detector_hash(name, path, config.detector.module) for name, path in detectors.items()},
         accuracy=accuracy_settings(config.accuracy),
         skipped=skipped,
+        space_hash=functools.partial(_space_hash, source),
         reference_hash=_reference_hash(config.naturalness),
     )
 
@@ -230,9 +236,23 @@ def _reference_hash(config: NaturalnessConfig) -> str:
     return source_hash(reference_source(values))
 
 
+def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> str:
+    """See `vehicles.sources.space_hash`. Raises: InputError where the vehicles have no such space."""
+    from shift3d.vehicles.sources import space_hash
+
+    if attack.space == "pca":
+        import torch
+
+        from shift3d.attack.space import pca_space
+
+        code = torch.from_numpy(source.vehicle(vehicle).latent_code)
+        pca_space(code, source.codes(), attack.components, f"vehicle {vehicle}, attack.space=pca")
+    return space_hash(source, vehicle, attack.space)
+
+
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
     """See `scene_entries`; the error for a frame that cannot be read says how to do without it."""
-    frames = config.scenes if isinstance(config.scenes, KittiConfig) else None
+    frames = config.scenes if isinstance(config.scenes, FramesConfig) else None
     try:
         return scene_entries(scenes, preview, skip_bad=frames is not None and frames.skip_bad)
     except InputError as error:

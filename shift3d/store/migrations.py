@@ -52,7 +52,7 @@ def _ids_as_text(values: Values) -> Values:
 
 
 def _judged_by_sides(name: str, table: pa.Table) -> pa.Table:
-    """Version 8 measures naturalness; what was called a car before, by another rule, is unknown.
+    """Version 9 measures naturalness; what was called a car before, by another rule, is unknown.
 
     Of version 6 `volume_share` and `mirrored` are absent already.
     """
@@ -90,8 +90,22 @@ def _with_nulls(table: pa.Table, after: str, columns: Mapping[str, pa.DataType])
     return table
 
 
-# Version 7 added columns to one table, all of which version 8 drops again.
-STEPS: Mapping[int, Step] = {5: Step(entry=_ids_as_text), 6: Step(), 7: Step(table=_judged_by_sides)}
+def _searched_by_descent(name: str, table: pa.Table) -> pa.Table:
+    """Version 8 says how a search went: before, each was the paper's."""
+    place = table.schema.get_field_index("accuracy")
+    if place < 0:
+        return table
+    words = pa.array(["descent"] * len(table), pa.string())
+    return table.add_column(place + 1, pa.field("search", pa.string(), nullable=False), words)
+
+
+# Version 7 added columns to one table, all of which version 9 drops again.
+STEPS: Mapping[int, Step] = {
+    5: Step(entry=_ids_as_text),
+    6: Step(),
+    7: Step(table=_searched_by_descent),
+    8: Step(table=_judged_by_sides),
+}
 """By the version that a step starts from."""
 
 

@@ -7,7 +7,7 @@ import pyarrow as pa
 __all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
 # A new one needs a step in store/migrations.py and a folder of the former one in tests/reference.
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
 _SPEC_FIELDS = [
@@ -21,6 +21,7 @@ _SPEC_FIELDS = [
     ("alpha", pa.float64()),
     ("detector", pa.string()),
     ("accuracy", pa.string()),
+    ("search", pa.string()),  # how the search went and where it might go, see task.spec.AttackSpec.label
 ]
 SPEC_COLUMNS = tuple(name for name, _ in _SPEC_FIELDS)
 _NULLABLE = {"lambda"}
@@ -50,6 +51,7 @@ _SCORES = _schema(
         ("contact_ok", pa.bool_()),
         ("best_step", pa.int32()),
         ("accuracy", pa.string()),
+        ("search", pa.string()),
         ("effects", pa.list_(pa.string())),
         ("score_reference", pa.float64()),
         ("stable", pa.bool_()),
@@ -79,7 +81,7 @@ _SCORES = _schema(
     ],
     # Null where nothing could be placed (status says so), where the verification at reference accuracy has not been
     # run, where a method is not audited, where no gradient was taken at the object (random, noise), and where
-    # naturalness was not measured (noise, naturalness=none, programs before version 8) or there is no surface.
+    # naturalness was not measured (noise, naturalness=none, programs before version 9) or there is no surface.
     nullable={
         *_NULLABLE, "score", "adversarial_loss", "latent_distance", *(n for n, _ in _POSE), "range_m",
         "object_points", "overlap_ok", "contact_ok", "best_step", "score_reference", "stable",
@@ -123,6 +125,7 @@ _VERIFICATION = _schema(
         ("method", pa.string()),
         ("replicate", pa.int32()),
         ("accuracy", pa.string()),
+        ("search", pa.string()),
         ("score", pa.float64()),  # as the sweep reported it
         ("score_again", pa.float64()),  # at the sweep's accuracy: the same, bit for bit, on the same machine
         ("score_reference", pa.float64()),
@@ -214,7 +217,7 @@ _SHAPES = _schema(
         ("from_member_p95_cm", pa.float64()),
         ("out_of_range", pa.list_(pa.string())),  # sizes that no published vehicle has
     ],
-    # Null for a code without a surface, and for what a program before version 8 did not measure.
+    # Null for a code without a surface, and for what a program before version 9 did not measure.
     nullable={
         *_NULLABLE, "length_m", "width_m", "height_m", "clearance_m", "asymmetry_cm", "nearest_member", "to_member_cm",
         "to_member_p95_cm", "from_member_cm", "from_member_p95_cm", "out_of_range",
@@ -247,6 +250,7 @@ GROUP_FIELDS = [
     ("alpha", pa.float64()),
     ("detector", pa.string()),
     ("accuracy", pa.string()),
+    ("search", pa.string()),
     ("effects", pa.string()),  # as asked for: auto, none, or names joined by +; what ran is in the scores
     ("scored_by", pa.string()),
     ("method", pa.string()),
@@ -309,6 +313,7 @@ _CHOICES = _schema(
         ("alpha", pa.float64()),  # that lambda is chosen at
         ("detector", pa.string()),
         ("accuracy", pa.string()),
+        ("search", pa.string()),
         ("effects", pa.string()),
         ("candidate", pa.float64()),
         ("found", pa.float64()),  # alpha: AUC of what was found; lambda: its mean adversarial loss

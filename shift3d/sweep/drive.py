@@ -54,11 +54,6 @@ class SweepResult:
     seconds: float
     reused: int = 0
 
-    @property
-    def interrupted(self) -> bool:
-        """Whether tasks are left that were not tried."""
-        return self.final is None
-
 
 def run_sweep(
     plan: Plan,

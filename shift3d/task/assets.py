@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from shift3d.detectors.base import Detector
-from shift3d.detectors.loading import load_detector
+from shift3d.detectors.loading import detector_of
 from shift3d.errors import InputError
 from shift3d.naturalness.build import load_reference
 from shift3d.naturalness.measure import Naturalness, NaturalnessMeasure
@@ -23,9 +23,11 @@ from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
-from shift3d.settings.catalogue import file_hash, scene_set, vehicle_source, weights_file
+from shift3d.settings.catalogue import detector_hash, vehicle_source
 from shift3d.settings.renamed import current_settings
-from shift3d.settings.schema import DeepSdfVehicleConfig, KittiConfig, StreetConfig, VehicleSetConfig
+from shift3d.settings.scene_schema import scene_config
+from shift3d.settings.scene_sets import scene_set
+from shift3d.settings.schema import DeepSdfVehicleConfig, VehicleSetConfig
 from shift3d.task.spec import AssetsSpec, TaskSpec
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle
@@ -42,14 +44,16 @@ class Assets:
     """Loaded once a worker; never changed by a task.
 
     scenes, vehicles: the sets that names are looked up in. decoder: float32, as shipped. detectors: name to a file of
-    weights (None: those that ship). Precision twins, scenes with their beams, and maps
-    of vehicles are made on first use and kept. reference: settings of the reference set of naturalness, None: none.
+    weights (None: those that ship). modules: name to the Python file of a detector of the user's. reference: settings
+    of the reference set of naturalness, None: none. Precision twins, scenes with their beams, maps of vehicles and the
+    reference set are made on first use and kept.
     """
 
     scenes: SceneSet
     vehicles: VehicleSource
     decoder: Decoder | DeepSdfNetwork
     detectors: Mapping[str, str | None]
+    modules: Mapping[str, str] = field(default_factory=dict)
     reference: Mapping[str, Any] | None = None
     _scenes: OrderedDict[str, tuple[Scene, Beams, str]] = field(default_factory=OrderedDict)
     _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
@@ -71,7 +75,7 @@ class Assets:
                 self._scenes.popitem(last=False)
         self._scenes.move_to_end(name)
         scene, beams, found = self._scenes[name]
-        _require(f"scene {name}", spec.scene_hash, found)
+        require_planned(f"scene {name}", spec.scene_hash, found)
         return scene, beams
 
     def decoder_of(self, dtype: torch.dtype) -> Decoder | DeepSdfNetwork:
@@ -86,7 +90,8 @@ class Assets:
     def detector_of(self, name: str, precision: str) -> Detector:
         """A detector with its arithmetic in a precision: bfloat16, float32 or float64."""
         if (name, precision) not in self._detectors:
-            self._detectors[name, precision] = load_detector(name, self.detectors.get(name), precision)  # type: ignore[arg-type]
+            files = self.detectors.get(name), self.modules.get(name)
+            self._detectors[name, precision] = detector_of(name, *files, precision)  # type: ignore[arg-type]
         return self._detectors[name, precision]
 
     def vehicle(self, spec: TaskSpec) -> Vehicle:
@@ -98,7 +103,7 @@ class Assets:
         vehicle = self.vehicles.vehicle(name)
         if name not in self._vehicle_hashes:
             self._vehicle_hashes[name] = vehicle_hash(vehicle)
-        _require(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
+        require_planned(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
         return vehicle
 
     def naturalness(self, spec: TaskSpec) -> Naturalness | None:
@@ -108,7 +113,7 @@ class Assets:
         """
         if not spec.reference_hash or self.reference is None:
             return None
-        _require("the reference set", spec.reference_hash, self._reference_hash)
+        require_planned("the reference set", spec.reference_hash, self._reference_hash)
         return self._naturalness
 
     @functools.cached_property
@@ -147,7 +152,7 @@ class Assets:
         return self._spaces[key]
 
 
-def _require(what: str, planned: str | None, found: str) -> None:
+def require_planned(what: str, planned: str | None, found: str) -> None:
     """Refuse content with another hash than was planned; a spec made by hand may state none."""
     if planned and planned != found:
         remedy = "Restore it, or start a new sweep in another folder with out=DIR"
@@ -161,10 +166,12 @@ def load_assets(spec: AssetsSpec) -> Assets:
         InputError: naming the file that is missing or unusable, or weights that are not those of the plan.
     """
     for name, path in spec.detectors.items():
-        _require(f"the weights of {name}", spec.hashes.get(name), file_hash(weights_file(name, path)))
+        found = detector_hash(name, path, spec.modules.get(name))
+        require_planned(f"the weights of {name}", spec.hashes.get(name), found)
     source = vehicle_source(_vehicle_config(spec.vehicles))
-    _require("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
-    assets = Assets(scene_set(_scene_config(spec.scenes)), source, source.decoder(), spec.detectors, spec.reference)
+    require_planned("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
+    scenes = scene_set(scene_config(spec.scenes))
+    assets = Assets(scenes, source, source.decoder(), spec.detectors, spec.modules, spec.reference)
     # Now, not at the first task: weights that do not fit stop the sweep in one line instead of failing every task.
     for name in spec.detectors:
         assets.detector_of(name, "float32")
@@ -178,11 +185,6 @@ def prepare_reference(spec: AssetsSpec) -> None:
     """
     if spec.reference is not None:
         load_reference(reference_source(spec.reference), "naturalness")
-
-
-def _scene_config(values: Mapping[str, Any]) -> StreetConfig | KittiConfig:
-    kinds: dict[str, type[StreetConfig] | type[KittiConfig]] = {"street": StreetConfig, "kitti": KittiConfig}
-    return kinds[values["kind"]](**values)
 
 
 def _vehicle_config(values: Mapping[str, Any]) -> VehicleSetConfig | DeepSdfVehicleConfig:

@@ -63,7 +63,7 @@ class Rows:
             self.time(candidate.method, "audit", audit.milliseconds)
         if naturalness is not None:
             same |= _summary(naturalness)
-            if self._spec.mode == "shape" or candidate.method == "baseline":
+            if self._spec.mode != "pose" or candidate.method == "baseline":
                 shape = {"method": candidate.method, "replicate": candidate.replicate}
                 self._shapes.append(shape | _details(naturalness))
         for name in self._spec.scored_by:

@@ -6,11 +6,12 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+from torch import Tensor
+
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
-from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
-from shift3d.attack.records import AttackResult
-from shift3d.attack.shape import SNAP_M, attack_shape, on_ground
+from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.detectors.base import Detector
 from shift3d.naturalness.measure import NaturalnessMeasure
 from shift3d.placement.sampling import NoPlacement
@@ -21,6 +22,7 @@ from shift3d.task.audit import AUDITED, audit
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.rows import Rows
 from shift3d.task.scoring import Candidate, score_object
+from shift3d.task.searching import best_of_draws, pose_limits, search_task
 from shift3d.task.spec import TaskResult, TaskSpec
 from shift3d.task.transfer import put_elsewhere
 
@@ -51,7 +53,7 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
             rows.time("baseline", "effects_once", 1e3 * (time.perf_counter() - start_effects))
         searched = assets.detector_of(spec.detector, search_precision(spec))
         others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
-        for candidate in _candidates(spec, problem, searched, rows):
+        for candidate in _candidates(spec, problem, searched, assets, rows):
             scored = score_object(problem, candidate.code, candidate.theta, spec.attack.detection_radius_m, others)
             # The reference would only be held against itself.
             audited = candidate.method in AUDITED and problem.settings != REFERENCE
@@ -88,43 +90,51 @@ def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
     """Every (method, replicate) that a task reports, whatever happens."""
     yield "baseline", 0
     yield from (("random", i) for i in range(spec.attack.random_replicates))
+    if spec.attack.random_search:
+        yield "random_search", 0
     yield "adversarial", 0
-    if spec.mode == "shape":
+    if spec.mode != "pose":
         yield from (("adversarial_noise", i) for i in range(spec.attack.noise_replicates))
 
 
-def _candidates(spec: TaskSpec, problem: AttackProblem, searched: Detector, rows: Rows) -> Iterator[Candidate]:
+def _candidates(
+    spec: TaskSpec, problem: AttackProblem, searched: Detector, assets: Assets, rows: Rows
+) -> Iterator[Candidate]:
     """Baseline, random, adversarial and its noisy copies, in the order of the tables.
 
     searched: the detector at the precision that is descended.
     """
     yield Candidate("baseline", 0, problem.code0, problem.theta0, best_step=0)
-    found = _attack(spec, replace(problem, detector=searched))
+    found = search_task(spec, replace(problem, detector=searched), assets)
     rows.attack(found)
     code, theta = found.latent_code, found.theta
+    distance = float((code.double() - problem.code0.double()).norm())
     rng = generator("random", spec.task_id)
     for index in range(spec.attack.random_replicates):
-        if spec.mode == "shape":
-            radius = float((code.double() - problem.code0.double()).norm())
-            drawn_code = random_code(problem.code0, radius, rng)
-            yield Candidate("random", index, drawn_code, on_ground(drawn_code, problem, SNAP_M))
-        elif (drawn := random_pose(problem, rng, _pose_limits(spec))) is not None:
-            yield Candidate("random", index, problem.code0, drawn[0])
+        if (drawn := _random(spec, problem, distance, rng)) is not None:
+            yield Candidate("random", index, *drawn)
+    if spec.attack.random_search:
+        best = best_of_draws(spec, replace(problem, detector=searched), assets, distance)
+        yield Candidate("random_search", 0, best.latent_code, best.theta, best.best_step, best.status)
     yield Candidate("adversarial", 0, code, theta, found.best_step, found.status)
-    if spec.mode == "shape":
+    if spec.mode != "pose":
+        # A noisy copy stands where the solution does, on the ground under its own shape.
+        there = problem if spec.mode == "shape" else replace(problem, theta0=theta)
         rng = generator("noise", spec.task_id)
         noisy = noise_codes(code, spec.attack.noise_sigma, spec.attack.noise_replicates, rng)
         for index, noisy_code in enumerate(noisy):
-            yield Candidate("adversarial_noise", index, noisy_code, on_ground(noisy_code, problem, SNAP_M))
+            yield Candidate("adversarial_noise", index, noisy_code, on_ground(noisy_code, there, SNAP_M))
 
 
-def _attack(spec: TaskSpec, problem: AttackProblem) -> AttackResult:
-    steps, selection_window = spec.attack.steps, spec.attack.selection_window
+def _random(
+    spec: TaskSpec, problem: AttackProblem, distance: float, rng: np.random.Generator
+) -> tuple[Tensor, Tensor] | None:
+    """A shape as far from the baseline's code as the solution, a pose within its limits, or both; None without one."""
+    if spec.mode == "pose":
+        drawn = random_pose(problem, rng, pose_limits(spec))
+        return None if drawn is None else (problem.code0, drawn[0])
+    code = random_code(problem.code0, distance, rng)
     if spec.mode == "shape":
-        assert spec.lambda_ is not None
-        return attack_shape(problem, spec.lambda_, spec.alpha, steps, selection_window=selection_window)
-    return attack_pose(problem, spec.alpha, steps, _pose_limits(spec), selection_window=selection_window)
-
-
-def _pose_limits(spec: TaskSpec) -> PoseLimits:
-    return PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
+        return code, on_ground(code, problem, SNAP_M)
+    drawn = random_pose(replace(problem, code0=code, space=None), rng, pose_limits(spec))
+    return None if drawn is None else (code, drawn[0])

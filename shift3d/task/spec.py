@@ -24,7 +24,9 @@ SPEC_VERSION = 6
 _READ_VERSIONS = (5, SPEC_VERSION)
 _FORMER_EFFECTS = {"silent_beams": "no_return_beams"}
 
-Mode = Literal["shape", "pose"]
+Mode = Literal["shape", "pose", "shape_pose"]
+SearchName = Literal["descent", "expectation", "evolution", "random"]
+SpaceName = Literal["free", "pca", "parameters"]
 Row = dict[str, Any]
 
 
@@ -60,7 +62,12 @@ class AttackSpec:
     pose, metres. max_tilt_rad: largest |pitch| and |roll|. detection_radius_m: how near the vehicle's centre the
     centre of a box that detects it must lie.
 
-    Source: SHIFT3D sections Hyper-parameters, Evaluation Metrics and Adversarial Pose Generation Results.
+    search: how it goes; every search has ``steps`` evaluations. space: where a shape may go; components: of space pca;
+    space_hash: of the codes or ranges that bound it. rate, placements, starts: of search expectation. random_search: 1
+    where the best of as many random draws stands beside the solution, as method ``random_search``.
+
+    Source: SHIFT3D sections Hyper-parameters, Evaluation Metrics and Adversarial Pose Generation Results; searches but
+    descent, and spaces but free, are our choice.
     """
 
     steps: int = 40
@@ -71,6 +78,29 @@ class AttackSpec:
     max_shift_m: float = 4.0
     max_tilt_rad: float = 0.1
     detection_radius_m: float = 5.0
+    search: SearchName = "descent"
+    space: SpaceName = "free"
+    components: int = 10
+    rate: float = 0.1
+    placements: int = 2
+    starts: int = 1
+    random_search: int = 0
+    space_hash: str = ""
+
+    @property
+    def label(self) -> str:
+        """The search and where it goes, in a word: "descent", "expectation_pca10", "evolution_parameters"."""
+        space = {"free": "", "pca": f"_pca{self.components}", "parameters": "_parameters"}[self.space]
+        return f"{self.search}{space}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values. What came later is left out where it is as the paper has it: tasks keep their ids."""
+        return {name: value for name, value in vars(self).items() if _LATER.get(name) != value}
+
+
+_LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,
+          "random_search": 0, "space_hash": ""}  # fmt: skip
+"""Fields that specs of version 6 had not from the beginning, with the values that leave a task as it was."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +165,7 @@ class TaskSpec:
         values["accuracy_settings"] = dict(self.accuracy_settings)
         values["effect_settings"] = dict(self.effect_settings)
         values["scene_arguments"] = dict(self.scene_arguments)
-        values["attack"] = dict(vars(self.attack))
+        values["attack"] = self.attack.to_dict()
         values["placement"] = dict(vars(self.placement))
         values["transfer_scenes"] = [{**vars(other), "effects": list(other.effects)} for other in self.transfer_scenes]
         values["spec_version"] = SPEC_VERSION
@@ -174,6 +204,11 @@ class TaskSpec:
     def seed(self) -> int:
         """64-bit seed of everything random that is this task's alone (random codes, noise)."""
         return derive_seed("task", self.task_id)
+
+    @property
+    def search(self) -> str:
+        """How its search goes, see `AttackSpec.label`; a pose has no space."""
+        return self.attack.search if self.mode == "pose" else self.attack.label
 
     @property
     def placement_seed(self) -> int:
@@ -243,7 +278,8 @@ class AssetsSpec:
     scenes, vehicles: settings of the scene set and of the source of vehicles, as their schemas have them.
     detectors: name to a file of weights, or None for the weights that ship with shift3d. hashes: what "decoder" and
     the detectors had when the sweep was planned; one that is not there is not compared. results: the folder of final
-    tables that a verification reads. reference: settings of the reference set of naturalness, None: it is not measured.
+    tables that a verification reads. modules: Python files of detectors that are the user's own, by name. reference:
+    settings of the reference set of naturalness, None: it is not measured.
     """
 
     scenes: Mapping[str, Any]
@@ -252,4 +288,5 @@ class AssetsSpec:
     hashes: Mapping[str, str] = field(default_factory=dict)
     threads: int = 1
     results: str | None = None
+    modules: Mapping[str, str] = field(default_factory=dict)
     reference: Mapping[str, Any] | None = None

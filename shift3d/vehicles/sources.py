@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,10 @@ from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.sdf.foreign import Experiment, experiment_files, load_experiment
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles
+from shift3d.vehicles.parameter_box import BoxOfParameters, read_parameters
+from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles, family_vehicles
 
-__all__ = ["DeepSdfVehicles", "VehicleSet", "VehicleSource", "vehicle_hash"]
+__all__ = ["DeepSdfVehicles", "VehicleSet", "VehicleSource", "space_hash", "vehicle_hash"]
 
 _T = TypeVar("_T")
 MEASURED_RESOLUTION = 129
@@ -41,6 +42,14 @@ class VehicleSource(Protocol):
         """One of them. Raises InputError for an unknown name."""
         ...
 
+    def codes(self) -> NDArray[np.float32]:
+        """(N, code) of every vehicle that the decoder is known to draw, in a fixed order."""
+        ...
+
+    def parameters(self, name: str) -> BoxOfParameters:
+        """What the generator of a vehicle leaves open. Raises InputError where its codes are made of none."""
+        ...
+
     def decoder(self) -> Decoder | DeepSdfNetwork:
         """float32, eval mode, no gradients to its weights. Raises InputError for unusable files."""
         ...
@@ -54,6 +63,23 @@ def vehicle_hash(vehicle: Vehicle) -> str:
     """128-bit BLAKE2b, hex, of everything that a task reads of a vehicle."""
     digest = hashlib.blake2b(json.dumps([vehicle.name, float(vehicle.scale_m)]).encode(), digest_size=16)
     for array in (vehicle.latent_code, vehicle.sdf_R_object, vehicle.sdf_t_object, vehicle.size_m):
+        digest.update(np.asarray(array, dtype=np.float64).tobytes())
+    return digest.hexdigest()
+
+
+def space_hash(source: VehicleSource, vehicle: str, space: str) -> str:
+    """128-bit BLAKE2b, hex, of what bounds a search beside the vehicle itself; empty for space free.
+
+    Raises: InputError where the vehicle is made of no parameters, and space is parameters.
+    """
+    if space == "free":
+        return ""
+    arrays: tuple[NDArray[Any], ...] = (source.codes(),)
+    if space == "parameters":
+        box = source.parameters(vehicle)
+        arrays = (box.basis, box.start, box.low, box.high)
+    digest = hashlib.blake2b(space.encode(), digest_size=16)
+    for array in arrays:
         digest.update(np.asarray(array, dtype=np.float64).tobytes())
     return digest.hexdigest()
 
@@ -75,6 +101,14 @@ class VehicleSet:
     def vehicle(self, name: str) -> Vehicle:
         """See `VehicleSource`."""
         return _known(name, self._vehicles, self._folder)
+
+    def codes(self) -> NDArray[np.float32]:
+        """See `VehicleSource`."""
+        return np.stack([found.latent_code for found in family_vehicles(self._folder / DEFAULT_VEHICLES.name)])
+
+    def parameters(self, name: str) -> BoxOfParameters:
+        """See `VehicleSource`."""
+        return read_parameters(self._folder / DEFAULT_VEHICLES.name, name)
 
     def decoder(self) -> Decoder:
         """See `VehicleSource`."""
@@ -148,6 +182,16 @@ class DeepSdfVehicles:
     def names(self) -> list[str]:
         """See `VehicleSource`."""
         return list(self._experiment.instances)
+
+    def codes(self) -> NDArray[np.float32]:
+        """See `VehicleSource`."""
+        codes: NDArray[np.float32] = (self._experiment.codes * self._code_scale).numpy().astype(np.float32)
+        return codes
+
+    def parameters(self, name: str) -> BoxOfParameters:
+        """See `VehicleSource`."""
+        what, remedy = "the codes of a DeepSDF checkpoint are made of no parameters", "Give attack.space=pca or free"
+        raise InputError(what, f"{self._folder}, attack.space=parameters", remedy)
 
     def decoder(self) -> Decoder | DeepSdfNetwork:
         """See `VehicleSource`. The same object every time."""

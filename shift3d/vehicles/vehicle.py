@@ -65,7 +65,8 @@ class Vehicle:
         return np.asarray(x_object, np.float64) @ self.sdf_R_object.T / self.scale_m + self.sdf_t_object
 
 
-def _read(path: Path | str | None) -> tuple[dict[str, NDArray[np.generic]], dict[str, str], Path]:
+def read_tensors(path: Path | str | None) -> tuple[dict[str, NDArray[np.generic]], dict[str, str], Path]:
+    """Tensors and metadata of a vehicles file, and its path. Raises: InputError where it is missing or unreadable."""
     from safetensors import SafetensorError, safe_open
 
     source = Path(path) if path is not None else DEFAULT_VEHICLES
@@ -80,19 +81,21 @@ def _read(path: Path | str | None) -> tuple[dict[str, NDArray[np.generic]], dict
         ) from error
 
 
-def _described(metadata: dict[str, str], key: str, source: Path) -> dict[str, Any]:
+def described(metadata: dict[str, str], key: str, source: Path) -> dict[str, Any]:
+    """The JSON object under a key of the metadata. Raises: InputError where there is none."""
     try:
-        described = json.loads(metadata[key])
+        found = json.loads(metadata[key])
     except (KeyError, ValueError, RecursionError):
-        described = None
-    if not isinstance(described, dict):
+        found = None
+    if not isinstance(found, dict):
         raise InputError(f"no {key} in its metadata", where=str(source), remedy="a vehicles file of shift3d")
-    return described
+    return found
 
 
-def _tensor(
+def tensor_of(
     tensors: dict[str, NDArray[np.generic]], name: str, shape: tuple[int, ...], source: Path
 ) -> NDArray[np.float32]:
+    """A tensor by name, float32. Raises: InputError where it is missing, of another shape or kind, or not finite."""
     if name not in tensors:
         raise InputError(f"tensor {name} is missing", where=str(source), remedy=f"expected shape {shape}")
     found = tensors[name]
@@ -155,10 +158,10 @@ def baseline_vehicles(path: Path | str | None = None) -> dict[str, Vehicle]:
     Raises: InputError naming the file when it is missing, unreadable or incomplete, or holds what cannot be a
         vehicle's: a transform that is none, another size than the decoder draws, values that are not finite.
     """
-    tensors, metadata, source = _read(path)
+    tensors, metadata, source = read_tensors(path)
     vehicles = {}
-    for name, facts in _described(metadata, "baselines", source).items():
-        code = _tensor(tensors, f"{name}.latent_code", (CODE_LENGTH,), source)
+    for name, facts in described(metadata, "baselines", source).items():
+        code = tensor_of(tensors, f"{name}.latent_code", (CODE_LENGTH,), source)
         read = functools.partial(_from_facts, name, facts, code)
         vehicles[name] = _checked(_readable(f"baselines, {name[:80]!r}", source, read), source)
     return vehicles
@@ -170,12 +173,12 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
     Their size_m is that of the mesh they were trained on; decoded, they differ from it by a centimetre or two.
     Raises: InputError as `baseline_vehicles`.
     """
-    tensors, metadata, source = _read(path)
-    facts = _described(metadata, "family", source)
+    tensors, metadata, source = read_tensors(path)
+    facts = described(metadata, "family", source)
     types = _readable("family", source, lambda: [str(body_type) for body_type in facts["body_types"]])
-    codes = _tensor(tensors, "family.codes", (len(types), CODE_LENGTH), source)
-    scales = _tensor(tensors, "family.scale_m", (len(types),), source)
-    sizes = _tensor(tensors, "family.size_m", (len(types), 3), source)
+    codes = tensor_of(tensors, "family.codes", (len(types), CODE_LENGTH), source)
+    scales = tensor_of(tensors, "family.scale_m", (len(types),), source)
+    sizes = tensor_of(tensors, "family.size_m", (len(types), 3), source)
     vehicles = [
         Vehicle(
             name=f"{body_type}_{index}",
@@ -193,8 +196,8 @@ def family_vehicles(path: Path | str | None = None) -> list[Vehicle]:
 
 def family_seed(path: Path | str | None = None) -> int:
     """The seed of the family that the decoder was trained on: `family(len(family_vehicles()), seed)` are its meshes."""
-    _, metadata, source = _read(path)
-    facts = _described(metadata, "family", source)
+    _, metadata, source = read_tensors(path)
+    facts = described(metadata, "family", source)
     return _readable("family, seed", source, lambda: int(facts["seed"]))
 
 

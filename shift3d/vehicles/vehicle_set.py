@@ -6,6 +6,7 @@ The files are those of the shipped weights, so whatever reads these reads those.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from shift3d.sdf.decoder import Decoder, save_decoder
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.seeding import generator
 from shift3d.store.atomic import write_atomic
+from shift3d.vehicles.parameter_box import BoxOfParameters, parameter_tensors
 
 VEHICLES_FILE, DECODER_FILE, FACTS_FILE = "vehicles.safetensors", "sdf.safetensors", "sdf.json"
 RESOLUTION = 129
@@ -69,13 +71,29 @@ def fitted(
     return FittedVehicle(name, body_type, code, scale_m, decoded, chamfer_m)
 
 
+@dataclass(frozen=True)
+class KnownCodes:
+    """Every vehicle that a decoder was trained on: body types or kinds, codes (N, code), scales (N,), sizes (N, 3)."""
+
+    body_types: tuple[str, ...]
+    codes: NDArray[np.float32]
+    scale_m: NDArray[np.float32]
+    size_m: NDArray[np.float32]
+
+
 def write_vehicle_set(
-    out: Path | str, decoder: Decoder, vehicles: list[FittedVehicle], provenance: dict[str, Any]
+    out: Path | str,
+    decoder: Decoder,
+    vehicles: list[FittedVehicle],
+    provenance: dict[str, Any],
+    boxes: Mapping[str, BoxOfParameters] | None = None,
+    known: KnownCodes | None = None,
 ) -> None:
     """Write the three files of a vehicle set to a folder, each atomically, the vehicles last.
 
-    Every vehicle is stored twice, as the shipped ones are: by name (`baseline_vehicles`) and in one table in the same
-    order (`family_vehicles`, for training detectors on them).
+    Vehicles are stored by name (`baseline_vehicles`), and everything that the decoder knows in one table
+    (`family_vehicles`): `known`, or the same vehicles in the same order. boxes: by name, the parameters that codes are
+    made of.
     Raises: InputError without vehicles, or when two have one name.
     """
     from safetensors.numpy import save
@@ -88,10 +106,19 @@ def write_vehicle_set(
     write_atomic(folder / FACTS_FILE, (json.dumps(provenance, indent=1) + "\n").encode())
     baselines = {vehicle.name: vehicle.facts() for vehicle in vehicles}
     tensors = {f"{vehicle.name}.latent_code": vehicle.latent_code.astype(np.float32) for vehicle in vehicles}
-    tensors["family.codes"] = np.stack([vehicle.latent_code for vehicle in vehicles]).astype(np.float32)
-    tensors["family.scale_m"] = np.array([vehicle.scale_m for vehicle in vehicles], np.float32)
-    tensors["family.size_m"] = np.array([facts["size_m"] for facts in baselines.values()], np.float32)
-    types = [vehicle.body_type for vehicle in vehicles]
-    family = {"body_types": types, "names": list(baselines), "count": len(vehicles), "source": "meshes"}
+    for name, box in (boxes or {}).items():
+        baselines[name]["parameters"] = list(box.names)
+        tensors |= parameter_tensors(name, box)
+    known = known or KnownCodes(
+        tuple(vehicle.body_type for vehicle in vehicles),
+        np.stack([vehicle.latent_code for vehicle in vehicles]),
+        np.array([vehicle.scale_m for vehicle in vehicles]),
+        np.array([facts["size_m"] for facts in baselines.values()]),
+    )
+    tensors["family.codes"] = known.codes.astype(np.float32)
+    tensors["family.scale_m"] = known.scale_m.astype(np.float32)
+    tensors["family.size_m"] = known.size_m.astype(np.float32)
+    types = list(known.body_types)
+    family = {"body_types": types, "names": list(baselines), "count": len(types), "source": "meshes"}
     metadata = {"baselines": json.dumps(baselines), "family": json.dumps(family)}
     write_atomic(folder / VEHICLES_FILE, save(tensors, metadata=metadata))

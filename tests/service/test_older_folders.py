@@ -58,7 +58,14 @@ def older_file(path: Path, name: str, version: int, gone: list[str], row: dict[s
     """A table with one row as a program of some version wrote it. row: also of columns that are gone today."""
     today: dict[str, object] = {field.name: None for field in SCHEMAS[name]}
     known = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.1}
-    known |= {"detector": "p", "accuracy": "a", "method": "adversarial", "replicate": 0, "largest_piece": 0.99}
+    known |= {
+        "search": "descent",
+        "detector": "p",
+        "accuracy": "a",
+        "method": "adversarial",
+        "replicate": 0,
+        "largest_piece": 0.99,
+    }
     known |= {"scored_by": "p", "effects": [], "status": "ok", "score": 0.5, "height_m": 1.5}
     values = {key: value for key, value in (today | known | row).items() if key in today}
     table = table_from_rows(name, [values]).drop_columns(gone)
@@ -73,13 +80,14 @@ LOOKED_AT = ["clearance_m", "asymmetry_cm", "nearest_member", "to_member_cm", "t
 LOOKED_AT += ["from_member_p95_cm", "out_of_range"]
 
 
-@pytest.mark.parametrize("version", [6, 7])
+@pytest.mark.parametrize("version", [6, 7, 8])
 def test_shapes_that_another_rule_called_cars_are_of_unknown_naturalness(version: int, tmp_path: Path) -> None:
-    """Version 8 measures naturalness; an earlier program asked for sides, volume and symmetry, or sides alone."""
+    """Version 9 measures naturalness; an earlier program asked for sides, volume and symmetry, or sides alone."""
     judged: dict[str, object] = {"still_a_car": True}
-    if version == 7:
+    if version >= 7:
         judged |= {"volume_share": 1.0, "mirrored": 0.99}
-    older_file(tmp_path / "shapes.parquet", "shapes", version, LOOKED_AT, judged)
+    gone = LOOKED_AT if version == 8 else [*LOOKED_AT, "search"]
+    older_file(tmp_path / "shapes.parquet", "shapes", version, gone, judged)
     read = read_table(tmp_path / "shapes.parquet", "shapes")
     assert read.schema.equals(SCHEMAS["shapes"])
     (found,) = read.to_pylist()
@@ -88,7 +96,7 @@ def test_shapes_that_another_rule_called_cars_are_of_unknown_naturalness(version
 
 
 def test_scores_of_an_older_program_are_read_without_naturalness(tmp_path: Path) -> None:
-    older_file(tmp_path / "scores.parquet", "scores", 7, SCORED, {})
+    older_file(tmp_path / "scores.parquet", "scores", 8, SCORED, {})
     read = read_table(tmp_path / "scores.parquet", "scores")
     assert read.schema.equals(SCHEMAS["scores"])
     assert [read[name].to_pylist() for name in SCORED] == [[None]] * 4 and read["score"].to_pylist() == [0.5]

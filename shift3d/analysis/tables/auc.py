@@ -95,7 +95,7 @@ def natural_rows(variant: Variant) -> pd.DataFrame:
 
 def natural_sentence(variant: Variant) -> str | None:
     """How many adversarial shapes are natural, by vehicle; None where it was not measured."""
-    if variant.mode != "shape" or "natural" not in variant.rows or not variant.rows["natural"].notna().any():
+    if variant.mode == "pose" or "natural" not in variant.rows or not variant.rows["natural"].notna().any():
         return None
     tasks = variant.rows[variant.rows["natural"].notna()].drop_duplicates("task_id")
     natural = tasks[tasks["natural"].eq(True)]

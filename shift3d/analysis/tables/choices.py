@@ -17,7 +17,7 @@ __all__ = ["MEASURES", "choice_tables", "papers_choice", "reasons"]
 MEASURES = {"alpha": "AUC of what was found", "lambda": "mean adversarial loss"}
 _PAPER = Path(__file__).resolve().parents[1] / "measured" / "paper_choices.json"
 """Copied from the paper's text: supplement, Hyper-Parameters."""
-_OF = ("mode", "vehicle", "alpha", "detector", "accuracy", "effects")
+_OF = ("mode", "vehicle", "alpha", "detector", "accuracy", "search", "effects")
 
 
 @functools.cache
@@ -36,7 +36,7 @@ def choice_tables(choices: pd.DataFrame) -> list[Table]:
 
     choices: the table of ``final/``.
     """
-    several = [name for name in ("detector", "accuracy", "effects", "alpha") if choices[name].nunique() > 1]
+    several = [name for name in ("detector", "accuracy", "search", "effects", "alpha") if choices[name].nunique() > 1]
     tables = []
     for parameter, rows in choices.groupby("parameter", sort=False):
         candidates = sorted(set(rows["candidate"]))

@@ -35,7 +35,7 @@ __all__ = [
 LEAST_SCENES = 8
 """Fewer say too little for `auto` to go by (our choice: at 8 the intervals hold in 88 % of the cases, not in 95 %)."""
 
-_PAIR = ["vehicle", "dataset", "scene", "mode", "lambda", "alpha", "detector", "accuracy", "scored_by"]
+_PAIR = ["vehicle", "dataset", "scene", "mode", "lambda", "alpha", "detector", "accuracy", "search", "scored_by"]
 MEANINGS = {
     "|change|": "mean absolute change of the unchanged vehicle's score, with its 95 % interval (scenes resampled)",
     "AUC": "change of the mean score, baseline and adversarial (searched again under the effect), likewise",

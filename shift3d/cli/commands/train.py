@@ -49,8 +49,8 @@ examples:
                                                    any field of the recipe; an unknown one lists them
   shift3d train model=sdf vehicles=PATH length_m=4.5 out=DIR
                                                    a decoder of your own meshes and their codes, into DIR
-  shift3d train model=sdf vehicles=wide count=1000 out=DIR
-                                                   the same of the wide family's seen kinds (never run to its end)
+  shift3d train model=sdf vehicles=wide out=DIR
+                                                   one of the wide family, codes made of the generator's parameters
 
 detectors: vehicles are meshes of the wide family's seen kinds, each another one; none is made by the decoder, and what
 attacks draw on is held out (docs/why/family.md). Half of the crops of the later steps hold two to four more of them,
@@ -71,7 +71,6 @@ _VALUES = {
     "mlflow": ("none",),
     **FRAME_VALUES,
 }
-_WIDE_COUNT = 1_000
 _STORE, _EXPERIMENT = "sqlite:///mlflow.db", "shift3d-training"
 
 
@@ -192,27 +191,25 @@ def _train_on_meshes(values: dict[str, str]) -> int:
     wide = values["vehicles"] == "wide"
     _check_mesh_words(values, wide)
     frame = None if wide else mesh_frame(values, "train")
-    from shift3d.training.sdf.on_meshes import SAMPLES_A_SHAPE, STEPS, train_on_meshes
-    from shift3d.training.sdf.wide_meshes import WIDE_FRAME, samples_a_shape, write_wide_meshes
-
     options = _options({**values, "out": values.get("out", "outputs/train-vehicles")})
-    count = options.count or _WIDE_COUNT
-    path = str(write_wide_meshes(options.out, count)) if wide else values["vehicles"]
     curves = _curves(values, "sdf", options)
-    vehicles = train_on_meshes(
-        path,
-        frame or WIDE_FRAME,
-        options.out,
-        options.threads or os.cpu_count() or 1,
-        options.steps or STEPS,
-        samples_a_shape(count) if wide else SAMPLES_A_SHAPE,
-        compute=options.compute(),
-        report=None if curves is None else _warning(curves),
-    )
+    report = None if curves is None else _warning(curves)
+    if frame is None:
+        from shift3d.training.sdf.parametric import train_wide
+
+        chamfer_cm = sorted(train_wide(options.out, options.compute(), options.count, options.steps, report))
+    else:
+        from shift3d.training.sdf.on_meshes import SAMPLES_A_SHAPE, STEPS, train_on_meshes
+
+        threads, steps = options.threads or os.cpu_count() or 1, options.steps or STEPS
+        compute = options.compute()
+        vehicles = train_on_meshes(
+            values["vehicles"], frame, options.out, threads, steps, SAMPLES_A_SHAPE, compute=compute, report=report
+        )
+        chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
     _finish(curves)
-    chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
     print(
-        f"{counted(len(vehicles), 'vehicle')}, decoder and codes in {options.out}/; symmetric Chamfer distance "
+        f"{counted(len(chamfer_cm), 'vehicle')}, decoder and codes in {options.out}/; symmetric Chamfer distance "
         f"to their meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
     )
     return 0

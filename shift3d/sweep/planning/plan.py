@@ -132,6 +132,7 @@ def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
         vehicles=_vehicles(config),
         detectors={name: given.get(name) for name in catalogue.detectors},
         hashes={"decoder": catalogue.decoder_hash, **catalogue.detectors},
+        modules=config.detector.modules_by_name(),
         reference=config.naturalness.source(),
     )
 
@@ -151,6 +152,7 @@ def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
 def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
     """What the tasks of one combination of settings have in common."""
     attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})
+    space_hash = "" if config.mode == "pose" else catalogue.space_hash(vehicle, config.attack)
     centre, half_width = catalogue.sector_rad
     placement = PlacementSpec(
         **config.attack.placement.model_dump(), sector_centre_rad=centre, sector_half_width_rad=half_width
@@ -168,7 +170,7 @@ def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
         replicate=config.replicate,
         accuracy_settings=catalogue.accuracy,
         scene_arguments=catalogue.scene_arguments,
-        attack=AttackSpec(**attack),
+        attack=AttackSpec(**attack, space_hash=space_hash),
         placement=placement,
         vehicle_hash=catalogue.vehicles[vehicle],
         decoder_hash=catalogue.decoder_hash,

@@ -23,6 +23,7 @@ from shift3d.store.schemas import GROUP_COLUMNS, SEGMENTS
 from shift3d.store.segments import committed_rows
 from shift3d.store.tables import table_from_rows, write_table
 from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import TaskGroup
 from shift3d.sweep.results.bev_grids import bev_rows, groups, transfer_rows
 from shift3d.sweep.results.hyperparameters import RULE_KEYS, choice_rows, choose_lambdas
 from shift3d.sweep.results.verified_scores import read_verification, with_verification
@@ -35,7 +36,7 @@ __all__ = ["FinalTables", "committed_rows", "segments_in_plan_order", "write_fin
 # A verification lies in a folder of its own.
 _KEPT = tuple(name for name in SEGMENTS if name != "verification")
 
-_PLAN_GROUP = GROUP_COLUMNS[:10]  # what a task alone determines, and the detector that scores it
+_PLAN_GROUP = GROUP_COLUMNS[:11]  # what a task alone determines, and the detector that scores it
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def _auc_rows(scored: pd.DataFrame, plan: Plan) -> list[dict[str, Any]]:
                 "selected": chosen.get(_rule_key(group), group["lambda"]) == group["lambda"],
             }
         )
-    return rows + _gaps(rows, planned)
+    return rows + _gaps(rows, planned, _planned_methods(plan))
 
 
 def _mean(values: pd.Series) -> float | None:
@@ -150,21 +151,38 @@ def _mean(values: pd.Series) -> float | None:
 def _planned(plan: Plan) -> dict[tuple[Any, ...], int]:
     counts: dict[tuple[Any, ...], int] = {}
     for group in plan.tasks.groups():
-        spec = group.template
-        method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
-        for asked, scored_by in itertools.product(group.effects_requested, spec.scored_by):
-            key = (plan.sweep, spec.dataset, spec.vehicle, *method, asked, scored_by)
+        for key in _group_keys(plan, group):
             counts[key] = counts.get(key, 0) + group.tasks
     return counts
 
 
-def _gaps(rows: list[dict[str, Any]], planned: dict[tuple[Any, ...], int]) -> list[dict[str, Any]]:
+def _group_keys(plan: Plan, group: TaskGroup) -> list[tuple[Any, ...]]:
+    spec = group.template
+    method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy, spec.search)
+    both = itertools.product(group.effects_requested, spec.scored_by)
+    return [(plan.sweep, spec.dataset, spec.vehicle, *method, asked, scored_by) for asked, scored_by in both]
+
+
+def _planned_methods(plan: Plan) -> dict[tuple[Any, ...], list[str]]:
+    """By group, what its tasks score; the best of random draws only where it was asked for."""
+    methods: dict[tuple[Any, ...], list[str]] = {}
+    for group in plan.tasks.groups():
+        spec = group.template
+        optional = {"random_search": bool(spec.attack.random_search)}
+        names = [name for name in METHODS_OF_MODE[spec.mode] if optional.get(name, True)]
+        methods |= dict.fromkeys(_group_keys(plan, group), names)
+    return methods
+
+
+def _gaps(
+    rows: list[dict[str, Any]], planned: dict[tuple[Any, ...], int], methods: dict[tuple[Any, ...], list[str]]
+) -> list[dict[str, Any]]:
     """Rows without an AUC for what was planned and has no score at all: a gap is shown, never left out."""
     seen = {(*(row[name] for name in _PLAN_GROUP), row["method"]) for row in rows}
     gaps = []
     for key, count in planned.items():
         group = dict(zip(_PLAN_GROUP, key))
-        for method in METHODS_OF_MODE[group["mode"]]:
+        for method in methods[key]:
             if (*key, method) not in seen:
                 empty = {"auc": None, "scores": 0, "tasks_scored": 0, "tasks_planned": count}
                 losses = {"mean_adversarial_loss": None, "mean_latent_distance": None, "selected": False}

@@ -18,9 +18,9 @@ __all__ = ["NEARLY_EQUAL", "RULE_KEYS", "Choice", "choice_rows", "choose_alphas"
 
 NEARLY_EQUAL = 0.05
 """Losses this share above the lowest count as 'very similar' to it. Our choice: the paper gives no number."""
-RULE_KEYS = ("vehicle", "mode", "alpha", "detector", "accuracy", "effects")
+RULE_KEYS = ("vehicle", "mode", "alpha", "detector", "accuracy", "search", "effects")
 """What lambda is chosen for. alpha is chosen for all vehicles together."""
-_ALPHA_KEYS = ("mode", "detector", "accuracy", "effects")
+_ALPHA_KEYS = ("mode", "detector", "accuracy", "search", "effects")
 _SCENE = ["dataset", "scene"]
 
 
@@ -58,7 +58,7 @@ def choose_lambdas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
     scores: lambda belongs to the search.
     """
     rows = _found(scored)
-    rows = rows[(rows["mode"] == "shape") & rows["adversarial_loss"].notna()]
+    rows = rows[(rows["mode"] != "pose") & rows["adversarial_loss"].notna()]
     chosen = {}
     for key, members in rows.groupby(list(RULE_KEYS), sort=False):
         losses = members.pivot_table(index=_SCENE, columns="lambda", values="adversarial_loss", aggfunc="mean")
@@ -68,7 +68,7 @@ def choose_lambdas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
 
 
 def choose_alphas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
-    """The choice for shape and for pose, by (mode, detector, accuracy, effects).
+    """The choice for shape and for pose, by (mode, detector, accuracy, search, effects).
 
     AUC is the mean over vehicles, each with the lambda that is chosen for it under that alpha, over the scenes that
     were scored under every alpha; of equal ones the smaller alpha.

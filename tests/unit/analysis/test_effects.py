@@ -24,7 +24,14 @@ def tables(changes: dict[str, np.ndarray], milliseconds: dict[str, float]) -> tu
         for scene, moved in zip(SCENES, change, strict=True):
             task = f"{effect}-{scene}"
             same = {"vehicle": "suv", "dataset": "street", "mode": "shape", "lambda": 1.0, "alpha": 0.01}
-            same |= {"detector": "p", "accuracy": "standard", "scored_by": "p", "replicate": 0, "task_id": task}
+            same |= {
+                "detector": "p",
+                "accuracy": "standard",
+                "search": "descent",
+                "scored_by": "p",
+                "replicate": 0,
+                "task_id": task,
+            }
             for method, score in (("baseline", 0.5), ("adversarial", 0.2), ("random", 0.9)):
                 effects = [effect] if effect else []
                 scores.append({**same, "scene": scene, "method": method, "score": score + moved, "effects": effects})

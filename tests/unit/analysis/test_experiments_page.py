@@ -58,7 +58,19 @@ def test_an_attack_run_again_with_other_settings_has_them_in_its_heading(sweep: 
 
 
 def test_other_places_are_counted_by_their_cells(sweep: Sweep) -> None:
-    keys = ["sweep", "dataset", "vehicle", "mode", "lambda", "alpha", "detector", "accuracy", "effects", "scored_by"]
+    keys = [
+        "sweep",
+        "dataset",
+        "vehicle",
+        "mode",
+        "lambda",
+        "alpha",
+        "detector",
+        "accuracy",
+        "search",
+        "effects",
+        "scored_by",
+    ]
     own = sweep.auc[(sweep.auc["method"] == "adversarial") & sweep.auc["selected"]].iloc[:1][[*keys, "method"]]
     grid = pd.concat([own] * 3, ignore_index=True).assign(
         cell_x_m=[0.0, 10.0, 20.0], cell_y_m=0.0, cell_size_m=10.0, scores=[6, 1, 5], mean_reduction=[0.3, -0.1, 0.2]

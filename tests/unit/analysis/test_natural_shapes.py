@@ -124,7 +124,8 @@ def test_the_transfer_grid_marks_cells_that_nothing_was_put_into(sweep: Sweep) -
     assert "No shape was put into another scene" in blocks_html(transfer_grid(sweep, found).blocks)
     row = found[0].rows.iloc[0]
     group: dict[str, Any] = {name: row[name] for name in ("sweep", "dataset", "vehicle", "mode", "lambda", "alpha",
-                                                          "detector", "accuracy", "effects", "scored_by")}  # fmt: skip
+                                                          "detector", "accuracy", "search", "effects",
+                                                          "scored_by")}  # fmt: skip
     cells = []
     for x in (-20.0, -10.0, 0.0, 10.0):
         filled = x == 10.0

@@ -62,7 +62,7 @@ def test_folders_with_and_without_paths(tmp_path: Path) -> None:
     for task in plan.tasks:
         spec = task.spec
         same = {name: getattr(spec, name) for name in ("task_id", "vehicle", "scene", "dataset", "mode", "alpha",
-                                                       "detector", "accuracy")}  # fmt: skip
+                                                       "detector", "accuracy", "search")}  # fmt: skip
         pose = dict.fromkeys(("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad"), 1.0)
         for step in range(3):
             found = {"step": step, "kept": step == 2, "proposal_score": 0.9 - 0.25 * step, "loss": 1.0}

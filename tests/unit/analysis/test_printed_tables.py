@@ -13,7 +13,13 @@ from shift3d.analysis.variants import variants
 
 def auc_row(vehicle: str, method: str, auc: float | None, scores: int = 4, **more: Any) -> dict[str, Any]:
     row = {"dataset": "street-hdl64", "vehicle": vehicle, "mode": "shape", "lambda": 1.0, "alpha": 0.01}
-    row |= {"detector": "pointpillars", "scored_by": "pointpillars", "accuracy": "standard", "effects": "auto"}
+    row |= {
+        "detector": "pointpillars",
+        "scored_by": "pointpillars",
+        "accuracy": "standard",
+        "search": "descent",
+        "effects": "auto",
+    }
     return {**row, "method": method, "auc": auc, "scores": scores, "selected": True, **more}
 
 

@@ -21,14 +21,14 @@ CONTRACT = [
     *("task_id", "sweep", "vehicle", "scene", "dataset", "mode", "lambda", "alpha", "detector", "scored_by"),
     *("method", "replicate", "score", "adversarial_loss", "latent_distance"),
     *("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad", "range_m", "object_points"),
-    *("overlap_ok", "contact_ok", "best_step", "accuracy", "effects", "score_reference", "stable", "status"),
+    *("overlap_ok", "contact_ok", "best_step", "accuracy", "search", "effects", "score_reference", "stable", "status"),
     *("max_residual_m", "unresolved_beams"),
 ]
 
 
 def score_row(**changes: Any) -> dict[str, Any]:
     texts = ("task_id", "sweep", "vehicle", "scene", "dataset", "mode", "detector", "scored_by", "method")
-    row: dict[str, Any] = dict.fromkeys((*texts, "accuracy", "status"), "x")
+    row: dict[str, Any] = dict.fromkeys((*texts, "accuracy", "search", "status"), "x")
     return {**row, "alpha": 0.01, "replicate": 0, "effects": ["rain"], **changes}
 
 

@@ -30,7 +30,7 @@ def score_row(
 ) -> dict[str, Any]:
     """One row of scores of a planned task."""
     spec = task.spec
-    names = ("task_id", "vehicle", "scene", "dataset", "mode", "alpha", "detector", "accuracy")
+    names = ("task_id", "vehicle", "scene", "dataset", "mode", "alpha", "detector", "accuracy", "search")
     row = {name: getattr(spec, name) for name in names} | {"sweep": sweep, "lambda": spec.lambda_}
     row |= {"scored_by": spec.detector, "method": method, "replicate": 0, "effects": [], "status": "ok"}
     return {**row, "score": score, "adversarial_loss": loss, "x_m": 15.0, "y_m": -5.0, **more}

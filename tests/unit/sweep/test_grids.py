@@ -26,7 +26,7 @@ def five_scenes(config: Config) -> Catalogue:
 
 def transfer(x: float, y: float, before: float | None, after: float | None, **more: Any) -> dict[str, Any]:
     group = {"sweep": "s", "dataset": "street", "vehicle": "suv", "mode": "shape", "lambda": 1.0, "alpha": 0.01}
-    group |= {"detector": "p", "accuracy": "standard", "effects": "none", "scored_by": "p"}
+    group |= {"detector": "p", "accuracy": "standard", "search": "descent", "effects": "none", "scored_by": "p"}
     return {**group, "x_m": x, "y_m": y, "score_baseline": before, "score": after, **more}
 
 

@@ -43,7 +43,14 @@ def scored(
     alpha: float, weight: float | None, score: float, loss: float, scene: str = "s0", **more: Any
 ) -> dict[str, Any]:
     row = {"vehicle": "coupe", "mode": "shape", "alpha": alpha, "lambda": weight, "detector": "p", "scored_by": "p"}
-    row |= {"accuracy": "standard", "effects": "none", "dataset": "street", "scene": scene, "method": "adversarial"}
+    row |= {
+        "accuracy": "standard",
+        "search": "descent",
+        "effects": "none",
+        "dataset": "street",
+        "scene": scene,
+        "method": "adversarial",
+    }
     return row | {"score": score, "adversarial_loss": loss} | more
 
 

@@ -52,7 +52,7 @@ def test_columns_say_what_the_specs_say(plan: Plan, tmp_path: Path) -> None:
     (tmp_path / "plan.parquet").write_bytes(plan_bytes(plan.tasks))
     frame = pd.read_parquet(tmp_path / "plan.parquet")
     assert frame["position"].tolist() == list(range(len(plan.tasks)))
-    for name in ("task_id", "vehicle", "scene", "dataset", "mode", "alpha", "detector", "accuracy"):
+    for name in ("task_id", "vehicle", "scene", "dataset", "mode", "alpha", "detector", "accuracy", "search"):
         assert frame[name].tolist() == [getattr(task.spec, name) for task in plan.tasks], name
     assert [None if pd.isna(value) else value for value in frame["lambda"]] == [t.spec.lambda_ for t in plan.tasks]
     assert [tuple(value) for value in frame["effects"]] == [task.spec.effects for task in plan.tasks]

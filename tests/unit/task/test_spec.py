@@ -46,7 +46,8 @@ def test_every_field_changes_the_id() -> None:
 
 @pytest.mark.parametrize("field", dataclasses.fields(AttackSpec), ids=lambda field: field.name)
 def test_every_part_of_the_search_changes_the_id_and_comes_back(field: dataclasses.Field[Any]) -> None:
-    changed = dataclasses.replace(SPEC, attack=dataclasses.replace(SPEC.attack, **{field.name: field.default + 1}))
+    other = "another" if isinstance(field.default, str) else field.default + 1
+    changed = dataclasses.replace(SPEC, attack=dataclasses.replace(SPEC.attack, **{field.name: other}))
     assert changed.task_id != SPEC.task_id
     assert TaskSpec.from_dict(json.loads(changed.canonical_json())) == changed
 

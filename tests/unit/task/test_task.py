@@ -3,72 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-import trimesh
+from short_tasks import SHORT, STREET, THERE, by_method, make_spec
 from toy_detector import WaveDetector
 
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import points_in_boxes
 from shift3d.naturalness.sources import reference_source, source_hash
 from shift3d.placement.constraints import ConstraintCheck
 from shift3d.settings.catalogue import accuracy_settings
 from shift3d.settings.schema import AccuracyConfig
 from shift3d.store.tables import table_from_rows
 from shift3d.task.assets import Assets, load_assets
-from shift3d.task.export import export_solution
 from shift3d.task.rows import Rows
 from shift3d.task.run import run_task
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskResult, TaskSpec
+from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskResult, TaskSpec, TransferScene
 from shift3d.vehicles.sources import vehicle_hash
 
-STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 1}
-SHORT = AttackSpec(steps=3, noise_replicates=2)
 KNOWN = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.01}
-KNOWN |= {"detector": "p", "accuracy": "a"}
-
-
-@pytest.fixture(scope="module")
-def assets() -> Assets:
-    return load_assets(AssetsSpec(scenes=STREET))
-
-
-def make_spec(mode: str = "shape", **changes: object) -> TaskSpec:
-    accuracy = accuracy_settings(AccuracyConfig(name="standard", render={}))
-    spec = TaskSpec(
-        vehicle="suv",
-        scene="street-test-hdl64-000000",
-        dataset="street-hdl64",
-        mode=mode,  # type: ignore[arg-type]
-        lambda_=1.0,
-        alpha=0.01,
-        detector="pointpillars",
-        accuracy="standard",
-        accuracy_settings=accuracy,
-        attack=SHORT,
-    )
-    return dataclasses.replace(spec, **changes)  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module")
-def shape(assets: Assets) -> TaskResult:
-    return run_task(make_spec(), assets)
-
-
-@pytest.fixture(scope="module")
-def pose(assets: Assets) -> TaskResult:
-    return run_task(make_spec("pose"), assets)
-
-
-def by_method(result: TaskResult, method: str) -> list[dict]:
-    return [row for row in result.scores if row["method"] == method]
+KNOWN |= {"detector": "p", "accuracy": "a", "search": "descent"}
 
 
 def test_every_method_is_reported_once(shape: TaskResult, pose: TaskResult) -> None:
@@ -124,10 +82,11 @@ def test_the_search_lowers_the_loss(shape: TaskResult) -> None:
     assert found["adversarial_loss"] < start["adversarial_loss"]
 
 
-def test_the_same_spec_gives_the_same_rows(shape: TaskResult, assets: Assets) -> None:
-    again = run_task(make_spec(), load_assets(AssetsSpec(scenes=STREET)))
-    assert again.scores == shape.scores
-    assert again.solutions == shape.solutions
+def test_the_same_spec_gives_the_same_rows(moved: TaskResult) -> None:
+    again = run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),)), load_assets(AssetsSpec(scenes=STREET)))
+    assert again.scores == moved.scores
+    assert again.solutions == moved.solutions
+    assert again.transfers == moved.transfers
 
 
 def test_a_scene_without_room_is_reported_not_dropped(assets: Assets) -> None:
@@ -137,33 +96,6 @@ def test_a_scene_without_room_is_reported_not_dropped(assets: Assets) -> None:
     assert {row["status"] for row in result.scores} == {"no_placement"}
     assert all("score" not in row for row in result.scores)
     assert result.solutions == []
-
-
-def test_export_renders_the_solution_again(shape: TaskResult, assets: Assets, tmp_path: Path) -> None:
-    (solution,) = (row for row in shape.solutions if row["method"] == "adversarial")
-    (scored,) = by_method(shape, "adversarial")
-    export_solution(make_spec(), solution, assets, tmp_path)
-
-    scene, _ = assets.scene(make_spec())
-    points = np.fromfile(tmp_path / "scene.bin", dtype="<f4").reshape(-1, 4)
-    hits = np.load(tmp_path / "hit_mask.npy", allow_pickle=False)
-    assert len(points) == len(scene.points) == len(hits)
-    assert hits.sum() == scored["object_points"]
-    # What the vehicle does not hide is untouched to the bit; what it hides came nearer along its own beam.
-    assert np.array_equal(points[~hits, :3], scene.points[~hits])
-    moved, original = points[hits, :3].astype(float), scene.points[hits].astype(float)
-    assert (np.linalg.norm(moved, axis=1) < np.linalg.norm(original, axis=1)).all()
-    cosine = (moved * original).sum(1) / np.linalg.norm(moved, axis=1) / np.linalg.norm(original, axis=1)
-    assert cosine.min() > 1 - 1e-10
-
-    mesh = trimesh.load(tmp_path / "object.ply")
-    _, distance, _ = trimesh.proximity.closest_point(mesh, moved[::20])
-    assert np.median(distance) < 0.01  # the mesh is marching cubes at about 4 cm, the points are exact
-
-    box = json.loads((tmp_path / "box.json").read_text())
-    assert box["frame"] == "lidar" and box["object_points"] == hits.sum()
-    values = np.array([[box["box"][name] for name in ("x", "y", "z", "dx", "dy", "dz", "heading")]])
-    assert points_in_boxes(moved, values, margin_m=0.5).mean() > 0.95
 
 
 def test_unknown_vehicle_is_one_clear_line(assets: Assets) -> None:

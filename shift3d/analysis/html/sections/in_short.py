@@ -56,7 +56,7 @@ def _papers_ratio(variant: Variant) -> float | None:
 
 def _naturalness(variant: Variant) -> str:
     """How many of the shapes are unnatural, and the ratio over the others."""
-    if variant.mode != "shape":
+    if variant.mode == "pose":
         return ""
     tasks = variant.rows.drop_duplicates("task_id")
     measured = tasks[tasks["natural"].notna()] if "natural" in tasks else tasks.iloc[:0]

@@ -17,7 +17,7 @@ from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
 from shift3d.evaluation.recall_curve import recall_curve
 
 SAME = {"sweep": "default", "dataset": "street", "mode": "shape", "alpha": 0.01, "detector": "p", "scored_by": "p"}
-SAME |= {"accuracy": "standard", "effects": "auto"}
+SAME |= {"accuracy": "standard", "search": "descent", "effects": "auto"}
 ROWS = [
     ("coupe", "baseline", 1.0, [0.7, 0.9], True),
     ("coupe", "adversarial", 1.0, [0.25, 0.55], True),

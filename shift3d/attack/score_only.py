@@ -1,0 +1,97 @@
+"""Searches that ask for no gradient: draws at random, and evolution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.attack.loop import best_step
+from shift3d.attack.problem import AttackProblem
+from shift3d.attack.records import AttackResult, StepRecord
+from shift3d.attack.trials import Search, Trials
+
+__all__ = ["draw_best", "evolve"]
+
+SIGMA = 0.3
+"""First standard deviation of an evolution, in the variable's units (our choice)."""
+
+
+def draw_best(
+    problem: AttackProblem,
+    search: Search,
+    evaluations: int,
+    rng: np.random.Generator,
+    distance: float = 0.2,
+    on_step: Callable[[StepRecord], None] | None = None,
+) -> AttackResult:
+    """The best of so many draws: what a search has to beat.
+
+    evaluations: draws, after the baseline, which is step 0 and does not count. distance: see `Search.draw`.
+    Returns: the valid draw with the lowest loss. Source: our choice: the paper's random objects are one draw each.
+    """
+    trials = Trials(problem, search, on_step, differentiable=False)
+    trials.evaluate(search.start, False)
+    for _ in range(evaluations):
+        trials.evaluate(search.draw(rng, distance), False)
+    return trials.result(best_step(trials.trace))
+
+
+def evolve(
+    problem: AttackProblem,
+    search: Search,
+    evaluations: int,
+    rng: np.random.Generator,
+    sigma: float = SIGMA,
+    on_step: Callable[[StepRecord], None] | None = None,
+) -> AttackResult:
+    """CMA-ES from the baseline on the loss alone; a candidate beyond the hard constraints is projected first.
+
+    An invalid candidate ranks behind every valid one of its generation.
+    Args: evaluations: renderings after the baseline's; the last generation may be cut short and then teaches nothing.
+        sigma: the first standard deviation. rng: the only source of randomness.
+    Returns: the valid step with the lowest loss.
+    Source: Hansen 2016, by the cma package; ranking by validity is our choice.
+    """
+    import cma
+
+    trials = Trials(problem, search, on_step, differentiable=False)
+    trials.evaluate(search.start, False)
+    start = search.start.detach().double().numpy()
+    options: dict[str, Any] = {
+        "seed": math.nan,  # its random numbers are ours, numpy's global state is left alone
+        "randn": lambda count, length: rng.standard_normal((count, length)),
+        "verbose": -9,
+        "maxiter": math.inf,
+    }
+    strategy = cma.CMAEvolutionStrategy(start, sigma, options)
+    left = evaluations
+    while left > 0:
+        asked = strategy.ask()
+        if len(asked) > left:
+            for vector in asked[:left]:
+                trials.evaluate(_projected(search, vector), False)
+            break
+        tried = [_projected(search, vector) for vector in asked]
+        for variable in tried:
+            trials.evaluate(variable, False)
+        strategy.tell([variable.double().numpy() for variable in tried], _ranked(trials.trace[-len(tried) :]))
+        left -= len(tried)
+    return trials.result(best_step(trials.trace))
+
+
+def _projected(search: Search, vector: np.ndarray) -> Tensor:
+    return search.project(torch.from_numpy(np.asarray(vector, np.float64)).to(search.start.dtype))
+
+
+def _ranked(records: list[StepRecord]) -> list[float]:
+    """The places of a generation's members, best first: valid ones by their loss, then the others by theirs."""
+    order = sorted(range(len(records)), key=lambda index: (not records[index].valid, records[index].loss, index))
+    places = [0.0] * len(records)
+    for place, index in enumerate(order):
+        places[index] = float(place)
+    return places

@@ -1,0 +1,98 @@
+"""Where a shape search may go: every code, a subspace of codes within a ball, or a generator's parameters in a box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.stats import chi2
+from torch import Tensor
+
+from shift3d.attack.baselines import random_code
+from shift3d.errors import InputError
+from shift3d.vehicles.parameter_box import BoxOfParameters
+
+__all__ = ["SPACES", "CodeSpace", "free_space", "parameter_space", "pca_space"]
+
+SPACES = ("free", "pca", "parameters")
+BALL = 0.95
+"""Share of a Gaussian's mass that the ball of `pca` holds (our choice)."""
+
+
+@dataclass(frozen=True)
+class CodeSpace:
+    """Codes that a shape search may visit: z = code(u) for coordinates u (k,) that `project` leaves alone.
+
+    start: of the baseline's code. draw: (generator, latent distance) -> coordinates at random; see `Search.draw`.
+    """
+
+    start: Tensor
+    code: Callable[[Tensor], Tensor]
+    project: Callable[[Tensor], Tensor]
+    draw: Callable[[np.random.Generator, float], Tensor]
+
+
+def free_space(code0: Tensor) -> CodeSpace:
+    """Every code, as in the paper; the coordinates are the code itself."""
+
+    def draw(rng: np.random.Generator, distance: float) -> Tensor:
+        return random_code(code0, distance, rng)
+
+    return CodeSpace(code0, lambda code: code, lambda code: code, draw)
+
+
+def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where: str) -> CodeSpace:
+    """The plane through the baseline's code along the principal components of known codes, within an ellipsoid.
+
+    Coordinates are standard deviations of the known codes along each component, counted from their mean. Their length
+    is at most that of 95 % of a Gaussian's draws, or the baseline's own where that is longer. What the baseline's code
+    has beside the components it keeps.
+
+    Args: code0: (d,). codes: (N, d) known ones. components: k. where: whose codes they are, for messages.
+    Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
+    Source: SHIFT3D's supplement takes 10 principal components to reconstruct vehicles; the ellipsoid is our choice.
+    """
+    if len(codes) < components + 2:
+        what = f"{len(codes)} codes are too few for {components} components"
+        raise InputError(what, where, f"Give attack.components of at most {max(len(codes) - 2, 1)}, or more vehicles")
+    mean = codes.astype(np.float64).mean(axis=0)
+    _, spread, axes = np.linalg.svd(codes - mean, full_matrices=False)
+    spread = spread[:components] / np.sqrt(len(codes) - 1)
+    if not spread[-1] > 1e-6 * spread[0]:
+        raise InputError(f"the codes do not spread along {components} directions", where, "Give fewer components")
+    basis = torch.from_numpy(spread[:, None] * axes[:components])
+    start = torch.from_numpy(((code0.detach().double().numpy() - mean) @ axes[:components].T) / spread)
+    radius = max(float(np.sqrt(chi2.ppf(BALL, components))), float(start.norm()))
+
+    def code(u: Tensor) -> Tensor:
+        return (code0.detach().double() + (u - start) @ basis).to(code0.dtype)
+
+    def project(u: Tensor) -> Tensor:
+        length = float(u.norm())
+        return u * (radius / length) if length > radius else u
+
+    def draw(rng: np.random.Generator, distance: float) -> Tensor:
+        return project(torch.from_numpy(rng.standard_normal(components)))
+
+    return CodeSpace(start, code, project, draw)
+
+
+def parameter_space(code0: Tensor, box: BoxOfParameters) -> CodeSpace:
+    """A vehicle's own kind: its parameters within the ranges of that kind.
+
+    Coordinates run from -1 to 1 over each range. Source: our choice.
+    """
+    middle, half = torch.from_numpy((box.low + box.high) / 2), torch.from_numpy((box.high - box.low) / 2)
+    basis = half[:, None] * torch.from_numpy(box.basis.astype(np.float64))
+    start = (torch.from_numpy(box.start) - middle) / half
+
+    def code(u: Tensor) -> Tensor:
+        return (code0.detach().double() + (u - start) @ basis).to(code0.dtype)
+
+    def draw(rng: np.random.Generator, distance: float) -> Tensor:
+        return torch.from_numpy(rng.uniform(-1.0, 1.0, len(start)))
+
+    return CodeSpace(start, code, lambda u: u.clamp(-1.0, 1.0), draw)

@@ -1,0 +1,122 @@
+"""The wide family as training shapes of a decoder whose codes are made of the generator's parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from shift3d.sdf.samples import SPHERE_MARGIN, sample_sdf_within
+from shift3d.seeding import generator
+from shift3d.store.atomic import write_atomic
+from shift3d.vehicles.family.parameters import ParameterTable, is_symmetric, parameter_table
+from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_family
+
+__all__ = ["KindFrame", "WideShapes", "in_frame", "kind_frames", "wide_shapes"]
+
+CHUNK = 100
+RESOLUTION_M, FACES = 0.035, 30_000
+KIND_MARGIN = 1.03
+"""How far vehicles of a kind may reach beyond the largest that was trained on."""
+
+
+@dataclass(frozen=True)
+class KindFrame:
+    """The sdf frame that all vehicles of a kind share, so that their parameters alone tell them apart.
+
+    x_sdf = (x - (0, 0, middle_m)) / scale_m, x in the family's working frame: origin on the ground, half way along.
+    """
+
+    scale_m: float
+    middle_m: float
+
+
+@dataclass(frozen=True)
+class WideShapes:
+    """Samples of S vehicles: points (S, P, 3), distances (S, P), float32, sdf units of their kinds' frames.
+
+    features: (S, F) float32, the vehicles' rows in `table`. symmetric: (S,) whether left and right are alike.
+    """
+
+    specs: tuple[WideSpec, ...]
+    points: NDArray[np.float32]
+    distances: NDArray[np.float32]
+    features: NDArray[np.float32]
+    symmetric: NDArray[np.bool_]
+    table: ParameterTable
+    frames: dict[str, KindFrame]
+
+
+def kind_frames(specs: Sequence[WideSpec]) -> dict[str, KindFrame]:
+    """The frame of every kind that the vehicles are of: the sphere that holds the largest of them."""
+    middles: dict[str, float] = {}
+    for spec in specs:
+        middles[spec.kind] = max(middles.get(spec.kind, 0.0), spec.size_m[2] / 2)
+    radii: dict[str, float] = {}
+    for spec in specs:
+        low, high = spec.bounds_m
+        reach = [*np.maximum(-low[:2], high[:2]), max(middles[spec.kind], high[2] - middles[spec.kind])]
+        radii[spec.kind] = max(radii.get(spec.kind, 0.0), float(np.linalg.norm(reach)))
+    return {kind: KindFrame(radii[kind] * SPHERE_MARGIN * KIND_MARGIN, middles[kind]) for kind in radii}
+
+
+def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int) -> WideShapes:
+    """Sample `count` vehicles, half seen and half held out, or read them back from `cache`, a folder.
+
+    An interrupted call goes on where it stopped. Source: samples as of Park et al. 2019; frames are our choice.
+    """
+    specs = [*wide_family(count - count // 2, seed, "seen"), *wide_family(count // 2, seed, "held_out")]
+    frames = kind_frames(specs)
+    tasks = [(spec, frames[spec.kind], samples, seed, index) for index, spec in enumerate(specs)]
+    folder = cache / f"wide-{count}-{samples}-{seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = []
+    with ProcessPoolExecutor(processes) as pool, tqdm(total=count, desc="sampling vehicles", mininterval=5.0) as bar:
+        for start in range(0, count, CHUNK):
+            file = folder / f"{start:06d}.npz"
+            some = tasks[start : start + CHUNK]
+            if not file.is_file():
+                clouds = list(pool.map(_sampled, some))
+                points, distances = np.stack([c[0] for c in clouds]), np.stack([c[1] for c in clouds])
+                write_atomic(file, lambda path, p=points, d=distances: _save(path, p, d))  # type: ignore[misc]
+            bar.update(len(some))
+            with np.load(file, allow_pickle=False) as data:
+                parts.append((data["points"], data["distances"]))
+    table = parameter_table(specs)
+    return WideShapes(
+        tuple(specs),
+        np.concatenate([part[0] for part in parts]),
+        np.concatenate([part[1] for part in parts]),
+        table.rows(specs).astype(np.float32),
+        np.array([is_symmetric(spec) for spec in specs]),
+        table,
+        frames,
+    )
+
+
+def _save(path: Path, points: NDArray[np.float32], distances: NDArray[np.float32]) -> None:
+    with path.open("wb") as file:
+        np.savez(file, points=points, distances=distances)
+
+
+def in_frame(spec: WideSpec, frame: KindFrame, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A vehicle's mesh, centred as `build_wide_mesh` makes it, in its kind's sdf frame."""
+    low, high = spec.bounds_m
+    offset = (low + high) / 2 - (0.0, 0.0, frame.middle_m)
+    return trimesh.Trimesh((mesh.vertices + offset) / frame.scale_m, mesh.faces, process=False)
+
+
+def _sampled(
+    task: tuple[WideSpec, KindFrame, int, int, int],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    spec, frame, samples, seed, index = task
+    unit = in_frame(spec, frame, build_wide_mesh(spec, RESOLUTION_M, FACES))
+    points, distances = sample_sdf_within(unit, samples, generator("wide sdf samples", seed, index))
+    order = generator("wide sdf sample order", seed, index).permutation(len(points))
+    return points[order], distances[order]

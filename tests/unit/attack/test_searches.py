@@ -1,0 +1,138 @@
+"""Searches beside the paper's descent: on an expectation, by evolution, at random, shape and pose together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from analytic_fields import SHAPENET_FRAME, Field, Frame, ground_scan, in_frame, soft_car
+from torch import Tensor
+from toy_detector import WaveDetector
+
+from shift3d.attack.expectation import descend_expectation
+from shift3d.attack.joint import joint_search
+from shift3d.attack.pose import PoseLimits, pose_search
+from shift3d.attack.problem import AttackProblem
+from shift3d.attack.records import AttackResult
+from shift3d.attack.score_only import draw_best, evolve
+from shift3d.attack.shape import shape_search
+from shift3d.attack.space import CodeSpace, free_space, pca_space
+from shift3d.placement.constraints import Constraints
+from shift3d.placement.sampling import Placement, PlacementLimits, place
+from shift3d.render import Beams, preset
+
+FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
+CODE = torch.zeros(6, dtype=torch.float64)
+SETTINGS = preset("standard").with_(dtype=torch.float64)
+RULES = Constraints(min_object_points=150)
+NEAR = PoseLimits(max_shift_m=0.5, max_tilt_rad=0.0)
+
+
+def field_of(code: Tensor) -> Field:
+    return in_frame(soft_car(code), FRAME)
+
+
+@pytest.fixture(scope="module")
+def problem() -> AttackProblem:
+    beams = Beams.from_arrays(*ground_scan(rings=64, columns=900))
+    limits = PlacementLimits(8.0, 12.0, attempts=80)
+    found = place(beams, -1.73, field_of(CODE), FRAME, np.random.default_rng(3), limits, RULES, SETTINGS)
+    assert isinstance(found, Placement)
+    return AttackProblem(beams, -1.73, field_of, FRAME, WaveDetector(), found.theta, CODE, RULES, SETTINGS)
+
+
+def small_space(problem: AttackProblem) -> CodeSpace:
+    codes = 0.1 * np.random.default_rng(0).standard_normal((200, 6)).astype(np.float32)
+    return pca_space(problem.code0, codes, 2, "codes")
+
+
+def run(problem: AttackProblem, name: str, seed: int = 0) -> AttackResult:
+    rng = np.random.default_rng(seed)
+    if name == "expectation":
+        return descend_expectation(problem, shape_search(problem, 0.0), 12, 0.02, rng, placements=2)
+    if name == "evolution":
+        return evolve(problem, shape_search(problem, 0.0, small_space(problem)), 12, rng)
+    if name == "random":
+        return draw_best(problem, shape_search(problem, 0.0), 6, rng)
+    joint = joint_search(problem, 0.0, free_space(problem.code0), NEAR)
+    return descend_expectation(problem, joint, 6, 0.02, rng, placements=1)
+
+
+NAMES = ("expectation", "evolution", "random", "joint")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_search_is_decided_by_its_seed(problem: AttackProblem, name: str) -> None:
+    first, again = run(problem, name), run(problem, name)
+    assert torch.equal(first.latent_code, again.latent_code) and torch.equal(first.theta, again.theta)
+    assert [step.loss for step in first.trace] == [step.loss for step in again.trace]
+
+
+@pytest.mark.parametrize("name", ["evolution", "random"])
+def test_another_seed_draws_others_and_numpys_own_state_is_left_alone(problem: AttackProblem, name: str) -> None:
+    np.random.seed(5)  # noqa: NPY002
+    expected = np.random.default_rng(0).random(), np.random.get_state()[1][:4].tolist()  # noqa: NPY002
+    first, other = run(problem, name, 0), run(problem, name, 1)
+    assert first.trace[1].loss != other.trace[1].loss
+    assert np.random.get_state()[1][:4].tolist() == expected[1]  # noqa: NPY002
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_kept_is_valid_and_the_lowest(problem: AttackProblem, name: str) -> None:
+    found = run(problem, name)
+    assert found.status == "ok" and found.best.valid and found.best_step >= 1
+    assert found.best.loss == min(step.loss for step in found.trace[1:] if step.valid)
+
+
+@pytest.mark.parametrize(("name", "evaluations"), [("evolution", 12), ("random", 6), ("expectation", 6)])
+def test_no_search_takes_more_steps_than_it_was_given(problem: AttackProblem, name: str, evaluations: int) -> None:
+    # Of an expectation over two places a step is two evaluations, and 12 were given.
+    assert len(run(problem, name).trace) == 1 + evaluations
+
+
+def test_the_mean_over_placements_is_what_is_descended(problem: AttackProblem) -> None:
+    search = shape_search(problem, 0.0)
+    alone = descend_expectation(problem, search, 4, 0.02, np.random.default_rng(0), placements=1)
+    mean = descend_expectation(problem, search, 8, 0.02, np.random.default_rng(0), placements=2)
+    assert alone.trace[0].loss == alone.trace[0].adversarial_loss
+    assert mean.trace[0].adversarial_loss == alone.trace[0].adversarial_loss
+    assert mean.trace[0].loss != mean.trace[0].adversarial_loss
+
+
+def test_a_descent_on_the_expectation_lowers_it(problem: AttackProblem) -> None:
+    found = descend_expectation(problem, shape_search(problem, 0.0), 40, 0.05, np.random.default_rng(0), placements=2)
+    losses = [step.loss for step in found.trace]
+    assert np.mean(losses[-4:]) < np.mean(losses[:4])
+
+
+def test_further_starts_share_the_evaluations(problem: AttackProblem) -> None:
+    rng = np.random.default_rng(0)
+    found = descend_expectation(problem, shape_search(problem, 0.0), 12, 0.02, rng, placements=1, starts=3)
+    assert len(found.trace) == 13
+    assert found.trace[0].latent_distance == 0.0
+    assert found.trace[5].latent_distance == pytest.approx(0.2, rel=1e-6)
+
+
+def test_shape_and_pose_move_together_and_within_their_limits(problem: AttackProblem) -> None:
+    found = run(problem, "joint")
+    last = found.trace[-1]
+    assert last.latent_distance > 0.0
+    start = problem.theta0
+    assert 0.0 < float(torch.tensor(last.theta[:2]).sub(start[:2]).norm()) <= NEAR.max_shift_m + 1e-9
+    assert last.theta[4:] == tuple(start[4:].tolist())  # level: no tilt was allowed
+
+
+def test_with_one_of_both_held_the_joint_loss_is_that_of_the_other(problem: AttackProblem) -> None:
+    joint = joint_search(problem, 0.5, free_space(problem.code0), NEAR)
+    shape, pose = shape_search(problem, 0.5, snap_m=0.0), pose_search(problem, NEAR)
+    code, theta = joint.parameters(joint.start)
+    assert torch.equal(code, shape.start) and torch.equal(theta, pose.start)
+    moved = joint.start.clone()
+    moved[0] += 0.3
+    assert float(joint.penalty(moved)) == pytest.approx(0.5 * 0.3**2)
+
+
+def test_evolution_ranks_what_is_not_valid_last(problem: AttackProblem) -> None:
+    strict = replace(problem, constraints=Constraints(min_object_points=10**6))
+    found = evolve(strict, shape_search(strict, 0.0, small_space(strict)), 6, np.random.default_rng(0))
+    assert found.status == "no_valid_step" and found.best_step == 0
