@@ -87,6 +87,9 @@ def run_sweep(
     status = StatusWriter(log, len(plan.tasks))
     status.write([], 0, "starting" if len(left) else "finished")
     if len(left):
+        if kind.prepare:
+            for assets in plan.assets:
+                kind.prepare(assets)
         with (
             _runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up), status) as runner,
             Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress,
