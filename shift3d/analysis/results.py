@@ -69,7 +69,7 @@ class Sweep:
 
 
 def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
-    """Whether the adversarial shape is natural, by task that searches a shape; none where naturalness was not measured."""
+    """Whether the adversarial shape is natural, by task that searches a shape; none where it was not measured."""
     if "natural" not in scores:
         return {}
     found = scores[(scores["method"] == "adversarial") & (scores["mode"] != "pose") & scores["natural"].notna()]
