@@ -41,7 +41,7 @@ SWEEPS = [
     [*ONE, "scene='a,b',\"c d\""],
     # Globs of options, with some left out.
     ["vehicle=glob([c*,s*],exclude=[set,sports*])", "mode=pose", "attack.lambda=1,10"],
-    ["vehicle=glob(*,exclude=[deepsdf,set])", "mode=pose", "attack.lambda=1"],
+    ["vehicle=glob(*,exclude=[deepsdf,set,wide])", "mode=pose", "attack.lambda=1"],
 ]
 
 

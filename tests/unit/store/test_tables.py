@@ -36,7 +36,8 @@ def test_scores_have_the_columns_of_the_contract_in_its_order() -> None:
     # What is ours alone comes after the contract's.
     audit = ["audited_beams", "audited_hits", "missed_hits", "false_hits", "wrong_surface", "depth_error_max_m"]
     stability = ["least_slope", "grazing_gradient", "non_finite"]
-    assert SCHEMAS["scores"].names == CONTRACT + stability + audit
+    near = ["surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural"]
+    assert SCHEMAS["scores"].names == CONTRACT + stability + audit + near
     assert SCHEMAS["timings"].names == ["task_id", "method", "stage", "milliseconds", "calls"]
 
 

@@ -31,6 +31,7 @@ CHANGES: dict[str, Any] = {
     "scene_hash": "a",
     "vehicle_hash": "a",
     "decoder_hash": "a",
+    "reference_hash": "a",
     "scored_by": ("pointpillars", "sst"),
     "detector_hashes": {"pointpillars": "a"},
     "transfer_scenes": (TransferScene("street_001", "b"),),
