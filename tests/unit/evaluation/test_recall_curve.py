@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 
-SCORES = st.lists(st.floats(0, 1, allow_subnormal=False), min_size=1, max_size=60)
+SCORES = st.lists(st.floats(0, 1), min_size=1, max_size=60)
 
 
 @given(SCORES)
@@ -17,7 +17,7 @@ def test_area_is_the_mean_score(scores: list[float]) -> None:
     assert area_under(recall_curve(scores)) == pytest.approx(np.mean(scores), abs=1e-12)
 
 
-@given(SCORES, st.floats(0, 1, allow_subnormal=False))
+@given(SCORES, st.floats(0, 1))
 def test_recall_is_the_share_of_scores_above_the_threshold(scores: list[float], threshold: float) -> None:
     curve = recall_curve(scores)
     at = np.searchsorted(curve.score_threshold, threshold, side="right") - 1

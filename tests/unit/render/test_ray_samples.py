@@ -88,12 +88,7 @@ def test_of_two_samples_at_one_place_the_new_one_stays() -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(
-    samples=st.lists(
-        st.tuples(
-            st.integers(0, 3), st.floats(0.0, 6.0, allow_subnormal=False), st.floats(0.0, 2.0, allow_subnormal=False)
-        ),
-        max_size=60,
-    ),
+    samples=st.lists(st.tuples(st.integers(0, 3), st.floats(0.0, 6.0), st.floats(0.0, 2.0)), max_size=60),
     spacing=st.sampled_from([0.01, 0.02, 0.1]),
 )
 def test_of_every_stretch_the_lowest_sample_is_kept(samples: list[tuple[int, float, float]], spacing: float) -> None:
