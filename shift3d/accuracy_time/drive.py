@@ -21,7 +21,7 @@ from shift3d.accuracy_time.run import Repeats, expected_seconds, measure_case
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import machine
 from shift3d.accuracy_time.truth import Truth, make_truth, read_truth, write_truth
-from shift3d.settings.catalogue import file_hash, weights_file
+from shift3d.settings.catalogue import detector_hash
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.spec import AssetsSpec, TaskSpec
 from shift3d.vehicles.sources import vehicle_hash
@@ -134,7 +134,8 @@ def _file_name(text: str) -> str:
 
 def _identity(case: Case, plan: FrontierPlan, assets: Assets, group: SceneGroup) -> str:
     """Hash of everything that what was measured depends on, but for the settings, which are in the journal's names."""
-    detectors = {n: file_hash(weights_file(n, path)) for n, path in group.assets.detectors.items()}
+    files, modules = group.assets.detectors, group.assets.modules
+    detectors = {name: detector_hash(name, path, modules.get(name)) for name, path in files.items()}
     vehicle = vehicle_hash(assets.vehicle(case.spec))
     options = [plan.reference.step_key, plan.search.step_key, plan.descent_steps, plan.warm_steps]
     parts = [case.spec.canonical_json(), case.theta.tolist(), vehicle, assets.vehicles.decoder_hash(), detectors]

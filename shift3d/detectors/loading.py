@@ -1,16 +1,17 @@
-"""Trained detectors by name."""
+"""Detectors by name."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from shift3d.detectors.base import Detector
 from shift3d.detectors.models.network import Precision
 from shift3d.detectors.models.weights import NETWORKS, WEIGHTS_FOLDER, load_network
-from shift3d.detectors.names import DETECTOR_NAMES
+from shift3d.detectors.names import DETECTOR_NAMES, OWN
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
-__all__ = ["load_detector"]
+__all__ = ["detector_of", "load_detector"]
 
 
 def load_detector(
@@ -24,3 +25,17 @@ def load_detector(
         raise InputError(f"unknown detector {name!r}", where="detector", remedy=f"known: {', '.join(DETECTOR_NAMES)}")
     file = Path(path) if path is not None else WEIGHTS_FOLDER / f"{name}.safetensors"
     return TrainedDetector(load_network(file, name), precision)
+
+
+def detector_of(name: str, path: Path | str | None, module: Path | str | None, precision: Precision) -> Detector:
+    """A trained detector, or the user's own from a Python file. path: of weights, None: shipped ones, or none at all.
+
+    Raises: InputError as `load_detector` and `own.load_own` do; the user's own detector without a file.
+    """
+    if name != OWN:
+        return load_detector(name, path, precision)
+    if module is None:
+        raise InputError("your own detector needs a file", where="detector", remedy="Give detector.module=FILE.py")
+    from shift3d.detectors.own import load_own
+
+    return load_own(Path(module).expanduser(), None if path is None else Path(path).expanduser(), precision)

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-__all__ = ["DETECTOR_NAMES", "DetectorName"]
+__all__ = ["DETECTOR_NAMES", "OWN", "DetectorName", "TrainedName"]
 
-DetectorName = Literal["pointpillars", "centerpoint", "sst", "sst_small"]
-DETECTOR_NAMES: tuple[str, ...] = get_args(DetectorName)
+TrainedName = Literal["pointpillars", "centerpoint", "sst", "sst_small"]
+DetectorName = Literal[TrainedName, "own"]
+DETECTOR_NAMES: tuple[str, ...] = get_args(TrainedName)
+"""Detectors of shift3d."""
+OWN = "own"
+"""The user's own, see `detectors.own`."""

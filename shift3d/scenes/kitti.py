@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d, points_in_boxes
 from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.ground_height import estimate_ground_z
 from shift3d.scenes.kitti_files import (
     CLASSES,
     GROUND,
@@ -22,9 +22,12 @@ from shift3d.scenes.kitti_files import (
     read_labels,
     read_points,
 )
+from shift3d.scenes.listing import first_few, names_in
 from shift3d.scenes.scene import Labels, Scene
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
 
-NOMINAL_GROUND_Z_M = -1.73
+NOMINAL_GROUND_Z_M = -1.73  # over the labelled sample frames the estimate lies between -1.80 and -1.63
 IMAGE_SIZE = (1242, 375)  # pixels; frames differ by a few, and the images are not needed otherwise
 
 
@@ -62,7 +65,7 @@ class CameraView:
 
 
 class KittiScenes:
-    """Labelled KITTI frames under a folder.
+    """Labelled KITTI frames under a folder or bucket.
 
     Args:
         root: the folder that holds ``training/``, or ``training`` itself.
@@ -83,23 +86,24 @@ class KittiScenes:
 
     def __init__(
         self,
-        root: str | Path,
+        root: LocationLike,
         names: Sequence[str] | None = None,
         reflectance_max: float | None = None,
         keep_bad: bool = False,
     ) -> None:
-        root = Path(root)
+        root = as_location(root)
         self.reflectance_max = reflectance_max
-        self.folder = root if (root / "velodyne").is_dir() else root / "training"
+        self.folder = root if "velodyne" in names_in(root) else root / "training"
+        parts = names_in(self.folder)
         for part in ("velodyne", "calib"):
-            if not (self.folder / part).is_dir():
+            if part not in parts:
                 raise InputError(
                     f"no folder training/{part}",
                     str(root),
                     "Give the folder that holds KITTI's training/ folder.",
                 )
-        self._has_labels = (self.folder / "label_2").is_dir()
-        found = {path.stem for path in (self.folder / "velodyne").glob("*.bin")}
+        self._has_labels = "label_2" in parts
+        found = _stems(self.folder / "velodyne", ".bin")
         if keep_bad:
             found |= self._labelled() if names is None else set(names)
         if names is None:
@@ -107,7 +111,7 @@ class KittiScenes:
         for name in names or ():
             if name not in found:
                 raise InputError(
-                    f"no frame {name!r}", str(self.folder / "velodyne"), f"Choose from: {_first_few(found)}."
+                    f"no frame {name!r}", str(self.folder / "velodyne"), f"Choose from: {first_few(found)}."
                 )
         self._names = sorted(found) if names is None else list(names)
         if not self._names:
@@ -124,7 +128,7 @@ class KittiScenes:
             InputError: naming the file, the line or row, and the remedy.
         """
         if name not in self._names:
-            raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {_first_few(self._names)}.")
+            raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {first_few(self._names)}.")
         points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin", self.reflectance_max)
         ground = self.folder / GROUND / f"{name}.txt"
         scene = Scene(
@@ -132,7 +136,7 @@ class KittiScenes:
             dataset=self.dataset,
             points=points,
             origins=np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape),
-            ground_z_m=read_ground_z(ground) if ground.is_file() else estimate_ground_z(points),
+            ground_z_m=read_ground_z(ground) if ground.is_file() else estimate_ground_z(points, NOMINAL_GROUND_Z_M),
             labels=self._labels(name, points),
             reflectance=reflectance,
         )
@@ -144,12 +148,11 @@ class KittiScenes:
         return None
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """See `SceneSet`: path, size and time of last change of each of the frame's files."""
+        """See `SceneSet`: path and version of each of the frame's files."""
         values: list[str | int | float | None] = ["kitti", name, self.reflectance_max, self._has_labels]
         for part, suffix in (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt"), (GROUND, "txt")):
-            path = self.folder / part / f"{name}.{suffix}"
-            state = path.stat() if path.is_file() else None
-            values += [str(path.absolute()), state and state.st_size, state and state.st_ctime_ns]
+            file = self.folder / part / f"{name}.{suffix}"
+            values += [str(file.absolute()), file.version()]
         return tuple(values)
 
     def camera_view(self, name: str) -> CameraView:
@@ -178,7 +181,7 @@ class KittiScenes:
         )
 
     def _labelled(self) -> set[str]:
-        return {path.stem for path in (self.folder / "label_2").glob("*.txt")}
+        return _stems(self.folder / "label_2", ".txt") if self._has_labels else set()
 
     def _refuse_orphans(self, found: set[str]) -> None:
         orphans = sorted(self._labelled() - found)
@@ -190,24 +193,5 @@ class KittiScenes:
             )
 
 
-def estimate_ground_z(points: NDArray[np.float32]) -> float:
-    """Height of the ground around a car-mounted HDL-64E, metres, rounded to 1 cm.
-
-    The fullest 5 cm layer between 4 and 12 m from the sensor, within 0.35 m of the nominal -1.73, refined by
-    the median of the points within 15 cm of it. With fewer than 500 points there: the nominal height.
-
-    Source: our choice; over the labelled sample frames it lies between -1.80 and -1.63.
-    """
-    distance = np.hypot(points[:, 0], points[:, 1])
-    z = points[(distance > 4.0) & (distance < 12.0), 2].astype(np.float64)
-    z = z[np.abs(z - NOMINAL_GROUND_Z_M) < 0.35]
-    if len(z) < 500:
-        return NOMINAL_GROUND_Z_M
-    counts, edges = np.histogram(z, bins=14, range=(NOMINAL_GROUND_Z_M - 0.35, NOMINAL_GROUND_Z_M + 0.35))
-    peak = edges[int(counts.argmax())] + 0.025
-    return round(float(np.median(z[np.abs(z - peak) < 0.15])), 2)
-
-
-def _first_few(names: Sequence[str] | set[str]) -> str:
-    ordered = sorted(names)
-    return ", ".join(ordered[:5]) + (f", ... ({len(ordered)} in all)" if len(ordered) > 5 else "")
+def _stems(folder: Location, suffix: str) -> set[str]:
+    return {name.removesuffix(suffix) for name in folder.names() if name.endswith(suffix)}

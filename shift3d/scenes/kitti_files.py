@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.scenes.reflectance import full_reflectance
+from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
 
 Float = NDArray[np.float64]
@@ -91,7 +91,9 @@ class KittiLabel:
         return len(limits)
 
 
-def read_points(path: Path, reflectance_max: float | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def read_points(
+    path: LocationLike, reflectance_max: float | None = None
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Points (N, 3) in the LiDAR frame and reflectance (N,) of a velodyne file, in file order.
 
     Args:
@@ -102,10 +104,10 @@ def read_points(path: Path, reflectance_max: float | None = None) -> tuple[NDArr
             point beyond FARTHEST_M, no point away from the sensor, or reflectances on another scale.
     """
     try:
-        raw = path.read_bytes()
+        raw = as_location(path).read_bytes()
     except OSError as error:
         raise InputError(
-            f"cannot read the frame ({error.strerror})",
+            f"cannot read the frame ({error.strerror or 'no such file'})",
             str(path),
             "Check the root folder and the frame's name.",
         ) from error
@@ -136,7 +138,7 @@ def read_points(path: Path, reflectance_max: float | None = None) -> tuple[NDArr
     return np.ascontiguousarray(values[:, :3]), np.clip(values[:, 3], 0.0, 1.0)
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(path: LocationLike) -> Calibration:
     """The matrices of camera 2.
 
     Raises:
@@ -165,7 +167,7 @@ def read_calibration(path: Path) -> Calibration:
     return _checked(found, path)
 
 
-def _checked(found: dict[str, Float], path: Path) -> Calibration:
+def _checked(found: dict[str, Float], path: LocationLike) -> Calibration:
     """Matrices that are what they are called; every comparison is written so that NaN fails it."""
     camera_T_lidar = np.eye(4)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -184,7 +186,7 @@ def _checked(found: dict[str, Float], path: Path) -> Calibration:
     return Calibration(projection, camera_T_lidar)
 
 
-def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
+def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel]:
     """Labels in file order, DontCare rows left out.
 
     Raises:
@@ -211,7 +213,7 @@ def read_labels(path: Path, calibration: Calibration) -> list[KittiLabel]:
     return labels
 
 
-def read_ground_z(path: Path) -> float:
+def read_ground_z(path: LocationLike) -> float:
     """Height of the ground in the LiDAR frame, metres.
 
     Raises:
@@ -245,11 +247,11 @@ def lidar_box(size_hwl: list[float], bottom_camera: list[float], rotation_y: flo
     return np.array([*middle, length, width, height, heading])
 
 
-def _read_lines(path: Path, kind: str) -> list[str]:
+def _read_lines(path: LocationLike, kind: str) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not text"
+        return as_location(path).read_text().splitlines()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or ("no such file" if isinstance(error, OSError) else "not text")
         raise InputError(
             f"cannot read the {kind} file ({reason})", str(path), "Copy it again, or leave the frame out."
         ) from error

@@ -35,6 +35,7 @@ class Scene:
         conditions: weather and the like.
         sensor: what is stated about the sensor; None: nothing.
         no_return: beams without a return, where the scene is a whole range image; None: unknown.
+        in_no_label_zone: (N,) bool, points where the data set labels nothing, or None: it labels everywhere.
 
     Source: our choice (design sections 4 and 6: beams come from each sensor's own origin).
     """
@@ -52,6 +53,7 @@ class Scene:
     conditions: Conditions = field(default_factory=Conditions)
     sensor: SensorModel | None = None
     no_return: NoReturnBeams | None = None
+    in_no_label_zone: NDArray[np.bool_] | None = None
 
     @property
     def has_beam(self) -> NDArray[np.bool_]:
@@ -128,6 +130,7 @@ class Scene:
             ("return_number", self.return_number, np.uint8, None),
             ("time_s", self.time_s, np.float32, None),
             ("range_image_index", self.range_image_index, np.int32, 2),
+            ("in_no_label_zone", self.in_no_label_zone, np.bool_, None),
         ]
         return [(name, values, dtype, columns) for name, values, dtype, columns in fields if values is not None]
 

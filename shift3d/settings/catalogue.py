@@ -10,20 +10,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.detectors.names import DETECTOR_NAMES
+from shift3d.detectors.names import DETECTOR_NAMES, OWN
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.scene_cache import SceneEntry
 from shift3d.settings.scene_entries import scene_entries
+from shift3d.settings.scene_schema import FramesConfig
+from shift3d.settings.scene_sets import scene_set
 from shift3d.settings.schema import (
     AccuracyConfig,
     AttackConfig,
     Config,
     DetectorConfig,
-    KittiConfig,
-    StreetConfig,
     VehicleConfig,
     VehicleSetConfig,
 )
@@ -37,6 +37,7 @@ __all__ = [
     "Catalogue",
     "SceneEntry",
     "accuracy_settings",
+    "detector_hash",
     "file_hash",
     "read_catalogue",
     "scene_set",
@@ -74,21 +75,6 @@ class Catalogue:
     accuracy: dict[str, Any]
     skipped: Mapping[str, str] = field(default_factory=dict)
     space_hash: Callable[[str, AttackConfig], str] = lambda vehicle, attack: ""
-
-
-def scene_set(config: StreetConfig | KittiConfig) -> SceneSet:
-    """The scenes that settings describe. Raises InputError for a missing or unreadable folder."""
-    if isinstance(config, StreetConfig):
-        from shift3d.scenes.sets import StreetScenes
-
-        return StreetScenes(config.sensor, config.seed, config.count, config.split, options=config.options())
-    from shift3d.scenes.kitti import KittiScenes
-
-    root, reflectance_max = Path(config.root).expanduser(), config.reflectance_max
-    scenes = KittiScenes(root, config.names, reflectance_max, config.skip_bad)
-    if config.count is None:
-        return scenes
-    return KittiScenes(root, scenes.names()[: config.count], reflectance_max, config.skip_bad)
 
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
@@ -132,8 +118,23 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
         others = [name for name in others if not (name == "sst_small" and "sst" in others)]
     names = list(dict.fromkeys([config.name, *others]))
     for name in names:
-        weights_file(name, weights.get(name))
+        detector_hash(name, weights.get(name), config.module)
     return {name: weights.get(name) for name in names}
+
+
+def detector_hash(name: str, weights: str | None, module: str | None) -> str:
+    """128-bit BLAKE2b of what a detector is made of, hex: its weights; of the user's own, its Python file with them.
+
+    Raises:
+        InputError: a file is missing.
+    """
+    if name != OWN:
+        return file_hash(weights_file(name, weights))
+    parts = [Path(part).expanduser() for part in (module, weights) if part]
+    for path in parts:
+        if not path.is_file():
+            raise InputError("no such file", where=str(path), remedy="Check detector.module and detector.weights")
+    return hashlib.blake2b("".join(map(file_hash, parts)).encode(), digest_size=16).hexdigest()
 
 
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
@@ -215,7 +216,7 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         vehicles=_VehicleHashes(source),
         frame_of=source.vehicle,
         decoder_hash=source.decoder_hash(),
-        detectors={name: file_hash(weights_file(name, path)) for name, path in detectors.items()},
+        detectors={name: detector_hash(name, path, config.detector.module) for name, path in detectors.items()},
         accuracy=accuracy_settings(config.accuracy),
         skipped=skipped,
         space_hash=functools.partial(_space_hash, source),
@@ -238,7 +239,7 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
     """See `scene_entries`; the error for a frame that cannot be read says how to do without it."""
-    frames = config.scenes if isinstance(config.scenes, KittiConfig) else None
+    frames = config.scenes if isinstance(config.scenes, FramesConfig) else None
     try:
         return scene_entries(scenes, preview, skip_bad=frames is not None and frames.skip_bad)
     except InputError as error:

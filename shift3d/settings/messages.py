@@ -13,6 +13,8 @@ from shift3d.errors import InputError
 from shift3d.settings.folders import looked_in, shipped, shown
 from shift3d.settings.renamed import renamed_error
 
+_SCENES = ("street", "kitti", "waymo", "argoverse2", "nuscenes", "openpcdet")
+
 __all__ = ["choice_error", "from_hydra", "from_validation", "one_of", "unreadable"]
 
 
@@ -34,7 +36,7 @@ def from_validation(error: ValidationError, where: str) -> InputError:
     """The first failure of a pydantic validation, naming the field, what it may be, and the remedy."""
     first = error.errors(include_url=False)[0]
     # A discriminated union puts its tag into the path: 'scenes.street.count' is the user's 'scenes.count'.
-    tags = {"street", "kitti", "set", "deepsdf", "ray", "local", "mlflow", "none"}
+    tags = {"set", "deepsdf", "ray", "local", "mlflow", "none", *_SCENES}
     path = [str(part) for part in first["loc"]]
     field = ".".join(part for i, part in enumerate(path) if not (i == 1 and part in tags))
     value, kind = first["input"], first["type"]

@@ -30,7 +30,7 @@ __all__ = ["SceneEntry", "keep_entry", "kept_entry"]
 
 # Layers that scenes are made by, and libraries that their last bits may depend on.
 _SOURCES = ("scenes", "vehicles", "sdf", "geometry", "seeding.py")
-_LIBRARIES = ("numpy", "scipy", "embreex", "trimesh", "scikit-image", "libigl", "fast-simplification")
+_LIBRARIES = ("numpy", "pyarrow", "scipy", "embreex", "trimesh", "scikit-image", "libigl", "fast-simplification")
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-from shift3d.detectors.names import DetectorName
-from shift3d.errors import InputError
-from shift3d.scenes.reflectance import MOST_RAW
-from shift3d.scenes.street.options import LIMITS, MOST_SENSORS, StreetOptions
+from shift3d.detectors.names import OWN, DetectorName
 from shift3d.settings.names import Text
+from shift3d.settings.records import LARGEST, Count, NotNegative, Number, Positive, Record, Seed, Share
+from shift3d.settings.scene_schema import KittiConfig, SceneConfig, StreetConfig, StreetOptionsConfig
 
 __all__ = [
     "AccuracyConfig",
@@ -31,72 +30,8 @@ __all__ = [
     "VehicleSetConfig",
 ]
 
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
-# Beyond these limits lie typing errors: a list of 10**12 scenes, squares of 1e300 that are infinite.
-_MOST, _LARGEST = 10**6, 1e9
-Count = Annotated[int, Field(ge=1, le=_MOST)]
-Number = Annotated[int, Field(ge=0, le=_MOST)]
-Positive = Annotated[float, Field(gt=0, le=_LARGEST, allow_inf_nan=False)]
-Share = Annotated[float, Field(gt=0, lt=1)]
-NotNegative = Annotated[float, Field(ge=0, le=_LARGEST, allow_inf_nan=False)]
 
-
-class _Record(BaseModel):
-    # strict: "0.5" is no number and true is no 1, since Hydra has read the types already. A float may be written 1.
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class StreetOptionsConfig(_Record):
-    """What street scenes state and show beyond one return a beam, see `scenes.street.options`; all off by default."""
-
-    weather: Literal["dry", "rain", "fog", "snow"] = "dry"
-    rain_mm_h: Annotated[float, Field(gt=0, le=LIMITS["rain_mm_h"])] | None = None
-    visibility_m: Annotated[float, Field(gt=0, le=LIMITS["visibility_m"])] | None = None
-    snow_mm_h: Annotated[float, Field(gt=0, le=LIMITS["snow_mm_h"])] | None = None
-    sensor_model: bool = False
-    range_image: bool = False
-    returns: Literal[1, 2] = 1
-    sensors: Annotated[int, Field(ge=1, le=MOST_SENSORS)] = 1
-    ego_speed_m_s: Annotated[float, Field(ge=0, le=LIMITS["ego_speed_m_s"])] = 0.0
-    motion_compensated: bool = False
-    traffic: Literal["family", "wide", "held_out"] = "family"
-
-    def options(self) -> StreetOptions:
-        """The same for the generator. Raises InputError for settings that contradict each other."""
-        return StreetOptions(**{name: getattr(self, name) for name in StreetOptionsConfig.model_fields})
-
-    @model_validator(mode="after")
-    def _without_contradiction(self) -> Self:
-        try:
-            self.options()
-        except InputError as error:
-            raise ValueError(f"{error.what}. {error.remedy}") from error
-        return self
-
-
-class StreetConfig(StreetOptionsConfig):
-    """Procedural street scenes."""
-
-    kind: Literal["street"]
-    sensor: Literal["hdl64", "waymo_top", "mixed"]
-    split: Literal["train", "val", "test"]
-    seed: Seed
-    count: Count
-
-
-class KittiConfig(_Record):
-    """KITTI object frames under ``root``/training. reflectance_max: what the files call full reflectance; None: 1.
-    skip_bad: leave out frames that cannot be read."""
-
-    kind: Literal["kitti"]
-    root: Text
-    count: Count | None
-    names: list[Text] | None
-    reflectance_max: Annotated[float, Field(gt=0, le=MOST_RAW)] | None = None
-    skip_bad: bool = False
-
-
-class VehicleSetConfig(_Record):
+class VehicleSetConfig(Record):
     """One vehicle of a folder with vehicles.safetensors and sdf.safetensors; folder null: those that ship."""
 
     kind: Literal["set"]
@@ -104,7 +39,7 @@ class VehicleSetConfig(_Record):
     folder: Text | None
 
 
-class DeepSdfVehicleConfig(_Record):
+class DeepSdfVehicleConfig(Record):
     """One instance of an experiment in the layout of the original DeepSDF repository."""
 
     kind: Literal["deepsdf"]
@@ -120,25 +55,39 @@ class DeepSdfVehicleConfig(_Record):
 VehicleConfig = VehicleSetConfig | DeepSdfVehicleConfig
 
 
-class DetectorConfig(_Record):
+class DetectorConfig(Record):
     """The detector under attack, and those that score what was found.
 
     weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
     scored_by: names; None: every detector whose weights are there. The attacked one scores
-    always, and first.
+    always, and first. module: the Python file of the user's own detector, named "own".
     """
 
     name: DetectorName
     weights: Text | None
     scored_by: list[DetectorName] | None
     other_weights: dict[DetectorName, Text | None]
+    module: Text | None = None
+
+    @model_validator(mode="after")
+    def _a_file_for_the_own(self) -> Self:
+        named = OWN in (self.name, *(self.scored_by or ()))
+        if named and self.module is None:
+            raise ValueError("module is null, and your own detector needs a file: detector.module=FILE.py")
+        if not named and self.module is not None:
+            raise ValueError("module means nothing without detector=own or own in scored_by")
+        return self
 
     def weights_by_name(self) -> dict[str, str | None]:
         """Files of weights that were given, by the detector's name; None: those that ship."""
         return {**{str(name): path for name, path in self.other_weights.items()}, self.name: self.weights}
 
+    def modules_by_name(self) -> dict[str, str]:
+        """Python files of detectors, by name: of the user's own, where it is asked."""
+        return {} if self.module is None else {OWN: self.module}
 
-class PlacementConfig(_Record):
+
+class PlacementConfig(Record):
     """Where a vehicle may be put; metres."""
 
     min_range_m: NotNegative
@@ -155,7 +104,7 @@ class PlacementConfig(_Record):
         return self
 
 
-class AttackConfig(_Record):
+class AttackConfig(Record):
     """The search and its comparisons.
 
     selection_window: steps before and after that count when one is kept. search, space, components, rate, placements,
@@ -168,7 +117,7 @@ class AttackConfig(_Record):
     steps: Number
     selection_window: Number = 0
     alpha: Positive
-    lambda_: Annotated[float, Field(alias="lambda", ge=0, le=_LARGEST, allow_inf_nan=False)]
+    lambda_: Annotated[float, Field(alias="lambda", ge=0, le=LARGEST, allow_inf_nan=False)]
     random_replicates: Number
     noise_replicates: Number
     noise_sigma: NotNegative
@@ -186,7 +135,7 @@ class AttackConfig(_Record):
     placement: PlacementConfig
 
 
-class AccuracyConfig(_Record):
+class AccuracyConfig(Record):
     """A preset, and the settings that differ from it (None: as the preset has it).
 
     detector: precision of the detector inside the search; what is found is scored in float32 or better.
@@ -203,7 +152,7 @@ EffectName = Literal[
 ]  # fmt: skip
 
 
-class EffectsConfig(_Record):
+class EffectsConfig(Record):
     """Effects beyond the paper's sensor model, and what is said about scenes beyond what they state themselves.
 
     use: effects that are forced, by name; "auto": those that a scene calls for. Nothing: the paper's model.
@@ -240,7 +189,7 @@ class EffectsConfig(_Record):
         return {name: float(value) for name, value in values.items() if value is not None}
 
 
-class RayRunnerConfig(_Record):
+class RayRunnerConfig(Record):
     """Ray workers."""
 
     kind: Literal["ray"]
@@ -255,7 +204,7 @@ class RayRunnerConfig(_Record):
     abort_share: Share | None
 
 
-class LocalRunnerConfig(_Record):
+class LocalRunnerConfig(Record):
     """This process, one task after the other."""
 
     kind: Literal["local"]
@@ -264,7 +213,7 @@ class LocalRunnerConfig(_Record):
     abort_share: Share | None
 
 
-class MlflowConfig(_Record):
+class MlflowConfig(Record):
     """An MLflow store."""
 
     kind: Literal["mlflow"]
@@ -272,20 +221,20 @@ class MlflowConfig(_Record):
     experiment: Text
 
 
-class NoTrackingConfig(_Record):
+class NoTrackingConfig(Record):
     """No tracking."""
 
     kind: Literal["none"]
 
 
-class Config(_Record):
+class Config(Record):
     """Everything one task is made from, and how its sweep runs.
 
     ``runner`` and ``tracking`` cannot change a result; all else can. size: which of a sweep's sizes these settings
     come from; by itself it changes nothing.
     """
 
-    scenes: Annotated[StreetConfig | KittiConfig, Field(discriminator="kind")]
+    scenes: Annotated[SceneConfig, Field(discriminator="kind")]
     vehicle: Annotated[VehicleConfig, Field(discriminator="kind")]
     detector: DetectorConfig
     attack: AttackConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import BinaryIO, TypeVar
 
 from shift3d.store import atomic
 from shift3d.store.location import Location
@@ -46,6 +46,18 @@ class LocalLocation(Location):
     def read_bytes(self) -> bytes:
         """See `Location`."""
         return self.path.read_bytes()
+
+    def open(self) -> BinaryIO:
+        """See `Location`."""
+        return self.path.open("rb")
+
+    def version(self) -> str:
+        """See `Location`: size and time of last change."""
+        try:
+            state = self.path.stat()
+        except OSError:
+            return ""
+        return f"{state.st_size}-{state.st_ctime_ns}"
 
     def names(self) -> list[str]:
         """See `Location`."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from shift3d.store import atomic
 
@@ -54,6 +54,18 @@ class Location(ABC):
     def read_text(self) -> str:
         """A file's content as UTF-8. Raises FileNotFoundError where there is none, ValueError where it is no text."""
         return self.read_bytes().decode()
+
+    @abstractmethod
+    def open(self) -> Any:
+        """A file's content as a binary file object that reads from any place of it, for files read in part.
+
+        Raises:
+            FileNotFoundError: there is none.
+        """
+
+    @abstractmethod
+    def version(self) -> str:
+        """A text that changes whenever the file's content may; empty where there is no file."""
 
     @abstractmethod
     def names(self) -> list[str]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import io
 import os
 import secrets
 from collections.abc import Callable, Iterator, Sequence
@@ -36,6 +37,7 @@ __all__ = ["SCHEMES", "ObjectLocation", "object_location"]
 SCHEMES = ("s3", "gs")
 _THREADS = 16
 _IN_ONE_PIECE = 32 * 2**20
+_FETCHED_BYTES = 2**20  # least that a read of part of an object fetches
 # A request is tried again for seconds, not minutes: whoever waits should read soon what is wrong. Of 6 tries, the last
 # one is made 6 s after the first.
 _RETRY: RetryConfig = {
@@ -98,6 +100,34 @@ def _clear_errors(url: str) -> Iterator[None]:
         raise explained(error, url) from error
 
 
+class _Ranges(io.RawIOBase):
+    """An object of a known size as a file, each read a request. obstore's own reader lacks what pyarrow asks for."""
+
+    def __init__(self, location: ObjectLocation, size: int) -> None:
+        self._location, self._size, self._at = location, size, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
+        self._at = max(start + offset, 0)
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        length = min(len(buffer), max(self._size - self._at, 0))
+        if length:
+            buffer[:length] = self._location.read_range(self._at, length)
+            self._at += length
+        return length
+
+
 @dataclass(frozen=True)
 class ObjectLocation(Location):
     """An object, or all objects whose keys begin alike. key: without the bucket, no slash at either end."""
@@ -148,6 +178,24 @@ class ObjectLocation(Location):
         """See `Location`. Raises InputError as well, where the store cannot be asked."""
         with _clear_errors(str(self)):
             return bytes(obstore.get(self._client, self.key).bytes())
+
+    def read_range(self, start: int, length: int) -> bytes:
+        """Part of an object. Raises FileNotFoundError or InputError as `read_bytes` does."""
+        with _clear_errors(str(self)):
+            return bytes(obstore.get_range(self._client, self.key, start=start, length=length))
+
+    def open(self) -> Any:
+        """See `Location`: fetches what is read. Both raise InputError as well: the store cannot be asked."""
+        return io.BufferedReader(_Ranges(self, self.size()), _FETCHED_BYTES)
+
+    def version(self) -> str:
+        """See `Location`: size and entity tag. Raises InputError, where the store cannot be asked."""
+        try:
+            with _clear_errors(str(self)):
+                state = obstore.head(self._client, self.key)
+        except FileNotFoundError:
+            return ""
+        return f"{state['size']}-{state['e_tag']}"
 
     def names(self) -> list[str]:
         """See `Location`. Raises InputError, where the store cannot be asked."""

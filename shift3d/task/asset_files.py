@@ -1,4 +1,4 @@
-"""The files that a sweep's settings name: its user's own weights and vehicles, not those that ship with shift3d."""
+"""The files that a sweep's settings name: weights, detectors and vehicles of its user's own, not those that ship."""
 
 from __future__ import annotations
 
@@ -25,19 +25,22 @@ def named_files(assets: AssetsSpec) -> tuple[NamedFiles, ...]:
 
     Scenes are not among them: a data set is too large to be sent about.
     """
-    found = [_of_vehicles(assets), *(_of_weights(path) for path in assets.detectors.values())]
+    found = [_of_vehicles(assets), *map(_of_file, (*assets.detectors.values(), *assets.modules.values()))]
     return tuple(dict.fromkeys(files for files in found if files))
 
 
 def with_files_in(assets: AssetsSpec, folders: Mapping[NamedFiles, Path]) -> AssetsSpec:
     """The same assets, their files in other folders. What is not in the mapping stays where it is."""
-    vehicles, detectors = dict(assets.vehicles), dict(assets.detectors)
+    vehicles, detectors, modules = dict(assets.vehicles), dict(assets.detectors), dict(assets.modules)
     if (files := _of_vehicles(assets)) and files in folders:
         vehicles["folder"] = str(folders[files])
     for name, path in assets.detectors.items():
-        if (files := _of_weights(path)) and files in folders:
+        if (files := _of_file(path)) and files in folders:
             detectors[name] = str(folders[files] / files.names[0])
-    return dataclasses.replace(assets, vehicles=vehicles, detectors=detectors)
+    for name, path in assets.modules.items():
+        if (files := _of_file(path)) and files in folders:
+            modules[name] = str(folders[files] / files.names[0])
+    return dataclasses.replace(assets, vehicles=vehicles, detectors=detectors, modules=modules)
 
 
 def _of_vehicles(assets: AssetsSpec) -> NamedFiles | None:
@@ -54,5 +57,5 @@ def _of_vehicles(assets: AssetsSpec) -> NamedFiles | None:
     return NamedFiles(folder, (VEHICLES_FILE, DECODER_FILE))
 
 
-def _of_weights(path: str | None) -> NamedFiles | None:
+def _of_file(path: str | None) -> NamedFiles | None:
     return None if path is None else NamedFiles(str(PurePath(path).parent), (PurePath(path).name,))

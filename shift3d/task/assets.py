@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from shift3d.detectors.base import Detector
-from shift3d.detectors.loading import load_detector
+from shift3d.detectors.loading import detector_of
 from shift3d.errors import InputError
 from shift3d.render.beams import Beams
 from shift3d.render.field.sdf_grid import SdfGrid
@@ -19,9 +19,11 @@ from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
-from shift3d.settings.catalogue import file_hash, scene_set, vehicle_source, weights_file
+from shift3d.settings.catalogue import detector_hash, vehicle_source
 from shift3d.settings.renamed import current_settings
-from shift3d.settings.schema import DeepSdfVehicleConfig, KittiConfig, StreetConfig, VehicleSetConfig
+from shift3d.settings.scene_schema import scene_config
+from shift3d.settings.scene_sets import scene_set
+from shift3d.settings.schema import DeepSdfVehicleConfig, VehicleSetConfig
 from shift3d.task.spec import AssetsSpec, TaskSpec
 from shift3d.vehicles.outline import volume_m3
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
@@ -39,14 +41,15 @@ class Assets:
     """Loaded once a worker; never changed by a task.
 
     scenes, vehicles: the sets that names are looked up in. decoder: float32, as shipped. detectors: name to a file of
-    weights (None: those that ship). Precision twins, scenes with their beams, and maps
-    of vehicles are made on first use and kept.
+    weights (None: those that ship). modules: name to the Python file of a detector of the user's. Precision twins,
+    scenes with their beams, and maps of vehicles are made on first use and kept.
     """
 
     scenes: SceneSet
     vehicles: VehicleSource
     decoder: Decoder | DeepSdfNetwork
     detectors: Mapping[str, str | None]
+    modules: Mapping[str, str] = field(default_factory=dict)
     _scenes: OrderedDict[str, tuple[Scene, Beams, str]] = field(default_factory=OrderedDict)
     _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)
@@ -82,7 +85,8 @@ class Assets:
     def detector_of(self, name: str, precision: str) -> Detector:
         """A detector with its arithmetic in a precision: bfloat16, float32 or float64."""
         if (name, precision) not in self._detectors:
-            self._detectors[name, precision] = load_detector(name, self.detectors.get(name), precision)  # type: ignore[arg-type]
+            files = self.detectors.get(name), self.modules.get(name)
+            self._detectors[name, precision] = detector_of(name, *files, precision)  # type: ignore[arg-type]
         return self._detectors[name, precision]
 
     def vehicle(self, spec: TaskSpec) -> Vehicle:
@@ -137,19 +141,15 @@ def load_assets(spec: AssetsSpec) -> Assets:
         InputError: naming the file that is missing or unusable, or weights that are not those of the plan.
     """
     for name, path in spec.detectors.items():
-        require_planned(f"the weights of {name}", spec.hashes.get(name), file_hash(weights_file(name, path)))
+        found = detector_hash(name, path, spec.modules.get(name))
+        require_planned(f"the weights of {name}", spec.hashes.get(name), found)
     source = vehicle_source(_vehicle_config(spec.vehicles))
     require_planned("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
-    assets = Assets(scene_set(_scene_config(spec.scenes)), source, source.decoder(), spec.detectors)
+    assets = Assets(scene_set(scene_config(spec.scenes)), source, source.decoder(), spec.detectors, spec.modules)
     # Now, not at the first task: weights that do not fit stop the sweep in one line instead of failing every task.
     for name in spec.detectors:
         assets.detector_of(name, "float32")
     return assets
-
-
-def _scene_config(values: Mapping[str, Any]) -> StreetConfig | KittiConfig:
-    kinds: dict[str, type[StreetConfig] | type[KittiConfig]] = {"street": StreetConfig, "kitti": KittiConfig}
-    return kinds[values["kind"]](**values)
 
 
 def _vehicle_config(values: Mapping[str, Any]) -> VehicleSetConfig | DeepSdfVehicleConfig:

@@ -275,7 +275,7 @@ class AssetsSpec:
     scenes, vehicles: settings of the scene set and of the source of vehicles, as their schemas have them.
     detectors: name to a file of weights, or None for the weights that ship with shift3d. hashes: what "decoder" and
     the detectors had when the sweep was planned; one that is not there is not compared. results: the folder of final
-    tables that a verification reads.
+    tables that a verification reads. modules: Python files of detectors that are the user's own, by name.
     """
 
     scenes: Mapping[str, Any]
@@ -284,3 +284,4 @@ class AssetsSpec:
     hashes: Mapping[str, str] = field(default_factory=dict)
     threads: int = 1
     results: str | None = None
+    modules: Mapping[str, str] = field(default_factory=dict)

@@ -209,6 +209,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
             scenes=chosen.model_dump(mode="json"),
             vehicles=config.vehicle.model_dump(mode="json", exclude={"name"}),
             detectors={config.detector.name: config.detector.weights},
+            modules=config.detector.modules_by_name(),
         )
         groups.append(SceneGroup(chosen.kind, assets, spec))
     return groups

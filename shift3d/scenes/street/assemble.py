@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import points_in_boxes
+from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.scene import Conditions, Labels, Scene
 from shift3d.scenes.street.behind import second_returns
 from shift3d.scenes.street.echoes import Echoes, no_return_beams
@@ -144,7 +144,7 @@ def _labels(layout: Layout, world: World, points: NDArray[np.float32]) -> Labels
     boxes = world.boxes
     numbers = sorted(boxes)
     stacked = np.stack([boxes[number] for number in numbers]) if numbers else np.zeros((0, 7))
-    counts = _count_points(points, stacked)
+    counts = count_in_boxes(points, stacked)
     seen = np.flatnonzero(counts > 0)
     names = tuple(layout.items[numbers[i]].kind for i in seen)
     kinds = {standing.number: standing.vehicle.kind for standing in world.vehicles if standing.vehicle.kind}
@@ -154,13 +154,3 @@ def _labels(layout: Layout, world: World, points: NDArray[np.float32]) -> Labels
         counts[seen],
         kinds=tuple(kinds.get(numbers[i], "") for i in seen) if kinds else (),
     )
-
-
-def _count_points(points: NDArray[np.float32], boxes: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Points in each box, looking only at the points near it."""
-    counts = np.zeros(len(boxes), dtype=np.int32)
-    for row, box in enumerate(boxes):
-        reach = float(np.hypot(box[3], box[4])) / 2 + 0.1
-        near = (np.abs(points[:, 0] - box[0]) < reach) & (np.abs(points[:, 1] - box[1]) < reach)
-        counts[row] = int(points_in_boxes(points[near], box[None]).sum())
-    return counts

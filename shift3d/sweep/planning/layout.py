@@ -14,7 +14,8 @@ import numpy as np
 from shift3d.errors import InputError
 from shift3d.settings import messages
 from shift3d.settings.catalogue import Catalogue
-from shift3d.settings.schema import Config, KittiConfig
+from shift3d.settings.scene_schema import FramesConfig
+from shift3d.settings.schema import Config
 from shift3d.sweep.planning.effect_choices import EffectChoices
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
 from shift3d.task.spec import TaskSpec, TransferScene
@@ -94,7 +95,7 @@ class Layouts:
             names = [entry.name for entry in catalogue.scenes]
             raise messages.choice_error("scene", config.scene, names, f"{self.where}, scene")
         if not own:
-            of = config.scenes.root if isinstance(config.scenes, KittiConfig) else config.scenes.kind
+            of = config.scenes.root if isinstance(config.scenes, FramesConfig) else config.scenes.kind
             what = f"the scene set {of} is empty"
             raise InputError(what, where=self.where, remedy="Check scenes.count and scenes.names")
         return own

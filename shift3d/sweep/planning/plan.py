@@ -132,6 +132,7 @@ def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
         vehicles=_vehicles(config),
         detectors={name: given.get(name) for name in catalogue.detectors},
         hashes={"decoder": catalogue.decoder_hash, **catalogue.detectors},
+        modules=config.detector.modules_by_name(),
     )
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.scenes.kitti import KittiScenes, estimate_ground_z
+from shift3d.scenes.ground_height import estimate_ground_z
+from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.kitti_files import Calibration, lidar_box, read_labels
 
 REAL = Path(__file__).parents[3] / ".." / "shared" / "real" / "kitti"
@@ -85,7 +86,8 @@ def test_ground_height_is_found_in_the_fullest_layer() -> None:
     ring = rng.uniform(-np.pi, np.pi, 4000)
     ground = np.stack((8 * np.cos(ring), 8 * np.sin(ring), rng.normal(-1.66, 0.02, 4000)), axis=1)
     clutter = np.stack((6 * np.cos(ring), 6 * np.sin(ring), rng.uniform(-1.6, 1.0, 4000)), axis=1)
-    assert estimate_ground_z(np.concatenate((ground, clutter)).astype(np.float32)) == pytest.approx(-1.66, abs=0.021)
+    found = estimate_ground_z(np.concatenate((ground, clutter)).astype(np.float32), -1.73)
+    assert found == pytest.approx(-1.66, abs=0.021)
 
 
 def truncate(root: Path) -> None:

@@ -141,7 +141,10 @@ def test_configuration_names_no_code() -> None:
         (["=3"], "no setting is named"),
         (["effects=[fogg]"], "unknown effects 'fogg'. Did you mean 'fog'? One of: auto, divergence, fog"),
         (["effects=[fog,rian]"], "unknown effects 'rian'. Did you mean 'rain'?"),
-        (["scenes=[streeet]"], "unknown scenes 'streeet'. Did you mean 'street'? One of: kitti, street"),
+        (
+            ["scenes=[streeet]"],
+            "unknown scenes 'streeet'. Did you mean 'street'? One of: argoverse2, kitti, nuscenes, openpcdet, street",
+        ),
         (["effects=[fog,3]"], "unknown effects '3'. One of: auto"),
         (["effects=null"], "unknown effects 'null'. One of: auto"),
         (["scenes.sensor=hdl65"], "Did you mean 'hdl64'? One of: hdl64, waymo_top, mixed"),

@@ -20,8 +20,17 @@ def vehicles(*words: str) -> list[DeepSdfVehicleConfig]:
 
 def test_the_texts_among_the_settings() -> None:
     assert text_settings(Config) == {
-        *("scene", "scenes.root", "scenes.names", "vehicle.name", "vehicle.folder", "vehicle.checkpoint"),
-        *("detector.weights", "runner.address", "tracking.uri", "tracking.experiment"),
+        *(
+            "scene",
+            "scenes.root",
+            "scenes.names",
+            "scenes.version",
+            "scenes.split",
+            "vehicle.name",
+            "vehicle.folder",
+            "vehicle.checkpoint",
+        ),
+        *("detector.weights", "detector.module", "runner.address", "tracking.uri", "tracking.experiment"),
     }
 
 

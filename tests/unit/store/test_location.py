@@ -111,3 +111,26 @@ def test_text_is_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert as_location(tmp_path) == as_location(str(tmp_path))
     monkeypatch.chdir(tmp_path)
     assert as_location("a").absolute() == as_location(tmp_path / "a")
+
+
+def test_a_file_is_read_from_any_place_in_it(place: Location) -> None:
+    file = place / "data"
+    with pytest.raises(FileNotFoundError):
+        file.open()
+    content = bytes(range(256)) * 8192
+    file.write_atomic(content)
+    with file.open() as opened:
+        assert opened.seek(-3, 2) == len(content) - 3 and opened.read() == content[-3:] and opened.read() == b""
+        assert opened.seek(1000) == 1000 and opened.read(5) == content[1000:1005] and opened.tell() == 1005
+        opened.seek(0)
+        assert opened.read() == content
+
+
+def test_a_files_version_changes_with_it(place: Location) -> None:
+    file = place / "data"
+    assert file.version() == ""
+    file.write_atomic(b"old")
+    before = file.version()
+    assert before and file.version() == before
+    file.write_atomic(b"new")
+    assert file.version() != before

@@ -1,0 +1,120 @@
+"""``shift3d scenes``: what there is in a data set, and a picture of it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from shift3d.cli.command import Command
+from shift3d.cli.completion import overrides
+from shift3d.errors import InputError
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from shift3d.settings.schema import Config
+
+__all__ = ["COMMAND", "scenes_words"]
+
+_ACTIONS = ("list", "show")
+_SWEEP = "smoke"  # only its settings of scenes count; any would do
+
+_DESCRIPTION = """\
+list prints the names of the scenes that settings describe; show prints what was found in one of them (scene=NAME,
+else the first) and draws it from above and at an angle, with its labels, into out=FILE.png.
+
+The words are those of a sweep, so that what works here works there: scenes=waymo|argoverse2|nuscenes|openpcdet|
+kitti|street, scenes.root=PATH, and the other settings of the data set (docs/guides/scenes.md)."""
+
+_EPILOG = """\
+examples:
+  shift3d scenes list scenes=waymo scenes.root=PATH scenes.every=10
+  shift3d scenes list scenes=nuscenes scenes.root=s3://BUCKET/nuscenes scenes.version=v1.0-mini
+  shift3d scenes show scenes=argoverse2 scenes.root=PATH out=outputs/scene.png
+  shift3d scenes show scenes=openpcdet scenes.root=PATH scene=000008 scenes.sensor_m=[0,0,1.8]"""
+
+
+def scenes_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_: Any) -> list[str]:
+    """Completions of a word after ``shift3d scenes``: list, show, then settings of scenes."""
+    if not list(getattr(parsed_args, "words", None) or []) and "=" not in prefix:
+        return [word for word in _ACTIONS if word.startswith(prefix)]
+    known = overrides(prefix)
+    wanted = ("scene=", "scenes=", "scenes.", "out=")
+    return [word for word in known if word.startswith(wanted)]
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    words = parser.add_argument(
+        "words",
+        nargs="*",
+        metavar="WORD",
+        help="list or show, then scenes=NAME scenes.root=PATH [scene=NAME] [out=FILE.png]",
+    )
+    words.completer = scenes_words  # type: ignore[attr-defined]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    action, *words = arguments.words or [""]
+    if action not in _ACTIONS:
+        raise InputError(f"cannot read {action!r}", "scenes", f"Give one of: {', '.join(_ACTIONS)}")
+    out = [word.partition("=")[2] for word in words if word.startswith("out=")]
+    config = _config([word for word in words if not word.startswith("out=")])
+    if action == "list":
+        if out:
+            raise InputError("out= means nothing for list", "scenes", "Leave it out, or use show")
+        return _list(config)
+    return _show(config, out[-1] if out else None)
+
+
+def _config(words: Sequence[str]) -> Config:
+    """The settings of a sweep with these words; several values of one make no sense here."""
+    from shift3d.settings.compose import compose_sweep, validate
+
+    foreign = [word for word in words if not word.startswith(("scene=", "scenes=", "scenes."))]
+    if foreign:
+        raise InputError(f"cannot read {foreign[0]!r}", "scenes", "One of: scenes=, scenes.SETTING=, scene=, out=")
+    composed = compose_sweep(_SWEEP, list(words))
+    for axis in composed.axes:
+        if axis.key.partition(".")[0] in ("scene", "scenes"):
+            raise InputError(f"{axis.key} has several values", "scenes", "Give it one; lists stand in brackets: [a,b]")
+    if not any(word.startswith("scenes.count=") for word in words) and composed.base["scenes"]["kind"] != "street":
+        composed.base["scenes"]["count"] = None  # the sweep's own is meant for its scenes
+    return validate(composed.base, "scenes")
+
+
+def _list(config: Config) -> int:
+    from shift3d.settings.scene_sets import scene_set
+
+    scenes = scene_set(config.scenes)
+    names = scenes.names()
+    for name in names:
+        print(name)
+    print(f"{counted(len(names), 'scene')} of {scenes.dataset}")
+    return 0
+
+
+def _show(config: Config, out: str | None) -> int:
+    from pathlib import Path
+
+    from shift3d.scenes.description import scene_lines
+    from shift3d.settings.scene_sets import scene_set
+    from shift3d.store.atomic import check_writable
+
+    path = None if out is None else Path(out).expanduser()
+    if path is not None:
+        if path.suffix != ".png":
+            raise InputError(f"out={out} is no name of a PNG", "scenes", "Give out=FILE.png")
+        check_writable(path.parent)
+    scenes = scene_set(config.scenes)
+    scene = scenes.load(config.scene or scenes.names()[0])
+    print("\n".join(scene_lines(scene)))
+    if path is not None:
+        from shift3d.scenes.picture import save_picture
+
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_picture(scene, path)
+        print(f"{path} written")
+    return 0
+
+
+COMMAND = Command("scenes", "what a data set holds", _DESCRIPTION, _EPILOG, _add_arguments, _run)

@@ -1,0 +1,177 @@
+"""A detector of the user's own, from a Python file that the settings name.
+
+The file has a function ``load(weights)``, which is given the path of a file of weights, or None, and returns a function
+or module of points (N, 3) that gives boxes (A, 7) and logits (A,). docs/guides/detectors.md has one to begin with. The
+file is imported, so it runs with the rights of whoever starts the sweep: that is what naming it asks for. Nothing else
+that settings name is run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.machinery
+import importlib.util
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from shift3d.detectors.base import BevWindow, Detections, Proposals
+from shift3d.detectors.models.network import Precision
+from shift3d.detectors.names import OWN
+from shift3d.detectors.nms import suppress
+from shift3d.errors import InputError
+
+__all__ = ["OwnDetector", "load_own"]
+
+Model = Callable[[Tensor], Any]
+
+_WHOLE = BevWindow(0, 0, 1, 1, 0, 0, 1, 1)
+_GUIDE = "See docs/guides/detectors.md"
+_PROBE_POINTS = 2000
+
+
+class OwnDetector:
+    """A model of points (N, 3) behind the `Detector` interface. It sees the whole scene in every call.
+
+    Args:
+        model: points (N, 3), network frame (x forward, y left, z up from the ground below the sensor, metres), to boxes
+            (A, 7) (x, y, z of the centre, dx, dy, dz, heading) in that frame and logits (A,) that a vehicle is there;
+            A the same for any points, and logits differentiable w.r.t. the points.
+        where: named in errors.
+        dtype: of the points that it is given.
+
+    Differentiable w.r.t. points, through the logits; boxes are detached.
+    """
+
+    def __init__(self, model: Model, where: str, dtype: torch.dtype = torch.float32) -> None:
+        self.name = OWN
+        self._model, self._where, self._dtype = model, where, dtype
+
+    def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
+        """See `Detector`: one window, which stands for everything."""
+        return _WHOLE
+
+    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
+        """See `Detector`. Raises InputError: the answer is no boxes and logits, or has NaN."""
+        with _ClearErrors(self._where):
+            answer = self._model(points.to(self._dtype))
+        boxes, logits = _checked(answer, self._where)
+        return Proposals(boxes.detach().float(), logits, torch.arange(len(logits)))
+
+    def detect(
+        self,
+        points: Tensor,
+        window: BevWindow | None = None,
+        score_threshold: float = 0.1,
+        iou_threshold: float = 0.25,
+    ) -> Detections:
+        """See `Detector`."""
+        with torch.no_grad():
+            return suppress(self.proposals(points), score_threshold, iou_threshold)
+
+
+def load_own(module: Path, weights: Path | None, precision: Precision = "float32") -> OwnDetector:
+    """The detector of a file, tried on random points. Anything random in ``load`` is drawn from one seed.
+
+    precision: "float64" makes the parameters of a torch module float64; the others leave them as they are.
+
+    Raises:
+        InputError: naming the file and its line: it is missing, fails, has no ``load``, or the model's answer is not
+            what `OwnDetector` says, differs between two calls, or does not depend on the points differentiably.
+    """
+    if not module.is_file():
+        raise InputError("no such file", str(module), "Give detector.module=FILE.py")
+    with torch.random.fork_rng(devices=[]), _ClearErrors(str(module)):
+        torch.manual_seed(0)
+        load = getattr(_imported(module), "load", None)
+        if not callable(load):
+            raise InputError("it has no function load(weights)", str(module), _GUIDE)
+        model = load(None if weights is None else str(weights))
+    if not callable(model):
+        raise InputError("load() returned nothing that can be called with points", str(module), _GUIDE)
+    dtype = torch.float64 if precision == "float64" else torch.float32
+    if isinstance(model, nn.Module):
+        model = model.eval().requires_grad_(False).to(dtype)
+    detector = OwnDetector(model, str(module), dtype)
+    _try(detector, str(module))
+    return detector
+
+
+class _SourceLoader(importlib.machinery.SourceFileLoader):
+    """Compiles what the file holds now: a compiled file beside it may be of a content with another digest."""
+
+    def path_stats(self, path: str | bytes) -> Any:
+        raise OSError("compiled files are neither read nor written")
+
+
+def _imported(path: Path) -> Any:
+    """The module of a file, under a name that its content gives it."""
+    name = f"shift3d_own_{hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()}"
+    if name not in sys.modules:
+        loader = _SourceLoader(name, str(path))
+        spec = importlib.util.spec_from_file_location(name, path, loader=loader)
+        assert spec is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module  # where dataclasses look for it while it is imported
+        try:
+            loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]
+
+
+def _try(detector: OwnDetector, where: str) -> None:
+    draw = torch.Generator().manual_seed(0)
+    points = torch.rand(_PROBE_POINTS, 3, generator=draw) * torch.tensor([80.0, 80.0, 3.0]) - torch.tensor(
+        [40.0, 40.0, 0]
+    )
+    points.requires_grad_()
+    first, second = detector.proposals(points), detector.proposals(points)
+    if not first.logits.requires_grad:
+        raise InputError("its logits do not depend on the points differentiably", where, _GUIDE)
+    if not torch.equal(first.logits, second.logits) or not torch.equal(first.boxes, second.boxes):
+        raise InputError("two calls with the same points differ", where, "Draw nothing at random in the model")
+    with _ClearErrors(where):
+        (gradient,) = torch.autograd.grad(first.logits.sum(), points, allow_unused=True)
+    if gradient is None or not bool(torch.isfinite(gradient).all()):
+        raise InputError("no finite gradient reaches the points", where, _GUIDE)
+    empty = detector.proposals(points[:0].detach())
+    if len(empty.logits) != len(first.logits):
+        raise InputError(f"{len(empty.logits)} boxes without points, {len(first.logits)} with", where, _GUIDE)
+
+
+def _checked(answer: Any, where: str) -> tuple[Tensor, Tensor]:
+    if not isinstance(answer, tuple | list) or len(answer) != 2 or not all(isinstance(part, Tensor) for part in answer):
+        raise InputError("its answer is not (boxes, logits)", where, _GUIDE)
+    boxes, logits = answer
+    if boxes.ndim != 2 or boxes.shape[1] != 7 or logits.shape != boxes.shape[:1] or not len(logits):
+        what = f"boxes {tuple(boxes.shape)} and logits {tuple(logits.shape)}, not (A, 7) and (A,)"
+        raise InputError(what, where, _GUIDE)
+    if not bool(torch.isfinite(boxes).all() & torch.isfinite(logits).all()) or not bool((boxes[:, 3:6] > 0).all()):
+        raise InputError("boxes without a size, or NaN or infinity in its answer", where, "Repair the model")
+    return boxes, logits
+
+
+class _ClearErrors:
+    """What the user's code raises as an InputError that names the line of the file."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: Any) -> None:
+        if error is None or isinstance(error, InputError) or not isinstance(error, Exception):
+            return
+        name = Path(self._where).name
+        lines = [frame.lineno for frame in traceback.extract_tb(tb) if Path(frame.filename).name == name]
+        line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else lines[-1] if lines else None
+        where = f"{self._where}, line {line}" if line else self._where
+        raise InputError(f"{type(error).__name__}: {str(error)[:200]}", where, "Repair the file") from error

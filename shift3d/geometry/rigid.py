@@ -1,0 +1,114 @@
+"""Rigid transforms as (4, 4) float64 matrices ``dst_SE3_src``, and the ways in which data sets write them.
+
+Not differentiable. Poses of inserted objects, which are, live in `geometry.se3`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+
+__all__ = [
+    "from_quaternion",
+    "heading_of",
+    "interpolated",
+    "inverse",
+    "moved",
+    "rotation_of_angles",
+    "validate_rigid",
+]
+
+Float = NDArray[np.float64]
+
+_TOLERANCE = 1e-3  # of R Rᵀ: published matrices and quaternions are float32, or rounded to six digits
+
+
+def from_quaternion(wxyz: NDArray[np.floating], translation_m: NDArray[np.floating], where: str) -> Float:
+    """Quaternions (..., 4), scalar first, and translations (..., 3), metres, as (..., 4, 4).
+
+    Raises:
+        InputError: a quaternion whose length differs from 1 by more than a thousandth, or NaN.
+    """
+    q, t = np.asarray(wxyz, np.float64), np.asarray(translation_m, np.float64)
+    length = np.linalg.norm(q, axis=-1)
+    if not (np.abs(length - 1.0) <= _TOLERANCE).all() or not np.isfinite(t).all():
+        raise InputError("a pose that is no unit quaternion with a finite translation", where, "Copy the file again.")
+    w, x, y, z = np.moveaxis(q / length[..., None], -1, 0)
+    pose = np.zeros((*q.shape[:-1], 4, 4))
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    pose[..., :3, :3] = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    pose[..., :3, 3], pose[..., 3, 3] = t, 1.0
+    return pose
+
+
+def rotation_of_angles(roll: NDArray[np.floating], pitch: NDArray[np.floating], yaw: NDArray[np.floating]) -> Float:
+    """Rz(yaw) Ry(pitch) Rx(roll) for angles (...) in radians: (..., 3, 3)."""
+    angles = (np.asarray(angle, np.float64) for angle in (roll, pitch, yaw))
+    (sr, cr), (sp, cp), (sy, cy) = ((np.sin(angle), np.cos(angle)) for angle in angles)
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def validate_rigid(dst_SE3_src: Float, where: str) -> None:
+    """Refuse what is no rotation with a translation.
+
+    Raises:
+        InputError: NaN, a mirror image, or axes that are not at right angles and of length 1.
+    """
+    rotation = dst_SE3_src[:3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        askew = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        upright = np.abs(dst_SE3_src[3] - (0.0, 0.0, 0.0, 1.0)).max() <= _TOLERANCE
+    # Written so that NaN fails every comparison.
+    if not (askew <= _TOLERANCE and np.linalg.det(rotation) > 0.0 and upright and np.isfinite(dst_SE3_src).all()):
+        raise InputError("a transform that is no rotation and translation", where, "Copy the file again.")
+
+
+def inverse(dst_SE3_src: Float) -> Float:
+    """src_SE3_dst of transforms (..., 4, 4)."""
+    turned = np.swapaxes(dst_SE3_src[..., :3, :3], -1, -2)
+    result = np.zeros_like(dst_SE3_src)
+    result[..., :3, :3] = turned
+    result[..., :3, 3] = -np.einsum("...ij,...j->...i", turned, dst_SE3_src[..., :3, 3])
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def moved(points: NDArray[np.floating], dst_SE3_src: Float) -> Float:
+    """Points (N, 3) of frame src in frame dst: one transform (4, 4), or one a point (N, 4, 4)."""
+    turned: Float = np.einsum("...ij,...j->...i", dst_SE3_src[..., :3, :3], np.asarray(points, np.float64))
+    return turned + dst_SE3_src[..., :3, 3]
+
+
+def heading_of(dst_SE3_src: Float) -> Float:
+    """Heading of axis x of src in frame dst, (...) radians: counter-clockwise from +x, tilt dropped."""
+    result: Float = np.arctan2(dst_SE3_src[..., 1, 0], dst_SE3_src[..., 0, 0])
+    return result
+
+
+def interpolated(times: NDArray[np.int64], poses: Float, at: NDArray[np.int64]) -> Float:
+    """Poses at other times, for poses that lie so close together that a chord stands for an arc.
+
+    Args:
+        times: (K,) ascending, K >= 1. poses: (K, 4, 4). at: (N,) in the unit of times; held at both ends.
+
+    Rotations are blended and made orthogonal again; error of 10 ms steps at 1 rad/s: below 1e-5 rad.
+    """
+    after = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1)) if len(times) > 1 else np.zeros(len(at), int)
+    before = np.maximum(after - 1, 0)
+    gap = np.maximum(times[after] - times[before], 1)
+    share = np.clip((at - times[before]) / gap, 0.0, 1.0)[:, None, None]
+    blend: Float = (1.0 - share) * poses[before] + share * poses[after]
+    u, _, vt = np.linalg.svd(blend[:, :3, :3])
+    blend[:, :3, :3] = u @ vt
+    return blend

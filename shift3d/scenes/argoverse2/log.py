@@ -1,0 +1,135 @@
+"""The files of one log: sweeps, poses, calibration, annotations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.geometry.boxes import count_in_boxes
+from shift3d.geometry.rigid import heading_of, interpolated, inverse
+from shift3d.scenes.argoverse2.feather_files import column, feather_table, poses
+from shift3d.scenes.labels import Labels
+from shift3d.store.location import Location
+
+__all__ = ["CLASSES", "Sweep", "ego_SE3_ego", "lidar_mounts", "read_labels", "read_sweep", "sweep_file", "timestamps"]
+
+Float = NDArray[np.float64]
+
+UP, DOWN = "up_lidar", "down_lidar"
+BEAMS_A_LIDAR = 32
+"""Laser numbers below it are those of the upper LiDAR, the others of the lower one."""
+_VEHICLES = """REGULAR_VEHICLE LARGE_VEHICLE BUS BOX_TRUCK TRUCK TRUCK_CAB SCHOOL_BUS ARTICULATED_BUS VEHICULAR_TRAILER
+RAILED_VEHICLE MESSAGE_BOARD_TRAILER TRAFFIC_LIGHT_TRAILER"""
+_PEDESTRIANS = "PEDESTRIAN OFFICIAL_SIGNALER"
+_CYCLISTS = "BICYCLIST MOTORCYCLIST WHEELED_RIDER"
+_OTHER = """ANIMAL BICYCLE BOLLARD CONSTRUCTION_BARREL CONSTRUCTION_CONE DOG MOBILE_PEDESTRIAN_CROSSING_SIGN MOTORCYCLE
+SIGN STOP_SIGN STROLLER WHEELCHAIR WHEELED_DEVICE"""
+CLASSES = {
+    name: kind
+    for names, kind in ((_VEHICLES, "vehicle"), (_PEDESTRIANS, "pedestrian"), (_CYCLISTS, "cyclist"), (_OTHER, "other"))
+    for name in names.split()
+}
+_POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+_FARTHEST_NS = 100_000_000  # between a sweep and the nearest pose; poses come every 5 to 10 ms
+_AGAIN = "Copy it again"
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One turn of both LiDARs, in the order of the file.
+
+    points: (N, 3) float32, metres, vehicle frame at the sweep's start. reflectance: (N,) float32, 0 to 1.
+    is_up: (N,) bool, of the upper LiDAR. offset_ns: (N,) int64 since the sweep's start.
+    """
+
+    points: NDArray[np.float32]
+    reflectance: NDArray[np.float32]
+    is_up: NDArray[np.bool_]
+    offset_ns: NDArray[np.int64]
+
+
+def sweep_file(log: Location, timestamp: int) -> Location:
+    """The file of a sweep."""
+    return log / "sensors" / "lidar" / f"{timestamp}.feather"
+
+
+def timestamps(log: Location) -> list[int]:
+    """Starts of a log's sweeps, nanoseconds, ascending."""
+    stems = (name.removesuffix(".feather") for name in (log / "sensors" / "lidar").names() if name.endswith(".feather"))
+    return sorted(int(stem) for stem in stems if stem.isdecimal())
+
+
+def read_sweep(log: Location, timestamp: int) -> Sweep:
+    """Raises InputError: the file is missing, damaged, or its laser numbers are not those of two LiDARs."""
+    file = sweep_file(log, timestamp)
+    table = feather_table(file, ("x", "y", "z", "intensity", "laser_number", "offset_ns"))
+    points = np.stack([column(table, name, np.float32, file) for name in ("x", "y", "z")], axis=1).astype(np.float32)
+    laser = column(table, "laser_number", np.int64, file).astype(np.int64)
+    if laser.min() < 0 or laser.max() >= 2 * BEAMS_A_LIDAR:
+        raise InputError(
+            f"laser numbers up to {laser.max()}, 0 to 63 expected", str(file), "Give the data set's own file"
+        )
+    intensity = column(table, "intensity", np.float32, file).astype(np.float32)
+    if intensity.max() > 255.0 or not intensity.min() >= 0.0:
+        raise InputError("an intensity that is not 0 to 255", str(file), "Give the data set's own file")
+    offset_ns = column(table, "offset_ns", np.int64, file).astype(np.int64)
+    return Sweep(points, intensity / np.float32(255.0), laser < BEAMS_A_LIDAR, offset_ns)
+
+
+def lidar_mounts(log: Location) -> tuple[Float, Float]:
+    """(3,) of the upper and of the lower LiDAR in the vehicle frame, metres. Raises InputError: one is missing."""
+    file = log / "calibration" / "egovehicle_SE3_sensor.feather"
+    table = feather_table(file, ("sensor_name", *_POSE))
+    names, mounts = table["sensor_name"].to_pylist(), poses(table, file)
+    for name in (UP, DOWN):
+        if names.count(name) != 1:
+            raise InputError(f"{names.count(name)} rows of {name}, 1 expected", str(file), _AGAIN)
+    return mounts[names.index(UP), :3, 3], mounts[names.index(DOWN), :3, 3]
+
+
+def ego_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64]) -> Float:
+    """(N, 4, 4) from the vehicle at each of the times after a sweep's start to the vehicle at its start.
+
+    Raises:
+        InputError: the poses are missing, damaged, out of order, or of another time.
+    """
+    file = log / "city_SE3_egovehicle.feather"
+    table = feather_table(file, ("timestamp_ns", *_POSE))
+    times = column(table, "timestamp_ns", np.int64, file).astype(np.int64)
+    order = np.argsort(times, kind="stable")
+    times, city = times[order], poses(table, file)[order]
+    if np.abs(times - timestamp).min() > _FARTHEST_NS:
+        raise InputError(f"no pose near the sweep {timestamp}", str(file), "Pair files of one log: copy both again")
+    start = interpolated(times, city, np.array([timestamp]))[0]
+    result: Float = inverse(start) @ interpolated(times, city, timestamp + offset_ns)
+    return result
+
+
+def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offset: Float) -> Labels:
+    """Boxes of a sweep, in file order (none where the log has no annotations, as those of the test split).
+
+    Args:
+        points: (N, 3) scene frame; they are counted. offset: (3,) of the scene's origin in the vehicle frame, metres.
+
+    Raises:
+        InputError: the file is damaged, or has an unknown category.
+    """
+    file = log / "annotations.feather"
+    if not file.is_file():
+        return Labels()
+    table = feather_table(file, ("timestamp_ns", "category", "length_m", "width_m", "height_m", *_POSE))
+    table = table.filter(pc.equal(table["timestamp_ns"], timestamp))
+    if not table.num_rows:
+        return Labels()
+    placed = poses(table, file)
+    sizes = np.stack([column(table, f"{edge}_m", np.float64, file) for edge in ("length", "width", "height")], axis=1)
+    boxes = np.concatenate((placed[:, :3, 3] - offset, sizes.astype(np.float64), heading_of(placed)[:, None]), axis=1)
+    names = tuple(str(name) for name in table["category"].to_pylist())
+    for name in names:
+        if name not in CLASSES:
+            raise InputError(f"unknown category {name!r}", f"{file}, sweep {timestamp}", f"Known: {', '.join(CLASSES)}")
+    return Labels(boxes, tuple(CLASSES[name] for name in names), count_in_boxes(points, boxes), names)

@@ -1,0 +1,1 @@
+"""nuScenes: JSON tables and LiDAR files of a release, read without its development kit."""

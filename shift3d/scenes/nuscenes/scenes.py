@@ -1,0 +1,274 @@
+"""Key frames of nuScenes as scenes, of one sweep or several joined."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.geometry.rigid import inverse, moved
+from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.ground_height import estimate_ground_z
+from shift3d.scenes.labels import Conditions
+from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
+from shift3d.scenes.nuscenes.annotations import boxes_of, read_annotations, read_weather
+from shift3d.scenes.nuscenes.tables import LidarFile, Release
+from shift3d.scenes.scene import Scene
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
+
+__all__ = ["NuScenesScenes"]
+
+Float = NDArray[np.float64]
+
+LIDAR_HEIGHT_M = 1.84
+OWN_VEHICLE_M = 1.0
+"""Of earlier sweeps, points this near to their sensor, along x and along y, are the recording vehicle's own."""
+_SUFFIX = ".pcd.bin"
+_SIDEWAYS = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""vehicle_SE3_lidar without a table: the sensor's x points to the right and its y ahead."""
+
+
+class NuScenesScenes:
+    """Key frames of a release under a folder or bucket, or LiDAR files alone.
+
+    Args:
+        root: holds v1.0-*/, samples/ and sweeps/; or *.pcd.bin files, which have no labels, poses or other sweeps.
+        names: samples (tokens) to use, or stems of files without tables; None: every one, in order of time.
+        count: the first so many.
+        version: the folder of tables, such as v1.0-mini; None: the only one that there is.
+        sweeps: how many sweeps a scene is made of: its key frame and those before it, fewer where a drive begins.
+        keep_bad: list names that no table has; loading one raises InputError.
+
+    A scene's origin is the LiDAR at the key frame, its axes are the vehicle's. Points: the key frame's in the order of
+    the file, then those of each earlier sweep, brought to the key frame by the vehicle's poses; their beams start where
+    the sensor was. The firing time of a sweep is that of its key frame's less its age: 0 for the key frame, negative
+    for earlier ones; single points have none. So an inserted vehicle stands still across sweeps where the world does,
+    and one with `effects.object_speed_m_s` is met by each sweep where it was then. Points of a sweep are motion
+    compensated by the data set. Poses lack height, roll and pitch.
+
+    Raises:
+        InputError: neither tables nor files, or several versions to choose from.
+    """
+
+    dataset = "nuscenes"
+    placement_sector_rad = (0.0, float(np.pi))
+
+    def __init__(
+        self,
+        root: LocationLike,
+        names: Sequence[str] | None = None,
+        count: int | None = None,
+        version: str | None = None,
+        sweeps: int = 1,
+        keep_bad: bool = False,
+    ) -> None:
+        self.root, self.sweeps, self.keep_bad, self._count = as_location(root), sweeps, keep_bad, count
+        self._wanted = None if names is None else list(names)[:count]
+        self._tables = _tables(self.root, version)
+        self._stems = [] if self._tables else _stems(self.root)
+        if self._tables is None and not self._stems:
+            raise InputError(
+                f"neither tables v1.0-*/ nor *{_SUFFIX} files", str(self.root), "Give the folder that holds them"
+            )
+
+    def names(self) -> list[str]:
+        """Tokens of samples, or stems of files. Raises InputError: a table is damaged, or an unknown name is wanted."""
+        return list(self._listed)
+
+    def load(self, name: str) -> Scene:
+        """One key frame.
+
+        Raises:
+            InputError: naming the file and the remedy.
+        """
+        if self._tables is None:
+            return self._alone(name)
+        release = self._release
+        if name not in release.key_frames:
+            raise InputError(f"unknown scene {name!r}", str(self._tables), f"Samples: {first_few(release.key_frames)}")
+        files = self._files(name)
+        poses, mounts = self._poses
+        key = files[0]
+        global_SE3_scene = poses[key.pose] @ _at(mounts[key.mount])
+        parts = []
+        for file in files:
+            scene_SE3_lidar = inverse(global_SE3_scene) @ poses[file.pose] @ mounts[file.mount]
+            if file is key:
+                scene_SE3_lidar[:3, 3] = 0.0  # what rounding leaves would be another place to start from
+            parts.append(_sweep(self.root, file, scene_SE3_lidar, key.time_us))
+        points, origins, reflectance, time_s = (np.concatenate(part) for part in zip(*parts, strict=True))
+        annotations = self._annotations[name]
+        where = f"{self._tables / 'sample_annotation.json'}, sample {name}"
+        scene = _scene(name, points, origins, reflectance)
+        scene = replace(
+            scene,
+            time_s=time_s if len(files) > 1 else None,
+            labels=boxes_of(annotations, inverse(global_SE3_scene), points, where),
+            conditions=Conditions(
+                weather=self._weather[name], ego_velocity_m_s=_velocity(release, poses, key, global_SE3_scene)
+            ),
+        )
+        scene.validate()
+        return scene
+
+    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
+        """See `SceneSet`: nothing is known of a frame but by its files."""
+        return None
+
+    def source(self, name: str) -> tuple[str | int | float | None, ...]:
+        """See `SceneSet`: the versions of the LiDAR files and of the tables."""
+        if self._tables is None:
+            files = [_stem_file(self.root, name)]
+        else:
+            files = [self.root / part for part in self._paths(name)] + self._table_files
+        return ("nuscenes", name, self.sweeps, *(f"{file.absolute()}: {file.version()}" for file in files))
+
+    @functools.cached_property
+    def _table_files(self) -> list[Location]:
+        assert self._tables is not None
+        return [self._tables / name for name in self._tables.names()]
+
+    @functools.cached_property
+    def _listed(self) -> list[str]:
+        found = list(self._stems if self._tables is None else self._release.key_frames)
+        if self._wanted is not None and self.keep_bad:
+            return list(self._wanted)
+        where = str(self.root if self._tables is None else self._tables / "sample_data.json")
+        return chosen(found, self._wanted, where)[: self._count]
+
+    @functools.cached_property
+    def _release(self) -> Release:
+        assert self._tables is not None
+        return Release.read(self._tables)
+
+    @functools.cached_property
+    def _needed(self) -> set[str]:
+        return {name for name in self._listed if name in self._release.key_frames}
+
+    @functools.cached_property
+    def _poses(self) -> tuple[dict[str, Float], dict[str, Float]]:
+        """Of the vehicle and of the sensor, by token, as far as the listed scenes need them."""
+        release, files = self._release, []
+        for name in self._needed:
+            last = self._files(name)[-1]
+            files += [*self._files(name), *([release.lidar[last.previous]] if last.previous in release.lidar else [])]
+        vehicle = release.poses("ego_pose", {file.pose for file in files})
+        return vehicle, release.poses("calibrated_sensor", {file.mount for file in files})
+
+    @functools.cached_property
+    def _annotations(self) -> dict[str, list[dict[str, object]]]:
+        assert self._tables is not None
+        return read_annotations(self._tables, self._needed)
+
+    @functools.cached_property
+    def _weather(self) -> dict[str, str]:
+        assert self._tables is not None
+        return read_weather(self._tables, self._needed)
+
+    def _files(self, name: str) -> list[LidarFile]:
+        """Of the key frame, then of the sweeps before it."""
+        release = self._release
+        files = [release.lidar[release.key_frames[name]]]
+        while len(files) < self.sweeps and files[-1].previous in release.lidar:
+            files.append(release.lidar[files[-1].previous])
+        return files
+
+    def _paths(self, name: str) -> list[str]:
+        return [file.filename for file in self._files(name)] if name in self._release.key_frames else []
+
+    def _alone(self, name: str) -> Scene:
+        if name not in self._stems:
+            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._stems)}")
+        values = _read(_stem_file(self.root, name))
+        points = moved(values[:, :3], _SIDEWAYS).astype(np.float32)
+        scene = _scene(name, points, np.zeros_like(points), _reflectance(values))
+        scene.validate()
+        return scene
+
+
+def _tables(root: Location, version: str | None) -> Location | None:
+    found = [name for name in names_in(root) if name.startswith("v1.0-")]
+    if version is not None:
+        if version not in found:
+            raise InputError(f"no tables {version}/", str(root), f"Choose from: {first_few(found) or 'none there'}")
+        return root / version
+    if len(found) > 1:
+        raise InputError(f"{len(found)} versions of tables", str(root), f"Give one: scenes.version={found[0]}")
+    return root / found[0] if found else None
+
+
+def _stems(root: Location) -> list[str]:
+    return [name.removesuffix(_SUFFIX) for name in names_in(root) if name.endswith(_SUFFIX)]
+
+
+def _stem_file(root: Location, stem: str) -> Location:
+    return root / f"{stem}{_SUFFIX}"
+
+
+def _at(vehicle_SE3_lidar: Float) -> Float:
+    """vehicle_SE3_scene: the sensor's place with the vehicle's axes."""
+    placed = np.eye(4)
+    placed[:3, 3] = vehicle_SE3_lidar[:3, 3]
+    return placed
+
+
+def _sweep(
+    root: Location, file: LidarFile, scene_SE3_lidar: Float, key_time_us: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Points, origins, reflectance and firing times of one sweep in the frame of a key frame's scene."""
+    place = root
+    for part in file.filename.split("/"):
+        place = place / part
+    values = _read(place)
+    if file.time_us != key_time_us:
+        values = values[(np.abs(values[:, :2]) >= OWN_VEHICLE_M).any(axis=1)]
+    points = moved(values[:, :3], scene_SE3_lidar).astype(np.float32)
+    origins = np.broadcast_to(scene_SE3_lidar[:3, 3].astype(np.float32), points.shape)
+    time_s = np.full(len(points), (file.time_us - key_time_us) * 1e-6, dtype=np.float32)
+    return points, origins, _reflectance(values), time_s
+
+
+def _read(file: Location) -> NDArray[np.float32]:
+    """(N, 5) x, y, z, intensity, ring of a LiDAR file. Raises InputError: it is missing, damaged, or in other units."""
+    try:
+        raw = file.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError("the LiDAR file is missing", str(file), "Copy it, or leave the scene out") from error
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", str(file), "Check the folder") from error
+    if not raw or len(raw) % 20:
+        raise InputError(f"{len(raw)} bytes are not a whole number of 20-byte points", str(file), "Copy it again")
+    values = np.frombuffer(raw, dtype="<f4").reshape(-1, 5).astype(np.float32)
+    require_metres(np.linalg.norm(values[:, :3], axis=1), str(file))
+    if not ((values[:, 3] >= 0.0) & (values[:, 3] <= 255.0)).all():
+        raise InputError("an intensity that is not 0 to 255", str(file), "Copy it again")
+    return values
+
+
+def _reflectance(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    scaled: NDArray[np.float32] = values[:, 3] / np.float32(255.0)
+    return scaled
+
+
+def _scene(
+    name: str, points: NDArray[np.float32], origins: NDArray[np.float32], reflectance: NDArray[np.float32]
+) -> Scene:
+    ground_z_m = estimate_ground_z(points, -LIDAR_HEIGHT_M)
+    return Scene(name, NuScenesScenes.dataset, points, origins, ground_z_m, reflectance=reflectance)
+
+
+def _velocity(
+    release: Release, poses: dict[str, Float], key: LidarFile, global_SE3_scene: Float
+) -> tuple[float, float, float] | None:
+    """Of the sensor since the sweep before the key frame, m/s, scene frame; None at the beginning of a drive."""
+    before = release.lidar.get(key.previous)
+    if before is None or before.pose not in poses or before.time_us >= key.time_us:
+        return None
+    driven = poses[key.pose][:3, 3] - poses[before.pose][:3, 3]
+    along = global_SE3_scene[:3, :3].T @ driven / ((key.time_us - before.time_us) * 1e-6)
+    return (float(along[0]), float(along[1]), float(along[2]))

@@ -1,0 +1,205 @@
+"""Frames in OpenPCDet's layout for custom data as scenes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.geometry.boxes import count_in_boxes
+from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.ground_height import search_ground_z
+from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
+from shift3d.scenes.reflectance import full_reflectance
+from shift3d.scenes.scene import Labels, Scene
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
+
+__all__ = ["OpenPcdetScenes", "class_of"]
+
+_CLASSES = {
+    "vehicle": "vehicle car van truck bus trailer construction_vehicle",
+    "pedestrian": "pedestrian person",
+    "cyclist": "cyclist bicyclist motorcyclist bicycle motorcycle",
+}
+_CLASS_OF = {name: kind for kind, names in _CLASSES.items() for name in names.split()}
+_COLUMNS = ("x", "y", "z", "dx", "dy", "dz", "heading", "class")
+
+
+def class_of(name: str) -> str:
+    """The class here of a name in a label file, whatever its case: "other" where it is unknown."""
+    return _CLASS_OF.get(name.lower(), "other")
+
+
+class OpenPcdetScenes:
+    """Frames under a folder or bucket with points/NAME.npy, labels/NAME.txt and ImageSets/SPLIT.txt.
+
+    Args:
+        root: holds points/; labels/ and ImageSets/ where there are any.
+        names: frames to use; None: those of the split, or every file in points/, in order.
+        count: the first so many.
+        split: the file in ImageSets/ that lists frames; None: every file in points/.
+        sensor_m: place of the LiDAR in the frame of the points and labels, metres; axes are x forward, y left, z up.
+        ground_z_m: height of the ground there; None: found in each frame.
+        reflectance_max: what the fourth column calls full reflectance; None: 1, or 255 where it has such whole numbers.
+        keep_bad: list frames of the split whose file of points is missing; loading one raises InputError.
+
+    A scene's origin is the LiDAR: points and boxes are moved there. A frame's points are rows of x, y, z and, where
+    there are four columns or more, reflectance. A label is ``x y z dx dy dz heading class``: geometric centre, heading
+    counter-clockwise from +x.
+
+    Raises:
+        InputError: no folder points/, no file of the split, or a frame that it lists and nobody has.
+    """
+
+    dataset = "openpcdet"
+    placement_sector_rad = (0.0, float(np.pi))
+
+    def __init__(
+        self,
+        root: LocationLike,
+        names: Sequence[str] | None = None,
+        count: int | None = None,
+        split: str | None = None,
+        sensor_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        ground_z_m: float | None = None,
+        reflectance_max: float | None = None,
+        keep_bad: bool = False,
+    ) -> None:
+        self.root, self.sensor_m, self.ground_z_m = as_location(root), tuple(sensor_m), ground_z_m
+        self.reflectance_max = reflectance_max
+        inside = names_in(self.root)
+        if "points" not in inside:
+            raise InputError("no folder points/", str(self.root), "Give the folder that holds points/ and labels/")
+        self._has_labels = "labels" in inside
+        found = [name.removesuffix(".npy") for name in (self.root / "points").names() if name.endswith(".npy")]
+        if split is not None:
+            listed = self._listed_in(split)
+            absent = sorted(set(listed) - set(found))
+            if absent and not keep_bad:
+                raise InputError(f"no frame points/{absent[0]}.npy", str(self.root / "ImageSets" / f"{split}.txt"),
+                                 "Add the frame, or leave it out of the list")  # fmt: skip
+            found = listed
+        self._names = chosen(found, names, str(self.root / "points"))[:count]
+
+    def names(self) -> list[str]:
+        """Names of the frames."""
+        return list(self._names)
+
+    def load(self, name: str) -> Scene:
+        """One frame.
+
+        Raises:
+            InputError: naming the file, the line or row, and the remedy.
+        """
+        if name not in self._names:
+            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._names)}")
+        file = self.root / "points" / f"{name}.npy"
+        values = _read_points(file)
+        sensor = np.array(self.sensor_m, dtype=np.float64)
+        points = (values[:, :3] - sensor).astype(np.float32)
+        require_metres(np.linalg.norm(points, axis=1), str(file))
+        scene = Scene(
+            scene_id=name,
+            dataset=self.dataset,
+            points=points,
+            origins=np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape),
+            ground_z_m=self._ground(points, file),
+            labels=self._labels(name, points, sensor),
+            reflectance=self._reflectance(values, file),
+        )
+        scene.validate()
+        return scene
+
+    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
+        """See `SceneSet`: nothing is known of a frame but by its files."""
+        return None
+
+    def source(self, name: str) -> tuple[str | int | float | None, ...]:
+        """See `SceneSet`: the versions of the frame's files and what is said about them."""
+        files = (self.root / "points" / f"{name}.npy", self.root / "labels" / f"{name}.txt")
+        said = (*self.sensor_m, self.ground_z_m, self.reflectance_max, self._has_labels)
+        return ("openpcdet", name, *said, *(f"{file.absolute()}: {file.version()}" for file in files))
+
+    def _listed_in(self, split: str) -> list[str]:
+        file = self.root / "ImageSets" / f"{split}.txt"
+        words = [line.strip() for line in _lines(file, "list of frames")]
+        found = list(dict.fromkeys(word for word in words if word))
+        if not found:
+            raise InputError("it lists no frames", str(file), "Give another scenes.split, or null")
+        return found
+
+    def _ground(self, points: NDArray[np.float32], file: Location) -> float:
+        if self.ground_z_m is not None:
+            return self.ground_z_m - float(self.sensor_m[2])
+        found = search_ground_z(points)
+        if found is None:
+            remedy = "Give scenes.ground_z_m, and scenes.sensor_m where the LiDAR is not at the origin"
+            raise InputError("too few points on the ground around the sensor to tell its height", str(file), remedy)
+        return found
+
+    def _reflectance(self, values: NDArray[np.float64], file: Location) -> NDArray[np.float32] | None:
+        if values.shape[1] < 4:
+            return None
+        full = full_reflectance(values[:, 3], str(file), self.reflectance_max, "Give scenes.reflectance_max")
+        return np.clip(values[:, 3] / full, 0.0, 1.0).astype(np.float32)
+
+    def _labels(self, name: str, points: NDArray[np.float32], sensor: NDArray[np.float64]) -> Labels:
+        if not self._has_labels:
+            return Labels()
+        file = self.root / "labels" / f"{name}.txt"
+        boxes, names = [], []
+        for number, line in enumerate(_lines(file, "label file"), start=1):
+            words = line.split()
+            if not words:
+                continue
+            box = _box(words, f"{file}, line {number}")
+            boxes.append([*(box[:3] - sensor), *box[3:]])
+            names.append(words[7])
+        stacked = np.array(boxes, dtype=np.float64).reshape(-1, 7)
+        classes = tuple(class_of(name) for name in names)
+        return Labels(stacked, classes, count_in_boxes(points, stacked), tuple(names))
+
+
+def _read_points(file: Location) -> NDArray[np.float64]:
+    """(N, C) float64 of a .npy file, C >= 3. Raises InputError: it is missing, damaged, or something else."""
+    try:
+        values = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
+    except FileNotFoundError as error:
+        raise InputError("the frame is missing", str(file), "Add it, or leave it out") from error
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(
+            f"not a readable .npy file of numbers ({str(error)[:80]})", str(file), "Copy it again"
+        ) from error
+    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.shape[1] < 3 or values.dtype.kind not in "fiu":
+        shape = getattr(values, "shape", "no shape")
+        raise InputError(f"{shape}, not rows of x, y, z and reflectance", str(file), "Give a float32 array (N, 4)")
+    if not np.isfinite(values).all():
+        row = int((~np.isfinite(values).all(axis=1)).argmax())
+        raise InputError(f"row {row} has NaN or infinity", str(file), "Repair or drop those rows")
+    numbers: NDArray[np.float64] = values.astype(np.float64)
+    return numbers
+
+
+def _lines(file: Location, kind: str) -> list[str]:
+    try:
+        return file.read_text().splitlines()
+    except FileNotFoundError as error:
+        raise InputError(f"the {kind} is missing", str(file), "Add it, or leave the frame out") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"the {kind} cannot be read as text", str(file), "Copy it again") from error
+
+
+def _box(words: Sequence[str], where: str) -> NDArray[np.float64]:
+    if len(words) != len(_COLUMNS):
+        raise InputError(f"{len(words)} columns, {len(_COLUMNS)} expected", where, f"Write {' '.join(_COLUMNS)}")
+    try:
+        box = np.array([float(word) for word in words[:7]])
+    except ValueError as error:
+        raise InputError(f"a column that is no number ({error})", where, f"Write {' '.join(_COLUMNS)}") from error
+    if not np.isfinite(box).all() or not (box[3:6] > 0.0).all():
+        raise InputError(f"a box of {box[3:6].tolist()} m", where, "Sizes must be positive, everything finite")
+    return box

@@ -1,0 +1,150 @@
+"""One frame of a segment: the components' rows of each laser, paired by all their keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.geometry.rigid import validate_rigid
+from shift3d.scenes.waymo.range_image import LaserCalibration, filled_poses, vehicle_beams, vehicle_SE3_pixels
+from shift3d.scenes.waymo.tables import FRAME, LASER, SEGMENT, Component, by_key, numbers
+from shift3d.store.location import Location
+
+__all__ = ["LASERS", "LaserFrame", "component_file", "read_calibrations", "read_frame", "read_vehicle_pose"]
+
+Float = NDArray[np.float64]
+
+LASERS = {"TOP": 1, "FRONT": 2, "SIDE_LEFT": 3, "SIDE_RIGHT": 4, "REAR": 5}
+"""Lasers by name, with the number that `key.laser_name` has for each."""
+_TOP = LASERS["TOP"]
+_IMAGES = tuple(f"[LiDARComponent].range_image_return{number}" for number in (1, 2))
+_POSES = "[LiDARPoseComponent].range_image_return1"
+_EXTRINSIC = "[LiDARCalibrationComponent].extrinsic.transform"
+_INCLINATION = "[LiDARCalibrationComponent].beam_inclination"
+_VEHICLE = "[VehiclePoseComponent].world_from_vehicle.transform"
+_PAIR = "Pair components of one segment: copy both again"
+
+
+@dataclass(frozen=True)
+class LaserFrame:
+    """What one laser saw in one frame.
+
+    Attributes:
+        laser: its number, 1 to 5.
+        images: of the first and the second return, (H, W, 4) float32: range in metres (not positive: no return),
+            intensity, elongation, and 1 inside a no-label zone.
+        origins, directions: (H, W, 3) float64 of each pixel's beam, vehicle frame.
+    """
+
+    laser: int
+    images: tuple[NDArray[np.float32], NDArray[np.float32]]
+    origins: Float
+    directions: Float
+
+
+def component_file(root: Location, component: str, segment: str) -> Component:
+    """A component of a segment below the root, whether it is there or not."""
+    return Component(root / component / f"{segment}.parquet", segment)
+
+
+def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[str]) -> list[LaserFrame]:
+    """The frame as each of the lasers saw it, in the order of their numbers.
+
+    Raises:
+        InputError: a component is missing or unreadable; a laser has no row, or two, in one of them; images of a laser
+            differ in size.
+    """
+    lidar = component_file(root, "lidar", segment)
+    columns = [LASER, *(f"{image}.{part}" for image in _IMAGES for part in ("values", "shape"))]
+    rows = _by_laser(lidar, columns, timestamp)
+    calibrations = read_calibrations(root, segment)
+    frames = []
+    for number in sorted(LASERS[name] for name in lasers):
+        where = f"{lidar.file}, laser {number} at {timestamp}"
+        first, second = (_image(_row(rows, number, lidar, timestamp), name, 4, where) for name in _IMAGES)
+        if first.shape != second.shape:
+            raise InputError(f"range images of {first.shape} and {second.shape} for its two returns", where, _PAIR)
+        calibration = calibrations.get(number)
+        if calibration is None:
+            of = str(component_file(root, "lidar_calibration", segment).file)
+            raise InputError(f"no row of laser {number}", of, _PAIR)
+        shape = (first.shape[0], first.shape[1])
+        pixels = _pixels(root, segment, timestamp, shape) if number == _TOP else None
+        origins, directions = vehicle_beams(calibration, shape, pixels, where)
+        frames.append(LaserFrame(number, (first, second), origins, directions))
+    return frames
+
+
+def read_calibrations(root: Location, segment: str) -> dict[int, LaserCalibration]:
+    """Lasers by number. Raises InputError: the component is missing, unreadable, or has a laser twice."""
+    component = component_file(root, "lidar_calibration", segment)
+    columns = [LASER, _EXTRINSIC, *(f"{_INCLINATION}.{part}" for part in ("min", "max", "values"))]
+    found = {}
+    for number, row in _by_laser(component, columns, None).items():
+        where = f"{component.file}, laser {number}"
+        extrinsic = numbers(row[_EXTRINSIC], 16, where).reshape(4, 4)
+        validate_rigid(extrinsic, where)
+        beams = row[f"{_INCLINATION}.values"]
+        low, high = (row[f"{_INCLINATION}.{part}"].as_py() for part in ("min", "max"))
+        has_table = beams.is_valid and len(beams.values) > 0
+        if not has_table and (low is None or high is None):
+            raise InputError("neither beam inclinations nor their limits", where, "Copy the component again")
+        limits = (float("nan") if low is None else float(low), float("nan") if high is None else float(high))
+        found[number] = LaserCalibration(extrinsic, limits, numbers(beams, None, where) if has_table else None)
+    return found
+
+
+def read_vehicle_pose(root: Location, segment: str, timestamp: int) -> Float:
+    """global_SE3_vehicle (4, 4) of a frame. Raises InputError: the component has not exactly one row of it."""
+    component = component_file(root, "vehicle_pose", segment)
+    rows = by_key(component.rows([_VEHICLE], timestamp), FRAME, str(component.file))
+    if timestamp not in rows:
+        raise InputError(f"no row of frame {timestamp}", str(component.file), _PAIR)
+    where = f"{component.file}, frame {timestamp}"
+    pose = numbers(rows[timestamp][_VEHICLE], 16, where).reshape(4, 4)
+    validate_rigid(pose, where)
+    return pose
+
+
+def _pixels(root: Location, segment: str, timestamp: int, shape: tuple[int, int]) -> Float:
+    component = component_file(root, "lidar_pose", segment)
+    rows = _by_laser(component, [LASER, f"{_POSES}.values", f"{_POSES}.shape"], timestamp)
+    where = f"{component.file}, laser {_TOP} at {timestamp}"
+    poses = _image(_row(rows, _TOP, component, timestamp), _POSES, 6, where)
+    if poses.shape[:2] != shape:
+        raise InputError(f"poses of {poses.shape[:2]} pixels for a range image of {shape}", where, _PAIR)
+    return vehicle_SE3_pixels(filled_poses(poses, where), read_vehicle_pose(root, segment, timestamp))
+
+
+def _by_laser(component: Component, columns: Sequence[str], timestamp: int | None) -> dict[int, dict[str, Any]]:
+    """Rows by the laser's number; some published samples hold its name in place of it."""
+    rows = by_key(component.rows(columns, timestamp), LASER, str(component.file))
+    found = {}
+    for key, row in rows.items():
+        number = LASERS.get(key) if isinstance(key, str) else key
+        if not isinstance(number, int) or number not in LASERS.values():
+            raise InputError(f"unknown laser {key!r}", str(component.file), f"Known: {', '.join(LASERS)}, 1 to 5")
+        found[number] = row
+    return found
+
+
+def _row(rows: Mapping[int, dict[str, Any]], number: int, component: Component, timestamp: int) -> dict[str, Any]:
+    if number not in rows:
+        what = f"no row with {SEGMENT}={component.segment}, {FRAME}={timestamp}, {LASER}={number}"
+        raise InputError(what, str(component.file), _PAIR)
+    return rows[number]
+
+
+def _image(row: Mapping[str, Any], name: str, channels: int, where: str) -> NDArray[np.float32]:
+    """A flat list and its shape as (H, W, channels) float32."""
+    shape = [int(edge) for edge in numbers(row[f"{name}.shape"], 3, where)]
+    values = row[f"{name}.values"]
+    if shape[2] != channels or min(shape) < 1:
+        raise InputError(f"{name} has shape {shape}, not (H, W, {channels})", where, "Copy the component again")
+    flat = numbers(values, shape[0] * shape[1] * shape[2], f"{where}, {name}")
+    return flat.astype(np.float32).reshape(shape)

@@ -1,0 +1,137 @@
+"""Range images to beams and points, and back.
+
+Frames: ``laser`` (the sensor's own), ``vehicle`` (x forward, y left, z up, at the frame's time), ``global``.
+
+Source: the data set's published tools for version 2 describe the geometry; see `vehicle_beams`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.geometry.rigid import inverse, rotation_of_angles
+
+__all__ = ["LaserCalibration", "filled_poses", "inclinations", "range_image", "vehicle_SE3_pixels", "vehicle_beams"]
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LaserCalibration:
+    """One sensor of the vehicle.
+
+    vehicle_SE3_laser: (4, 4). inclination_rad: lowest and highest beam; beams_rad: of each beam from the lowest up,
+    or None: evenly spaced between the two.
+    """
+
+    vehicle_SE3_laser: Float  # noqa: N815
+    inclination_rad: tuple[float, float]
+    beams_rad: Float | None
+
+
+def inclinations(laser: LaserCalibration, height: int, where: str) -> Float:
+    """(height,) inclinations of the image's rows, radians, the highest beam first.
+
+    Raises:
+        InputError: a table of another length, or angles that are no radians.
+    """
+    if laser.beams_rad is None:
+        low, high = laser.inclination_rad
+        beams = low + (np.arange(height) + 0.5) / height * (high - low)
+    else:
+        beams = laser.beams_rad
+    if len(beams) != height:
+        what = f"{len(beams)} beam inclinations for a range image of {height} rows"
+        raise InputError(what, where, "Pair components of one segment")
+    if not (np.abs(beams) < np.pi / 2).all():
+        raise InputError("a beam inclination that is no angle in radians", where, "Copy the calibration again")
+    top_down: Float = beams[::-1].astype(np.float64)
+    return top_down
+
+
+def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
+    """Poses (H, W, 6) of pixels, those that are all zero taken from the nearest row above with a pose.
+
+    Rows at the bottom of published images may be zero. The pixels of a column fire together, so that poses differ
+    little along it. A column without any takes that of the nearest column.
+
+    Raises:
+        InputError: no pixel has a pose, or one has NaN.
+
+    Source: our choice.
+    """
+    given: Float = np.asarray(poses, np.float64)
+    if not np.isfinite(given).all():
+        raise InputError("a pixel's pose is not finite", where, "Copy the component again")
+    known = (given != 0.0).any(axis=-1)
+    if known.all():
+        return given
+    if not known.any():
+        raise InputError("every pixel's pose is zero", where, "Copy the component again")
+    height, width = known.shape
+    row = np.maximum.accumulate(np.where(known, np.arange(height)[:, None], -1), axis=0)
+    row = np.where(row < 0, known.argmax(axis=0), row)
+    columns = np.flatnonzero(known.any(axis=0))
+    nearest = columns[np.abs(np.arange(width)[:, None] - columns).argmin(axis=1)]
+    filled: Float = given[row[:, nearest], nearest]
+    return filled
+
+
+def vehicle_SE3_pixels(poses: Float, global_SE3_vehicle: Float) -> Float:
+    """(H, W, 4, 4) from the vehicle as each pixel fired to the vehicle at the frame's time.
+
+    Args:
+        poses: (H, W, 6) roll, pitch, yaw, x, y, z of the vehicle in the global frame.
+    """
+    pixels = np.zeros((*poses.shape[:2], 4, 4))
+    pixels[..., :3, :3] = rotation_of_angles(poses[..., 0], poses[..., 1], poses[..., 2])
+    pixels[..., :3, 3], pixels[..., 3, 3] = poses[..., 3:], 1.0
+    result: Float = inverse(global_SE3_vehicle) @ pixels
+    return result
+
+
+def vehicle_beams(
+    laser: LaserCalibration, shape: tuple[int, int], pixels: Float | None, where: str
+) -> tuple[Float, Float]:
+    """Where the beam of each pixel starts and points, vehicle frame.
+
+    A return at range r lies at origin + r direction. Column j of W looks along azimuth
+    (2 (W - j - 0.5) / W - 1) pi - atan2(E10, E00), E the laser's extrinsic; so azimuths fall along a row.
+
+    Args:
+        shape: (H, W) of the range image. pixels: (H, W, 4, 4) as `vehicle_SE3_pixels` has them; None: the vehicle
+            stands where it is at the frame's time.
+
+    Returns:
+        origins (H, W, 3), metres, and unit directions (H, W, 3), float64; origins are a broadcast view without pixels.
+    """
+    height, width = shape
+    extrinsic = laser.vehicle_SE3_laser
+    up = inclinations(laser, height, where)[:, None]
+    turn = (2.0 * (width - np.arange(width) - 0.5) / width - 1.0) * np.pi
+    azimuth = (turn - np.arctan2(extrinsic[1, 0], extrinsic[0, 0]))[None]
+    own = np.stack(np.broadcast_arrays(np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)), axis=-1)
+    directions = own @ extrinsic[:3, :3].T
+    if pixels is None:
+        return np.broadcast_to(extrinsic[:3, 3], directions.shape), directions
+    origins = pixels[..., :3, :3] @ extrinsic[:3, 3] + pixels[..., :3, 3]
+    return origins, np.einsum("hwij,hwj->hwi", pixels[..., :3, :3], directions)
+
+
+def range_image(
+    points: NDArray[np.floating],
+    origins: NDArray[np.floating],
+    pixel: NDArray[np.integer],
+    shape: tuple[int, int],
+) -> Float:
+    """(H, W) ranges of points (N, 3) from their origins (N, 3) at their pixels (N, 2) row, column; 0 elsewhere.
+
+    The inverse of reading an image of one laser and one return.
+    """
+    image = np.zeros(shape)
+    image[pixel[:, 0], pixel[:, 1]] = np.linalg.norm(np.asarray(points, np.float64) - origins, axis=1)
+    return image

@@ -1,0 +1,126 @@
+"""The typed schema of the group ``scenes``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, TypeAdapter, model_validator
+
+from shift3d.errors import InputError
+from shift3d.scenes.reflectance import MOST_RAW
+from shift3d.scenes.street.options import LIMITS, MOST_SENSORS, StreetOptions
+from shift3d.settings.names import Text
+from shift3d.settings.records import Count, Record, Seed
+
+__all__ = [
+    "Argoverse2Config",
+    "FramesConfig",
+    "KittiConfig",
+    "NuScenesConfig",
+    "OpenPcdetConfig",
+    "SceneConfig",
+    "StreetConfig",
+    "StreetOptionsConfig",
+    "WaymoConfig",
+    "scene_config",
+]
+
+Metres = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
+
+
+class StreetOptionsConfig(Record):
+    """What street scenes state and show beyond one return a beam, see `scenes.street.options`; all off by default."""
+
+    weather: Literal["dry", "rain", "fog", "snow"] = "dry"
+    rain_mm_h: Annotated[float, Field(gt=0, le=LIMITS["rain_mm_h"])] | None = None
+    visibility_m: Annotated[float, Field(gt=0, le=LIMITS["visibility_m"])] | None = None
+    snow_mm_h: Annotated[float, Field(gt=0, le=LIMITS["snow_mm_h"])] | None = None
+    sensor_model: bool = False
+    range_image: bool = False
+    returns: Literal[1, 2] = 1
+    sensors: Annotated[int, Field(ge=1, le=MOST_SENSORS)] = 1
+    ego_speed_m_s: Annotated[float, Field(ge=0, le=LIMITS["ego_speed_m_s"])] = 0.0
+    motion_compensated: bool = False
+    traffic: Literal["family", "wide", "held_out"] = "family"
+
+    def options(self) -> StreetOptions:
+        """The same for the generator. Raises InputError for settings that contradict each other."""
+        return StreetOptions(**{name: getattr(self, name) for name in StreetOptionsConfig.model_fields})
+
+    @model_validator(mode="after")
+    def _without_contradiction(self) -> Self:
+        try:
+            self.options()
+        except InputError as error:
+            raise ValueError(f"{error.what}. {error.remedy}") from error
+        return self
+
+
+class StreetConfig(StreetOptionsConfig):
+    """Procedural street scenes."""
+
+    kind: Literal["street"]
+    sensor: Literal["hdl64", "waymo_top", "mixed"]
+    split: Literal["train", "val", "test"]
+    seed: Seed
+    count: Count
+
+
+class FramesConfig(Record):
+    """Recorded frames under ``root``, a folder or bucket. names: of those to use, None: all; count: the first so many.
+    skip_bad: leave out frames that cannot be read."""
+
+    kind: str
+    root: Text
+    count: Count | None
+    names: list[Text] | None
+    skip_bad: bool = False
+
+
+class KittiConfig(FramesConfig):
+    """KITTI object frames under ``root``/training. reflectance_max: what the files call full reflectance; None: 1."""
+
+    kind: Literal["kitti"]
+    reflectance_max: Annotated[float, Field(gt=0, le=MOST_RAW)] | None = None
+
+
+class WaymoConfig(FramesConfig):
+    """Frames of the Waymo Open Dataset, version 2, see `scenes.waymo.scenes`."""
+
+    kind: Literal["waymo"]
+    lasers: Annotated[list[Literal["TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"]], Field(min_length=1)]
+    every: Count
+
+
+class Argoverse2Config(FramesConfig):
+    """Sweeps of Argoverse 2, see `scenes.argoverse2.scenes`."""
+
+    kind: Literal["argoverse2"]
+    every: Count
+
+
+class NuScenesConfig(FramesConfig):
+    """Key frames of nuScenes, see `scenes.nuscenes.scenes`."""
+
+    kind: Literal["nuscenes"]
+    version: Text | None
+    sweeps: Annotated[int, Field(ge=1, le=100)]
+
+
+class OpenPcdetConfig(FramesConfig):
+    """Frames in OpenPCDet's layout for custom data, see `scenes.openpcdet`."""
+
+    kind: Literal["openpcdet"]
+    split: Text | None
+    sensor_m: Annotated[list[Metres], Field(min_length=3, max_length=3)]
+    ground_z_m: Metres | None
+    reflectance_max: Annotated[float, Field(gt=0, le=MOST_RAW)] | None
+
+
+SceneConfig = StreetConfig | KittiConfig | WaymoConfig | Argoverse2Config | NuScenesConfig | OpenPcdetConfig
+
+
+def scene_config(values: Mapping[str, Any]) -> SceneConfig:
+    """The settings behind plain values, by their ``kind``. Raises ValidationError: they are none."""
+    return TypeAdapter[SceneConfig](Annotated[SceneConfig, Field(discriminator="kind")]).validate_python(dict(values))

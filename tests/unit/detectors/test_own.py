@@ -1,0 +1,123 @@
+"""The user's own detector: the guide's file is one, and what is none is refused in a line that names it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+from shift3d.detectors.own import OwnDetector, load_own
+from shift3d.errors import InputError
+
+GUIDE = Path(__file__).resolve().parents[3] / "docs" / "guides" / "detectors.md"
+SOURCE = re.search(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)[1]  # type: ignore[index]
+HEAD = "import torch\nfrom torch import nn\n"
+BOX = "torch.tensor([[1.0, 2.0, 0.8, 4.5, 1.9, 1.6, 0.0]])"
+
+
+@pytest.fixture
+def guides(tmp_path: Path) -> Path:
+    path = tmp_path / "my_detector.py"
+    path.write_text(SOURCE)
+    return path
+
+
+def points(count: int = 500) -> torch.Tensor:
+    draw = torch.Generator().manual_seed(3)
+    return torch.rand(count, 3, generator=draw) * torch.tensor([60.0, 60.0, 2.5]) - torch.tensor([30.0, 30.0, 0.0])
+
+
+def test_the_guides_detector_takes_the_lines_that_it_promises(guides: Path) -> None:
+    assert len([line for line in SOURCE.splitlines() if line.strip()]) <= 32
+    detector = load_own(guides, None)
+    found = detector.proposals(points())
+    assert found.boxes.shape == (10_000, 7) and found.logits.shape == (10_000,)
+    assert found.anchor_index.tolist() == list(range(10_000))
+
+
+def test_its_gradient_is_that_of_the_scores(guides: Path) -> None:
+    detector = load_own(guides, None, "float64")
+    at = points(20).double().requires_grad_()
+    weights = torch.rand(10_000, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda x: (detector.proposals(x).logits * weights).sum(), (at,), atol=1e-6)
+
+
+def test_a_cluster_of_points_is_found(guides: Path) -> None:
+    cluster = torch.rand(600, 3) * torch.tensor([4.0, 1.8, 1.5]) + torch.tensor([18.0, -6.0, 0.2])
+    best = load_own(guides, None).detect(cluster, score_threshold=0.5).boxes[0]
+    assert abs(best[0] - 20.0) <= 2.0 and abs(best[1] + 5.1) <= 1.5
+
+
+def test_weights_are_handed_over_and_random_ones_are_the_same_everywhere(tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(
+        f"{HEAD}class Net(nn.Module):\n"
+        "    def __init__(self, weights):\n"
+        "        super().__init__()\n"
+        "        self.layer = nn.Linear(3, 1)\n"
+        "        if weights: self.load_state_dict(torch.load(weights, weights_only=True))\n"
+        f"    def forward(self, points):\n        return {BOX}, self.layer(points.sum(0))\n"
+        "def load(weights):\n    return Net(weights)\n"
+    )
+    at = points()
+    drawn = [load_own(path, None).proposals(at).logits for _ in range(2)]
+    assert torch.equal(drawn[0], drawn[1])
+    torch.save({"layer.weight": torch.ones(1, 3), "layer.bias": torch.zeros(1)}, tmp_path / "mine.pt")
+    torch.testing.assert_close(load_own(path, tmp_path / "mine.pt").proposals(at).logits, at.sum()[None])
+
+
+def test_a_function_is_a_detector_too(tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(
+        f"{HEAD}def score(points):\n    return {BOX}, points.sum()[None]\ndef load(weights): return score\n"
+    )
+    assert isinstance(load_own(path, None), OwnDetector)
+
+
+def test_a_file_that_changes_is_another_one(tmp_path: Path) -> None:
+    """Within a second and at the same length, where compiled files would hide it."""
+    path = tmp_path / "mine.py"
+    for factor in (2, 3):
+        path.write_text(f"{HEAD}def load(weights): return lambda points: ({BOX}, {factor} * points.sum()[None])\n")
+        at = torch.ones(1, 3)
+        assert float(load_own(path, None).proposals(at).logits) == 3.0 * factor
+    assert not (tmp_path / "__pycache__").exists()
+
+
+def body(answer: str, before: str = "") -> str:
+    return f"{HEAD}{before}\ndef load(weights):\n    return lambda points: {answer}\n"
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ("def load(weights)\n", r"mine\.py, line 1: SyntaxError"),
+        ("import no_such_library\n", r"mine\.py, line 1: ModuleNotFoundError.*no_such_library"),
+        ("x = 1\n", r"mine\.py: it has no function load"),
+        ("def load(weights):\n    return 3\n", r"nothing that can be called"),
+        ("def load(weights):\n    raise ValueError('no weights')\n", r"mine\.py, line 2: ValueError: no weights"),
+        (body("points.sum()"), r"not \(boxes, logits\)"),
+        (body(f"({BOX}[:, :6], points.sum()[None])"), r"boxes \(1, 6\)"),
+        (body(f"({BOX}, points.sum())"), r"logits \(\)"),
+        (body(f"({BOX} * 0, points.sum()[None])"), r"boxes without a size"),
+        (body(f"({BOX}, points.sum()[None] / 0)"), r"NaN or infinity"),
+        (body(f"({BOX}, points.detach().sum()[None])"), r"do not depend on the points differentiably"),
+        (body(f"({BOX}, torch.rand(1) * points.sum()[None])"), r"two calls with the same points differ"),
+        (body(f"({BOX}, (points * 0).sum()[None].sqrt())"), r"no finite gradient"),
+        (body(f"({BOX}.expand(len(points), 7), points.sum(1))"), r"boxes \(0, 7\)"),
+        (body(f"({BOX}, points @ torch.ones(4))"), r"mine\.py, line 5: RuntimeError"),
+    ],
+)
+def test_what_is_no_detector_is_refused_in_one_line(tmp_path: Path, source: str, says: str) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(source)
+    with pytest.raises(InputError, match=says) as caught:
+        load_own(path, None)
+    assert caught.value.remedy and "\n" not in str(caught.value)
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        load_own(tmp_path / "mine.py", None)
