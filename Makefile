@@ -44,8 +44,9 @@ report: .venv/.runtime  ## write a sweep's page, report.html: OUT=outputs/NAME-H
 	@test -n "$(OUT)" || { echo 'which sweep? make report OUT=outputs/NAME-HASH'; exit 2; }
 	$(BIN)/shift3d report $(OUT) $(ARGS)
 
+# A worker takes tests in a row, so that each shared set-up is made once; the one that ends first takes of the other's.
 test: .venv/.dev  ## every test, on two cores; ARGS="-n 0 -k WORD"
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 check: .venv/.dev  ## lint, format, types, layers
 	$(BIN)/ruff check .

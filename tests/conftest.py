@@ -7,19 +7,18 @@ import secrets
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-# One thread: the tests run beside each other, and a task's bytes are defined on one thread.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+import pytest
+
+from shift3d.errors import InputError
+from shift3d.processor import configure_runtime
+
+# As a worker, before torch is imported. One thread: the tests run beside each other, and a task's bytes are defined on
+# one thread.
+configure_runtime(1)
 
 # Every Ray of a session of tests asks for one token, and nothing is written to anybody's home.
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
-
-import pytest
-import torch
-
-from shift3d.errors import InputError
-
-torch.set_num_threads(1)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from shift3d.analysis.html.sections.bev import pooled_cells
 from shift3d.analysis.html.sections.paths import mean_path, searched
 from shift3d.analysis.results import Sweep, read_sweep
-from shift3d.analysis.tables.auc import auc_table, plausible_sentence
+from shift3d.analysis.tables.auc import auc_table, natural_sentence
 from shift3d.analysis.tables.choices import reasons
 from shift3d.analysis.tables.table import Cell
 from shift3d.analysis.variants import Variant, variants
@@ -48,8 +48,8 @@ def _section(sweep: Sweep, heading: str) -> list[str]:
     lines = [f"## {heading}", "", _run(sweep)]
     for variant in variants(sweep.auc, sweep.scored):
         lines += ["", f"**{variant.title}**", "", *_table(variant)]
-        if plausible := plausible_sentence(variant):
-            lines += ["", plausible]
+        if natural := natural_sentence(variant):
+            lines += ["", natural]
         lines += [*_cells(sweep, variant), *_path(sweep, variant)]
     if not sweep.choices.empty:
         lines += ["", *(f"- {why}" for why in reasons(sweep.choices))]

@@ -1,7 +1,7 @@
 """The README's pictures, drawn from the shipped weights and finished sweeps.
 
 ``python docs/scripts/pictures.py OUT ... [task=ID] [folder=FOLDER]``: OUTs are folders of sweeps before one detector,
-one of shapes and one of poses say; ID (the hardest whose shape is plausible) is the task that is shown; FOLDER
+one of shapes and one of poses say; ID (the hardest whose shape is natural) is the task that is shown; FOLDER
 (docs/pictures) gets the PNGs.
 """
 
@@ -219,13 +219,16 @@ def draw_training(path: Path) -> None:
     figure.savefig(path)
 
 
-def _hardest_plausible(scores: pd.DataFrame, shapes: pd.DataFrame) -> str:
-    """Id of the shape task whose score fell furthest, of those whose shape is plausible."""
+def _hardest_natural(scores: pd.DataFrame) -> str:
+    """Id of the shape task whose score fell furthest, of those whose shape is natural."""
+    from shift3d.analysis.results import natural_by_task
+
     first = scores[(scores["replicate"] == 0) & (scores["mode"] == "shape")]
     table = first.pivot(index="task_id", columns="method", values="score").dropna()
-    cars = table[table.index.isin(shapes.loc[shapes["still_a_car"].eq(True), "task_id"])]
+    verdicts = natural_by_task(scores)
+    cars = table[[verdicts.get(task, False) for task in table.index]]
     if cars.empty:
-        raise InputError("no adversarial shape is plausible", "final/shapes.parquet", "Give the sweep a larger lambda")
+        raise InputError("no adversarial shape is natural", "final/scores.parquet", "Give the sweep a larger lambda")
     return str((cars["adversarial"] - cars["baseline"]).idxmin())
 
 
@@ -250,13 +253,13 @@ def main(arguments: list[str]) -> None:
     draw_training(folder / "training.png")
     tables = {
         name: pd.concat([pd.read_parquet(out / "final" / f"{name}.parquet") for out in outs], ignore_index=True)
-        for name in ("scores", "solutions", "shapes", "auc")
+        for name in ("scores", "solutions", "auc")
     }
     # What the attacked detector says; others may have scored the same objects.
     for name in ("scores", "auc"):
         tables[name] = tables[name][tables[name]["scored_by"] == tables[name]["detector"]]
     draw_curves(tables["scores"], tables["auc"], folder / "curves.png")
-    shown = given.get("task") or _hardest_plausible(tables["scores"], tables["shapes"])
+    shown = given.get("task") or _hardest_natural(tables["scores"])
     found = [(plan, task) for plan in map(read_plan, outs) for task in plan.tasks.starting_with(shown)]
     if len(found) != 1:
         raise InputError(f"{len(found)} tasks have an id that begins with {shown}", "task=", "Give one of final/scores")

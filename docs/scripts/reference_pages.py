@@ -33,6 +33,7 @@ GROUPS = {
     "attack": "The search, its comparisons, and where a vehicle may be placed.",
     "accuracy": "How exact the renderer and the detector are. `null` stands for the preset's value.",
     "effects": "Which effects of the sensor and the weather are simulated.",
+    "naturalness": "What shapes are compared with: see [naturalness](../why/naturalness.md).",
     "runner": "Where tasks run. No setting here changes a result.",
     "tracking": "Where results are mirrored.",
     "size": "How large a sweep is.",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from shift3d.errors import InputError
@@ -16,7 +17,7 @@ from shift3d.sweep.planning.plan import Plan
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Sweep", "read_sweep", "sweep_of"]
+__all__ = ["Sweep", "natural_by_task", "read_sweep", "sweep_of"]
 
 _TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
 _LATER = ("trajectories", "bev_transfer", "choices", "shapes")  # tables that folders of older versions do not have
@@ -48,19 +49,31 @@ class Sweep:
     def scored(self) -> pd.DataFrame:
         """Rows that have a score, with the effects that were asked for (a row for each), and `place`: their scene.
 
-        plausible: whether the task's adversarial shape is; None where that was not measured.
+        natural: whether the task's adversarial shape is; None where that was not measured.
         """
         rows = self.scores[self.scores["score"].notna()]
         rows = rows.assign(effects=self.plan.tasks.effects_requested_of(rows["task_id"])).explode("effects")
-        measured = dict(zip(self.shapes["task_id"], self.shapes["still_a_car"].astype(object)))
-        plausible = rows["task_id"].map(measured).astype(object)
+        natural = rows["task_id"].map(self.verdicts).astype(object)
         place = rows["dataset"] + "/" + rows["scene"]
-        return rows.assign(place=place, plausible=plausible.where(plausible.notna(), None))
+        return rows.assign(place=place, natural=natural.where(natural.notna(), None))
+
+    @cached_property
+    def verdicts(self) -> dict[str, bool]:
+        """Whether the adversarial shape is natural, by task; those where that was measured."""
+        return natural_by_task(self.scores)
 
     @property
-    def implausible(self) -> set[str]:
-        """Tasks whose adversarial shape is implausible."""
-        return set(self.shapes.loc[self.shapes["still_a_car"].eq(False), "task_id"])
+    def unnatural(self) -> set[str]:
+        """Tasks whose adversarial shape is unnatural."""
+        return {task for task, natural in self.verdicts.items() if not natural}
+
+
+def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
+    """Whether the adversarial shape is natural, by task that searches a shape; none where it was not measured."""
+    if "natural" not in scores:
+        return {}
+    found = scores[(scores["method"] == "adversarial") & (scores["mode"] != "pose") & scores["natural"].notna()]
+    return {str(task): bool(natural) for task, natural in zip(found["task_id"], found["natural"])}
 
 
 def sweep_of(plan: Plan, tables: Mapping[str, pd.DataFrame], environment: Mapping[str, Any]) -> Sweep:

@@ -40,25 +40,31 @@ def _doubled(values: Array) -> Array:
     return values
 
 
-def field_on_grid(field: PointField, resolution: int) -> tuple[Array, float]:
+def field_on_grid(
+    field: PointField, resolution: int, coarsest: int = 24, margins: tuple[float, float] = (1.75, 1.1)
+) -> tuple[Array, float]:
     """Values on a cube grid over [-1, 1]^3: exact near the surface, interpolated far from it.
 
-    The grid is doubled from at most 25 nodes an axis; at every doubling the nodes whose interpolated value says that
-    the surface may be within a cell are evaluated. A field close to a distance loses no part that way, however thin.
+    The grid is doubled from at most `coarsest` cells an axis; at every doubling the nodes whose interpolated value says
+    that the surface may be within a cell are evaluated. A field close to a distance loses no part that way, however
+    thin.
 
     Args:
         field: points (N, 3) float32, sdf frame -> (N,) values.
         resolution: nodes along each axis, rounded up so that the grid can be doubled.
+        coarsest: cells along each axis of the first grid, all of whose nodes are evaluated.
+        margins: how far from the surface nodes are evaluated at the first doubling and at later ones, in cells of the
+            grid that is doubled. Half of the default loses parts that are thinner than a cell, and half the time.
     Returns: values (R, R, R) float32 indexed x, y, z, and the grid spacing in sdf units.
     """
-    doublings = max(0, int(np.ceil(np.log2(max(resolution - 1, 1) / 24.0))))
+    doublings = max(0, int(np.ceil(np.log2(max(resolution - 1, 1) / coarsest))))
     count = -(-(resolution - 1) // 2**doublings) + 1
     index = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     values = _evaluate(field, _nodes(count, index)).reshape((count,) * 3)
     for level in range(doublings):
         cell = 2.0 * HALF_EXTENT / (count - 1)
         values, count = _doubled(values), 2 * count - 1
-        near = np.abs(values) < (1.75 if level == 0 else 1.1) * cell
+        near = np.abs(values) < margins[level > 0] * cell
         values[near] = _evaluate(field, _nodes(count, np.argwhere(near)))
     return values, 2.0 * HALF_EXTENT / (count - 1)
 

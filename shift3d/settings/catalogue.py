@@ -24,6 +24,7 @@ from shift3d.settings.schema import (
     AttackConfig,
     Config,
     DetectorConfig,
+    NaturalnessConfig,
     VehicleConfig,
     VehicleSetConfig,
 )
@@ -63,6 +64,7 @@ class Catalogue:
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
     accuracy: every setting behind a preset's name. space_hash: (vehicle, config) to the hash of where its
     search may go. skipped: scenes that cannot be read and are left out, name to why.
+    reference_hash: of what the reference set of naturalness is made from; empty: none.
     """
 
     scenes: tuple[SceneEntry, ...]
@@ -75,6 +77,7 @@ class Catalogue:
     accuracy: dict[str, Any]
     skipped: Mapping[str, str] = field(default_factory=dict)
     space_hash: Callable[[str, AttackConfig], str] = lambda vehicle, attack: ""
+    reference_hash: str = ""
 
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
@@ -226,7 +229,17 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         accuracy=accuracy_settings(config.accuracy),
         skipped=skipped,
         space_hash=functools.partial(_space_hash, source),
+        reference_hash=_reference_hash(config.naturalness),
     )
+
+
+def _reference_hash(config: NaturalnessConfig) -> str:
+    """Hash of the reference set's source, without building it. Raises InputError for a folder that holds none."""
+    if (values := config.source()) is None:
+        return ""
+    from shift3d.naturalness.sources import reference_source, source_hash
+
+    return source_hash(reference_source(values))
 
 
 def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> str:

@@ -20,14 +20,19 @@ __all__ = [
     "EffectsConfig",
     "KittiConfig",
     "LocalRunnerConfig",
+    "MeshReferenceConfig",
     "MlflowConfig",
+    "NaturalnessConfig",
+    "NoReferenceConfig",
     "NoTrackingConfig",
     "PlacementConfig",
     "RayRunnerConfig",
+    "SetReferenceConfig",
     "StreetConfig",
     "StreetOptionsConfig",
     "VehicleConfig",
     "VehicleSetConfig",
+    "WideReferenceConfig",
 ]
 
 
@@ -135,6 +140,49 @@ class AttackConfig(Record):
     placement: PlacementConfig
 
 
+class _ReferenceConfig(Record):
+    def source(self) -> dict[str, Any] | None:
+        """Plain values for `naturalness.sources.reference_source`; None where nothing is measured."""
+        return self.model_dump(mode="json")
+
+
+class WideReferenceConfig(_ReferenceConfig):
+    """The wide family, both sides of the split. members: how many of it, 20 at least."""
+
+    kind: Literal["wide"]
+    members: Annotated[int, Field(ge=20, le=100_000)]
+
+
+class MeshReferenceConfig(_ReferenceConfig):
+    """Every mesh below a folder. forward, up: axes of the files. unit, or length_m, from nose to tail: one of them."""
+
+    kind: Literal["meshes"]
+    folder: Text
+    forward: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    unit: Literal["m", "cm", "mm", "in"] | None
+    length_m: Positive | None
+
+
+class SetReferenceConfig(_ReferenceConfig):
+    """Every code of a folder with vehicles.safetensors and sdf.safetensors; folder null: those that ship."""
+
+    kind: Literal["set"]
+    folder: Text | None
+
+
+class NoReferenceConfig(_ReferenceConfig):
+    """Naturalness is not measured."""
+
+    kind: Literal["none"]
+
+    def source(self) -> None:
+        """Nothing."""
+
+
+NaturalnessConfig = WideReferenceConfig | MeshReferenceConfig | SetReferenceConfig | NoReferenceConfig
+
+
 class AccuracyConfig(Record):
     """A preset, and the settings that differ from it (None: as the preset has it).
 
@@ -240,6 +288,7 @@ class Config(Record):
     attack: AttackConfig
     accuracy: AccuracyConfig
     effects: EffectsConfig
+    naturalness: Annotated[NaturalnessConfig, Field(discriminator="kind")]
     runner: Annotated[RayRunnerConfig | LocalRunnerConfig, Field(discriminator="kind")]
     tracking: Annotated[MlflowConfig | NoTrackingConfig, Field(discriminator="kind")]
     size: Literal["full", "small"] = "full"

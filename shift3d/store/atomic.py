@@ -15,7 +15,7 @@ from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["UncertainError", "check_writable", "leftovers", "put_if_absent", "remove_leftovers", "write_atomic"]
+__all__ = ["UncertainError", "check_writable", "leftovers", "put_if_absent", "write_atomic"]
 
 _TEMPORARY = ".tmp-"
 # .tmp-<process>-<machine><one use>-<final name>; earlier programs left the middle part out.
@@ -94,12 +94,6 @@ def leftovers(folder: Path) -> list[Path]:
         if owner and owner[2] in (None, _machine()) and not Path(f"/proc/{owner[1]}").exists():
             found.append(entry)
     return found
-
-
-def remove_leftovers(folder: Path) -> None:
-    """Remove `leftovers`."""
-    for entry in leftovers(folder):
-        entry.unlink(missing_ok=True)
 
 
 def _temporary(path: Path) -> Path:

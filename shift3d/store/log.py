@@ -9,15 +9,11 @@ Source: our choice (design section 9).
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import re
 import secrets
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
-from pathlib import PurePath
 from typing import Any
 
 import pyarrow as pa
@@ -25,135 +21,20 @@ import pyarrow as pa
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.store.location import Location, UncertainError
-from shift3d.store.migrations import steps
+from shift3d.store.log_entries import Commit, entry_name, entry_names, entry_of, read_entry, read_log
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.schemas import SCHEMA_VERSION, SEGMENTS
+from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.store.tables import write_table
 
 __all__ = ["Commit", "CommitLog", "TakenOverError", "entry_names", "read_entry", "read_log"]
 
-_ENTRY = re.compile(r"\d{8}\.json")
-_TRIES = 5
 _BEGINNINGS = 50
-_RESTORE = "Restore the file from a copy, or remove the output folder and run the sweep again"
 
 
 class TakenOverError(InputError):
     """Another driver appended to the log: this one must stop, and has lost nothing that it committed."""
 
     exit_code = ExitCode.TAKEN_OVER
-
-
-@dataclass(frozen=True)
-class Commit:
-    """One entry: the tasks it finished, those it gave up on, and the segment files that hold their rows.
-
-    kind: session (a driver began), commit, or compact, which stands for all entries before it.
-
-    segments: table name to file name inside ``data/``. rows: table name to number of rows in that file.
-    """
-
-    sequence: int
-    kind: str
-    driver: str
-    spec_hash: str
-    done: tuple[str, ...] = ()
-    quarantined: tuple[str, ...] = ()
-    segments: tuple[tuple[str, str], ...] = ()
-    rows: tuple[tuple[str, int], ...] = ()
-
-
-def read_log(folder: LocationLike) -> list[Commit]:
-    """The entries that count, in order: all of them, or from the last compaction on, which says what was before it.
-
-    Raises:
-        InputError: an entry is missing, torn, or of a schema version that this program cannot read.
-    """
-    log = as_location(folder) / "_log"
-    for _ in range(_TRIES):
-        with contextlib.suppress(FileNotFoundError):  # a compaction has just removed what it replaced
-            return _read(log, entry_names(log))
-    raise InputError("its entries vanish while they are read", where=str(log), remedy="Run the same command again")
-
-
-def entry_names(log: Location) -> list[str]:
-    """Names of all entries that are there, those that a compaction replaced included, in order. log: the folder _log.
-
-    Raises:
-        InputError: a name that no driver gave.
-    """
-    names = [name for name in log.names() if name.endswith(".json") and name[0].isdigit()]
-    for name in names:
-        if not _ENTRY.fullmatch(name):
-            raise InputError("is no name of a log entry", where=str(log / name), remedy=_RESTORE)
-    return names
-
-
-def _read(log: Location, names: list[str]) -> list[Commit]:
-    numbers = [_number(name) for name in names]
-    first = len(numbers) - 1
-    while first > 0 and numbers[first - 1] == numbers[first] - 1:
-        first -= 1
-    entries = log.each(lambda name: read_entry(log / name), names[max(first, 0) :])
-    compactions = [index for index, entry in enumerate(entries) if entry.kind == "compact"]
-    if compactions:
-        return entries[compactions[-1] :]
-    # Before the last compaction only sessions are left; without one, every entry counts.
-    if entries and entries[0].sequence != 0:
-        what = f"entry {_entry_name(entries[0].sequence - 1)} is missing"
-        raise InputError(what, where=str(log), remedy=_RESTORE)
-    return entries
-
-
-def read_entry(path: Location) -> Commit:
-    """One entry.
-
-    Raises:
-        FileNotFoundError: it is not there. InputError: it is torn, or of a version that this program cannot read.
-    """
-    try:
-        values = json.loads(path.read_bytes())
-        for step in steps(values["schema_version"], str(path)):
-            values = step.entry(values)
-        return _commit(values, _number(path.name))
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError("is not a commit log entry", where=str(path), remedy=_RESTORE) from error
-
-
-def _number(name: str) -> int:
-    return int(name.removesuffix(".json"))
-
-
-def _entry_name(sequence: int) -> str:
-    return f"{sequence:08d}.json"
-
-
-def _commit(values: dict[str, Any], sequence: int) -> Commit:
-    """An entry of this version. Raises ValueError where a value cannot be what a driver writes."""
-    segments, rows = values["segments"], values["rows"]
-    texts = [values["driver"], values["spec_hash"], values["done"], values["quarantined"], *segments.values()]
-    wrong = (
-        values["kind"] not in ("session", "commit", "compact")
-        or not all(isinstance(text, str) for text in texts)
-        or not (segments.keys() == rows.keys() <= set(SEGMENTS))
-        or not all(type(count) is int and count >= 0 for count in rows.values())
-        # A segment lies in data/: an entry names no file elsewhere.
-        or any(PurePath(file).name != file for file in segments.values())
-    )
-    if wrong:
-        raise ValueError("not what a driver writes")
-    return Commit(
-        sequence=sequence,
-        kind=values["kind"],
-        driver=values["driver"],
-        spec_hash=values["spec_hash"],
-        done=tuple(values["done"].split()),
-        quarantined=tuple(values["quarantined"].split()),
-        segments=tuple(segments.items()),
-        rows=tuple(rows.items()),
-    )
 
 
 class CommitLog:
@@ -261,7 +142,7 @@ class CommitLog:
             "segments": {name: file for name, (file, _) in segments.items()},
             "rows": {name: rows for name, (_, rows) in segments.items()},
         }
-        path = self.folder / "_log" / _entry_name(sequence)
+        path = self.folder / "_log" / entry_name(sequence)
         try:
             created = path.put_if_absent(json.dumps(values, indent=1).encode() + b"\n")
         except UncertainError:
@@ -276,7 +157,7 @@ class CommitLog:
                 where=str(self.folder),
                 remedy="Let it finish, or stop it and run the same command again: it resumes",
             )
-        self._take(_commit(values, sequence))
+        self._take(entry_of(values, sequence))
         return self.entries[-1]
 
     def _take(self, entry: Commit) -> None:

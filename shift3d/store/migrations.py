@@ -51,14 +51,41 @@ def _ids_as_text(values: Values) -> Values:
     return {**values, **{name: " ".join(ids) for name, ids in lists.items()}}
 
 
-def _looked_at_by_sides_alone(name: str, table: pa.Table) -> pa.Table:
-    """Version 7 asks for volume and symmetry before it calls a shape a car: what was called one without is unknown."""
+def _judged_by_sides(name: str, table: pa.Table) -> pa.Table:
+    """Version 9 measures naturalness; what was called a car before, by another rule, is unknown.
+
+    Of version 6 `volume_share` and `mirrored` are absent already.
+    """
+    if name == "scores":
+        return _with_nulls(table, "depth_error_max_m", _NATURALNESS)
     if name != "shapes":
         return table
-    place = table.schema.get_field_index("still_a_car")
-    unknown = {"volume_share": pa.float64(), "mirrored": pa.float64(), "still_a_car": pa.bool_()}
-    table = table.drop_columns(["still_a_car"])
-    for offset, (column, kind) in enumerate(unknown.items()):
+    gone = [column for column in ("volume_share", "mirrored", "still_a_car") if column in table.column_names]
+    table = _with_nulls(table.drop_columns(gone), "height_m", _SIZES)
+    return _with_nulls(table, "largest_piece", _NEAREST)
+
+
+_NATURALNESS = {
+    "surface_distance_cm": pa.float64(),
+    "surface_distance_p95_cm": pa.float64(),
+    "naturalness_percentile": pa.float64(),
+    "natural": pa.bool_(),
+}
+_SIZES = {"clearance_m": pa.float64(), "asymmetry_cm": pa.float64()}
+_NEAREST = {
+    "nearest_member": pa.string(),
+    "to_member_cm": pa.float64(),
+    "to_member_p95_cm": pa.float64(),
+    "from_member_cm": pa.float64(),
+    "from_member_p95_cm": pa.float64(),
+    "out_of_range": pa.list_(pa.string()),
+}
+
+
+def _with_nulls(table: pa.Table, after: str, columns: Mapping[str, pa.DataType]) -> pa.Table:
+    """The table with columns of nulls behind one of its own."""
+    place = table.column_names.index(after) + 1
+    for offset, (column, kind) in enumerate(columns.items()):
         table = table.add_column(place + offset, column, pa.nulls(len(table), kind))
     return table
 
@@ -72,10 +99,12 @@ def _searched_by_descent(name: str, table: pa.Table) -> pa.Table:
     return table.add_column(place + 1, pa.field("search", pa.string(), nullable=False), words)
 
 
+# Version 7 added columns to one table, all of which version 9 drops again.
 STEPS: Mapping[int, Step] = {
     5: Step(entry=_ids_as_text),
-    6: Step(table=_looked_at_by_sides_alone),
+    6: Step(),
     7: Step(table=_searched_by_descent),
+    8: Step(table=_judged_by_sides),
 }
 """By the version that a step starts from."""
 

@@ -7,7 +7,7 @@ import pyarrow as pa
 __all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
 # A new one needs a step in store/migrations.py and a folder of the former one in tests/reference.
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
 _SPEC_FIELDS = [
@@ -71,14 +71,23 @@ _SCORES = _schema(
         ("false_hits", pa.int32()),
         ("wrong_surface", pa.int32()),
         ("depth_error_max_m", pa.float64()),
+        # How natural the row's shape is, see naturalness/: distance to the nearest member of the reference set, mean of
+        # both directions and the larger 95th percentile; share of left-out members that lie nearer, per cent; within
+        # the 95th and of a vehicle's sizes.
+        ("surface_distance_cm", pa.float64()),
+        ("surface_distance_p95_cm", pa.float64()),
+        ("naturalness_percentile", pa.float64()),
+        ("natural", pa.bool_()),
     ],
     # Null where nothing could be placed (status says so), where the verification at reference accuracy has not been
-    # run, where a method is not audited, and where no gradient was taken at the object (random, noise).
+    # run, where a method is not audited, where no gradient was taken at the object (random, noise), and where
+    # naturalness was not measured (noise, naturalness=none, programs before version 9) or there is no surface.
     nullable={
         *_NULLABLE, "score", "adversarial_loss", "latent_distance", *(n for n, _ in _POSE), "range_m",
         "object_points", "overlap_ok", "contact_ok", "best_step", "score_reference", "stable",
         "max_residual_m", "unresolved_beams", "least_slope", "grazing_gradient", "non_finite",
         "audited_beams", "audited_hits", "missed_hits", "false_hits", "wrong_surface", "depth_error_max_m",
+        "surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural",
     },
 )  # fmt: skip
 
@@ -188,7 +197,7 @@ _TRANSFERS = _schema(
     },
 )  # fmt: skip
 
-# What the mesh of a shape that was found looks like, see vehicles/outline.py.
+# What a shape looks like, see naturalness/: a row a method and replicate of a shape task, and a pose task's baseline.
 _SHAPES = _schema(
     "shapes",
     [
@@ -198,14 +207,22 @@ _SHAPES = _schema(
         ("length_m", pa.float64()),
         ("width_m", pa.float64()),
         ("height_m", pa.float64()),
+        ("clearance_m", pa.float64()),
+        ("asymmetry_cm", pa.float64()),  # mean distance of the surface to its mirror image
         ("largest_piece", pa.float64()),  # share of the surface
-        ("volume_share", pa.float64()),  # of the baseline's
-        ("mirrored", pa.float64()),  # share of the volume whose mirror image is inside too
-        ("still_a_car", pa.bool_()),
+        ("nearest_member", pa.string()),
+        ("to_member_cm", pa.float64()),  # from the shape's points to the member, mean
+        ("to_member_p95_cm", pa.float64()),
+        ("from_member_cm", pa.float64()),
+        ("from_member_p95_cm", pa.float64()),
+        ("out_of_range", pa.list_(pa.string())),  # sizes that no published vehicle has
     ],
-    # The sizes are null for a code without a surface, the rest for what a program before version 7 looked at.
-    nullable={*_NULLABLE, "length_m", "width_m", "height_m", "volume_share", "mirrored", "still_a_car"},
-)
+    # Null for a code without a surface, and for what a program before version 9 did not measure.
+    nullable={
+        *_NULLABLE, "length_m", "width_m", "height_m", "clearance_m", "asymmetry_cm", "nearest_member", "to_member_cm",
+        "to_member_p95_cm", "from_member_cm", "from_member_p95_cm", "out_of_range",
+    },
+)  # fmt: skip
 
 _ATTEMPTS = _schema(
     "attempts",

@@ -54,11 +54,6 @@ class SweepResult:
     seconds: float
     reused: int = 0
 
-    @property
-    def interrupted(self) -> bool:
-        """Whether tasks are left that were not tried."""
-        return self.final is None
-
 
 def run_sweep(
     plan: Plan,
@@ -92,6 +87,9 @@ def run_sweep(
     status = StatusWriter(log, len(plan.tasks))
     status.write([], 0, "starting" if len(left) else "finished")
     if len(left):
+        if kind.prepare:
+            for assets in plan.assets:
+                kind.prepare(assets)
         with (
             _runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up), status) as runner,
             Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 from shift3d.task.spec import AssetsSpec
+from shift3d.vehicles.names import WIDE
 
 __all__ = ["NamedFiles", "named_files", "with_files_in"]
 
@@ -45,7 +46,7 @@ def with_files_in(assets: AssetsSpec, folders: Mapping[NamedFiles, Path]) -> Ass
 
 def _of_vehicles(assets: AssetsSpec) -> NamedFiles | None:
     folder = assets.vehicles.get("folder")
-    if folder is None:
+    if folder is None or (assets.vehicles["kind"] == "set" and folder == WIDE):
         return None
     # Here, because both load torch, and most sweeps name no folder.
     if assets.vehicles["kind"] == "deepsdf":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,6 +13,9 @@ import torch
 from shift3d.detectors.base import Detector
 from shift3d.detectors.loading import detector_of
 from shift3d.errors import InputError
+from shift3d.naturalness.build import load_reference
+from shift3d.naturalness.measure import Naturalness, NaturalnessMeasure
+from shift3d.naturalness.sources import reference_source, source_hash
 from shift3d.render.beams import Beams
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import PRESETS, STANDARD, RenderSettings
@@ -25,7 +29,6 @@ from shift3d.settings.scene_schema import scene_config
 from shift3d.settings.scene_sets import scene_set
 from shift3d.settings.schema import DeepSdfVehicleConfig, VehicleSetConfig
 from shift3d.task.spec import AssetsSpec, TaskSpec
-from shift3d.vehicles.outline import volume_m3
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle
 
@@ -41,8 +44,9 @@ class Assets:
     """Loaded once a worker; never changed by a task.
 
     scenes, vehicles: the sets that names are looked up in. decoder: float32, as shipped. detectors: name to a file of
-    weights (None: those that ship). modules: name to the Python file of a detector of the user's. Precision twins,
-    scenes with their beams, and maps of vehicles are made on first use and kept.
+    weights (None: those that ship). modules: name to the Python file of a detector of the user's. reference: settings
+    of the reference set of naturalness, None: none. Precision twins, scenes with their beams, maps of vehicles and the
+    reference set are made on first use and kept.
     """
 
     scenes: SceneSet
@@ -50,11 +54,12 @@ class Assets:
     decoder: Decoder | DeepSdfNetwork
     detectors: Mapping[str, str | None]
     modules: Mapping[str, str] = field(default_factory=dict)
+    reference: Mapping[str, Any] | None = None
     _scenes: OrderedDict[str, tuple[Scene, Beams, str]] = field(default_factory=OrderedDict)
     _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)
     _vehicle_hashes: dict[str, str] = field(default_factory=dict)
-    _volumes: dict[str, float] = field(default_factory=dict)
+    _own_naturalness: dict[str, NaturalnessMeasure] = field(default_factory=dict)
     _spaces: OrderedDict[tuple[str, RenderSettings], SdfGrid] = field(default_factory=OrderedDict)
 
     def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
@@ -101,11 +106,31 @@ class Assets:
         require_planned(f"vehicle {name}", spec.vehicle_hash, self._vehicle_hashes[name])
         return vehicle
 
-    def volume_of(self, spec: TaskSpec) -> float:
-        """Cubic metres of the task's unchanged vehicle, measured on first use."""
-        if spec.vehicle not in self._volumes:
-            self._volumes[spec.vehicle] = volume_m3(self.vehicle(spec), self.decoder)
-        return self._volumes[spec.vehicle]
+    def naturalness(self, spec: TaskSpec) -> Naturalness | None:
+        """What measures naturalness against the task's reference set; None where the task measures none.
+
+        Raises: InputError for a set that cannot be made, or is not what the task was planned with.
+        """
+        if not spec.reference_hash or self.reference is None:
+            return None
+        require_planned("the reference set", spec.reference_hash, self._reference_hash)
+        return self._naturalness
+
+    @functools.cached_property
+    def _reference_hash(self) -> str:
+        return source_hash(reference_source(self.reference or {}))
+
+    @functools.cached_property
+    def _naturalness(self) -> Naturalness:
+        return Naturalness(load_reference(reference_source(self.reference or {}), "naturalness"))
+
+    def naturalness_of(self, spec: TaskSpec) -> NaturalnessMeasure | None:
+        """The naturalness of the task's unchanged vehicle, measured on first use."""
+        measures = self.naturalness(spec)
+        if measures is not None and spec.vehicle not in self._own_naturalness:
+            vehicle = self.vehicle(spec)
+            self._own_naturalness[spec.vehicle] = measures.of_code(vehicle, self.decoder, vehicle.latent_code)
+        return self._own_naturalness.get(spec.vehicle)
 
     def space_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
         """A map of the task's vehicle at these settings, None where they use none.
@@ -145,11 +170,21 @@ def load_assets(spec: AssetsSpec) -> Assets:
         require_planned(f"the weights of {name}", spec.hashes.get(name), found)
     source = vehicle_source(_vehicle_config(spec.vehicles))
     require_planned("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
-    assets = Assets(scene_set(scene_config(spec.scenes)), source, source.decoder(), spec.detectors, spec.modules)
+    scenes = scene_set(scene_config(spec.scenes))
+    assets = Assets(scenes, source, source.decoder(), spec.detectors, spec.modules, spec.reference)
     # Now, not at the first task: weights that do not fit stop the sweep in one line instead of failing every task.
     for name in spec.detectors:
         assets.detector_of(name, "float32")
     return assets
+
+
+def prepare_reference(spec: AssetsSpec) -> None:
+    """Make the reference set of naturalness now, with a progress bar, so that workers find it in the cache.
+
+    Raises: InputError for a set that cannot be made.
+    """
+    if spec.reference is not None:
+        load_reference(reference_source(spec.reference), "naturalness")
 
 
 def _vehicle_config(values: Mapping[str, Any]) -> VehicleSetConfig | DeepSdfVehicleConfig:

@@ -10,11 +10,12 @@ from torch import Tensor
 
 from shift3d.attack.objective import latent_distance
 from shift3d.attack.records import AttackResult, StepRecord
+from shift3d.naturalness.measure import NaturalnessMeasure
 from shift3d.task.audit import Audit
 from shift3d.task.scoring import Candidate, Scored
 from shift3d.task.spec import Row, TaskResult, TaskSpec
-from shift3d.vehicles.outline import Outline
 
+_SIZES = ("length_m", "width_m", "height_m", "clearance_m", "asymmetry_cm")
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
@@ -32,10 +33,17 @@ class Rows:
         self._seen: set[tuple[str, int]] = set()
         self._descent: dict[str, Row] = {}
 
-    def add(self, candidate: Candidate, baseline_code: Tensor, scored: Scored, audit: Audit | None = None) -> None:
+    def add(
+        self,
+        candidate: Candidate,
+        baseline_code: Tensor,
+        scored: Scored,
+        audit: Audit | None = None,
+        naturalness: NaturalnessMeasure | None = None,
+    ) -> None:
         """One object that was scored: a row for each detector, and the solution that renders it again.
 
-        audit: what its rendering's accuracy came to, where that was measured.
+        audit: what its rendering's accuracy came to, where that was measured. naturalness: likewise, of its shape.
         """
         measured, theta = scored.measurement, [float(value) for value in candidate.theta]
         check, rendering = measured.check, measured.rendering
@@ -53,6 +61,11 @@ class Rows:
         if audit is not None:
             same |= audit.columns()
             self.time(candidate.method, "audit", audit.milliseconds)
+        if naturalness is not None:
+            same |= _summary(naturalness)
+            if self._spec.mode != "pose" or candidate.method == "baseline":
+                shape = {"method": candidate.method, "replicate": candidate.replicate}
+                self._shapes.append(shape | _details(naturalness))
         for name in self._spec.scored_by:
             answer = scored.answers[name]
             row = self._row(name, candidate.method, candidate.replicate, candidate.status)
@@ -93,14 +106,6 @@ class Rows:
     def transfers(self, rows: Iterable[Row]) -> None:
         """What became of the adversarial shape in other scenes."""
         self._transfers += rows
-
-    def shape(self, candidate: Candidate, found: Outline) -> None:
-        """What the mesh of a shape looks like."""
-        sizes = found.size_m or (None, None, None)
-        row: Row = dict(zip(("length_m", "width_m", "height_m"), sizes))
-        row |= {"largest_piece": found.largest_piece, "volume_share": found.volume, "mirrored": found.mirrored}
-        row["still_a_car"] = found.still_a_car
-        self._shapes.append({"method": candidate.method, "replicate": candidate.replicate, **row})
 
     def time(self, method: str, stage: str, milliseconds: float, calls: int = 1) -> None:
         """Add time to one stage of one method."""
@@ -154,4 +159,30 @@ def _step_row(record: StepRecord, best_step: int) -> Row:
         **dict(zip(_POSE, record.theta, strict=True)),
         "object_points": record.check.object_points,
         "valid": record.valid,
+    }
+
+
+def _summary(found: NaturalnessMeasure) -> Row:
+    """Columns of the scores."""
+    nearest = found.nearest
+    return {
+        "surface_distance_cm": nearest.mean_cm if nearest else None,
+        "surface_distance_p95_cm": nearest.p95_cm if nearest else None,
+        "naturalness_percentile": found.percentile,
+        "natural": found.natural,
+    }
+
+
+def _details(found: NaturalnessMeasure) -> Row:
+    """Columns of the shapes; all but the share are None for a code without a surface."""
+    nearest, sizes = found.nearest, found.sizes
+    row: Row = {name: getattr(sizes, name, None) for name in _SIZES}
+    for direction in ("to_member", "from_member"):
+        mean, p95 = getattr(nearest, f"{direction}_cm", (None, None))
+        row |= {f"{direction}_cm": mean, f"{direction}_p95_cm": p95}
+    member = nearest.name if nearest else None
+    return row | {
+        "nearest_member": member,
+        "largest_piece": found.largest_piece,
+        "out_of_range": list(found.out_of_range),
     }

@@ -13,6 +13,7 @@ from shift3d.attack.baselines import noise_codes, random_code, random_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.detectors.base import Detector
+from shift3d.naturalness.measure import NaturalnessMeasure
 from shift3d.placement.sampling import NoPlacement
 from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
@@ -24,7 +25,6 @@ from shift3d.task.scoring import Candidate, score_object
 from shift3d.task.searching import best_of_draws, pose_limits, search_task
 from shift3d.task.spec import TaskResult, TaskSpec
 from shift3d.task.transfer import put_elsewhere
-from shift3d.vehicles.outline import outline
 
 __all__ = ["build_problem", "load_assets", "place_vehicle", "run_task"]
 
@@ -58,25 +58,32 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
             # The reference would only be held against itself.
             audited = candidate.method in AUDITED and problem.settings != REFERENCE
             checked = audit(spec, assets, problem, candidate, scored) if audited else None
-            rows.add(candidate, problem.code0, scored, checked)
-            if candidate.method == "adversarial" and spec.mode != "pose":
-                _look_at(spec, assets, candidate, rows)
+            rows.add(candidate, problem.code0, scored, checked, _naturalness(spec, assets, candidate, rows))
+            if spec.transfer_scenes and candidate.method == "adversarial":
+                _put_elsewhere(spec, assets, candidate, rows)
         for method, replicate in _planned(spec):
             rows.skip(method, replicate, "no_random_pose")
     rows.time("adversarial", "total", 1e3 * (time.perf_counter() - start))
     return rows.result()
 
 
-def _look_at(spec: TaskSpec, assets: Assets, found: Candidate, rows: Rows) -> None:
-    """Whether the shape that was found is still a car, and what it does in other scenes."""
+def _naturalness(spec: TaskSpec, assets: Assets, candidate: Candidate, rows: Rows) -> NaturalnessMeasure | None:
+    """How natural a candidate's shape is; None for noisy copies, and where the task measures none."""
+    if candidate.method == "adversarial_noise" or (measures := assets.naturalness(spec)) is None:
+        return None
+    if spec.mode == "pose" or candidate.method == "baseline":
+        return assets.naturalness_of(spec)
     start = time.perf_counter()
-    code = found.code.detach().float().numpy()
-    rows.shape(found, outline(assets.vehicle(spec), assets.decoder, code, assets.volume_of(spec)))
-    rows.time(found.method, "mesh", 1e3 * (time.perf_counter() - start))
-    if spec.transfer_scenes:
-        start = time.perf_counter()
-        rows.transfers(put_elsewhere(spec, assets, found.code))
-        rows.time(found.method, "transfers", 1e3 * (time.perf_counter() - start), len(spec.transfer_scenes))
+    found = measures.of_code(assets.vehicle(spec), assets.decoder, candidate.code.detach().float())
+    rows.time(candidate.method, "naturalness", 1e3 * (time.perf_counter() - start))
+    return found
+
+
+def _put_elsewhere(spec: TaskSpec, assets: Assets, found: Candidate, rows: Rows) -> None:
+    """What the shape that was found does in other scenes."""
+    start = time.perf_counter()
+    rows.transfers(put_elsewhere(spec, assets, found.code))
+    rows.time(found.method, "transfers", 1e3 * (time.perf_counter() - start), len(spec.transfer_scenes))
 
 
 def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:

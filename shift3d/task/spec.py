@@ -123,7 +123,8 @@ class TaskSpec:
     scene_arguments: what the scene was made from, for the reader of a plan. scored_by: detectors that score every
     solution; the attacked one is put first, whether it is named or not. detector_hashes: of each of them, by name.
     transfer_scenes: other scenes that the adversarial shape is put into; none for a pose task, whose pose belongs to
-    its scene. The hashes are 128-bit BLAKE2b, hex.
+    its scene. reference_hash: of what the reference set of naturalness is made from; empty: it is not measured. The
+    hashes are 128-bit BLAKE2b, hex.
     """
 
     vehicle: str
@@ -148,6 +149,7 @@ class TaskSpec:
     scored_by: tuple[str, ...] = ()
     detector_hashes: Mapping[str, str] = field(default_factory=dict)
     transfer_scenes: tuple[TransferScene, ...] = ()
+    reference_hash: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scored_by", tuple(dict.fromkeys((self.detector, *self.scored_by))))
@@ -167,6 +169,8 @@ class TaskSpec:
         values["placement"] = dict(vars(self.placement))
         values["transfer_scenes"] = [{**vars(other), "effects": list(other.effects)} for other in self.transfer_scenes]
         values["spec_version"] = SPEC_VERSION
+        if not self.reference_hash:  # the id of a task that measures none is that of a program that could not
+            del values["reference_hash"]
         return values
 
     @staticmethod
@@ -255,8 +259,7 @@ class TaskResult:
     scores, solutions, timings: rows whose keys are the columns of design section 5 that the spec does not
     already determine (the columns of ``store.schemas.SPEC_COLUMNS`` are filled in by the sweep).
     verification: likewise, of a task that verifies another one's solutions. trajectories: likewise, a row a step.
-    transfers: likewise, a row a scene that a solution was put into and a detector. shapes: likewise, a row a shape that
-    a search found.
+    transfers: likewise, a row a scene that a solution was put into and a detector. shapes: likewise, a row a shape.
     """
 
     scores: list[Row]
@@ -275,7 +278,8 @@ class AssetsSpec:
     scenes, vehicles: settings of the scene set and of the source of vehicles, as their schemas have them.
     detectors: name to a file of weights, or None for the weights that ship with shift3d. hashes: what "decoder" and
     the detectors had when the sweep was planned; one that is not there is not compared. results: the folder of final
-    tables that a verification reads. modules: Python files of detectors that are the user's own, by name.
+    tables that a verification reads. modules: Python files of detectors that are the user's own, by name. reference:
+    settings of the reference set of naturalness, None: it is not measured.
     """
 
     scenes: Mapping[str, Any]
@@ -285,3 +289,4 @@ class AssetsSpec:
     threads: int = 1
     results: str | None = None
     modules: Mapping[str, str] = field(default_factory=dict)
+    reference: Mapping[str, Any] | None = None

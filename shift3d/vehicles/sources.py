@@ -19,6 +19,7 @@ from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.sdf.foreign import Experiment, experiment_files, load_experiment
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.vehicles.mesh_frame import MeshFrame
+from shift3d.vehicles.names import WIDE
 from shift3d.vehicles.parameter_box import BoxOfParameters, read_parameters
 from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles, family_vehicles
 
@@ -84,11 +85,21 @@ def space_hash(source: VehicleSource, vehicle: str, space: str) -> str:
     return digest.hexdigest()
 
 
+def set_folder(folder: Path | str | None) -> Path:
+    """The folder of a vehicle set; None and "wide" are sets that ship."""
+    if folder is None:
+        return DEFAULT_VEHICLES.parent
+    return DEFAULT_VEHICLES.parent / WIDE if str(folder) == WIDE else Path(folder).expanduser()
+
+
 class VehicleSet:
-    """A folder with vehicles.safetensors and their decoder, sdf.safetensors; None: the vehicles that ship."""
+    """A folder with vehicles.safetensors and their decoder, sdf.safetensors.
+
+    None: the five vehicles that ship. "wide": those that ship with a parametric decoder.
+    """
 
     def __init__(self, folder: Path | str | None = None) -> None:
-        self._folder = DEFAULT_VEHICLES.parent if folder is None else Path(folder).expanduser()
+        self._folder = set_folder(folder)
 
     @functools.cached_property
     def _vehicles(self) -> dict[str, Vehicle]:

@@ -80,7 +80,10 @@ def _misbehave(spec: TaskSpec) -> None:
         _eat()
     if (fails := os.environ.get("SHIFT3D_TEST_FAILS")) and target.startswith(fails):
         raise ArithmeticError(f"no root for {target}")
-    if target == os.environ.get("SHIFT3D_TEST_CRASHES") and _not_yet("SHIFT3D_TEST_CRASH_ONCE"):
+    crashes_once = os.environ.get("SHIFT3D_TEST_CRASHES_ONCE")
+    if target == os.environ.get("SHIFT3D_TEST_CRASHES") or (
+        target == crashes_once and _not_yet("SHIFT3D_TEST_CRASHED")
+    ):
         os.kill(os.getpid(), signal.SIGKILL)
 
 

@@ -1,4 +1,4 @@
-"""The shift3d command with the cheap task in place of the real one: what the fault tests start and kill."""
+"""The shift3d command with the cheap task in place of the real one: what the fault tests run, start and kill."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ import sys
 from pathlib import Path
 
 HERE = str(Path(__file__).resolve().parent)
-sys.path.insert(0, HERE)
-# Ray's workers import the task by name.
-os.environ["PYTHONPATH"] = os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")])
 
 
-def main() -> int:
+def main(words: list[str]) -> int:
     from cheap_task import KIND
 
     from shift3d.cli.commands import sweep
@@ -20,11 +17,14 @@ def main() -> int:
     from shift3d.errors import InputError
 
     try:
-        return sweep.run_with(parse(sys.argv[1:]), KIND)
+        return sweep.run_with(parse(words), KIND)
     except InputError as error:
         print(f"shift3d sweep: {error}", file=sys.stderr)
         return int(getattr(error, "exit_code", 2))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.path.insert(0, HERE)
+    # Ray's workers import the task by name.
+    os.environ["PYTHONPATH"] = os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")])
+    sys.exit(main(sys.argv[1:]))

@@ -1,7 +1,9 @@
-"""Starts real drivers as processes, and reads what they left."""
+"""Runs real drivers, most of them as processes, and reads what they left."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import signal
@@ -9,6 +11,8 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+
+import pytest
 
 DRIVER = Path(__file__).resolve().parent / "driver.py"
 DETERMINISTIC = ("scores", "solutions", "curves", "auc", "bev")
@@ -41,14 +45,34 @@ class Drivers:
         self.started.append(process)
         return process
 
-    def run(self, out: str, *words: str, prefix: tuple[str, ...] = (), **environment: str) -> tuple[int, str, str]:
-        """(exit code, stdout, stderr) of a command that ends by itself."""
+    def run(
+        self, out: str, *words: str, prefix: tuple[str, ...] = (), alone: bool = False, **environment: str
+    ) -> tuple[int, str, str]:
+        """(exit code, stdout, stderr) of a command that ends by itself.
+
+        In this process where it starts no Ray: a process of its own (`alone`, or a prefix) takes seconds, and is for
+        what is killed, limited, or changed as it starts.
+        """
+        if "runner=local" in words and not prefix and not alone:
+            return self.run_here(self._words(out, *words), **environment)
         process = self.start(out, *words, prefix=prefix, **environment)
         output, errors = process.communicate(timeout=90)
         return process.returncode, output, errors
 
+    def run_here(self, words: list[str], **environment: str) -> tuple[int, str, str]:
+        """(exit code, stdout, stderr) of any command, in this process."""
+        import driver
+
+        output, errors = io.StringIO(), io.StringIO()
+        with pytest.MonkeyPatch.context() as patch, contextlib.chdir(self.folder):
+            for name, value in environment.items():
+                patch.setenv(name, value)
+            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+                code = driver.main(words)
+        return code, output.getvalue(), errors.getvalue()
+
     def command(self, *words: str, **environment: str) -> tuple[int, str, str]:
-        """(exit code, stdout, stderr) of any command."""
+        """(exit code, stdout, stderr) of any command, in a process of its own."""
         process = self._start([sys.executable, str(DRIVER), *words], environment)
         output, errors = process.communicate(timeout=90)
         return process.returncode, output, errors

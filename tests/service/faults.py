@@ -41,19 +41,19 @@ class Round:
     def start(self, *words: str, seconds: float = 0.05, **environment: str) -> subprocess.Popen[str]:
         return self.drivers.start("out", *self.settings, *words, SHIFT3D_TEST_SECONDS=str(seconds), **environment)
 
-    def run(self, *words: str, **environment: str) -> tuple[int, str]:
-        code, _, errors = self.drivers.run("out", *self.settings, *words, **environment)
+    def run(self, *words: str, alone: bool = False, **environment: str) -> tuple[int, str]:
+        code, _, errors = self.drivers.run("out", *self.settings, *words, alone=alone, **environment)
         return code, errors
 
-    def gives_up(self, *words: str, **environment: str) -> int:
+    def gives_up(self, *words: str, alone: bool = False, **environment: str) -> int:
         """A run that ends with a task that it gave up on."""
-        code, errors = self.run(*words, **environment)
+        code, errors = self.run(*words, alone=alone, **environment)
         assert code == 3, errors
         return code
 
-    def succeeds(self, **environment: str) -> int:
+    def succeeds(self, alone: bool = False, **environment: str) -> int:
         """A run that ends with nothing missing."""
-        code, errors = self.run(**environment)
+        code, errors = self.run(alone=alone, **environment)
         assert code == 0, errors
         return code
 
@@ -76,7 +76,7 @@ def torn_segment(here: Round) -> None:
 
 def out_of_memory(here: Round) -> int:
     """A task asks for more than its process may have."""
-    return here.gives_up(SHIFT3D_TEST_HUNGRY=here.random.choice(TARGETS))
+    return here.gives_up(alone=True, SHIFT3D_TEST_HUNGRY=here.random.choice(TARGETS))
 
 
 def clock_jumps(here: Round) -> int:
@@ -85,7 +85,7 @@ def clock_jumps(here: Round) -> int:
     here.some_commits()
     driver.kill()
     driver.wait()
-    return here.succeeds(SHIFT3D_TEST_CLOCK="3")
+    return here.succeeds(alone=True, SHIFT3D_TEST_CLOCK="3")
 
 
 def worker_killed(here: Round) -> int:

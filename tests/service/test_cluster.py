@@ -18,23 +18,30 @@ HERE = str(Path(__file__).resolve().parent)
 MEGABYTES = 2**20
 
 
-@pytest.fixture
-def cluster(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Cluster]:
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Their folder: a home, and the gate that tasks wait for."""
+    return tmp_path_factory.mktemp("machines")
+
+
+@pytest.fixture(scope="module")
+def cluster(machines: Path) -> Iterator[Cluster]:
     """Three nodes, each with room for one worker, in processes of their own on this machine."""
-    # Workers have the environment of their node: the task by name, and what it waits for.
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")]))
-    monkeypatch.setenv("SHIFT3D_TEST_SECONDS", "0.02")
-    monkeypatch.setenv("SHIFT3D_TEST_GATE", str(tmp_path / "gate"))
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    monkeypatch.setenv("RAY_DISABLE_IMPORT_WARNING", "1")
-    found = Cluster(initialize_head=True, head_node_args=node())
-    try:
-        for _ in range(2):
-            found.add_node(**node())
-        yield found
-    finally:
-        found.shutdown()
+    with pytest.MonkeyPatch.context() as environment:
+        # Workers have the environment of their node: the task by name, and what it waits for.
+        environment.setenv("PYTHONPATH", os.pathsep.join([HERE, os.environ.get("PYTHONPATH", "")]))
+        environment.setenv("SHIFT3D_TEST_SECONDS", "0.02")
+        environment.setenv("SHIFT3D_TEST_GATE", str(machines / "gate"))
+        environment.setenv("HOME", str(machines / "home"))
+        environment.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        environment.setenv("RAY_DISABLE_IMPORT_WARNING", "1")
+        found = Cluster(initialize_head=True, head_node_args=node())
+        try:
+            for _ in range(2):
+                found.add_node(**node())
+            yield found
+        finally:
+            found.shutdown()
 
 
 def node() -> dict[str, object]:
@@ -51,17 +58,18 @@ def workers_at_the_gate(folder: Path, workers: int) -> set[str]:
 
 
 def test_a_node_that_goes_and_one_that_comes_change_nothing(
-    cluster: Cluster, drivers: Drivers, undisturbed: dict[str, bytes], tmp_path: Path
+    cluster: Cluster, machines: Path, drivers: Drivers, undisturbed: dict[str, bytes]
 ) -> None:
+    (machines / "gate").unlink(missing_ok=True)
     settings = ("runner.commit_seconds=0", "runner.batch_seconds=0.001", f"runner.address={cluster.address}")
     driver = drivers.start("out", *settings)
     # Every fourth task waits there: in the hands of each of the three, and then of the one that comes.
-    before = workers_at_the_gate(tmp_path, 3)
+    before = workers_at_the_gate(machines, 3)
     leaving = sorted(cluster.worker_nodes, key=lambda one: one.unique_id)[0]
     cluster.remove_node(leaving, allow_graceful=False)
     cluster.add_node(**node())
-    there = workers_at_the_gate(tmp_path, 4)
-    (tmp_path / "gate").touch()
+    there = workers_at_the_gate(machines, 4)
+    (machines / "gate").touch()
     _, errors = driver.communicate(timeout=120)
     assert driver.returncode == 0, errors
     committed = drivers.committed("out")
@@ -75,10 +83,10 @@ def test_a_node_that_goes_and_one_that_comes_change_nothing(
 
 
 def test_files_that_only_the_driver_has_travel_to_the_workers(
-    cluster: Cluster, drivers: Drivers, tmp_path: Path
+    cluster: Cluster, machines: Path, drivers: Drivers
 ) -> None:
     """The folder is named from where the driver stands; the workers stand elsewhere."""
-    (tmp_path / "gate").touch()
+    (machines / "gate").touch()
     mine = drivers.folder / "mine"
     mine.mkdir()
     (mine / "vehicles.safetensors").write_text("not read by this kind of task")
@@ -88,5 +96,5 @@ def test_files_that_only_the_driver_has_travel_to_the_workers(
         code, _, errors = drivers.run(out, "vehicle.folder=mine", runner)
         assert code == 0, errors
     assert drivers.final("there") == drivers.final("here")
-    (kept,) = (tmp_path / "home" / ".shift3d" / "files").glob("*/sdf.safetensors")
+    (kept,) = (machines / "home" / ".shift3d" / "files").glob("*/sdf.safetensors")
     assert kept.read_text() == "0.25", "three workers, one copy"

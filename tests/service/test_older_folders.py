@@ -6,11 +6,13 @@ import json
 import shutil
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from cheap_task import KIND
 from drivers import DETERMINISTIC
 
+from shift3d.analysis.results import natural_by_task
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.settings.schema import LocalRunnerConfig
@@ -52,18 +54,53 @@ def test_a_sweep_that_an_older_program_began_is_finished(version: int, tmp_path:
     assert final(old) == final(tmp_path / "new")
 
 
-def test_shapes_that_were_called_cars_by_their_sides_alone_are_not_called_so_any_more(tmp_path: Path) -> None:
-    """Version 7 asks for volume and symmetry, which version 6 did not measure."""
-    row: dict[str, object] = {field.name: None for field in SCHEMAS["shapes"]}
-    row |= {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.1}
-    row |= {"detector": "p", "accuracy": "a", "search": "descent", "method": "adversarial", "replicate": 0}
-    table = table_from_rows("shapes", [row | {"largest_piece": 0.99, "still_a_car": True}])
-    metadata = {**table.schema.metadata, b"shift3d.schema_version": b"6"}
-    older = table.drop_columns(["volume_share", "mirrored", "search"]).replace_schema_metadata(metadata)
-    pq.write_table(older, tmp_path / "shapes.parquet")
-    (found,) = read_table(tmp_path / "shapes.parquet", "shapes").to_pylist()
-    assert (found["largest_piece"], found["volume_share"], found["mirrored"]) == (0.99, None, None)
-    assert found["still_a_car"] is None
+def older_file(path: Path, name: str, version: int, gone: list[str], row: dict[str, object]) -> None:
+    """A table with one row as a program of some version wrote it. row: also of columns that are gone today."""
+    today: dict[str, object] = {field.name: None for field in SCHEMAS[name]}
+    known = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.1}
+    known |= {
+        "search": "descent",
+        "detector": "p",
+        "accuracy": "a",
+        "method": "adversarial",
+        "replicate": 0,
+        "largest_piece": 0.99,
+    }
+    known |= {"scored_by": "p", "effects": [], "status": "ok", "score": 0.5, "height_m": 1.5}
+    values = {key: value for key, value in (today | known | row).items() if key in today}
+    table = table_from_rows(name, [values]).drop_columns(gone)
+    for key in row.keys() - today.keys():
+        table = table.append_column(key, pa.array([row[key]]))
+    metadata = {**SCHEMAS[name].metadata, b"shift3d.schema_version": str(version).encode()}
+    pq.write_table(table.replace_schema_metadata(metadata), path)
+
+
+SCORED = ["surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural"]
+LOOKED_AT = ["clearance_m", "asymmetry_cm", "nearest_member", "to_member_cm", "to_member_p95_cm", "from_member_cm"]
+LOOKED_AT += ["from_member_p95_cm", "out_of_range"]
+
+
+@pytest.mark.parametrize("version", [6, 7, 8])
+def test_shapes_that_another_rule_called_cars_are_of_unknown_naturalness(version: int, tmp_path: Path) -> None:
+    """Version 9 measures naturalness; an earlier program asked for sides, volume and symmetry, or sides alone."""
+    judged: dict[str, object] = {"still_a_car": True}
+    if version >= 7:
+        judged |= {"volume_share": 1.0, "mirrored": 0.99}
+    gone = LOOKED_AT if version == 8 else [*LOOKED_AT, "search"]
+    older_file(tmp_path / "shapes.parquet", "shapes", version, gone, judged)
+    read = read_table(tmp_path / "shapes.parquet", "shapes")
+    assert read.schema.equals(SCHEMAS["shapes"])
+    (found,) = read.to_pylist()
+    assert (found["largest_piece"], found["height_m"]) == (0.99, 1.5)
+    assert all(found[name] is None for name in LOOKED_AT)
+
+
+def test_scores_of_an_older_program_are_read_without_naturalness(tmp_path: Path) -> None:
+    older_file(tmp_path / "scores.parquet", "scores", 8, SCORED, {})
+    read = read_table(tmp_path / "scores.parquet", "scores")
+    assert read.schema.equals(SCHEMAS["scores"])
+    assert [read[name].to_pylist() for name in SCORED] == [[None]] * 4 and read["score"].to_pylist() == [0.5]
+    assert natural_by_task(read.to_pandas()) == {}
 
 
 def test_files_of_a_newer_version_are_refused_by_name(tmp_path: Path) -> None:

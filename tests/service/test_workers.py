@@ -10,14 +10,8 @@ from drivers import Drivers
 from shift3d.sweep.planning.folder import read_plan
 
 
-def test_workers_change_no_byte(drivers: Drivers, undisturbed: dict[str, bytes]) -> None:
-    code, _, errors = drivers.run("out", "runner.workers=3")
-    assert code == 0, errors
-    assert drivers.final("out") == undisturbed
-
-
 def test_an_unknown_name_is_one_line(drivers: Drivers) -> None:
-    code, output, errors = drivers.run("out", "vehicle=sub")
+    code, output, errors = drivers.run("out", "runner=local", "vehicle=sub")
     assert code == 2, (output, errors)
     assert "Did you mean 'suv'?" in errors and len(errors.strip().splitlines()) == 1
     assert not (drivers.folder / "out").exists()
@@ -25,11 +19,11 @@ def test_an_unknown_name_is_one_line(drivers: Drivers) -> None:
 
 def test_one_task_of_a_plan_is_shown_and_nothing_is_written(drivers: Drivers, undisturbed_folder: Path) -> None:
     task = next(task.spec.task_id for task in read_plan(undisturbed_folder).tasks if task.spec.mode == "shape")
-    code, output, errors = drivers.run("out", "--task", task[:12])
+    code, output, errors = drivers.run("out", "runner=local", "--task", task[:12])
     assert code == 0, errors
     assert "adversarial_noise" in output and "milliseconds" in output
     assert not (drivers.folder / "out").exists()
-    code, _, errors = drivers.run("out", "--task", "nothing")
+    code, _, errors = drivers.run("out", "runner=local", "--task", "nothing")
     assert code == 2 and "0 tasks have an id that begins with 'nothing'" in errors
     code, _, errors = drivers.run("out", "--task", task, SHIFT3D_TEST_FAILS="coupe/street_000/shape")
     assert code == 1 and "ArithmeticError" in errors, "a defect shows its traceback"

@@ -43,12 +43,12 @@ def _taken_for_outside(monkeypatch: pytest.MonkeyPatch) -> None:
         start = enter(rays, field)
         return replace(start, g=start.g.abs() + 1e-3, undecided=torch.zeros_like(start.undecided))
 
-    monkeypatch.setattr(sphere_tracing, "enter", outside)
+    monkeypatch.setattr(sphere_tracing, enter.__name__, outside)
 
 
 def _no_root_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (sphere_tracing, search):
-        monkeypatch.setattr(module, "find_roots", lambda *given: find_roots(*given[:-1], 0))
+        monkeypatch.setattr(module, find_roots.__name__, lambda *given: find_roots(*given[:-1], 0))
 
 
 def _divided_by_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,7 +61,7 @@ def _divided_by_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
             found.register_hook(lambda gradient: gradient / 0.0)
         return found
 
-    monkeypatch.setattr(Linearization, "change", broken)
+    monkeypatch.setattr(Linearization, change.__name__, broken)
 
 
 _BROKEN = {

@@ -66,18 +66,24 @@ def products(*how: str, **environment: str) -> dict[str, float]:
     return found
 
 
+@pytest.fixture(scope="module")
+def without() -> dict[str, float]:
+    """Of a process that was not settled: when it imports torch makes no difference to it."""
+    return products("late", "as it is")
+
+
 @takes_onednn
 @pytest.mark.parametrize("torch_imported", ["early", "late"])
-def test_code_that_is_made_does_not_pile_up(torch_imported: str) -> None:
-    without, settled = products(torch_imported, "as it is"), products(torch_imported, "settled")
+def test_code_that_is_made_does_not_pile_up(torch_imported: str, without: dict[str, float]) -> None:
+    settled = products(torch_imported, "settled")
     assert settled["grown_mb"] < 0.5 * without["grown_mb"], (settled, without)
     assert settled["threads"] == 1
 
 
 @takes_onednn
-def test_what_the_environment_says_is_left_as_it_is() -> None:
+def test_what_the_environment_says_is_left_as_it_is(without: dict[str, float]) -> None:
     said = {"ONEDNN_PRIMITIVE_CACHE_CAPACITY": "1024", "LRU_CACHE_CAPACITY": "1024"}
-    assert products("late", "settled", **said)["grown_mb"] > 0.8 * products("late", "as it is")["grown_mb"]
+    assert products("late", "settled", **said)["grown_mb"] > 0.8 * without["grown_mb"]
 
 
 def large_pages_kb(torch_imported: str, **environment: str) -> int:
@@ -87,10 +93,15 @@ def large_pages_kb(torch_imported: str, **environment: str) -> int:
     return int(done.stdout)
 
 
+@pytest.fixture(scope="module")
+def small_pages_kb() -> int:
+    return large_pages_kb("late", THP_MEM_ALLOC_ENABLE="0")
+
+
 @pytest.mark.skipif(
     not LARGE_PAGES.exists() or "[madvise]" not in LARGE_PAGES.read_text(), reason="this kernel gives all or none"
 )
 @pytest.mark.parametrize("torch_imported", ["early", "late"])
-def test_large_tensors_lie_in_large_pages(torch_imported: str) -> None:
+def test_large_tensors_lie_in_large_pages(torch_imported: str, small_pages_kb: int) -> None:
     # Half of the 64 MB: what of a tensor is not on a page's border, and what the kernel has left, may not.
-    assert large_pages_kb(torch_imported) > large_pages_kb(torch_imported, THP_MEM_ALLOC_ENABLE="0") + 32 * 1024
+    assert large_pages_kb(torch_imported) > small_pages_kb + 32 * 1024

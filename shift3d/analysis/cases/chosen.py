@@ -45,20 +45,20 @@ def falls(scores: pd.DataFrame) -> list[Case]:
     ]
 
 
-def hardest(scores: pd.DataFrame, count: int = 4, implausible: Collection[str] = ()) -> list[Case]:
+def hardest(scores: pd.DataFrame, count: int = 4, unnatural: Collection[str] = ()) -> list[Case]:
     """The tasks whose score fell furthest, other vehicles and scenes first.
 
-    Of equal falls the first in the plan's order. implausible: tasks that are chosen only where there are not `count`
+    Of equal falls the first in the plan's order. unnatural: tasks that are chosen only where there are not `count`
     others, and stand last.
     """
     left = sorted((case for case in falls(scores) if case.fall > 0), key=lambda case: -case.fall)
     chosen: list[Case] = []
     while left and len(chosen) < count:
         # Of those that repeat least, the first is the one that fell furthest.
-        best = min(left, key=lambda case: (case.task_id in implausible, _repeats(case, chosen)))
+        best = min(left, key=lambda case: (case.task_id in unnatural, _repeats(case, chosen)))
         chosen.append(best)
         left.remove(best)
-    return sorted(chosen, key=lambda case: (case.task_id in implausible, -case.fall))
+    return sorted(chosen, key=lambda case: (case.task_id in unnatural, -case.fall))
 
 
 def _repeats(case: Case, chosen: list[Case]) -> int:

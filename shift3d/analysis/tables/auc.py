@@ -11,17 +11,17 @@ from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.tables.table import Cell, Table, number
 from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores
 from shift3d.methods import METHODS
-from shift3d.vehicles.outline import CAR_RULE
+from shift3d.naturalness.calibration import NATURAL_RULE
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["auc_table", "plausible_rows", "plausible_sentence", "ratio_texts"]
+__all__ = ["auc_table", "natural_rows", "natural_sentence", "ratio_texts"]
 
 
 def auc_table(variant: Variant, in_full: bool = False) -> Table:
-    """AUC by method and vehicle; below them those over the tasks whose shape is plausible, and the chosen lambdas.
+    """AUC by method and vehicle; below them those over the tasks whose shape is natural, and the chosen lambdas.
 
     in_full: with 95 % intervals and numbers of scenes as notes, and the paper's rows beside; it takes a second or two.
     """
@@ -38,11 +38,11 @@ def auc_table(variant: Variant, in_full: bool = False) -> Table:
         if paper and method in paper.aucs.by_method:
             lines.append(_line(f"{METHODS[method]}, paper", paper.aucs, method, vehicles))
             kinds.append("paper")
-    plausible = plausible_rows(variant)
-    for method in ("baseline", "adversarial") if len(plausible) else ():
-        some = aucs_of_scores(plausible)
-        label = f"{METHODS[method]}, plausible shapes"
-        lines.append(_line(label, some, method, vehicles, plausible if in_full else None))
+    natural = natural_rows(variant)
+    for method in ("baseline", "adversarial") if len(natural) else ():
+        some = aucs_of_scores(natural)
+        label = f"{METHODS[method]}, natural shapes"
+        lines.append(_line(label, some, method, vehicles, natural if in_full else None))
         kinds.append("")
     if chosen := variant.lambdas:
         lines.append(["lambda", *(f"{chosen[name]:g}" if name in chosen else "-" for name in vehicles), "", ""])
@@ -86,26 +86,26 @@ def ratio_texts(rows: pd.DataFrame, baseline: pd.DataFrame) -> tuple[str, str]:
     return f"{found.mean:.2f}", between
 
 
-def plausible_rows(variant: Variant) -> pd.DataFrame:
-    """Rows of the tasks whose adversarial shape is plausible; none where that was not measured."""
-    if "plausible" not in variant.rows:
+def natural_rows(variant: Variant) -> pd.DataFrame:
+    """Rows of the tasks whose adversarial shape is natural; none where that was not measured."""
+    if "natural" not in variant.rows:
         return variant.rows.iloc[:0]
-    return variant.rows[variant.rows["plausible"].eq(True)]
+    return variant.rows[variant.rows["natural"].eq(True)]
 
 
-def plausible_sentence(variant: Variant) -> str | None:
-    """How many adversarial shapes are plausible, by vehicle; None where it was not measured."""
-    if variant.mode != "shape" or "plausible" not in variant.rows or not variant.rows["plausible"].notna().any():
+def natural_sentence(variant: Variant) -> str | None:
+    """How many adversarial shapes are natural, by vehicle; None where it was not measured."""
+    if variant.mode == "pose" or "natural" not in variant.rows or not variant.rows["natural"].notna().any():
         return None
-    tasks = variant.rows[variant.rows["plausible"].notna()].drop_duplicates("task_id")
-    plausible = tasks[tasks["plausible"].eq(True)]
+    tasks = variant.rows[variant.rows["natural"].notna()].drop_duplicates("task_id")
+    natural = tasks[tasks["natural"].eq(True)]
     each = [
-        f"{name.replace('_', ' ')} {plausible['vehicle'].eq(name).sum()} of {count}"
+        f"{name.replace('_', ' ')} {natural['vehicle'].eq(name).sum()} of {count}"
         for name in variant.vehicles
         if (count := tasks["vehicle"].eq(name).sum())
     ]
-    of = f"{len(plausible)} of {len(tasks)} adversarial shapes ({', '.join(each)})"
-    return f"Plausible, {CAR_RULE}: {of}."
+    of = f"{len(natural)} of {len(tasks)} adversarial shapes ({', '.join(each)})"
+    return f"Natural, {NATURAL_RULE}: {of}."
 
 
 def _short(names: list[str], longest: int = 16) -> list[str]:

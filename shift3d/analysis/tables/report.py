@@ -8,17 +8,17 @@ from shift3d.analysis.tables.auc import auc_table
 from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.coverage import coverage_lines, stage_times
 from shift3d.analysis.tables.numerics import diagnostics
-from shift3d.analysis.tables.shapes import plausible_table
+from shift3d.analysis.tables.shapes import natural_table
 from shift3d.analysis.variants import variants
 
 __all__ = ["sweep_report"]
 
 
 def sweep_report(sweep: Sweep) -> str:
-    """AUCs, plausible shapes, chosen hyper-parameters, what ran, how long it took, and how accurate it was."""
-    plausible = plausible_table(sweep.scores, sweep.shapes)
+    """AUCs, natural shapes, chosen hyper-parameters, what ran, how long it took, and how accurate it was."""
+    natural = natural_table(sweep.scores)
     tables = [auc_table(variant) for variant in variants(sweep.auc, sweep.scored)]
-    parts = [*tables, *([plausible] if plausible else []), *choice_tables(sweep.choices)]
+    parts = [*tables, *([natural] if natural else []), *choice_tables(sweep.choices)]
     return "\n\n".join(
         [
             *map(str, parts),

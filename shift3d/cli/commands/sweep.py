@@ -212,6 +212,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return
     from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
+    from shift3d.analysis.results import natural_by_task
 
     counts = {
         "tasks_done": result.done,
@@ -221,6 +222,8 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
     if "verification" in result.final.tables:
         stable = result.final.frame("verification")["stable"]
         counts |= {"solutions_verified": len(stable), "solutions_unstable": int((~stable).sum())}
+    if verdicts := natural_by_task(result.final.frame("scores")):
+        counts |= {"shapes_measured": len(verdicts), "shapes_natural": sum(verdicts.values())}
     settings = {"settings": plan.settings, "axes": plan.axes}
     auc, curves = result.final.frame("auc"), result.final.frame("curves")
     record = SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, auc, curves, counts)

@@ -21,6 +21,7 @@ class TaskKind:
     every ``run``. catalogue: settings to what there is to run on, with content hashes. preview: the same, without the
     hashes of scenes that would take long; None: catalogue takes no time. single: whether one of its tasks
     can be run by its id (``shift3d sweep NAME --task ID``). memory_mb: what a worker needs, about, in 2^20 bytes.
+    prepare: what the driver makes once before workers load it, None: nothing.
     """
 
     run: Callable[[TaskSpec, Any], TaskResult]
@@ -29,6 +30,7 @@ class TaskKind:
     single: bool = True
     memory_mb: float = 1400.0
     preview: Callable[[Config], Catalogue] | None = None
+    prepare: Callable[[AssetsSpec], object] | None = None
 
 
 def shift3d_kind() -> TaskKind:
@@ -36,7 +38,10 @@ def shift3d_kind() -> TaskKind:
     import functools
 
     from shift3d.settings.catalogue import read_catalogue
+    from shift3d.task.assets import prepare_reference
     from shift3d.task.run import load_assets, run_task
 
     preview = functools.partial(read_catalogue, preview=True)
-    return TaskKind(run=run_task, load=load_assets, catalogue=read_catalogue, preview=preview)
+    return TaskKind(
+        run=run_task, load=load_assets, catalogue=read_catalogue, preview=preview, prepare=prepare_reference
+    )

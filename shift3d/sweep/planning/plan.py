@@ -117,7 +117,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
 
 
 def _assets_key(config: Config) -> str:
-    parts = (config.scenes, config.detector, config.accuracy)
+    parts = (config.scenes, config.detector, config.accuracy, config.naturalness)
     return json.dumps([part.model_dump(mode="json") for part in parts] + [_vehicles(config)])
 
 
@@ -133,6 +133,7 @@ def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
         detectors={name: given.get(name) for name in catalogue.detectors},
         hashes={"decoder": catalogue.decoder_hash, **catalogue.detectors},
         modules=config.detector.modules_by_name(),
+        reference=config.naturalness.source(),
     )
 
 
@@ -175,4 +176,5 @@ def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
         decoder_hash=catalogue.decoder_hash,
         scored_by=tuple(catalogue.detectors),
         detector_hashes=catalogue.detectors,
+        reference_hash=catalogue.reference_hash,
     )

@@ -30,12 +30,6 @@ def polygon_distance(points: Array, corners: Array) -> Array:
     return np.asarray(np.where(inside, -np.sqrt(best), np.sqrt(best)), np.float32)
 
 
-def belt_z(spec: VehicleSpec, s_m: float) -> float:
-    """Height of the belt line at s, from the cowl to the base of the rear window."""
-    share = (s_m - spec.cowl_s_m) / (spec.backlight_s_m - spec.cowl_s_m)
-    return spec.cowl_z_m + share * (spec.deck_z_m - spec.cowl_z_m)
-
-
 def lower_body(spec: VehicleSpec) -> Polygon:
     """Bumpers, hood, belt and deck: everything below the glass."""
     length, low = spec.length_m, spec.clearance_m

@@ -24,7 +24,7 @@ from shift3d.vehicles.family.spec import VehicleSpec
 from shift3d.vehicles.family.split import SPLIT, WIDE_BODY_TYPES
 from shift3d.vehicles.family.wide_ranges import BOXES, TRAILER, wide_ranges
 
-__all__ = ["CYCLE", "Side", "WideSpec", "build_wide_mesh", "draw_wide", "wide_family", "wide_vehicle"]
+__all__ = ["CYCLE", "Side", "WideSpec", "build_wide_mesh", "draw_wide", "wide_family", "wide_field", "wide_vehicle"]
 
 Side = Literal["seen", "held_out"]
 CYCLE = (
@@ -207,17 +207,25 @@ def build_wide_mesh(spec: WideSpec, resolution_m: float = 0.025, faces: int | No
     Its box has the spec's size_m. Bars and tubes thinner than the grid shows are drawn 1.5 steps thick.
     Raises: InputError for a spec that cannot be built.
     """
+    field = wide_field(spec, resolution_m)
+    return sized_mesh(field, resolution_m, spec.size_m, faces)
+
+
+def wide_field(spec: WideSpec, resolution_m: float) -> NDArray[np.float32]:
+    """A wide vehicle on a grid (A, B, C) of one spacing that holds it: negative inside, about metres.
+
+    Raises: InputError for a spec that cannot be built.
+    """
     low, high = spec.bounds_m
     half = _half_grid(low, high, resolution_m)
     whole = Grid(half.x, np.concatenate([-half.y[:0:-1], half.y]), half.z, half.step_m)
     if isinstance(spec.chassis, Trailer):
-        field = spec.chassis.field(whole)
-    else:
-        spec.chassis.validate()
-        field = mirrored(car_field(half, spec.chassis))
-        for part in spec.parts:
-            part.apply(whole, spec.chassis, field)
-    return sized_mesh(field, half.step_m, spec.size_m, faces)
+        return spec.chassis.field(whole)
+    spec.chassis.validate()
+    field = mirrored(car_field(half, spec.chassis))
+    for part in spec.parts:
+        part.apply(whole, spec.chassis, field)
+    return field
 
 
 def _half_grid(low: NDArray[np.float64], high: NDArray[np.float64], resolution_m: float) -> Grid:

@@ -159,14 +159,14 @@ def test_areas_are_the_mean_scores_with_the_papers_beside_them() -> None:
     assert short.count(".") - len(re.findall(r"\d\.\d", short)) == 1, "one sentence"
 
 
-def test_the_implausible_shapes_stand_in_the_sentence_of_the_ratio() -> None:
+def test_the_unnatural_shapes_stand_in_the_sentence_of_the_ratio() -> None:
     scores = {("baseline", "suv"): [0.8, 0.8, 0.8], ("adversarial", "suv"): [0.6, 0.2, 0.1]}
-    some = headline(variant(scores, plausible={"suv-0": True, "suv-1": False, "suv-2": False}))
-    assert "a ratio of 0.37" in some and "but 2 of 3 shapes are implausible (ratio over the 1 plausible: 0.75)." in some
+    some = headline(variant(scores, natural={"suv-0": True, "suv-1": False, "suv-2": False}))
+    assert "a ratio of 0.37" in some and "but 2 of 3 shapes are unnatural (ratio over the 1 natural: 0.75)." in some
     every = {f"suv-{scene}": True for scene in range(3)}
-    assert "all 3 shapes are plausible" in headline(variant(scores, plausible=every))
-    assert "was not measured" in headline(variant(scores, plausible={}))
-    assert "plausible" not in headline(variant(scores, mode="pose"))
+    assert "all 3 shapes are natural" in headline(variant(scores, natural=every))
+    assert "was not measured" in headline(variant(scores, natural={}))
+    assert "natural" not in headline(variant(scores, mode="pose"))
 
 
 def test_vehicles_that_the_paper_has_not_are_named() -> None:

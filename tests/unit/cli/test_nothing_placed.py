@@ -35,7 +35,7 @@ def test_nothing_fitted_is_said_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    one = ["smoke", "scenes.count=1", "vehicle=suv", "mode=shape", "attack.lambda=1", "runner=local", "tracking=none"]
+    one = ["smoke", "vehicle=suv", "mode=pose", "accuracy.render.sdf_grid=false", "runner=local", "tracking=none"]
     nowhere = ["attack.placement.min_object_points=100000", "attack.placement.attempts=1", "out=out"]
     assert main(["sweep", *one, *nowhere]) == ExitCode.INCOMPLETE == 3
     _, said = capsys.readouterr().out.split("writing to out\n")

@@ -150,7 +150,7 @@ def test_what_is_lower_than_was_predicted_lowers_the_other_predictions_of_its_ra
             measured = lowering(nodes, at, g, count)
             return _Nodes(nodes.rows, nodes.k, nodes.g.index_copy(0, at, g), measured.error, nodes.kind)
 
-        monkeypatch.setattr(_Nodes, "with_measured", alone)
+        monkeypatch.setattr(_Nodes, _Nodes.with_measured.__name__, alone)
     rays, after = along_x(0.0), _balls(0.4 + 0.15, 0.46 + 0.15)
     seen = samples_at(rays, _balls(0.4, 0.46), torch.arange(0.0, 6.01, 0.05))
     predicted = RaySamples(seen.rows, seen.k, seen.g, torch.full_like(seen.g, 0.01))

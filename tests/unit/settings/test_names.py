@@ -29,6 +29,7 @@ def test_the_texts_among_the_settings() -> None:
             "vehicle.name",
             "vehicle.folder",
             "vehicle.checkpoint",
+            "naturalness.folder",
         ),
         *("detector.weights", "detector.module", "runner.address", "tracking.uri", "tracking.experiment"),
     }

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from shift3d.store import atomic
-from shift3d.store.atomic import UncertainError, put_if_absent, remove_leftovers, write_atomic
+from shift3d.store.atomic import UncertainError, leftovers, put_if_absent, write_atomic
 
 
 def test_write_atomic_replaces_in_one_step(tmp_path: Path) -> None:
@@ -44,23 +44,21 @@ def test_put_if_absent_has_one_winner(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["entry"]
 
 
-def test_leftovers_of_dead_processes_go_and_those_of_live_ones_stay(tmp_path: Path) -> None:
+def test_leftovers_are_of_dead_processes(tmp_path: Path) -> None:
     dead = tmp_path / ".tmp-4194400-scores"  # above the largest process id that Linux gives by default
     alive = tmp_path / f".tmp-{os.getpid()}-scores"
     dead.touch()
     alive.touch()
-    remove_leftovers(tmp_path)
-    assert not dead.exists() and alive.exists()
-    remove_leftovers(tmp_path / "absent")
+    assert leftovers(tmp_path) == [dead]
+    assert leftovers(tmp_path / "absent") == []
 
 
-def test_leftovers_of_other_machines_stay(tmp_path: Path) -> None:
+def test_leftovers_are_of_this_machine(tmp_path: Path) -> None:
     here, elsewhere = tmp_path / ".tmp-4194400-{}00000000-scores", tmp_path / ".tmp-4194400-0000000100000000-scores"
     here = here.with_name(here.name.format(f"{zlib.crc32(socket.gethostname().encode()):08x}"))
     here.touch()
     elsewhere.touch()
-    remove_leftovers(tmp_path)
-    assert [entry.name for entry in tmp_path.iterdir()] == [elsewhere.name]
+    assert leftovers(tmp_path) == [here]
 
 
 def test_a_folder_that_cannot_be_flushed_leaves_the_outcome_open(

@@ -137,6 +137,7 @@ def test_a_file_that_is_gone_before_it_travels_is_named(mine: Path) -> None:
 
 def test_what_ships_does_not_travel() -> None:
     assert loaded([AssetsSpec(scenes=STREETS)]) == {}
+    assert loaded([AssetsSpec(scenes=STREETS, vehicles={"kind": "set", "folder": "wide"})]) == {}
 
 
 @given(st.dictionaries(st.sampled_from(["sst", "sst_small", "pointpillars"]), st.none() | st.just("~/w/a.safetensors")))

@@ -4,28 +4,20 @@ from dataclasses import replace
 
 import pytest
 import torch
+from short_tasks import make_spec
 
 from shift3d.attack.problem import AttackProblem
 from shift3d.render import render
 from shift3d.render.settings import REFERENCE
-from shift3d.task.assets import Assets, load_assets
+from shift3d.task.assets import Assets
 from shift3d.task.audit import AUDITED_BEAMS, audit
 from shift3d.task.run import build_problem, place_vehicle
 from shift3d.task.scoring import Candidate, Scored, score_object
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
-
-STREET = {"kind": "street", "sensor": "hdl64", "seed": 0, "count": 1, "split": "test"}
-
-
-@pytest.fixture(scope="module")
-def assets() -> Assets:
-    return load_assets(AssetsSpec(scenes=STREET))
+from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 
 
 @pytest.fixture(scope="module")
 def case(assets: Assets) -> tuple[TaskSpec, AttackProblem, Candidate, Scored]:
-    from test_task import make_spec
-
     spec = make_spec(attack=AttackSpec(steps=1), placement=PlacementSpec(max_range_m=25.0))
     placement = place_vehicle(spec, assets)
     problem = build_problem(spec, assets, placement.theta)  # type: ignore[union-attr]

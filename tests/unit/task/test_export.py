@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 import torch
 import trimesh
 import valid_sweeps
+from short_tasks import by_method, make_spec
 
 from shift3d.attack.objective import SCORE_RADIUS_M, detection_score, object_box, to_network_frame, window_around
 from shift3d.cli.main import main
@@ -21,47 +21,51 @@ from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.kitti_files import lidar_box
 from shift3d.scenes.kitti_writing import CALIBRATION, label_line
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
 from shift3d.store.log import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
-from shift3d.task.assets import Assets, load_assets
+from shift3d.task.assets import Assets
 from shift3d.task.export import FRAME, check_no_export, export_solution
-from shift3d.task.run import run_task
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
-from shift3d.task.spec import AssetsSpec, AttackSpec, Row, TaskSpec
+from shift3d.task.spec import Row, TaskResult
 
-STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 1}
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
-SPEC = TaskSpec(
-    vehicle="suv",
-    scene="street-test-hdl64-000000",
-    dataset="street-hdl64",
-    mode="shape",
-    lambda_=1.0,
-    alpha=0.01,
-    detector="pointpillars",
-    accuracy="standard",
-    accuracy_settings=accuracy_settings(AccuracyConfig(name="standard", render={})),
-    attack=AttackSpec(steps=2, noise_replicates=0, random_replicates=0),
-)
+SPEC = make_spec()
 
 
 @pytest.fixture(scope="module")
-def assets() -> Assets:
-    return load_assets(AssetsSpec(scenes=STREET))
-
-
-@pytest.fixture(scope="module")
-def exported(assets: Assets, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Row, Row]:
+def exported(shape: TaskResult, assets: Assets, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Row, Row]:
     """The folder, the solution and its row of scores."""
-    result, folder = run_task(SPEC, assets), tmp_path_factory.mktemp("export")
-    (solution,) = (row for row in result.solutions if row["method"] == "adversarial")
-    (scored,) = (row for row in result.scores if row["method"] == "adversarial")
+    folder = tmp_path_factory.mktemp("export")
+    (solution,) = (row for row in shape.solutions if row["method"] == "adversarial")
+    (scored,) = by_method(shape, "adversarial")
     written = export_solution(SPEC, solution, assets, folder)
     assert all(path.is_file() for path in written)
     return folder, solution, scored
+
+
+def test_export_renders_the_solution_again(exported: tuple[Path, Row, Row], assets: Assets) -> None:
+    folder, _, scored = exported
+    scene, _ = assets.scene(SPEC)
+    points = np.fromfile(folder / "scene.bin", dtype="<f4").reshape(-1, 4)
+    hits = np.load(folder / "hit_mask.npy", allow_pickle=False)
+    assert len(points) == len(scene.points) == len(hits)
+    assert hits.sum() == scored["object_points"]
+    # What the vehicle does not hide is untouched to the bit; what it hides came nearer along its own beam.
+    assert np.array_equal(points[~hits, :3], scene.points[~hits])
+    moved, original = points[hits, :3].astype(float), scene.points[hits].astype(float)
+    assert (np.linalg.norm(moved, axis=1) < np.linalg.norm(original, axis=1)).all()
+    cosine = (moved * original).sum(1) / np.linalg.norm(moved, axis=1) / np.linalg.norm(original, axis=1)
+    assert cosine.min() > 1 - 1e-10
+
+    mesh = trimesh.load(folder / "object.ply")
+    _, distance, _ = trimesh.proximity.closest_point(mesh, moved[::20])
+    assert np.median(distance) < 0.01  # the mesh is marching cubes at about 4 cm, the points are exact
+
+    box = json.loads((folder / "box.json").read_text())
+    assert box["frame"] == "lidar" and box["object_points"] == hits.sum()
+    values = np.array([[box["box"][name] for name in ("x", "y", "z", "dx", "dy", "dz", "heading")]])
+    assert points_in_boxes(moved, values, margin_m=0.5).mean() > 0.95
 
 
 def test_the_frame_loaded_again_has_the_score_of_the_sweep(exported: tuple[Path, Row, Row], assets: Assets) -> None:
@@ -144,10 +148,9 @@ def test_a_ground_file_that_is_none_is_refused(exported: tuple[Path, Row, Row], 
     assert abs(KittiScenes(tmp_path / "kitti").load(FRAME).ground_z_m + 1.73) < 0.35  # estimated, as KITTI's own
 
 
-def test_a_pose_is_exported_where_it_stands(assets: Assets, tmp_path: Path) -> None:
-    spec = dataclasses.replace(SPEC, mode="pose", attack=AttackSpec(steps=1, random_replicates=0))
-    (solution,) = (row for row in run_task(spec, assets).solutions if row["method"] == "adversarial")
-    export_solution(spec, solution, assets, tmp_path)
+def test_a_pose_is_exported_where_it_stands(pose: TaskResult, assets: Assets, tmp_path: Path) -> None:
+    (solution,) = (row for row in pose.solutions if row["method"] == "adversarial")
+    export_solution(make_spec("pose"), solution, assets, tmp_path)
     stated = json.loads((tmp_path / "box.json").read_text())
     assert stated["pose"] == {name: solution[name] for name in POSE}
     assert stated["box"]["x"] == solution["x_m"] and stated["box"]["heading"] == solution["yaw_rad"]

@@ -3,68 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-import trimesh
+from short_tasks import SHORT, STREET, THERE, by_method, make_spec
 from toy_detector import WaveDetector
 
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import points_in_boxes
+from shift3d.naturalness.sources import reference_source, source_hash
 from shift3d.placement.constraints import ConstraintCheck
 from shift3d.settings.catalogue import accuracy_settings
 from shift3d.settings.schema import AccuracyConfig
 from shift3d.store.tables import table_from_rows
 from shift3d.task.assets import Assets, load_assets
-from shift3d.task.export import export_solution
 from shift3d.task.rows import Rows
 from shift3d.task.run import run_task
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskResult, TaskSpec
+from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskResult, TaskSpec, TransferScene
 from shift3d.vehicles.sources import vehicle_hash
 
-STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 1}
-SHORT = AttackSpec(steps=3, noise_replicates=2)
-
-
-@pytest.fixture(scope="module")
-def assets() -> Assets:
-    return load_assets(AssetsSpec(scenes=STREET))
-
-
-def make_spec(mode: str = "shape", **changes: object) -> TaskSpec:
-    accuracy = accuracy_settings(AccuracyConfig(name="standard", render={}))
-    spec = TaskSpec(
-        vehicle="suv",
-        scene="street-test-hdl64-000000",
-        dataset="street-hdl64",
-        mode=mode,  # type: ignore[arg-type]
-        lambda_=1.0,
-        alpha=0.01,
-        detector="pointpillars",
-        accuracy="standard",
-        accuracy_settings=accuracy,
-        attack=SHORT,
-    )
-    return dataclasses.replace(spec, **changes)  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module")
-def shape(assets: Assets) -> TaskResult:
-    return run_task(make_spec(), assets)
-
-
-@pytest.fixture(scope="module")
-def pose(assets: Assets) -> TaskResult:
-    return run_task(make_spec("pose"), assets)
-
-
-def by_method(result: TaskResult, method: str) -> list[dict]:
-    return [row for row in result.scores if row["method"] == method]
+KNOWN = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.01}
+KNOWN |= {"detector": "p", "accuracy": "a", "search": "descent"}
 
 
 def test_every_method_is_reported_once(shape: TaskResult, pose: TaskResult) -> None:
@@ -120,10 +82,11 @@ def test_the_search_lowers_the_loss(shape: TaskResult) -> None:
     assert found["adversarial_loss"] < start["adversarial_loss"]
 
 
-def test_the_same_spec_gives_the_same_rows(shape: TaskResult, assets: Assets) -> None:
-    again = run_task(make_spec(), load_assets(AssetsSpec(scenes=STREET)))
-    assert again.scores == shape.scores
-    assert again.solutions == shape.solutions
+def test_the_same_spec_gives_the_same_rows(moved: TaskResult) -> None:
+    again = run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),)), load_assets(AssetsSpec(scenes=STREET)))
+    assert again.scores == moved.scores
+    assert again.solutions == moved.solutions
+    assert again.transfers == moved.transfers
 
 
 def test_a_scene_without_room_is_reported_not_dropped(assets: Assets) -> None:
@@ -133,33 +96,6 @@ def test_a_scene_without_room_is_reported_not_dropped(assets: Assets) -> None:
     assert {row["status"] for row in result.scores} == {"no_placement"}
     assert all("score" not in row for row in result.scores)
     assert result.solutions == []
-
-
-def test_export_renders_the_solution_again(shape: TaskResult, assets: Assets, tmp_path: Path) -> None:
-    (solution,) = (row for row in shape.solutions if row["method"] == "adversarial")
-    (scored,) = by_method(shape, "adversarial")
-    export_solution(make_spec(), solution, assets, tmp_path)
-
-    scene, _ = assets.scene(make_spec())
-    points = np.fromfile(tmp_path / "scene.bin", dtype="<f4").reshape(-1, 4)
-    hits = np.load(tmp_path / "hit_mask.npy", allow_pickle=False)
-    assert len(points) == len(scene.points) == len(hits)
-    assert hits.sum() == scored["object_points"]
-    # What the vehicle does not hide is untouched to the bit; what it hides came nearer along its own beam.
-    assert np.array_equal(points[~hits, :3], scene.points[~hits])
-    moved, original = points[hits, :3].astype(float), scene.points[hits].astype(float)
-    assert (np.linalg.norm(moved, axis=1) < np.linalg.norm(original, axis=1)).all()
-    cosine = (moved * original).sum(1) / np.linalg.norm(moved, axis=1) / np.linalg.norm(original, axis=1)
-    assert cosine.min() > 1 - 1e-10
-
-    mesh = trimesh.load(tmp_path / "object.ply")
-    _, distance, _ = trimesh.proximity.closest_point(mesh, moved[::20])
-    assert np.median(distance) < 0.01  # the mesh is marching cubes at about 4 cm, the points are exact
-
-    box = json.loads((tmp_path / "box.json").read_text())
-    assert box["frame"] == "lidar" and box["object_points"] == hits.sum()
-    values = np.array([[box["box"][name] for name in ("x", "y", "z", "dx", "dy", "dz", "heading")]])
-    assert points_in_boxes(moved, values, margin_m=0.5).mean() > 0.95
 
 
 def test_unknown_vehicle_is_one_clear_line(assets: Assets) -> None:
@@ -289,16 +225,56 @@ def test_a_step_that_is_not_finite_has_no_number_and_still_has_its_row() -> None
     (row,) = rows.result().trajectories
     assert (row["loss"], row["adversarial_loss"], row["proposal_score"]) == (None, None, 0.4)
     assert not row["kept"]
-    known = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape"}
-    known |= {"alpha": 0.01, "detector": "p", "accuracy": "a", "search": "descent"}
-    assert table_from_rows("trajectories", [row | known]).num_rows == 1
+    assert table_from_rows("trajectories", [row | KNOWN]).num_rows == 1
 
 
-def test_a_shape_is_looked_at_and_a_pose_is_not(shape: TaskResult, pose: TaskResult, assets: Assets) -> None:
-    (row,) = shape.shapes
-    assert (row["method"], row["replicate"]) == ("adversarial", 0) and pose.shapes == []
-    # Three steps away from the baseline it still is one.
-    assert row["still_a_car"] and row["largest_piece"] > 0.97 and row["mirrored"] > 0.95
-    assert row["volume_share"] == pytest.approx(1.0, abs=0.2)
-    sizes = [row[name] for name in ("length_m", "width_m", "height_m")]
-    assert sizes == pytest.approx(assets.vehicle(make_spec()).size_m, rel=0.1)
+MEASURED = {"surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural"}
+
+
+def test_nothing_is_measured_without_a_reference_set(shape: TaskResult, pose: TaskResult) -> None:
+    assert shape.shapes == pose.shapes == []
+    assert not any(MEASURED & row.keys() for row in shape.scores + pose.scores)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Assets, str]]:
+    """Assets with a reference set, and its hash."""
+    values = {"kind": "wide", "members": 40}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield load_assets(AssetsSpec(scenes=STREET, reference=values)), source_hash(reference_source(values))
+
+
+def test_every_shape_and_baseline_says_how_natural_it_is(measured: tuple[Assets, str]) -> None:
+    found = run_task(make_spec(reference_hash=measured[1]), measured[0])
+    with_values = [row for row in found.scores if row.keys() >= MEASURED]
+    assert [row["method"] for row in with_values] == ["baseline", "random", "adversarial"]
+    assert [row["method"] for row in found.shapes] == ["baseline", "random", "adversarial"]
+    for scored, looked_at in zip(with_values, found.shapes):
+        assert scored["surface_distance_cm"] == (looked_at["to_member_cm"] + looked_at["from_member_cm"]) / 2
+        assert 0.0 < scored["surface_distance_cm"] < scored["surface_distance_p95_cm"] < 40.0
+        assert scored["natural"] == (scored["naturalness_percentile"] <= 95.0 and not looked_at["out_of_range"])
+    own = found.shapes[0]
+    assert own["nearest_member"].startswith("suv") and own["largest_piece"] > 0.97 and own["out_of_range"] == []
+    sizes = [own[name] for name in ("length_m", "width_m", "height_m")]
+    assert sizes == pytest.approx(measured[0].vehicle(make_spec()).size_m, abs=0.02)
+    assert table_from_rows("shapes", [row | KNOWN for row in found.shapes]).num_rows == 3
+
+
+def test_a_pose_has_its_baselines_shape(measured: tuple[Assets, str]) -> None:
+    found = run_task(make_spec("pose", reference_hash=measured[1]), measured[0])
+    assert [row["method"] for row in found.shapes] == ["baseline"]
+    assert len({row["surface_distance_cm"] for row in found.scores if row["status"] == "ok"}) == 1
+
+
+def test_another_reference_set_than_was_planned_is_refused(measured: tuple[Assets, str]) -> None:
+    with pytest.raises(InputError, match="changed after the sweep was planned") as failure:
+        run_task(make_spec(reference_hash="another"), measured[0])
+    assert "reference set" in failure.value.where
+
+
+def test_a_task_that_measures_none_keeps_the_id_of_an_older_program() -> None:
+    assert "reference_hash" not in make_spec().to_dict()
+    assert TaskSpec.from_dict(make_spec().to_dict()) == make_spec()
+    other = make_spec(reference_hash="a" * 32)
+    assert TaskSpec.from_dict(other.to_dict()) == other and other.task_id != make_spec().task_id

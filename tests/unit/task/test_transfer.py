@@ -2,54 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import pytest
 import torch
+from short_tasks import THERE, by_method, make_spec
 
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.errors import InputError
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.execution.worker import completed_rows
-from shift3d.task.assets import Assets, load_assets
+from shift3d.task.assets import Assets
 from shift3d.task.problem import build_problem
-from shift3d.task.run import run_task
 from shift3d.task.scoring import score_object
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskResult, TaskSpec, TransferScene
+from shift3d.task.spec import PlacementSpec, Row, TaskResult, TransferScene
 from shift3d.task.transfer import put_elsewhere
 
-SPEC = AssetsSpec(scenes={"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 2})
-HERE, THERE = "street-test-hdl64-000000", "street-test-hdl64-000001"
-
-
-@pytest.fixture(scope="module")
-def assets() -> Assets:
-    return load_assets(SPEC)
-
-
-def make_spec(**changes: object) -> TaskSpec:
-    spec = TaskSpec(
-        vehicle="suv",
-        scene=HERE,
-        dataset="street-hdl64",
-        mode="shape",
-        lambda_=1.0,
-        alpha=0.01,
-        detector="pointpillars",
-        accuracy="standard",
-        accuracy_settings=accuracy_settings(AccuracyConfig(name="standard", render={})),
-        attack=AttackSpec(steps=2, noise_replicates=0, random_replicates=0),
-        transfer_scenes=(TransferScene(THERE, ""),),
-    )
-    return dataclasses.replace(spec, **changes)  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module")
-def moved(assets: Assets) -> TaskResult:
-    return run_task(make_spec(), assets)
+TRANSFER = (TransferScene(THERE, ""),)
 
 
 def test_baseline_and_shape_are_scored_at_one_place_of_the_other_scene(moved: TaskResult, assets: Assets) -> None:
@@ -58,12 +27,11 @@ def test_baseline_and_shape_are_scored_at_one_place_of_the_other_scene(moved: Ta
     assert 15.0 <= row["range_m"] <= 50.0 and row["object_points_baseline"] >= 300
     assert row["range_m"] == pytest.approx(math.hypot(row["x_m"], row["y_m"]))
     # Both scores again, from the solution that the task reports and the place that the row states.
-    there = make_spec().moved_to(make_spec().transfer_scenes[0])
+    there = make_spec(transfer_scenes=TRANSFER).moved_to(TRANSFER[0])
     pose = [row[name] for name in ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")]
     theta = torch.tensor(pose, dtype=torch.float64)
     problem = build_problem(there, assets, theta)
-    (found,) = (solution for solution in moved.solutions if solution["method"] == "adversarial")
-    code = torch.tensor(found["latent_code"])
+    code = torch.tensor(solution(moved, "adversarial")["latent_code"])
     assert score_object(problem, problem.code0, theta, 5.0).answers["pointpillars"].score == row["score_baseline"]
     stands = on_ground(code, problem, SNAP_M)
     assert torch.equal(stands[[0, 1, 3, 4, 5]], theta[[0, 1, 3, 4, 5]]) and float(stands[2]) == row["z_shape_m"]
@@ -72,26 +40,32 @@ def test_baseline_and_shape_are_scored_at_one_place_of_the_other_scene(moved: Ta
 
 def test_the_unchanged_shape_changes_no_score_anywhere(assets: Assets) -> None:
     code = torch.from_numpy(assets.vehicle(make_spec()).latent_code)
-    (row,) = put_elsewhere(make_spec(), assets, code)
+    (row,) = put_elsewhere(make_spec(transfer_scenes=TRANSFER), assets, code)
     assert row["score"] == pytest.approx(row["score_baseline"], abs=0.02)  # settled again, by millimetres
 
 
-def test_transfers_are_beside_the_task_and_change_nothing_else(moved: TaskResult, assets: Assets) -> None:
-    alone = run_task(make_spec(transfer_scenes=()), assets)
-    assert alone.transfers == []
+def test_transfers_are_beside_the_task_and_change_nothing_else(moved: TaskResult, shape: TaskResult) -> None:
+    assert shape.transfers == []
     # The search is the same; what is drawn at random belongs to the task's id.
-    assert alone.scores == moved.scores and alone.solutions == moved.solutions
+    for method in ("baseline", "adversarial"):
+        assert by_method(moved, method) == by_method(shape, method)
+        assert [solution(result, method) for result in (moved, shape)] == [solution(shape, method)] * 2
 
 
-def test_rows_fit_their_table_and_are_the_same_again(moved: TaskResult) -> None:
-    again = run_task(make_spec(), load_assets(SPEC))
-    assert again.transfers == moved.transfers
-    rows = completed_rows(make_spec(), "sweep", again)["transfers"]
+def solution(result: TaskResult, method: str) -> Row:
+    (found,) = (row for row in result.solutions if row["method"] == method)
+    return found
+
+
+def test_rows_fit_their_table(moved: TaskResult) -> None:
+    rows = completed_rows(make_spec(transfer_scenes=TRANSFER), "sweep", moved)["transfers"]
     assert table_from_rows("transfers", rows).num_rows == 1
 
 
 def test_a_scene_without_room_is_a_row_without_scores(assets: Assets) -> None:
-    nowhere = make_spec(placement=PlacementSpec(min_range_m=49.0, max_range_m=50.0, attempts=1))
+    nowhere = make_spec(
+        transfer_scenes=TRANSFER, placement=PlacementSpec(min_range_m=49.0, max_range_m=50.0, attempts=1)
+    )
     code = torch.from_numpy(assets.vehicle(nowhere).latent_code)
     (row,) = put_elsewhere(nowhere, assets, code)
     assert row["status"] == "no_placement" and "score" not in row

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import io
 from pathlib import Path
 
 import numpy as np
@@ -21,31 +23,47 @@ FRAME = MeshFrame("+x", "+z", "m")
 SAMPLES = 800
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Two boxes and a ball of a car's size, one of the boxes an open sheet."""
-    root = tmp_path / "meshes"
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A box and a ball of a car's size, and an open sheet. Tests only read it."""
+    root = tmp_path_factory.mktemp("shapes") / "meshes"
     root.mkdir()
     trimesh.creation.box((4.0, 1.8, 1.4)).export(root / "suv_box.ply")
     ball = trimesh.creation.icosphere(subdivisions=3)
     ball.apply_scale([2.2, 1.0, 0.8])
     ball.export(root / "egg.stl")
-    sheet = trimesh.Trimesh([[0, 0, 0], [4, 0, 0.5], [4, 2, 0], [0, 2, 0.5]], [[0, 1, 2], [0, 2, 3]])
-    sheet.export(root / "sheet.ply")
+    sheet().export(root / "sheet.ply")
     return root
+
+
+def sheet() -> trimesh.Trimesh:
+    """It encloses nothing; small, since what has gaps is wrapped first."""
+    return trimesh.Trimesh([[0, 0, 0], [2.5, 0, 0.2], [2.5, 0.3, 0], [0, 0.3, 0.2]], [[0, 1, 2], [0, 2, 3]])
 
 
 def sampled(folder: Path, seed: int = 1) -> MeshShapes:
     return mesh_shapes(folder, FRAME, SAMPLES, seed, folder.parent / "cache", 1)
 
 
-def test_usable_meshes_are_sampled_and_the_others_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shapes = sampled(folder)
+@pytest.fixture(scope="module")
+def sampled_once(folder: Path) -> tuple[MeshShapes, str]:
+    """The shapes of the folder, and what was printed when they were sampled."""
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        return sampled(folder), printed.getvalue()
+
+
+@pytest.fixture
+def shapes(sampled_once: tuple[MeshShapes, str]) -> MeshShapes:
+    return sampled_once[0]
+
+
+def test_usable_meshes_are_sampled_and_the_others_named(folder: Path, sampled_once: tuple[MeshShapes, str]) -> None:
+    shapes, printed = sampled_once
     assert [facts["name"] for facts in shapes.facts] == ["egg", "suv_box"]
     assert [facts["body_type"] for facts in shapes.facts] == ["vehicle", "suv"]
     assert list(shapes.refused) == [str(folder / "sheet.ply")]
     assert "encloses no solid" in shapes.refused[str(folder / "sheet.ply")]
-    assert "left out" in capsys.readouterr().out
+    assert "left out" in printed
     assert shapes.samples.points.shape == (2, SAMPLES, 3)
     points, scale = shapes.samples.points[1].astype(np.float64), shapes.samples.scale_m[1]
     q = np.abs(points) * scale - np.array([2.0, 0.9, 0.7])
@@ -53,28 +71,31 @@ def test_usable_meshes_are_sampled_and_the_others_named(folder: Path, capsys: py
     assert shapes.samples.distances[1] * scale == pytest.approx(exact, abs=1e-5)
 
 
-def test_samples_are_kept_until_a_mesh_or_the_seed_changes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    first = sampled(folder)
-    capsys.readouterr()
+def test_samples_are_kept_until_a_mesh_or_the_seed_changes(
+    folder: Path, sampled_once: tuple[MeshShapes, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, _ = sampled_once
     again = sampled(folder)
     assert capsys.readouterr().out == ""
     assert again.samples.source == first.samples.source
     assert np.array_equal(again.samples.points, first.samples.points)
     assert again.facts == first.facts
-    assert sampled(folder, seed=2).samples.source != first.samples.source
-    trimesh.creation.box((4.1, 1.8, 1.4)).export(folder / "suv_box.ply")
-    assert sampled(folder).samples.source != first.samples.source
+    mine = tmp_path / "meshes"
+    mine.mkdir()
+    sources = []
+    for length_m, seed in ((4.0, 1), (4.0, 2), (4.1, 1)):
+        trimesh.creation.box((length_m, 1.8, 1.4)).export(mine / "suv_box.ply")
+        sources.append(sampled(mine, seed).samples.source)
+    assert len(set(sources)) == 3
 
 
-def test_folder_with_nothing_usable_says_why(folder: Path) -> None:
-    for name in ("suv_box.ply", "egg.stl"):
-        (folder / name).unlink()
+def test_folder_with_nothing_usable_says_why(tmp_path: Path) -> None:
+    sheet().export(tmp_path / "sheet.ply")
     with pytest.raises(InputError, match=r"none of 1 meshes.*sheet\.ply"):
-        sampled(folder)
+        sampled(tmp_path)
 
 
-def test_training_takes_the_samples_of_its_recipe_and_no_others(folder: Path, tmp_path: Path) -> None:
-    shapes = sampled(folder)
+def test_training_takes_the_samples_of_its_recipe_and_no_others(shapes: MeshShapes, tmp_path: Path) -> None:
     recipe = dataclasses.replace(mesh_recipe(shapes, steps=2), batch_a_shape=32, compute="float32")
     assert (recipe.shapes, recipe.mirror, recipe.source) == (2, False, shapes.samples.source)
     state = read_checkpoint(train_sdf(tmp_path / "out", recipe, samples=shapes.samples))
@@ -84,8 +105,7 @@ def test_training_takes_the_samples_of_its_recipe_and_no_others(folder: Path, tm
         train_sdf(tmp_path / "other", SdfRecipe(shapes=2), samples=shapes.samples)
 
 
-def test_decoder_that_has_learnt_nothing_is_not_exported(folder: Path, tmp_path: Path) -> None:
-    shapes = sampled(folder)
+def test_decoder_that_has_learnt_nothing_is_not_exported(shapes: MeshShapes, tmp_path: Path) -> None:
     recipe = dataclasses.replace(mesh_recipe(shapes, steps=1), batch_a_shape=8, compute="float32")
     checkpoint = train_sdf(tmp_path / "out", recipe, samples=shapes.samples)
     state = read_checkpoint(checkpoint)

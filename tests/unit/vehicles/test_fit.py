@@ -21,10 +21,15 @@ from shift3d.vehicles.orientation import frames_along, turned
 from shift3d.vehicles.vehicle import baseline_vehicles, family_vehicles, vehicle_mesh
 
 
+@pytest.fixture(scope="module")
+def mesh() -> trimesh.Trimesh:
+    """A vehicle of the family that the decoder was never given."""
+    return build_mesh(sample_spec("hatchback", generator("fit test")), resolution_m=0.05)
+
+
 @pytest.fixture
-def hatchback(tmp_path: Path) -> Path:
-    """A vehicle of the family that the decoder was never given, in millimetres, nose along -z, roof along +y."""
-    mesh = build_mesh(sample_spec("hatchback", generator("fit test")), resolution_m=0.05)
+def hatchback(mesh: trimesh.Trimesh, tmp_path: Path) -> Path:
+    """It as a file in millimetres, nose along -z, roof along +y."""
     x, y, z = np.asarray(mesh.vertices).T * 1000.0
     file = tmp_path / "hatchback of mine.obj"
     trimesh.Trimesh(np.column_stack([-y, z, -x]), mesh.faces).export(file)
@@ -32,16 +37,19 @@ def hatchback(tmp_path: Path) -> Path:
 
 
 def test_fitted_mesh_is_a_vehicle_like_those_that_ship(
-    hatchback: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    mesh: trimesh.Trimesh,
+    hatchback: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
     out = tmp_path / "set"
-    assert main(["fit", str(hatchback), "unit=mm", f"out={out}", "steps=60"]) == 0
+    assert main(["fit", str(hatchback), "unit=mm", f"out={out}", "steps=40"]) == 0
     captured = capsys.readouterr()
     assert "1 vehicle in" in captured.out and captured.err == "", "no doubts"
     (vehicle,) = baseline_vehicles(out / "vehicles.safetensors").values()
     assert (vehicle.name, vehicle.body_type) == ("hatchback_of_mine", "hatchback")
-    mesh = build_mesh(sample_spec("hatchback", generator("fit test")), resolution_m=0.05)
     assert vehicle.size_m == pytest.approx(tuple(np.ptp(mesh.vertices, axis=0)), abs=0.12)
     decoded = vehicle_mesh(vehicle, load_decoder(out / "sdf.safetensors"), resolution=65)
     assert decoded.bounds.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
@@ -59,7 +67,7 @@ def test_an_upside_down_mesh_is_said_to_fit_better_the_right_way_up(
 ) -> None:
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
     out = tmp_path / "set"
-    main(["fit", str(hatchback), "unit=mm", "up=-y", "steps=60", f"out={out}"])
+    main(["fit", str(hatchback), "unit=mm", "up=-y", "steps=30", f"out={out}"])
     assert "hatchback_of_mine: fits better with up=+y: " in capsys.readouterr().err
     (facts,) = json.loads((out / "sdf.json").read_text())["vehicles"]
     assert facts["better_orientation"]["chamfer_cm"] < 0.8 * facts["chamfer_cm"]
@@ -70,7 +78,7 @@ def test_what_the_decoder_cannot_draw_is_said_with_its_picture_and_an_exit_code(
 ) -> None:
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
     trimesh.creation.box((4.0, 4.0, 4.0)).export(tmp_path / "cube.ply")
-    assert main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=20", f"out={tmp_path / 'set'}"]) == 3
+    assert main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=10", f"out={tmp_path / 'set'}"]) == 3
     said = capsys.readouterr().err
     assert "cube: far from its mesh" in said and "is usual for a car of this length" in said
     assert str(tmp_path / "set" / "pictures" / "cube.png") in said

@@ -92,7 +92,7 @@ def test_the_shipped_family_is_typical() -> None:
 def test_baselines_keep_published_dimensions_when_decoded() -> None:
     decoder = load_decoder()
     for name, vehicle in baseline_vehicles().items():
-        found = measure(vehicle_mesh(vehicle, decoder, resolution=97))
+        found = measure(vehicle_mesh(vehicle, decoder, resolution=65))
         for quantity in QUANTITIES:
             least, most = published_range(vehicle.body_type, quantity)
             value = getattr(found, quantity)

@@ -20,6 +20,7 @@ from shift3d.vehicles.mesh_vehicle import read_mesh_vehicle
 from shift3d.vehicles.repair import RepairReport, repaired, sided_share
 
 SIZE = (4.0, 1.8, 1.4)
+SMALL = (2.0, 1.0, 0.8)  # the grid that gaps are bridged on has so many nodes a cubic metre
 
 
 def body(size: tuple[float, float, float] = SIZE, at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
@@ -116,18 +117,18 @@ def test_pieces_that_touch_in_an_edge_are_closed() -> None:
     assert signed_distance(mesh, points) == pytest.approx(np.minimum(*distances), abs=1e-9)
 
 
-def panels(gap_m: float) -> trimesh.Trimesh:
-    """The box as six sheets that end short of its edges, three of them facing inwards, around a seat."""
+def panels(gap_m: float, box: tuple[float, float, float] = SIZE) -> trimesh.Trimesh:
+    """A box as six sheets that end short of its edges, three of them facing inwards, around a seat."""
     sheets = []
     for axis in range(3):
         for side in (-0.5, 0.5):
-            size = np.array(SIZE) - gap_m
+            size = np.array(box) - gap_m
             size[axis] = 0.0
             corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2.0
             vertices = np.zeros((4, 3))
             vertices[:, [i for i in range(3) if i != axis]] = corners
             vertices = vertices * size
-            vertices[:, axis] = side * SIZE[axis]
+            vertices[:, axis] = side * box[axis]
             sheets.append(trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], process=False))
     seat = trimesh.Trimesh([[0, -0.5, -0.4], [0, 0.5, -0.4], [0, 0.5, 0.3]], [[0, 1, 2]], process=False)
     return trimesh.util.concatenate([*sheets, seat])
@@ -150,7 +151,7 @@ def test_sheets_with_gaps_around_a_seat_are_wrapped_where_they_stand() -> None:
 
 
 def test_wider_gaps_take_a_wider_seal() -> None:
-    _, report = repaired(panels(0.20), "panels")
+    _, report = repaired(panels(0.20, (2.0, 1.2, 1.0)), "panels")
     assert report.seal_m == 0.20
     assert "gaps up to 20 cm bridged" in str(report)
 
@@ -169,8 +170,8 @@ def test_overlapping_solids_become_their_union() -> None:
 @pytest.mark.parametrize(
     "mesh",
     [
-        without_faces(body().subdivide(), facing(body().subdivide(), (1, 0, 0))),
-        trimesh.Trimesh([[0, 0, 0], [4, 0, 0.5], [4, 2, 0], [0, 2, 0.5]], [[0, 1, 2], [0, 2, 3]], process=False),
+        without_faces(body(SMALL).subdivide(), facing(body(SMALL).subdivide(), (1, 0, 0))),
+        trimesh.Trimesh([[0, 0, 0], [2, 0, 0.5], [2, 1, 0], [0, 1, 0.5]], [[0, 1, 2], [0, 2, 3]], process=False),
     ],
     ids=["box without its nose", "bent sheet"],
 )

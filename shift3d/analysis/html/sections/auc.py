@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Section, Terms, folded
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.auc import auc_table, plausible_sentence
+from shift3d.analysis.tables.auc import auc_table, natural_sentence
 from shift3d.analysis.tables.paper import paper_table
-from shift3d.analysis.tables.shapes import plausible_table
+from shift3d.analysis.tables.shapes import natural_table
 from shift3d.analysis.variants import Variant
-from shift3d.vehicles.outline import CAR_RULE
+from shift3d.naturalness.calibration import NATURAL_RULE
 
 __all__ = ["auc", "auc_blocks"]
 
@@ -21,8 +21,8 @@ _MEANINGS = {
     "interval": "95 %, BCa bootstrap, whole scenes redrawn; with fewer than about 20 scenes it is too narrow",
     "mean": "mean of the vehicles' AUCs; for the paper's rows it is computed here, over the vehicles shown",
     "of baseline": "mean over the baseline's mean; interval: 95 %, scenes redrawn with both of them",
-    "plausible": f"only tasks whose adversarial shape is {CAR_RULE}, and the baseline of the same tasks: a coarse "
-    "measure, which some broken shapes pass",
+    "natural": f"only tasks whose adversarial shape is {NATURAL_RULE}, and the baseline of the same tasks"
+    "; see docs/why/naturalness.md",
     "lambda": "shape results are those of the weight that the paper's rule chose for each vehicle",
 }
 
@@ -34,17 +34,17 @@ def auc(sweep: Sweep, found: Sequence[Variant]) -> Section:
         return Section("auc", title, [Paragraph("No task has a score.", "missing")])
     lead = Paragraph("Lower means that the detector misses more of these vehicles.")
     parts = [(f"AUC: {variant.label}", auc_blocks(variant)) for variant in found]
-    by_lambda = plausible_table(sweep.scores, sweep.shapes)
-    folds: list[Block] = [Fold("Plausible shapes by lambda", [by_lambda])] if by_lambda else []
+    by_lambda = natural_table(sweep.scores)
+    folds: list[Block] = [Fold("Natural shapes by lambda", [by_lambda])] if by_lambda else []
     folds.append(Fold("What the rows and columns mean", [Terms(_MEANINGS)]))
     return Section("auc", title, [lead, *folded(parts, _SHOWN), *folds])
 
 
 def auc_blocks(variant: Variant) -> list[Block]:
-    """The table in full, and how many shapes are plausible."""
+    """The table in full, and how many shapes are natural."""
     blocks: list[Block] = [auc_table(variant, in_full=True)]
-    if plausible := plausible_sentence(variant):
-        blocks.append(Paragraph(plausible))
+    if natural := natural_sentence(variant):
+        blocks.append(Paragraph(natural))
     paper = paper_table(variant.mode, variant.detector, variant.scored_by)
     if not paper or not set(variant.vehicles) & {name for row in paper.aucs.by_method.values() for name in row}:
         blocks.append(Paragraph(f"The paper has no table of these vehicles for {variant.label}.", "missing"))

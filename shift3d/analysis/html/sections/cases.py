@@ -29,8 +29,8 @@ _TITLE = "The hard cases"
 
 def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> Section:
     """The section: the most harmful solutions rendered again. What cannot be loaded is named, not raised."""
-    implausible = sweep.implausible
-    chosen = hardest(sweep.scores, count, implausible)
+    unnatural = sweep.unnatural
+    chosen = hardest(sweep.scores, count, unnatural)
     if not chosen:
         nothing = "No score fell below its baseline's: there is no hard case to show."
         return Section("cases", _TITLE, [Paragraph(nothing, "missing")])
@@ -43,21 +43,21 @@ def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> Section:
             parts.append(Paragraph(text, "missing"))
     lead = (
         f"The {len(chosen)} solutions whose score fell furthest below the baseline's of the same task, other vehicles "
-        f"and scenes first.{_left_out(implausible, chosen)} Drag a vehicle to turn both."
+        f"and scenes first.{_left_out(unnatural, chosen)} Drag a vehicle to turn both."
     )
     return Section(
         "cases", _TITLE, [Paragraph(lead), *parts, Fold("How the meshes are measured", [Terms(DEFINITIONS)])]
     )
 
 
-def _left_out(implausible: set[str], chosen: list[Case]) -> str:
-    """What became of the implausible shapes."""
-    shown = sum(case.task_id in implausible for case in chosen)
-    if not implausible:
+def _left_out(unnatural: set[str], chosen: list[Case]) -> str:
+    """What became of the unnatural shapes."""
+    shown = sum(case.task_id in unnatural for case in chosen)
+    if not unnatural:
         return ""
     if not shown:
-        return f" Implausible shapes ({counted(len(implausible), 'task')}) are left out: they are easy to miss."
-    return f" The last {shown} are implausible as cars: there are not enough others."
+        return f" Unnatural shapes ({counted(len(unnatural), 'task')}) are left out: they are easy to miss."
+    return f" The last {shown} are unnatural: there are not enough others."
 
 
 def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:

@@ -25,17 +25,16 @@ def gallery(sweep: Sweep, loaded: Loaded, count: int = _COUNT) -> Section:
     """The section: a tile a task, whatever became of it. What cannot be drawn is named, not raised."""
     positions = random_positions(len(sweep.plan.tasks), count, sweep.plan.spec_hash)
     scored = {case.task_id: case for case in falls(sweep.scores)}
-    implausible, measured = sweep.implausible, set(sweep.shapes["task_id"])
     tiles = []
     for position in positions:
         task = sweep.plan.tasks[position]
         case = scored.get(task.spec.task_id)
-        rating = "" if task.spec.task_id not in measured else "plausible"
-        rating = "implausible" if task.spec.task_id in implausible else rating
+        natural = sweep.verdicts.get(task.spec.task_id)
+        rating = "" if natural is None else "natural" if natural else "unnatural"
         tiles.append(_tile(sweep, task, case, rating, loaded))
     all_of_them = len(positions) == len(sweep.plan.tasks)
     which = f"All {len(positions)} tasks" if all_of_them else f"{len(positions)} of the {len(sweep.plan.tasks)} tasks"
-    how = "" if all_of_them else ", drawn at random, each as likely as any other: failures and implausible shapes too"
+    how = "" if all_of_them else ", drawn at random, each as likely as any other: failures and unnatural shapes too"
     lead = (
         f"{which}{how}. To the left the baseline, to the right what the attack found, as the sensor sees them; below, "
         "the scores of both before the attacked detector."

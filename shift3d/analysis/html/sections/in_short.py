@@ -1,11 +1,11 @@
-"""The result in a sentence or two: how far the AUC falls, and how many of the shapes are plausible."""
+"""The result in a sentence or two: how far the AUC falls, and how many of the shapes are natural."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, Section
-from shift3d.analysis.tables.auc import plausible_rows, ratio_texts
+from shift3d.analysis.tables.auc import natural_rows, ratio_texts
 from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.variants import Variant, aucs_of_scores
 from shift3d.wording import counted
@@ -34,7 +34,7 @@ def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str 
 
 
 def headline(variant: Variant) -> str:
-    """The fall of the mean AUC, its ratio, the paper's, and in the same sentence how many shapes are implausible."""
+    """The fall of the mean AUC, its ratio, the paper's, and in the same sentence how many shapes are unnatural."""
     vehicles = variant.vehicles
     before, after = (variant.aucs.mean(method, vehicles) for method in ("baseline", "adversarial"))
     if before is None or after is None:
@@ -45,7 +45,7 @@ def headline(variant: Variant) -> str:
     counts = f"{counted(len(vehicles), 'vehicle')} in {counted(rows['place'].nunique(), 'scene')}"
     return (
         f"{variant.title}: the mean AUC of {counts} {'falls' if after < before else 'goes'} from {before:.3f} to "
-        f"{after:.3f}, a ratio of {ratio}{f' (paper: {paper:.2f})' if paper else ''}{_plausibility(variant)}."
+        f"{after:.3f}, a ratio of {ratio}{f' (paper: {paper:.2f})' if paper else ''}{_naturalness(variant)}."
     )
 
 
@@ -54,18 +54,18 @@ def _papers_ratio(variant: Variant) -> float | None:
     return paper.aucs.of_baseline("adversarial", variant.vehicles) if paper else None
 
 
-def _plausibility(variant: Variant) -> str:
-    """How many of the shapes are implausible, and the ratio over the others."""
-    if variant.mode != "shape":
+def _naturalness(variant: Variant) -> str:
+    """How many of the shapes are unnatural, and the ratio over the others."""
+    if variant.mode == "pose":
         return ""
     tasks = variant.rows.drop_duplicates("task_id")
-    measured = tasks[tasks["plausible"].notna()] if "plausible" in tasks else tasks.iloc[:0]
+    measured = tasks[tasks["natural"].notna()] if "natural" in tasks else tasks.iloc[:0]
     if measured.empty:
-        return "; how many of the shapes are implausible was not measured"
-    implausible = int(measured["plausible"].eq(False).sum())
-    text = f", but {implausible} of {counted(len(measured), 'shape')} {'is' if implausible == 1 else 'are'} implausible"
-    left = len(measured) - implausible
-    if not implausible:
-        return f", and all {counted(len(measured), 'shape')} are plausible"
-    ratio = aucs_of_scores(plausible_rows(variant)).of_baseline("adversarial", variant.vehicles) if left else None
-    return text + (f" (ratio over the {left} plausible: {ratio:.2f})" if ratio is not None else "")
+        return "; how many of the shapes are unnatural was not measured"
+    unnatural = int(measured["natural"].eq(False).sum())
+    text = f", but {unnatural} of {counted(len(measured), 'shape')} {'is' if unnatural == 1 else 'are'} unnatural"
+    left = len(measured) - unnatural
+    if not unnatural:
+        return f", and all {counted(len(measured), 'shape')} are natural"
+    ratio = aucs_of_scores(natural_rows(variant)).of_baseline("adversarial", variant.vehicles) if left else None
+    return text + (f" (ratio over the {left} natural: {ratio:.2f})" if ratio is not None else "")

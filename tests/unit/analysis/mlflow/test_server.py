@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -24,16 +25,21 @@ from shift3d.cli.main import main
 from shift3d.errors import InputError
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-UI = [sys.executable, "-m", "shift3d", "ui", "--port", "0"]
+# What the tests' own process ignores, as SIGHUP under nohup, its children would ignore too.
+UI = ["env", "--default-signal=HUP,INT,TERM", sys.executable, "-m", "shift3d", "ui", "--port", "0"]
+SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGKILL)
+Server = tuple[subprocess.Popen[str], str]
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> str:
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The address of a store with one run, and the run. Servers read it."""
     from mlflow import MlflowClient
 
-    uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
+    folder = tmp_path_factory.mktemp("store")
+    uri = f"sqlite:///{folder / 'mlflow.db'}"
     client = MlflowClient(uri)
-    experiment = client.create_experiment("shift3d", artifact_location=str(tmp_path / "files"))
+    experiment = client.create_experiment("shift3d", artifact_location=str(folder / "files"))
     run = client.create_run(experiment)
     client.log_text(run.info.run_id, "mode,auc\n", "auc.csv")
     client.log_metric(run.info.run_id, "auc/shape/mean/adversarial", 0.375)
@@ -41,13 +47,11 @@ def store(tmp_path: Path) -> str:
     return f"{uri} {run.info.run_id}"
 
 
-@pytest.fixture
-def server(tmp_path: Path, store: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+@contextlib.contextmanager
+def serving(folder: Path, store: str) -> Iterator[Server]:
     """(the process, its address), in a session of its own and answering."""
-    uri = store.split()[0]
-    began = subprocess.Popen(
-        [*UI, "--uri", uri], cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
-    )
+    command = [*UI, "--uri", store.split()[0]]
+    began = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True, start_new_session=True)
     assert began.stdout
     (address,) = re.findall(rf"http://{HOST}:\d+", began.stdout.readline())
     assert urllib.request.urlopen(f"{address}/health", timeout=120).status == 200
@@ -56,6 +60,13 @@ def server(tmp_path: Path, store: str) -> Iterator[tuple[subprocess.Popen[str], 
         os.kill(pid, signal.SIGKILL)
     began.wait()
     began.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory, store: str) -> Iterator[Server]:
+    """One that several tests read and none ends."""
+    with serving(tmp_path_factory.mktemp("server"), store) as found:
+        yield found
 
 
 def session(pid: int) -> list[int]:
@@ -71,23 +82,21 @@ def session(pid: int) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGKILL], ids=lambda n: n.name)
-def test_a_signal_ends_all_of_it(server: tuple[subprocess.Popen[str], str], number: signal.Signals) -> None:
-    process, address = server
-    process.send_signal(number)
-    process.wait(10)
-    deadline = time.monotonic() + 5
-    while left := session(process.pid):
-        assert time.monotonic() < deadline, f"{len(left)} processes are left"
-        time.sleep(0.1)
-    with pytest.raises(urllib.error.URLError):
-        urllib.request.urlopen(address, timeout=5)
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
+def test_a_signal_ends_all_of_it(tmp_path: Path, store: str, number: signal.Signals) -> None:
+    with serving(tmp_path, store) as (process, address):
+        process.send_signal(number)
+        process.wait(10)
+        deadline = time.monotonic() + 5
+        while left := session(process.pid):
+            assert time.monotonic() < deadline, f"{len(left)} processes are left"
+            time.sleep(0.1)
+        with pytest.raises(urllib.error.URLError):
+            urllib.request.urlopen(address, timeout=5)
     assert process.returncode == (0 if number == signal.SIGINT else -number)
 
 
-def test_it_is_one_process_that_serves_the_page_and_files_of_runs(
-    server: tuple[subprocess.Popen[str], str], store: str
-) -> None:
+def test_it_is_one_process_that_serves_the_page_and_files_of_runs(server: Server, store: str) -> None:
     process, address = server
     assert session(process.pid) == [process.pid]
     assert b"<html" in urllib.request.urlopen(address, timeout=30).read()
@@ -99,7 +108,7 @@ def test_it_is_one_process_that_serves_the_page_and_files_of_runs(
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)")
-def test_the_list_of_runs_that_it_names_has_auc_columns(server: tuple[subprocess.Popen[str], str]) -> None:
+def test_the_list_of_runs_that_it_names_has_auc_columns(server: Server) -> None:
     process, address = server
     assert process.stdout
     (link,) = re.findall(r"http://\S+", process.stdout.readline())

@@ -1,4 +1,4 @@
-"""AUC over plausible shapes, the ratio's interval, and the grid of other scenes."""
+"""AUC over natural shapes, the ratio's interval, and the grid of other scenes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import ratio_interval
 from shift3d.analysis.tables.auc import auc_table
 from shift3d.analysis.tables.paper import paper_table
-from shift3d.analysis.tables.shapes import plausible_table
+from shift3d.analysis.tables.shapes import natural_table
 from shift3d.analysis.variants import variants
 from shift3d.store.log import read_log
 from shift3d.store.tables import table_from_rows
@@ -59,49 +59,51 @@ def test_the_interval_holds_the_ratio_about_as_often_as_it_says() -> None:
     assert 0.89 <= held / times <= 0.99
 
 
-def shapes_and_scores() -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Four tasks; two shapes are still cars and fall from 0.8 to 0.6, two are not and fall to 0."""
-    shapes, scores = [], []
+def judged_scores(natural: list[bool]) -> pd.DataFrame:
+    """Four tasks; the first two fall from 0.8 to 0.6, the others to 0."""
+    scores = []
     for number in range(4):
         task = {"task_id": f"t{number}", "vehicle": "suv", "detector": "p", "alpha": 0.01, "lambda": 1.0}
-        shapes.append(task | {"still_a_car": number < 2})
+        task |= {"mode": "shape", "natural": natural[number]}
         for method, score in (("baseline", 0.8), ("adversarial", 0.6 if number < 2 else 0.0)):
             scores.append(task | {"method": method, "score": score, "scored_by": "p", "replicate": 0})
-    return pd.DataFrame(shapes), pd.DataFrame(scores)
+    return pd.DataFrame(scores)
 
 
-def last_line(scores: pd.DataFrame, shapes: pd.DataFrame) -> list[str]:
-    return str(plausible_table(scores, shapes)).splitlines()[-1].split()
+def last_line(scores: pd.DataFrame) -> list[str]:
+    return str(natural_table(scores)).splitlines()[-1].split()
 
 
-def test_plausible_shapes_by_lambda() -> None:
-    shapes, scores = shapes_and_scores()
-    line = last_line(scores, shapes)
+def test_natural_shapes_by_lambda() -> None:
+    scores = judged_scores([True, True, False, False])
+    line = last_line(scores)
     assert line[-9:] == ["2", "of", "4", "0.800", "0.300", "0.37", "0.800", "0.600", "0.75"]
-    assert plausible_table(scores, shapes.iloc[:0]) is None
-    assert last_line(scores, shapes.assign(still_a_car=False))[-3:] == ["-", "-", "-"]
+    assert natural_table(scores.assign(natural=None)) is None, "an older program measured none"
+    assert natural_table(scores.assign(mode="pose")) is None
+    assert last_line(scores.assign(natural=False))[-3:] == ["-", "-", "-"]
+    lost = scores[~(scores["task_id"].eq("t0") & scores["method"].eq("baseline"))]
+    assert last_line(lost)[-9:-6] == ["1", "of", "3"], "both of a pair or none"
 
 
 def test_means_are_those_of_the_vehicles_as_in_the_table_of_aucs() -> None:
     """A suv that falls from 0.8 to 0.6 twice, and a coupe once from 0.4 to 0.1."""
-    shapes, scores = shapes_and_scores()
-    shapes["still_a_car"] = [True, True, True, False]
+    scores = judged_scores([True, True, True, False])
     coupe = scores["task_id"].eq("t2")
     scores.loc[coupe, "score"] = np.where(scores.loc[coupe, "method"] == "baseline", 0.4, 0.1)
-    shapes.loc[shapes["task_id"] == "t2", "vehicle"] = scores.loc[coupe, "vehicle"] = "coupe"
-    assert last_line(scores, shapes)[-3:] == ["0.600", "0.350", "0.58"]
+    scores.loc[coupe, "vehicle"] = "coupe"
+    assert last_line(scores)[-3:] == ["0.600", "0.350", "0.58"]
 
 
-def test_auc_over_plausible_shapes_stands_beside_that_over_all() -> None:
+def test_auc_over_natural_shapes_stands_beside_that_over_all() -> None:
     scores = {("baseline", "suv"): [0.8] * 4, ("adversarial", "suv"): [0.6, 0.6, 0.0, 0.0]}
-    found = variant(scores, plausible={f"suv-{number}": number < 2 for number in range(4)})
+    found = variant(scores, natural={f"suv-{number}": number < 2 for number in range(4)})
     shown = blocks_html(auc_blocks(found))
-    assert "adversarial, plausible shapes" in shown and "2 of 4 adversarial shapes (suv 2 of 4)" in shown
+    assert "adversarial, natural shapes" in shown and "2 of 4 adversarial shapes (suv 2 of 4)" in shown
     assert "<td>0.300<small>" in shown and "<td>0.600" in shown and "<td>0.75</td>" in shown
     printed = str(auc_table(found)).splitlines()
     assert printed[-2].split()[-3:] == ["0.600", "0.600", "0.75"]
-    unknown = dataclasses.replace(found, rows=found.rows.assign(plausible=None))
-    assert "plausible shapes" not in blocks_html(auc_blocks(unknown))
+    unknown = dataclasses.replace(found, rows=found.rows.assign(natural=None))
+    assert "natural shapes" not in blocks_html(auc_blocks(unknown))
 
 
 def test_the_papers_sst_stands_beside_the_small_one() -> None:

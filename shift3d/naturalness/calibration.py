@@ -1,0 +1,59 @@
+"""What is usual in a reference set: how far its members lie from each other, each left out in turn."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FEWEST", "NATURAL_PERCENTILE", "NATURAL_RULE", "Calibration"]
+
+NATURAL_PERCENTILE = 95.0
+"""Of the members left out 95 in 100 are natural by this measure, and 5 are not."""
+NATURAL_RULE = (
+    f"within the {NATURAL_PERCENTILE:g}th percentile of the distances between members of the reference set, and of a "
+    "published vehicle's sizes"
+)
+"""What natural means, for tables."""
+FEWEST = 20
+"""Members that a calibration needs: with fewer, the 95th percentile is the farthest of them all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Distances of left-out members to the nearest other member: mean_cm (K,), p95_cm (K,), see `Nearest`."""
+
+    mean_cm: NDArray[np.float64]
+    p95_cm: NDArray[np.float64]
+
+    def percentile(self, mean_cm: float, p95_cm: float) -> float:
+        """Share of left-out members that lie nearer than a shape, in per cent: 0 is nearer than all, 100 farther.
+
+        A shape lies as far as the worse of its two ranks among the members says: by the mean, which a body of other
+        proportions raises, and by the 95th percentile, which a part of another form raises. Members are compared by
+        the same worse rank, so that 95 in 100 of them lie within the 95th percentile.
+        NaN gives 100: what cannot be measured is farther than all.
+        Source: our choice.
+        """
+        standing = max(_rank(self._means, mean_cm), _rank(self._p95s, p95_cm))
+        return 100.0 * _rank(self._standings, standing)
+
+    @functools.cached_property
+    def _means(self) -> NDArray[np.float64]:
+        return np.sort(self.mean_cm)
+
+    @functools.cached_property
+    def _p95s(self) -> NDArray[np.float64]:
+        return np.sort(self.p95_cm)
+
+    @functools.cached_property
+    def _standings(self) -> NDArray[np.float64]:
+        each = zip(self.mean_cm, self.p95_cm)
+        return np.sort([max(_rank(self._means, mean), _rank(self._p95s, p95)) for mean, p95 in each])
+
+
+def _rank(ordered: NDArray[np.float64], value: float) -> float:
+    """Share of ascending values that are smaller; of NaN, all."""
+    return float(np.searchsorted(ordered, value, side="left")) / len(ordered)

@@ -1,0 +1,112 @@
+"""How natural a shape is: how far from the nearest vehicle, how usual that is among vehicles, and its sizes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from shift3d.errors import InputError
+from shift3d.naturalness.calibration import NATURAL_PERCENTILE
+from shift3d.naturalness.reference import Nearest, ReferenceSet
+from shift3d.naturalness.sizes import Sizes, sizes_of
+from shift3d.naturalness.surface import Surface, surface_of_mesh, surface_of_points
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+    from torch import Tensor
+
+    from shift3d.sdf.decoder import Decoder
+    from shift3d.sdf.deepsdf_network import DeepSdfNetwork
+    from shift3d.vehicles.vehicle import Vehicle
+
+__all__ = ["NO_SURFACE", "Naturalness", "NaturalnessMeasure"]
+
+
+@dataclass(frozen=True)
+class NaturalnessMeasure:
+    """What is measured of one shape; nearest and sizes are None for a code without a surface.
+
+    percentile: share of the reference's left-out members that lie nearer than the shape, see `Calibration.percentile`.
+    largest_piece: share of the surface that hangs together; None where points alone are known.
+    """
+
+    nearest: Nearest | None
+    sizes: Sizes | None
+    percentile: float
+    largest_piece: float | None = None
+
+    @property
+    def out_of_range(self) -> tuple[str, ...]:
+        """Names of the sizes that no published vehicle has."""
+        return () if self.sizes is None else self.sizes.out_of_range()
+
+    @property
+    def natural(self) -> bool:
+        """Within the reference's 95th percentile, and of a vehicle's sizes."""
+        return self.within(NATURAL_PERCENTILE)
+
+    def within(self, percentile: float) -> bool:
+        """Whether the shape lies within a percentile, and has a vehicle's sizes."""
+        return self.sizes is not None and self.percentile <= percentile and not self.out_of_range
+
+
+NO_SURFACE = NaturalnessMeasure(None, None, 100.0, 0.0)
+"""What a code without a surface has."""
+
+
+class Naturalness:
+    """Measures shapes against a reference set. Nothing here is differentiable."""
+
+    def __init__(self, reference: ReferenceSet) -> None:
+        self.reference = reference
+
+    def of(self, shape: trimesh.Trimesh | NDArray[np.floating] | Surface) -> NaturalnessMeasure:
+        """Measure a mesh, or points (N, 3) spread evenly over a surface: x forward, y left, z up, metres, anywhere.
+
+        Raises: InputError for what is no surface: no area, coordinates that are not finite, too few points.
+        Source: our choice.
+        """
+        if isinstance(shape, Surface):
+            surface = shape
+        else:
+            surface = surface_of_mesh(shape) if isinstance(shape, trimesh.Trimesh) else surface_of_points(shape)
+        piece = _largest_piece(shape) if isinstance(shape, trimesh.Trimesh) else None
+        nearest = self.reference.nearest(surface)
+        percentile = self.reference.calibration.percentile(nearest.mean_cm, nearest.p95_cm)
+        return NaturalnessMeasure(nearest, sizes_of(surface), percentile, piece)
+
+    def of_code(
+        self, vehicle: Vehicle, decoder: Decoder | DeepSdfNetwork, code: ArrayLike | Tensor
+    ) -> NaturalnessMeasure:
+        """Measure what a vehicle looks like under a code (d,); one without a surface, or not finite, is `NO_SURFACE`.
+
+        Raises: InputError for a code of another length than the vehicle's.
+        """
+        from shift3d.naturalness.decoded import decoded_mesh
+
+        values = np.asarray(code, np.float32).copy()
+        if values.shape != vehicle.latent_code.shape:
+            what = f"shape {values.shape}, and {vehicle.name}'s has {vehicle.latent_code.shape}"
+            raise InputError(what, where="latent code", remedy="Give a code of the same decoder")
+        if not np.isfinite(values).all():
+            return NO_SURFACE
+        try:
+            return self.of(decoded_mesh(vehicle, decoder, values))
+        except InputError:
+            return NO_SURFACE
+
+
+def _largest_piece(mesh: trimesh.Trimesh) -> float:
+    """Share of the area in the largest connected piece."""
+    faces = np.asarray(mesh.faces)
+    edges = np.concatenate((faces[:, :2], faces[:, 1:]))
+    graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(len(mesh.vertices),) * 2)
+    piece = connected_components(graph, directed=False)[1][faces[:, 0]]
+    areas = np.bincount(piece, weights=mesh.area_faces)
+    return float(areas.max() / areas.sum())

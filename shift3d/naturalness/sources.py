@@ -1,0 +1,172 @@
+"""Where the members of a reference set come from: the wide family, mesh files, or the codes of a vehicle set."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from shift3d.errors import InputError
+
+# What builds members is imported late: a plan asks a source for its identity alone.
+if TYPE_CHECKING:
+    import trimesh
+
+    from shift3d.vehicles.mesh_frame import MeshFrame
+
+__all__ = ["MeshReference", "ReferenceSource", "SetReference", "WideReference", "reference_source", "source_hash"]
+
+Build = Callable[[], "tuple[str, trimesh.Trimesh]"]
+VERSION = 1
+"""Raised when the same settings come to mean other members."""
+
+
+class ReferenceSource(Protocol):
+    """What a reference set is made from."""
+
+    def identity(self) -> dict[str, Any]:
+        """Plain values that everything in the set depends on, contents of files included. Nothing is built."""
+        ...
+
+    def members(self) -> Sequence[Build]:
+        """One function a member, which can be sent to another process: its name and its mesh, metres, x forward, z up.
+
+        Raises: InputError for a folder that holds none.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class WideReference:
+    """The wide family, both sides of the split: every fourth member is a held-out one."""
+
+    members_count: int = 2000
+    seed: int = 11
+    resolution_m: float = 0.06
+
+    def identity(self) -> dict[str, Any]:
+        """See `ReferenceSource`."""
+        return {"kind": "wide", "members": self.members_count, "seed": self.seed, "resolution_m": self.resolution_m}
+
+    def members(self) -> Sequence[Build]:
+        """See `ReferenceSource`."""
+        return [
+            functools.partial(_wide_member, index, self.seed, self.resolution_m) for index in range(self.members_count)
+        ]
+
+
+def _wide_member(index: int, seed: int, resolution_m: float) -> tuple[str, trimesh.Trimesh]:
+    import numpy as np
+    import trimesh
+    from skimage.measure import marching_cubes
+
+    from shift3d.vehicles.family.solid import LEVELS_M
+    from shift3d.vehicles.family.wide import wide_field, wide_vehicle
+
+    held_out = index % 4 == 3
+    number = index // 4 if held_out else index - (index + 1) // 4
+    spec = wide_vehicle(number, seed, "held_out" if held_out else "seen")
+    # As `build_wide_mesh`, without what makes it one closed piece: that takes half of the time.
+    vertices, faces, _, _ = marching_cubes(wide_field(spec, resolution_m), LEVELS_M[0], spacing=(resolution_m,) * 3)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    sized = (vertices - low) * (np.array(spec.size_m) / (high - low))
+    return f"{spec.kind}-{number:05d}", trimesh.Trimesh(sized, faces, process=False)
+
+
+@dataclass(frozen=True)
+class MeshReference:
+    """Every mesh of a folder, as it is: holes are not closed, what is inside counts. frame: of the files."""
+
+    folder: str
+    frame: MeshFrame
+
+    def identity(self) -> dict[str, Any]:
+        """See `ReferenceSource`."""
+        from shift3d.vehicles.mesh_files import find_meshes
+
+        files = [[file.name, file.sha256()] for file in find_meshes(self.folder)]
+        return {"kind": "meshes", "frame": vars(self.frame), "files": files}
+
+    def members(self) -> Sequence[Build]:
+        """See `ReferenceSource`."""
+        from shift3d.vehicles.mesh_files import find_meshes
+
+        return [functools.partial(_read, file.name, file.path, self.frame) for file in find_meshes(self.folder)]
+
+
+def _read(name: str, path: Path, frame: MeshFrame) -> tuple[str, trimesh.Trimesh]:
+    from shift3d.vehicles.mesh_files import read_mesh
+
+    return name, frame.to_object(read_mesh(path), str(path))
+
+
+@dataclass(frozen=True)
+class SetReference:
+    """Every code that a vehicle set's decoder was trained on; folder None: the vehicles that ship."""
+
+    folder: str | None = None
+
+    def _files(self) -> tuple[Path, Path]:
+        from shift3d.vehicles.vehicle import DEFAULT_VEHICLES
+        from shift3d.vehicles.vehicle_set import DECODER_FILE, VEHICLES_FILE
+
+        folder = DEFAULT_VEHICLES.parent if self.folder is None else Path(self.folder).expanduser()
+        for name in (VEHICLES_FILE, DECODER_FILE):
+            if not (folder / name).is_file():
+                raise InputError(f"holds no {name}", where=str(folder), remedy="Give a folder that training wrote")
+        return folder / VEHICLES_FILE, folder / DECODER_FILE
+
+    def identity(self) -> dict[str, Any]:
+        """See `ReferenceSource`."""
+        return {"kind": "set", "files": [hashlib.sha256(file.read_bytes()).hexdigest() for file in self._files()]}
+
+    def members(self) -> Sequence[Build]:
+        """See `ReferenceSource`."""
+        from shift3d.vehicles.vehicle import family_vehicles
+
+        vehicles, decoder = self._files()
+        return [
+            functools.partial(_decoded, str(vehicles), str(decoder), index)
+            for index in range(len(family_vehicles(vehicles)))
+        ]
+
+
+def _decoded(vehicles: str, decoder: str, index: int) -> tuple[str, trimesh.Trimesh]:
+    from shift3d.naturalness.decoded import decoded_mesh
+
+    vehicle, network = _set_of(vehicles, decoder)
+    return vehicle[index].name, decoded_mesh(vehicle[index], network, vehicle[index].latent_code)
+
+
+@functools.lru_cache(maxsize=1)
+def _set_of(vehicles: str, decoder: str) -> tuple[Any, Any]:
+    from shift3d.sdf.decoder import load_decoder
+    from shift3d.vehicles.vehicle import family_vehicles
+
+    return family_vehicles(vehicles), load_decoder(decoder)
+
+
+def reference_source(values: Mapping[str, Any]) -> ReferenceSource:
+    """The source that plain settings describe: kind wide, meshes or set, and what belongs to it (`conf/naturalness`).
+
+    Raises: InputError for axes or a scale that cannot be used.
+    """
+    values = dict(values)
+    kind = values.pop("kind")
+    if kind == "wide":
+        return WideReference(values["members"])
+    if kind == "set":
+        return SetReference(values["folder"])
+    from shift3d.vehicles.mesh_frame import MeshFrame
+
+    return MeshReference(values.pop("folder"), MeshFrame(**values))
+
+
+def source_hash(source: ReferenceSource) -> str:
+    """128-bit BLAKE2b, hex, of what a reference set is made from."""
+    text = json.dumps([VERSION, source.identity()], sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -1,0 +1,151 @@
+"""Where reference sets come from, how they are kept, and which are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from vehicles_by_hand import Given, legged, on_legs
+
+from shift3d.errors import InputError
+from shift3d.naturalness.build import build_reference, load_reference, reference_file
+from shift3d.naturalness.measure import Naturalness
+from shift3d.naturalness.reference import read_reference
+from shift3d.naturalness.sources import MeshReference, SetReference, WideReference, reference_source, source_hash
+from shift3d.vehicles.family.split import SPLIT
+from shift3d.vehicles.mesh_frame import MeshFrame
+
+METRES = MeshFrame(forward="+x", up="+z", unit="m")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def folder_of(tmp_path: Path, count: int, scale: float = 1.0) -> str:
+    folder = tmp_path / f"meshes-{count}-{scale:g}"
+    folder.mkdir()
+    for number, length in enumerate(np.linspace(3.6, 5.5, count)):
+        mesh = on_legs(length_m=float(length))
+        mesh.apply_scale(scale)
+        mesh.export(folder / f"car_{number:02d}.ply")
+    return str(folder)
+
+
+def test_a_folder_of_meshes_is_a_reference_set(tmp_path: Path) -> None:
+    source = MeshReference(folder_of(tmp_path, 20), METRES)
+    found = load_reference(source, "here")
+    assert found.names[:2] == ("car_00", "car_01") and len(found.calibration.mean_cm) == 20
+    nearest = found.nearest(found.surface(7))
+    assert nearest.name == "car_07" and nearest.mean_cm < 1e-6
+
+
+def test_a_set_is_built_once_and_kept_in_one_file(tmp_path: Path) -> None:
+    source = MeshReference(folder_of(tmp_path, 20), METRES)
+    shape = on_legs(length_m=4.44)
+    before = Naturalness(load_reference(source, "here")).of(shape)
+    (kept,) = (tmp_path / "cache").rglob("*.safetensors")
+    assert kept == reference_file(source)
+    content = kept.read_bytes()
+    assert Naturalness(load_reference(source, "here")).of(shape) == before
+    kept.unlink()
+    load_reference(source, "here")
+    assert kept.read_bytes() == content, "the same bytes when it is made again"
+
+
+def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
+    source = MeshReference(folder_of(tmp_path, 20), METRES)
+    load_reference(source, "here")
+    kept = reference_file(source)
+    content = kept.read_bytes()
+    for damaged in (content[: len(content) // 2], b"", b"{}"):
+        kept.write_bytes(damaged)
+        with pytest.raises(InputError, match="no reference set can be read"):
+            read_reference(kept)
+        assert len(load_reference(source, "here")) == 20
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    found = load_reference(legged(np.linspace(3.6, 5.5, 20)), "here")
+    assert found.nearest(found.surface(3)).name == "member-3"
+
+
+def test_another_file_or_frame_is_another_set(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, 20)
+    one = source_hash(MeshReference(folder, METRES))
+    assert one == source_hash(MeshReference(folder, METRES))
+    assert one != source_hash(MeshReference(folder, MeshFrame(forward="-x", up="+z", unit="m")))
+    on_legs(0.25).export(Path(folder) / "car_00.ply")
+    assert one != source_hash(MeshReference(folder, METRES))
+    assert source_hash(WideReference(100)) != source_hash(WideReference(101))
+
+
+def test_the_wide_family_has_both_sides_and_the_shorter_set_begins_the_longer_one() -> None:
+    members, _ = build_reference(WideReference(24, resolution_m=0.15), "here")
+    seen = [SPLIT.is_seen(member.name.rpartition("-")[0]) for member in members]
+    assert seen == [index % 4 != 3 for index in range(24)]
+    assert len({member.name for member in members}) == 24
+    shorter, _ = build_reference(WideReference(20, resolution_m=0.15), "here")
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(shorter, members))
+
+
+def test_a_set_of_codes_is_a_reference_set() -> None:
+    members = SetReference().members()
+    name, mesh = members[4]()
+    assert len(members) == 270 and name.endswith("_4")
+    assert 3.0 < mesh.extents[0] < 6.5
+
+
+def test_settings_name_a_source() -> None:
+    assert reference_source({"kind": "wide", "members": 50}) == WideReference(50)
+    assert reference_source({"kind": "set", "folder": None}) == SetReference()
+    frame = {"forward": "-z", "up": "+y", "unit": None, "length_m": 4.5}
+    assert reference_source({"kind": "meshes", "folder": "f", **frame}) == MeshReference("f", MeshFrame(**frame))
+
+
+def test_another_unit_is_refused_with_the_one_that_fits(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, 20, scale=100.0)
+    with pytest.raises(InputError, match="Give unit=cm") as failure:
+        build_reference(MeshReference(folder, METRES), "naturalness")
+    assert "car_00.ply" in failure.value.where
+    build_reference(MeshReference(folder, MeshFrame(forward="+x", up="+z", unit="cm")), "naturalness")
+
+
+def test_sizes_that_no_vehicle_has_are_refused_whatever_the_unit(tmp_path: Path) -> None:
+    """Limousines that are given the length of a car, and cars of 2.2 m: within a reader's limits, no vehicles."""
+    for scale in ((1.0, 0.5, 1.0), (0.55, 0.55, 0.55)):
+        meshes = []
+        for mesh in legged(np.linspace(3.6, 5.5, 20)).meshes:
+            mesh.apply_scale(scale)
+            meshes.append(mesh)
+        with pytest.raises(InputError, match="20 of 20 members have sizes that no vehicle has") as failure:
+            build_reference(Given(tuple(meshes)), "naturalness")
+        assert "length" in failure.value.remedy
+
+
+def test_too_few_members_for_a_percentile_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"19 members.*20 vehicles or more"):
+        build_reference(MeshReference(folder_of(tmp_path, 19), METRES), "naturalness")
+
+
+def test_an_empty_or_missing_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for folder, what in (("empty", "no meshes"), ("none", "no such")):
+        with pytest.raises(InputError, match=what):
+            source_hash(MeshReference(str(tmp_path / folder), METRES))
+        with pytest.raises(InputError, match=r"holds no vehicles\.safetensors"):
+            source_hash(SetReference(str(tmp_path / folder)))
+
+
+def test_a_mesh_that_is_no_vehicle_is_refused_by_name(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, 20)
+    flat = trimesh.Trimesh([[0, 0, 0], [4, 0, 0], [4, 2, 0]], [[0, 1, 2]], process=False)
+    flat.export(Path(folder) / "car_03.ply")
+    with pytest.raises(InputError, match="flat") as failure:
+        build_reference(MeshReference(folder, METRES), "naturalness")
+    assert "car_03.ply" in failure.value.where

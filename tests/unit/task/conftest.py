@@ -1,0 +1,31 @@
+"""What a worker holds, loaded once, and the tasks that were run on it: tests only read them."""
+
+from __future__ import annotations
+
+import pytest
+from short_tasks import STREET, THERE, make_spec
+
+from shift3d.task.assets import Assets, load_assets
+from shift3d.task.run import run_task
+from shift3d.task.spec import AssetsSpec, TaskResult, TransferScene
+
+
+@pytest.fixture(scope="session")
+def assets() -> Assets:
+    return load_assets(AssetsSpec(scenes=STREET))
+
+
+@pytest.fixture(scope="session")
+def shape(assets: Assets) -> TaskResult:
+    return run_task(make_spec(), assets)
+
+
+@pytest.fixture(scope="session")
+def pose(assets: Assets) -> TaskResult:
+    return run_task(make_spec("pose"), assets)
+
+
+@pytest.fixture(scope="session")
+def moved(assets: Assets) -> TaskResult:
+    """The shape task, and what it found put into another scene."""
+    return run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),)), assets)

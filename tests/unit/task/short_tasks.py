@@ -1,0 +1,34 @@
+"""The real task that tests of this room share: shipped weights, a procedural street, a short search."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.schema import AccuracyConfig
+from shift3d.task.spec import AttackSpec, TaskResult, TaskSpec
+
+STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 2}
+HERE, THERE = "street-test-hdl64-000000", "street-test-hdl64-000001"
+SHORT = AttackSpec(steps=3, noise_replicates=2)
+
+
+def make_spec(mode: str = "shape", **changes: object) -> TaskSpec:
+    accuracy = accuracy_settings(AccuracyConfig(name="standard", render={}))
+    spec = TaskSpec(
+        vehicle="suv",
+        scene=HERE,
+        dataset="street-hdl64",
+        mode=mode,  # type: ignore[arg-type]
+        lambda_=1.0,
+        alpha=0.01,
+        detector="pointpillars",
+        accuracy="standard",
+        accuracy_settings=accuracy,
+        attack=SHORT,
+    )
+    return dataclasses.replace(spec, **changes)  # type: ignore[arg-type]
+
+
+def by_method(result: TaskResult, method: str) -> list[dict]:
+    return [row for row in result.scores if row["method"] == method]

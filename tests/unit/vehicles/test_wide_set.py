@@ -1,0 +1,67 @@
+"""The vehicles that ship with a parametric decoder: what their codes are made of, and how well it draws them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from shift3d.attack.space import parameter_space
+from shift3d.errors import InputError
+from shift3d.sdf.meshes import extract_mesh
+from shift3d.vehicles.family.split import SPLIT
+from shift3d.vehicles.names import WIDE
+from shift3d.vehicles.sources import VehicleSet, set_folder, space_hash
+
+
+@pytest.fixture(scope="module")
+def wide() -> VehicleSet:
+    return VehicleSet(WIDE)
+
+
+def test_every_body_type_and_both_sides_of_the_split_are_there(wide: VehicleSet) -> None:
+    kinds = {part for name in wide.names() for part in name.split("_with_")}
+    assert set(SPLIT.types("seen")) | set(SPLIT.types("held_out")) <= kinds
+    assert {"roof_box", "tail_bicycles", "open_tailgate", "lifted", "dented", "missing_panels"} <= kinds
+
+
+def test_vehicles_that_were_never_trained_on_are_drawn_without_a_fit() -> None:
+    facts = json.loads((set_folder(WIDE) / "sdf.json").read_text())
+    unseen_cm = list(facts["unseen_chamfer_cm"].values())
+    assert len(unseen_cm) >= 20
+    assert np.median(unseen_cm) < 1.0 and max(unseen_cm) < 4.0
+    assert np.median(list(facts["chamfer_cm"].values())) < 1.0
+
+
+@pytest.mark.parametrize("name", ["sedan", "camper"])
+def test_a_draw_of_the_parameters_is_one_body_of_the_kinds_size(wide: VehicleSet, name: str) -> None:
+    vehicle, box = wide.vehicle(name), wide.parameters(name)
+    space = parameter_space(torch.from_numpy(vehicle.latent_code), box)
+    column = {parameter: index for index, parameter in enumerate(box.names)}
+    for seed in (3,):
+        u = space.draw(np.random.default_rng(seed), 0.0)
+        mesh = extract_mesh(wide.decoder().field(space.code(u)), 65)
+        parts = mesh.split(only_watertight=False)
+        assert max(part.area for part in parts) > 0.99 * mesh.area
+        length_m = float(np.ptp(mesh.vertices[:, 0])) * vehicle.scale_m
+        assert length_m == pytest.approx(vehicle.size_m[0], rel=0.25)
+    heights = []
+    for end in (-1.0, 1.0):
+        u = space.start.clone()
+        u[column["chassis.height_m"]] = end
+        heights.append(float(np.ptp(extract_mesh(wide.decoder().field(space.code(u)), 65).vertices[:, 2])))
+    assert (heights[1] - heights[0]) * vehicle.scale_m > 0.02
+
+
+def test_the_hash_of_a_space_tells_what_bounds_a_search(wide: VehicleSet) -> None:
+    assert space_hash(wide, "sedan", "free") == ""
+    hashes = {space_hash(wide, name, "parameters") for name in ("sedan", "suv")} | {space_hash(wide, "sedan", "pca")}
+    assert len(hashes) == 3
+    assert space_hash(VehicleSet(WIDE), "sedan", "parameters") in hashes
+
+
+def test_vehicles_of_codes_alone_have_no_parameters() -> None:
+    with pytest.raises(InputError, match=r"'suv' is made of no parameters\. Give attack\.space=pca or free"):
+        VehicleSet().parameters("suv")
