@@ -112,7 +112,7 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     are there, it scores only what it is asked to.
 
     Raises:
-        InputError: weights of a detector that was asked for are missing.
+        InputError: weights of a detector that was asked for are missing, or the user's own is none.
     """
     weights = config.weights_by_name()
     others: list[str] = list(config.scored_by or ())
@@ -122,6 +122,12 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     names = list(dict.fromkeys([config.name, *others]))
     for name in names:
         detector_hash(name, weights.get(name), config.module)
+    if OWN in names:
+        from shift3d.detectors.loading import detector_of
+
+        detector_of(
+            OWN, weights.get(OWN), config.module, "float32"
+        )  # what is wrong with it is said before anything runs
     return {name: weights.get(name) for name in names}
 
 
