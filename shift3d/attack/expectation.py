@@ -42,27 +42,38 @@ def descend_expectation(
         rate: Adam's, in the variable's units, falling to a tenth.
         rng: of the placements and the further starts.
         placements: that the mean is taken over, the object's own among them; drawn anew for every step.
-        starts: the baseline, then draws from the space; each gets an equal share of the evaluations.
-    Returns: the valid step with the lowest mean loss of all starts.
+        starts: the baseline, then draws from the space, an evaluation each; the descent begins at the best of them.
+    Returns: the valid step with the lowest loss of all: of a draw its own, of a step of the descent the mean.
     Source: expectation over transformation (Athalye et al. 2018) with Adam (Kingma and Ba 2015); our choice.
     """
     trials = Trials(problem, search, on_step)
-    steps = max(1, evaluations // (starts * placements))
-    diverged = False
-    for start in range(starts):
-        variable = search.start.detach() if start == 0 else search.project(search.draw(rng, START_DISTANCE))
-        mean, square = torch.zeros_like(variable, dtype=torch.float64), torch.zeros_like(variable, dtype=torch.float64)
-        for step in range(steps + 1 if start == 0 else steps):
-            shifts = [_shift(rng) for _ in range(placements - 1)]
-            gradient = trials.evaluate(variable, True, shifts)
-            assert gradient is not None
-            move, mean, square = _adam(gradient.double(), mean, square, step)
-            size = rate * (1.0 - 0.9 * step / steps)
-            variable = search.project(variable - (size * move).to(variable.dtype))
-            if not bool(torch.isfinite(variable).all()):
-                diverged = True
-                break
-    return trials.result(best_step(trials.trace), diverged)
+    variable = search.start.detach()
+    if starts > 1:
+        variable = _best_start(trials, search, starts, rng)
+    steps = max(1, (evaluations - (starts - 1)) // placements)
+    mean, square = torch.zeros_like(variable, dtype=torch.float64), torch.zeros_like(variable, dtype=torch.float64)
+    # Without further starts the baseline is the first step of the descent.
+    moves = steps if starts == 1 else steps - 1
+    for move in range(moves + 1):
+        shifts = [_shift(rng) for _ in range(placements - 1)]
+        gradient = trials.evaluate(variable, move < moves, shifts)
+        if gradient is None:
+            break
+        direction, mean, square = _adam(gradient.double(), mean, square, move)
+        size = rate * (1.0 - 0.9 * move / steps)
+        variable = search.project(variable - (size * direction).to(variable.dtype))
+        if not bool(torch.isfinite(variable).all()):
+            return trials.result(best_step(trials.trace), diverged=True)
+    return trials.result(best_step(trials.trace))
+
+
+def _best_start(trials: Trials, search: Search, starts: int, rng: np.random.Generator) -> Tensor:
+    """The valid one with the lowest loss of the baseline and draws from the space."""
+    trials.evaluate(search.start, False)
+    for _ in range(starts - 1):
+        trials.evaluate(search.draw(rng, START_DISTANCE), False)
+    best = best_step(trials.trace)
+    return trials.variables[best if trials.trace[best].loss < trials.trace[0].loss else 0]
 
 
 def _shift(rng: np.random.Generator) -> Tensor:

@@ -14,6 +14,7 @@ from shift3d.detectors.names import DETECTOR_NAMES, OWN
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
+from shift3d.settings.attack_schema import AttackConfig
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.scene_cache import SceneEntry
 from shift3d.settings.scene_entries import scene_entries
@@ -21,7 +22,6 @@ from shift3d.settings.scene_schema import FramesConfig
 from shift3d.settings.scene_sets import scene_set
 from shift3d.settings.schema import (
     AccuracyConfig,
-    AttackConfig,
     Config,
     DetectorConfig,
     NaturalnessConfig,

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from shift3d.detectors.names import OWN, DetectorName
+from shift3d.settings.attack_schema import AttackConfig
 from shift3d.settings.names import Text
-from shift3d.settings.records import LARGEST, Count, NotNegative, Number, Positive, Record, Seed, Share
+from shift3d.settings.records import Count, NotNegative, Number, Positive, Record, Seed, Share
 from shift3d.settings.scene_schema import KittiConfig, SceneConfig, StreetConfig, StreetOptionsConfig
 
 __all__ = [
     "AccuracyConfig",
-    "AttackConfig",
     "Config",
     "DeepSdfVehicleConfig",
     "DetectorConfig",
@@ -25,7 +25,6 @@ __all__ = [
     "NaturalnessConfig",
     "NoReferenceConfig",
     "NoTrackingConfig",
-    "PlacementConfig",
     "RayRunnerConfig",
     "SetReferenceConfig",
     "StreetConfig",
@@ -90,54 +89,6 @@ class DetectorConfig(Record):
     def modules_by_name(self) -> dict[str, str]:
         """Python files of detectors, by name: of the user's own, where it is asked."""
         return {} if self.module is None else {OWN: self.module}
-
-
-class PlacementConfig(Record):
-    """Where a vehicle may be put; metres."""
-
-    min_range_m: NotNegative
-    max_range_m: Positive
-    min_object_points: Number
-    overlap_m: NotNegative
-    contact_m: Positive
-    attempts: Count
-
-    @model_validator(mode="after")
-    def _a_ring(self) -> Self:
-        if self.min_range_m >= self.max_range_m:
-            raise ValueError(f"min_range_m {self.min_range_m:g} is not below max_range_m {self.max_range_m:g}")
-        return self
-
-
-class AttackConfig(Record):
-    """The search and its comparisons.
-
-    selection_window: steps before and after that count when one is kept. search, space, components, rate, placements,
-    starts, random_search: see `task.spec.AttackSpec`. transfer_scenes: number of other scenes that each adversarial
-    shape is put into.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
-
-    steps: Number
-    selection_window: Number = 0
-    alpha: Positive
-    lambda_: Annotated[float, Field(alias="lambda", ge=0, le=LARGEST, allow_inf_nan=False)]
-    random_replicates: Number
-    noise_replicates: Number
-    noise_sigma: NotNegative
-    max_shift_m: NotNegative
-    max_tilt_rad: NotNegative
-    detection_radius_m: Positive
-    search: Literal["descent", "expectation", "evolution", "random"] = "descent"
-    space: Literal["free", "pca", "parameters"] = "free"
-    components: Annotated[int, Field(ge=1, le=256)] = 10
-    rate: Positive = 0.1
-    placements: Annotated[int, Field(ge=1, le=64)] = 2
-    starts: Annotated[int, Field(ge=1, le=64)] = 1
-    random_search: Annotated[int, Field(ge=0, le=1)] = 0
-    transfer_scenes: Number = 0
-    placement: PlacementConfig
 
 
 class _ReferenceConfig(Record):
@@ -296,6 +247,12 @@ class Config(Record):
     scene: Text | None
     seed: Seed
     replicate: Number
+
+    @model_validator(mode="after")
+    def _a_reference_for_the_budget(self) -> Self:
+        if self.attack.naturalness and self.naturalness.kind == "none":
+            raise ValueError("attack.naturalness is a percentile of a reference set: give naturalness=wide")
+        return self
 
     def settings(self) -> dict[str, Any]:
         """The settings that can change a result, as plain values."""

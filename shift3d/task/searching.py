@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from torch import Tensor
+
 from shift3d.attack.expectation import descend_expectation
 from shift3d.attack.joint import joint_search
 from shift3d.attack.loop import descend
@@ -10,8 +12,9 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
 from shift3d.attack.score_only import draw_best, evolve
 from shift3d.attack.shape import shape_search
-from shift3d.attack.space import CodeSpace, free_space, parameter_space, pca_space
+from shift3d.attack.space import CodeSpace, free_space, parameter_space, pca_space, within_budget
 from shift3d.attack.trials import Search
+from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, require_planned
 from shift3d.task.spec import TaskSpec
@@ -61,6 +64,22 @@ def _search(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Search:
 
 
 def _space(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> CodeSpace:
+    space = _unbounded_space(spec, problem, assets)
+    budget = spec.attack.naturalness
+    if not budget:
+        return space
+    vehicle, measures = assets.vehicle(spec), assets.naturalness(spec)
+    where = f"vehicle {spec.vehicle}, attack.naturalness={budget:g}"
+    if measures is None:
+        raise InputError("the task measures no naturalness", where, "Give naturalness=wide, or attack.naturalness=0")
+
+    def natural(code: Tensor) -> bool:
+        return measures.of_code(vehicle, assets.decoder, code.float()).within(budget)
+
+    return within_budget(space, natural, where)
+
+
+def _unbounded_space(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> CodeSpace:
     found = space_hash(assets.vehicles, spec.vehicle, spec.attack.space)
     require_planned(f"the codes of {spec.vehicle}", spec.attack.space_hash, found)
     if spec.attack.space == "pca":

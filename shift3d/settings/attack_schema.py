@@ -1,0 +1,68 @@
+"""Settings of a search and of where its vehicle is put."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from shift3d.settings.records import LARGEST, Count, NotNegative, Number, Positive, Record
+
+__all__ = ["AttackConfig", "PlacementConfig"]
+
+
+class PlacementConfig(Record):
+    """Where a vehicle may be put; metres."""
+
+    min_range_m: NotNegative
+    max_range_m: Positive
+    min_object_points: Number
+    overlap_m: NotNegative
+    contact_m: Positive
+    attempts: Count
+
+    @model_validator(mode="after")
+    def _a_ring(self) -> Self:
+        if self.min_range_m >= self.max_range_m:
+            raise ValueError(f"min_range_m {self.min_range_m:g} is not below max_range_m {self.max_range_m:g}")
+        return self
+
+
+class AttackConfig(Record):
+    """The search and its comparisons.
+
+    selection_window: steps before and after that count when one is kept. search, space, components, rate, placements,
+    starts, random_search, naturalness: see `task.spec.AttackSpec`. transfer_scenes: number of other scenes that each
+    adversarial shape is put into.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
+
+    steps: Number
+    selection_window: Number = 0
+    alpha: Positive
+    lambda_: Annotated[float, Field(alias="lambda", ge=0, le=LARGEST, allow_inf_nan=False)]
+    random_replicates: Number
+    noise_replicates: Number
+    noise_sigma: NotNegative
+    max_shift_m: NotNegative
+    max_tilt_rad: NotNegative
+    detection_radius_m: Positive
+    search: Literal["descent", "expectation", "evolution", "random"] = "descent"
+    space: Literal["free", "pca", "parameters"] = "free"
+    components: Annotated[int, Field(ge=1, le=256)] = 10
+    rate: Positive = 0.1
+    placements: Annotated[int, Field(ge=1, le=64)] = 2
+    starts: Annotated[int, Field(ge=1, le=64)] = 1
+    random_search: Annotated[int, Field(ge=0, le=1)] = 0
+    naturalness: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = 0.0
+    transfer_scenes: Number = 0
+    placement: PlacementConfig
+
+    @model_validator(mode="after")
+    def _steps_beside_the_starts(self) -> Self:
+        if self.search == "expectation" and self.starts > 1 and self.starts - 1 + self.placements > self.steps:
+            raise ValueError(
+                f"starts {self.starts:d} and placements {self.placements:d} leave nothing of {self.steps:d} steps"
+            )
+        return self
