@@ -14,7 +14,15 @@ from shift3d.seeding import generator
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Interval", "mean_interval", "ratio_interval", "recall_band", "resampled_band", "vehicle_mean_interval"]
+__all__ = [
+    "Interval",
+    "difference_interval",
+    "mean_interval",
+    "ratio_interval",
+    "recall_band",
+    "resampled_band",
+    "vehicle_mean_interval",
+]
 
 FloatArray = NDArray[np.float64]
 _CONFIDENCE = 0.95
@@ -63,6 +71,29 @@ def mean_interval(values: ArrayLike, groups: Sequence[object]) -> Interval:
         rng=generator("bootstrap", len(numbers), len(names)),
     ).confidence_interval
     return Interval(mean, float(found.low), float(found.high))
+
+
+def difference_interval(values: ArrayLike, inside: NDArray[np.bool_], groups: Sequence[object]) -> Interval:
+    """Mean of the values (N,) inside less that of the others, and its percentile bootstrap, whole groups redrawn.
+
+    inside: (N,), neither all nor none. Infinite where fewer than two groups hold values on either side.
+    Source: Davison and Hinkley 1997, section 3.8 (clusters).
+    """
+    numbers = np.asarray(values, dtype=np.float64)
+    _, index = np.unique(np.asarray([str(group) for group in groups]), return_inverse=True)
+    sides = []
+    for rows in (inside, ~inside):
+        count = np.bincount(index[rows], minlength=index.max() + 1).astype(np.float64)
+        sides.append((np.bincount(index[rows], numbers[rows], minlength=len(count)), count))
+    mean = float(numbers[inside].mean() - numbers[~inside].mean())
+    if any(int((count > 0).sum()) < 2 for _, count in sides):
+        return Interval(mean, -np.inf, np.inf)
+    drawn = _redrawn(len(sides[0][1]), _DRAWS, "difference of means", len(numbers))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inner, outer = ((drawn @ sums) / (drawn @ count) for sums, count in sides)
+    found = inner - outer
+    low, high = np.quantile(found[np.isfinite(found)], _ENDS)
+    return Interval(mean, min(float(low), mean), max(float(high), mean))
 
 
 def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:

@@ -1,0 +1,146 @@
+"""Failure rules of a sweep, found on a part of its objects and tried on the rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.analysis.statistics.intervals import Interval, difference_interval
+from shift3d.analysis.tables.table import Table, number
+from shift3d.errors import InputError
+from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg, find_rules
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from shift3d.analysis.results import Sweep
+
+__all__ = ["TriedRule", "failure_rules", "rule_text", "rules_table"]
+
+_QUANTITIES = {
+    "range_m": ("range", " m", 1.0, 0),
+    "aspect_deg": ("angle to the line of sight", "°", 1.0, 0),
+    "tilt_deg": ("tilt", "°", 1.0, 1),
+    "length_m": ("length", " cm", 100.0, 0),
+    "width_m": ("width", " cm", 100.0, 0),
+    "height_m": ("height", " cm", 100.0, 0),
+    "clearance_m": ("ground clearance", " cm", 100.0, 0),
+}
+"""Wording, unit, factor and digits of what a rule may be about."""
+_SIZES = ("length_m", "width_m", "height_m", "clearance_m")
+_METHODS = ("baseline", "random", "random_search", "adversarial")
+
+
+@dataclass(frozen=True)
+class TriedRule:
+    """A rule and the difference in mean score between objects that it holds for and the others, by group of objects.
+
+    objects: that it holds for, where it was found. tried: by the name of the group; a group without objects on either
+    side is not in it.
+    """
+
+    rule: FailureRule
+    objects: int
+    found: Interval
+    tried: Mapping[str, Interval]
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether every group but the first was tried, and lies below zero with 95 % confidence."""
+        return len(self.tried) > 0 and all(interval.high < 0 for interval in self.tried.values())
+
+
+def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
+    """Rules found on every other scene and every other vehicle, before the attacked detector, and tried on the rest.
+
+    Tried on the same vehicles in the other scenes, on the other vehicles, and on the scores of the other detectors.
+
+    objects: see `rules_objects`.
+    Raises: InputError where there are too few scenes to find rules on some and try them on others.
+    Source: our choice.
+    """
+    scenes, vehicles = (sorted(objects[name].unique()) for name in ("place", "vehicle"))
+    if len(scenes) < 4:
+        what = f"{len(scenes)} scenes with scored objects are too few to find rules on and to try them"
+        raise InputError(what, "failure rules", "Give scenes.count=4 or more")
+    here = objects["place"].isin(scenes[::2])
+    ours = objects["vehicle"].isin(vehicles[::2])
+    attacked = objects["scored_by"] == objects["detector"]
+    groups = {
+        "other scenes": ~here & ours & attacked,
+        "other vehicles": ~ours & attacked,
+        **{
+            f"scored by {name}": objects["scored_by"] == name
+            for name in sorted(objects["scored_by"][~attacked].unique())
+        },
+    }
+    known = [name for name in _QUANTITIES if objects[name].notna().all() and objects[name].nunique() > 1]
+    part = objects[here & ours & attacked]
+    rules = find_rules(_quantities(part, known), part["score"].to_numpy(np.float64))
+    return [_tried(rule, part, {name: objects[rows] for name, rows in groups.items()}, known) for rule in rules]
+
+
+def rules_objects(sweep: Sweep) -> pd.DataFrame:
+    """Every scored baseline, random and adversarial object with all that a rule may be about, a row a detector.
+
+    Sizes are NaN where shapes were not measured; a pose task changes none, and its objects have the baseline's.
+    """
+    rows = sweep.scored
+    rows = rows[rows["method"].isin(_METHODS)].drop_duplicates(["task_id", "scored_by", "method", "replicate"])
+    posed = rows["mode"] == "pose"
+    rows = rows.assign(shape=rows["method"].mask(posed, "baseline"), copy=rows["replicate"].mask(posed, 0))
+    sizes = sweep.shapes[["task_id", "method", "replicate", *_SIZES]]
+    sizes = sizes.rename(columns={"method": "shape", "replicate": "copy"}).drop_duplicates(["task_id", "shape", "copy"])
+    rows = rows.merge(sizes, on=["task_id", "shape", "copy"], how="left")
+    tilt = np.degrees(np.maximum(rows["pitch_rad"].abs(), rows["roll_rad"].abs()))
+    aspect = aspect_deg(rows["x_m"].to_numpy(), rows["y_m"].to_numpy(), rows["yaw_rad"].to_numpy())
+    return rows.assign(tilt_deg=tilt, aspect_deg=aspect)
+
+
+def _quantities(rows: pd.DataFrame, names: list[str]) -> dict[str, NDArray[np.float64]]:
+    return {name: rows[name].to_numpy(np.float64) for name in names}
+
+
+def _tried(rule: FailureRule, part: pd.DataFrame, groups: Mapping[str, pd.DataFrame], known: list[str]) -> TriedRule:
+    tried = {}
+    for name, rows in groups.items():
+        inside = rule.holds(_quantities(rows, known)) if len(rows) else np.zeros(0, bool)
+        if inside.any() and not inside.all():
+            tried[name] = difference_interval(rows["score"], inside, list(rows["place"]))
+    inside = rule.holds(_quantities(part, known))
+    found = difference_interval(part["score"], inside, list(part["place"]))
+    return TriedRule(rule, int(inside.sum()), found, tried)
+
+
+def rules_table(rules: list[TriedRule]) -> Table:
+    """A line a rule: objects, what it costs where it was found, and where it was tried."""
+    groups = list(dict.fromkeys(name for rule in rules for name in rule.tried))
+    lines = []
+    for tried in rules:
+        cells = [_difference(tried.tried[name]) if name in tried.tried else "-" for name in groups]
+        verdict = "yes" if tried.confirmed and len(tried.tried) == len(groups) else "no"
+        lines.append([rule_text(tried.rule), str(tried.objects), _difference(tried.found), *cells, verdict])
+    header = ["", "objects", "AUC against the others", *groups, "holds"]
+    return Table("Failure rules: what the objects that are missed share", header, lines)
+
+
+def rule_text(rule: FailureRule) -> str:
+    """ "range over 32 m, height at most 135 cm"."""
+    return ", ".join(_condition_text(condition) for condition in rule.conditions)
+
+
+def _condition_text(condition: Condition) -> str:
+    what, unit, factor, digits = _QUANTITIES[condition.quantity]
+    low, high = (f"{factor * value:.{digits}f}{unit}" for value in (condition.low, condition.high))
+    if math.isinf(condition.low):
+        return f"{what} at most {high}"
+    return f"{what} over {low}" if math.isinf(condition.high) else f"{what} {low} to {high}"
+
+
+def _difference(interval: Interval) -> str:
+    return f"{interval.mean:+.2f} [{number(interval.low, 2)}, {number(interval.high, 2)}]"

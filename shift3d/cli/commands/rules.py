@@ -1,0 +1,44 @@
+"""``shift3d rules``: what the objects share that the detector misses."""
+
+from __future__ import annotations
+
+import argparse
+
+from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
+
+__all__ = ["COMMAND"]
+
+_DESCRIPTION = """\
+Says what the objects share that the detector misses: range, angle to the line of sight, tilt, length, width, height
+and ground clearance. A shallow regression tree finds rules on every other scene and every other vehicle of a finished
+sweep. Each rule is then tried on the other scenes, on the other vehicles, and on the other detectors' scores. A rule
+holds where the score falls in all of these, with 95 % confidence."""
+
+_EPILOG = """\
+examples:
+  shift3d rules outputs/default-1a2b3c4d5e6f7a8b
+  make sweep ARGS="vehicle=wide vehicle.name=sedan,suv,kei_car,camper scenes.count=20 detector.scored_by=null"
+
+Rules need scenes: 4 at least, 20 or more to hold. Sizes need naturalness (naturalness=wide, the default). Rules over
+two detectors need detector.scored_by=null."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.results import read_sweep
+    from shift3d.analysis.tables.failure_rules import failure_rules, rules_objects, rules_table
+
+    rules = failure_rules(rules_objects(read_sweep(arguments.out)))
+    if rules:
+        print(rules_table(rules))
+    else:
+        print("no rules: nothing that was measured tells objects with low scores from the others")
+    return 0
+
+
+COMMAND = Command("rules", "say what the objects share that are missed", _DESCRIPTION, _EPILOG, _add_arguments, _run)

@@ -1,0 +1,122 @@
+"""Failure rules: found where there is one, none where there is none, and tried on what they were not found on."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+import valid_sweeps
+
+from shift3d.analysis.results import read_sweep
+from shift3d.analysis.statistics.intervals import difference_interval
+from shift3d.analysis.tables.failure_rules import failure_rules, rule_text, rules_objects, rules_table
+from shift3d.errors import InputError
+from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg, find_rules
+from shift3d.store.log import read_log
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
+
+
+def drawn(count: int = 400) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return {"range_m": rng.uniform(15, 50, count), "height_m": rng.uniform(1.2, 2.0, count)}
+
+
+def test_a_rule_that_made_the_scores_is_found() -> None:
+    quantities = drawn()
+    low = (quantities["range_m"] > 35) & (quantities["height_m"] <= 1.4)
+    rules = find_rules(quantities, np.where(low, 0.2, 0.8))
+    assert len(rules) == 1
+    assert (rules[0].holds(quantities) == low).all()
+    bounds = {one.quantity: one for one in rules[0].conditions}
+    assert bounds["range_m"].low == pytest.approx(35, abs=0.5) and math.isinf(bounds["range_m"].high)
+    assert bounds["height_m"].high == pytest.approx(1.4, abs=0.02) and math.isinf(bounds["height_m"].low)
+
+
+def test_a_range_between_two_bounds_is_one_condition() -> None:
+    quantities = drawn()
+    low = (quantities["range_m"] > 25) & (quantities["range_m"] <= 35)
+    (rule,) = find_rules(quantities, np.where(low, 0.3, 0.8))
+    assert len(rule.conditions) == 1 and rule_text(rule) == "range 25 m to 35 m"
+
+
+def test_no_rule_where_nothing_tells_objects_apart() -> None:
+    assert find_rules(drawn(), np.full(400, 0.7)) == []
+    assert find_rules({}, np.linspace(0, 1, 400)) == []
+    few = {name: values[:10] for name, values in drawn().items()}
+    assert find_rules(few, np.linspace(0, 1, 10)) == []
+
+
+def test_the_angle_to_the_line_of_sight_is_that_of_the_axis() -> None:
+    at = np.array([10.0, 0.0, 10.0, -10.0])
+    left = np.array([0.0, 10.0, 10.0, 0.0])
+    yaw = np.array([0.0, 0.0, math.pi / 4, math.pi / 3])
+    assert aspect_deg(at, left, yaw) == pytest.approx([0.0, 90.0, 0.0, 60.0], abs=1e-6)
+    assert aspect_deg(at, left, yaw + math.pi) == pytest.approx(aspect_deg(at, left, yaw), abs=1e-6)
+
+
+def test_the_difference_of_means_and_its_interval() -> None:
+    places = [f"s{number // 4}" for number in range(80)]
+    inside = np.arange(80) % 2 == 0
+    exact = difference_interval(np.where(inside, 0.2, 0.7), inside, places)
+    assert (exact.mean, exact.low, exact.high) == pytest.approx((-0.5, -0.5, -0.5))
+    rng = np.random.default_rng(1)
+    noisy = difference_interval(np.where(inside, 0.2, 0.7) + rng.normal(0, 0.1, 80), inside, places)
+    assert noisy.low < -0.5 < noisy.high and noisy.high - noisy.low < 0.15
+    assert math.isinf(difference_interval([0.1, 0.2], np.array([True, False]), ["a", "b"]).high)
+
+
+def objects(transfers: bool = True, scenes: int = 20, vehicles: int = 4) -> pd.DataFrame:
+    """Objects of which the detector misses far and low ones; on the second half of the vehicles too, where asked."""
+    rng = np.random.default_rng(2)
+    rows = []
+    for scene in range(scenes):
+        for vehicle in range(vehicles):
+            far, low = rng.uniform(15, 50), rng.uniform(1.2, 2.0)
+            missed = far > 35 and (transfers or vehicle % 2 == 0)
+            for detector in ("pointpillars", "sst"):
+                score = (0.2 if missed else 0.8) + rng.normal(0, 0.02)
+                rows.append({"place": f"s{scene:02}", "vehicle": f"v{vehicle}", "detector": "pointpillars",
+                             "scored_by": detector, "score": score, "range_m": far, "height_m": low})  # fmt: skip
+    return pd.DataFrame(rows).assign(aspect_deg=0.0, tilt_deg=0.0, length_m=4.5, width_m=1.8, clearance_m=np.nan)
+
+
+def test_a_rule_holds_where_it_holds_on_everything_that_it_was_not_found_on() -> None:
+    (found,) = failure_rules(objects())
+    assert found.confirmed
+    assert set(found.tried) == {"other scenes", "other vehicles", "scored by sst"}
+    assert all(interval.mean == pytest.approx(-0.6, abs=0.05) for interval in found.tried.values())
+    assert [condition.quantity for condition in found.rule.conditions] == ["range_m"]
+    assert str(rules_table([found])).splitlines()[-1].endswith("yes")
+
+
+def test_a_rule_of_some_vehicles_alone_does_not_hold() -> None:
+    (found,) = failure_rules(objects(transfers=False))
+    assert found.tried["other scenes"].high < 0
+    assert not found.confirmed and found.tried["other vehicles"].high > 0
+    assert str(rules_table([found])).splitlines()[-1].endswith("no")
+
+
+def test_too_few_scenes_are_said() -> None:
+    with pytest.raises(InputError, match="3 scenes"):
+        failure_rules(objects(scenes=3))
+
+
+def test_a_rule_reads_as_a_sentence_of_units() -> None:
+    rule = FailureRule((Condition("height_m", high=1.35), Condition("aspect_deg", 70.4), Condition("range_m", 25, 35)))
+    assert rule_text(rule) == "height at most 135 cm, angle to the line of sight over 70°, range 25 m to 35 m"
+
+
+def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_vehicles(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    folder = tmp_path / "sweep"
+    valid_sweeps.write_sweep(folder)
+    write_final(folder, read_plan(folder), read_log(folder))
+    sweep = read_sweep(folder)
+    rows = rules_objects(sweep)
+    assert len(rows) and not rows.duplicated(["task_id", "scored_by", "method", "replicate"]).any()
+    shapes = sweep.shapes.set_index(["task_id", "method", "replicate"])["length_m"].to_dict()
+    for row in rows.itertuples():
+        key = (row.task_id, "baseline", 0) if row.mode == "pose" else (row.task_id, row.method, row.replicate)
+        expected = shapes.get(key, math.nan)
+        assert row.length_m == expected or (math.isnan(row.length_m) and (expected is None or math.isnan(expected)))
+    assert rows["aspect_deg"].between(0, 90).all()
