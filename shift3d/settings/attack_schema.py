@@ -45,6 +45,7 @@ class AttackConfig(Record):
     random_replicates: Number
     noise_replicates: Number
     noise_sigma: NotNegative
+    noise_share: NotNegative = 0.0
     max_shift_m: NotNegative
     max_tilt_rad: NotNegative
     detection_radius_m: Positive

@@ -121,7 +121,8 @@ def _candidates(
         # A noisy copy stands where the solution does, on the ground under its own shape.
         there = problem if spec.mode == "shape" else replace(problem, theta0=theta)
         rng = generator("noise", spec.task_id)
-        noisy = noise_codes(code, spec.attack.noise_sigma, spec.attack.noise_replicates, rng)
+        sigma = spec.attack.noise_share * distance if spec.attack.noise_share else spec.attack.noise_sigma
+        noisy = noise_codes(code, sigma, spec.attack.noise_replicates, rng)
         for index, noisy_code in enumerate(noisy):
             yield Candidate("adversarial_noise", index, noisy_code, on_ground(noisy_code, there, SNAP_M))
 

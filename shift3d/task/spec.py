@@ -58,9 +58,9 @@ class AttackSpec:
     """The search for a hard shape or pose, and the comparisons beside it.
 
     selection_window: steps before and after that count when one is kept, see `shift3d.attack.loop.best_step`.
-    noise_sigma: standard deviation of the codes of ``adversarial_noise``. max_shift_m: largest |Δxy| of a
-    pose, metres. max_tilt_rad: largest |pitch| and |roll|. detection_radius_m: how near the vehicle's centre the
-    centre of a box that detects it must lie.
+    noise_sigma: standard deviation of the codes of ``adversarial_noise``; noise_share: the same as a share of the
+    solution's latent distance, where it is above 0. max_shift_m: largest |Δxy| of a pose, metres. max_tilt_rad:
+    largest |pitch| and |roll|. detection_radius_m: from the vehicle's centre to that of a box that detects it.
 
     search: how it goes; every search has ``steps`` evaluations. space: where a shape may go; components: of space pca;
     space_hash: of the codes or ranges that bound it. rate, placements, starts: of search expectation. random_search: 1
@@ -87,6 +87,7 @@ class AttackSpec:
     starts: int = 1
     random_search: int = 0
     naturalness: float = 0.0
+    noise_share: float = 0.0
     space_hash: str = ""
 
     @property
@@ -102,7 +103,7 @@ class AttackSpec:
 
 
 _LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,
-          "random_search": 0, "naturalness": 0.0, "space_hash": ""}  # fmt: skip
+          "random_search": 0, "naturalness": 0.0, "noise_share": 0.0, "space_hash": ""}  # fmt: skip
 """Fields that specs of version 6 had not from the beginning, with the values that leave a task as it was."""
 
 

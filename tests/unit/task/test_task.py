@@ -267,6 +267,36 @@ def test_a_pose_has_its_baselines_shape(measured: tuple[Assets, str]) -> None:
     assert len({row["surface_distance_cm"] for row in found.scores if row["status"] == "ok"}) == 1
 
 
+def test_a_search_with_a_budget_ends_at_a_natural_shape(measured: tuple[Assets, str]) -> None:
+    far = AttackSpec(steps=3, noise_replicates=0, random_replicates=0)
+    spec = make_spec(reference_hash=measured[1], alpha=0.1, attack=far)
+    free = run_task(spec, measured[0])
+    ends = [by_method(free, method)[0]["naturalness_percentile"] for method in ("baseline", "adversarial")]
+    budget = sum(ends) / 2
+    assert ends[0] < budget
+    bounded = dataclasses.replace(spec, attack=dataclasses.replace(far, naturalness=budget))
+    (within,) = by_method(run_task(bounded, measured[0]), "adversarial")
+    assert within["naturalness_percentile"] <= budget < ends[1] and within["latent_distance"] > 0.0
+    assert bounded.search == f"descent_within{budget:g}" and bounded.task_id != spec.task_id
+
+
+def test_a_budget_needs_a_reference_set_and_a_vehicle_within(assets: Assets, measured: tuple[Assets, str]) -> None:
+    bounded = dataclasses.replace(SHORT, naturalness=1e-6)
+    with pytest.raises(InputError, match=r"measures no naturalness.*naturalness=wide"):
+        run_task(make_spec(attack=bounded), assets)
+    with pytest.raises(InputError, match=r"vehicle lies beyond the budget.*larger attack\.naturalness"):
+        run_task(make_spec(attack=bounded, reference_hash=measured[1]), measured[0])
+
+
+def test_noise_is_as_far_as_its_share_of_the_way_to_the_solution(assets: Assets) -> None:
+    attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=3, noise_share=0.05)
+    found = run_task(make_spec(attack=attack), assets)
+    (way,) = (row["latent_distance"] for row in by_method(found, "adversarial"))
+    codes = {row["method"]: torch.tensor(row["latent_code"]) for row in found.solutions}
+    noise = codes["adversarial_noise"] - codes["adversarial"]
+    assert float(noise.std()) == pytest.approx(0.05 * way, rel=0.15)
+
+
 def test_another_reference_set_than_was_planned_is_refused(measured: tuple[Assets, str]) -> None:
     with pytest.raises(InputError, match="changed after the sweep was planned") as failure:
         run_task(make_spec(reference_hash="another"), measured[0])
