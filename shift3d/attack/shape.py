@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from torch import Tensor
 
@@ -11,7 +12,7 @@ from shift3d.attack.objective import latent_penalty
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.attack.space import CodeSpace, free_space
-from shift3d.attack.trials import Search
+from shift3d.attack.trials import Elsewhere, Search
 from shift3d.placement.constraints import snap_to_ground
 
 __all__ = ["SNAP_M", "attack_shape", "on_ground", "shape_search"]
@@ -21,7 +22,11 @@ SNAP_M = 0.35
 
 
 def shape_search(
-    problem: AttackProblem, lambda_: float, space: CodeSpace | None = None, snap_m: float = SNAP_M
+    problem: AttackProblem,
+    lambda_: float,
+    space: CodeSpace | None = None,
+    snap_m: float = SNAP_M,
+    elsewhere: Sequence[AttackProblem] = (),
 ) -> Search:
     """min_z L_adv(z) + lambda ||z - z0||^2 at a fixed pose.
 
@@ -31,6 +36,8 @@ def shape_search(
         space: where z may go; None: anywhere.
         snap_m: how far the object's height may follow its shape so that it keeps standing on the ground; 0
             leaves the pose alone.
+        elsewhere: the same vehicle in other scenes. Where some are given, L_adv is the mean over all of them: the
+            shape is a universal one. Its constraints are those of the problem itself.
 
     Source: SHIFT3D eq. loss_z. The height is our choice: a wheel base that rises by 2 cm would
     leave the object hanging in the air and end the search; a real vehicle of that shape stands lower.
@@ -49,6 +56,7 @@ def shape_search(
         penalty=lambda u: lambda_ * latent_penalty(space.code(u), problem.code0) if lambda_ else u.new_zeros(()),
         project=space.project,
         draw=space.draw,
+        elsewhere=tuple(Elsewhere(other, partial(on_ground, problem=other, snap_m=snap_m)) for other in elsewhere),
     )
 
 

@@ -16,9 +16,17 @@ from shift3d.attack.problem import AttackProblem, Measurement, count_non_finite,
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.render.solvers.search import WarmStart
 
-__all__ = ["Parameters", "Search", "Trials"]
+__all__ = ["Elsewhere", "Parameters", "Search", "Trials"]
 
 Parameters = Callable[[Tensor], tuple[Tensor, Tensor]]
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """Another place for the same shape, whose loss counts as much. stands: code (d,) -> its pose (6,) there."""
+
+    problem: AttackProblem
+    stands: Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
@@ -28,7 +36,7 @@ class Search:
     start: first value of the variable. parameters: variable -> (code, theta). penalty: variable -> scalar added
     to the loss. project: variable -> nearest variable that satisfies the hard constraints. draw: (generator, latent
     distance) -> a variable at random among those that the search may visit; where these have no bound, as codes of the
-    free space have none, one at that distance from the start.
+    free space have none, one at that distance from the start. elsewhere: other places that a universal shape is for.
     """
 
     mode: Literal["shape", "pose", "shape_pose"]
@@ -37,6 +45,7 @@ class Search:
     penalty: Callable[[Tensor], Tensor]
     project: Callable[[Tensor], Tensor]
     draw: Callable[[np.random.Generator, float], Tensor]
+    elsewhere: tuple[Elsewhere, ...] = ()
 
 
 class Trials:
@@ -58,31 +67,37 @@ class Trials:
         self._problem, self._search, self._on_step = problem, search, on_step
         self._differentiable = differentiable
         self._tried: list[tuple[Tensor, Tensor]] = []
-        self._warm: WarmStart | None = None
-        self._incremental = problem.incremental_inference()
+        # Of the search's own place and of those elsewhere, in this order.
+        self._places = [Elsewhere(problem, lambda code: problem.theta0), *search.elsewhere]
+        self._warm: list[WarmStart | None] = [None] * len(self._places)
+        self._incremental = [place.problem.incremental_inference() for place in self._places]
 
     def evaluate(self, variable: Tensor, with_gradient: bool, shifts: Sequence[Tensor] = ()) -> Tensor | None:
         """Try a variable and note it as the next step; returns the loss' gradient, None where none is asked for.
 
-        shifts: changes of the pose, (6,) each; where some are given, loss and gradient are their mean. Whether the step
-        is valid is asked of the pose itself, which is measured first and counts as one of them.
+        shifts: changes of the pose, (6,) each; loss and gradient are the mean over the pose, its shifts, and the
+        search's places elsewhere. Whether the step is valid is asked of the pose itself, which is measured first.
         A loss that does not depend on the variable (no hit, no overlapping proposal) has the gradient 0.
         """
         variable = variable.detach().clone().requires_grad_(self._differentiable)
         code, theta = self._search.parameters(variable)
         penalty = self._search.penalty(variable)
-        share = 1.0 / (1 + len(shifts))
-        measured = measure(self._problem, code, theta, self._warm, incremental=self._incremental)
-        self._warm = measured.rendering.warm
-        losses = [measured.adversarial + penalty]
-        gradient, spent_ms = _gradient(losses[0], variable, share, more=bool(shifts)) if with_gradient else (None, 0.0)
-        for index, shift in enumerate(shifts):
-            moved = measure(self._problem, code, theta + shift, self._warm, incremental=self._incremental)
-            losses.append(moved.adversarial + penalty)
-            if gradient is not None:
-                part, part_ms = _gradient(losses[-1], variable, share, more=index < len(shifts) - 1)
-                gradient, spent_ms = gradient + part, spent_ms + part_ms
-        record = self._record(code, theta, losses, gradient, measured, spent_ms)
+        poses = [(0, theta), *((0, theta + shift) for shift in shifts)]
+        poses += [(index, place.stands(code)) for index, place in enumerate(self._places) if index]
+        losses: list[Tensor] = []
+        gradient, spent_ms, first = None, 0.0, None
+        for number, (index, pose) in enumerate(poses):
+            problem = self._places[index].problem
+            measured = measure(problem, code, pose, self._warm[index], incremental=self._incremental[index])
+            if index or first is None:  # a shifted pose is no place to start from
+                self._warm[index] = measured.rendering.warm
+            first = first or measured
+            losses.append(measured.adversarial + penalty)
+            if with_gradient:
+                part, part_ms = _gradient(losses[-1], variable, 1.0 / len(poses), more=number < len(poses) - 1)
+                gradient, spent_ms = part if gradient is None else gradient + part, spent_ms + part_ms
+        assert first is not None
+        record = self._record(code, theta, losses, gradient, first, spent_ms)
         self.trace.append(record)
         self.variables.append(variable.detach())
         self._tried.append((code.detach().clone(), theta.detach().clone()))

@@ -32,8 +32,8 @@ class AttackConfig(Record):
     """The search and its comparisons.
 
     selection_window: steps before and after that count when one is kept. search, space, components, rate, placements,
-    starts, random_search, naturalness: see `task.spec.AttackSpec`. transfer_scenes: number of other scenes that each
-    adversarial shape is put into.
+    starts, random_search, naturalness: see `task.spec.AttackSpec`. search_scenes: number of other scenes that each
+    shape is searched in beside its own. transfer_scenes: number of others yet that it is put into.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
@@ -57,6 +57,7 @@ class AttackConfig(Record):
     starts: Annotated[int, Field(ge=1, le=64)] = 1
     random_search: Annotated[int, Field(ge=0, le=1)] = 0
     naturalness: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = 0.0
+    search_scenes: Number = 0
     transfer_scenes: Number = 0
     placement: PlacementConfig
 

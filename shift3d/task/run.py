@@ -83,7 +83,12 @@ def _put_elsewhere(spec: TaskSpec, assets: Assets, found: Candidate, rows: Rows)
     """What the shape that was found does in other scenes."""
     start = time.perf_counter()
     rows.transfers(put_elsewhere(spec, assets, found.code))
-    rows.time(found.method, "transfers", 1e3 * (time.perf_counter() - start), len(spec.transfer_scenes))
+    rows.time(
+        found.method,
+        "transfers",
+        1e3 * (time.perf_counter() - start),
+        len(spec.transfer_scenes) - spec.attack.search_scenes,
+    )
 
 
 def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:

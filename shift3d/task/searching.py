@@ -18,6 +18,7 @@ from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, require_planned
 from shift3d.task.spec import TaskSpec
+from shift3d.task.transfer import problems_elsewhere
 from shift3d.vehicles.sources import space_hash
 
 __all__ = ["best_of_draws", "pose_limits", "search_task"]
@@ -59,7 +60,7 @@ def _search(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Search:
     assert spec.lambda_ is not None
     space = _space(spec, problem, assets)
     if spec.mode == "shape":
-        return shape_search(problem, spec.lambda_, space)
+        return shape_search(problem, spec.lambda_, space, elsewhere=problems_elsewhere(spec, problem, assets))
     return joint_search(problem, spec.lambda_, space, pose_limits(spec))
 
 

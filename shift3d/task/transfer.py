@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 from torch import Tensor
 
+from shift3d.attack.problem import AttackProblem
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.placement.sampling import NoPlacement
 from shift3d.task.assets import Assets, score_precision
@@ -14,13 +16,28 @@ from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import Row, TaskSpec, TransferScene
 
-__all__ = ["put_elsewhere"]
+__all__ = ["problems_elsewhere", "put_elsewhere"]
 
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
+def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[AttackProblem]:
+    """The task's vehicle at one place of each of the scenes that a universal shape is searched in beside its own.
+
+    problem: the task's own, whose detector they share. A scene without room is left out.
+    Raises: InputError: a scene that cannot be loaded, or is not what the task was planned with.
+    """
+    found = []
+    for other in spec.transfer_scenes[: spec.attack.search_scenes]:
+        moved = spec.moved_to(other)
+        placement = place_vehicle(moved, assets)
+        if not isinstance(placement, NoPlacement):
+            found.append(replace(build_problem(moved, assets, placement.theta), detector=problem.detector))
+    return found
+
+
 def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor) -> Iterator[Row]:
-    """Score a code (d,) and its baseline at one place of each of the task's other scenes.
+    """Score a code (d,) and its baseline at one place of each of the task's other scenes that were not searched in.
 
     Yields: a row a scene and detector, scenes in the spec's order. The place and heading are random, drawn for the
     baseline under its own constraints; the shape stands on the ground at the same x, y and heading. A scene without
@@ -31,7 +48,7 @@ def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor) -> Iterator[Row]
     Source: SHIFT3D, Adversarial Shape Generation Results (10 distinct scenes, random yaw, the baseline under identical
         rotation and translation). That the height follows the shape is our choice, as in `attack.shape`.
     """
-    for other in spec.transfer_scenes:
+    for other in spec.transfer_scenes[spec.attack.search_scenes :]:
         yield from _put(spec.moved_to(other), other, assets, code)
 
 

@@ -56,7 +56,8 @@ class Layouts:
             InputError: the scene is unknown, the set is empty or too small for the transfers, or an effect is forced
                 that a scene has no data for.
         """
-        transfers = config.attack.transfer_scenes if config.mode == "shape" else 0
+        elsewhere = config.attack.search_scenes + config.attack.transfer_scenes
+        transfers = elsewhere if config.mode == "shape" else 0
         # The catalogue lives as long as the plan is made, so its identity stands for its content.
         key = (id(catalogue), config.scene, transfers, spec.vehicle, spec.detector, repr(config.effects))
         if key not in self._known:
@@ -104,7 +105,7 @@ class Layouts:
         """Of each scene those that its shape is put into: the ones after it in the set, the first one after the last.
         Tasks that follow each other share all of theirs but one, and a worker has these loaded."""
         if count >= scenes:
-            what = f"attack.transfer_scenes is {count}, and the set has {scenes - 1} other scenes"
+            what = f"attack.search_scenes and transfer_scenes need {count} scenes, and the set has {scenes - 1} others"
             remedy = f"Give scenes.count={count + 1} or more, or fewer of them"
             raise InputError(what, where=self.where, remedy=remedy)
         return [[(at + step) % scenes for step in range(1, count + 1)] for at in own] if count else []

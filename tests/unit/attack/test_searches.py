@@ -18,6 +18,7 @@ from shift3d.attack.records import AttackResult
 from shift3d.attack.score_only import draw_best, evolve
 from shift3d.attack.shape import shape_search
 from shift3d.attack.space import CodeSpace, free_space, pca_space, within_budget
+from shift3d.attack.trials import Trials
 from shift3d.errors import InputError
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.sampling import Placement, PlacementLimits, place
@@ -116,6 +117,31 @@ def test_the_descent_begins_at_the_best_of_the_baseline_and_its_draws(problem: A
     best = min((step for step in found.trace[:5] if step.valid), key=lambda step: step.loss)
     # Another rendering of it, from other hits: the same to their tolerance.
     assert found.trace[5].loss == pytest.approx(best.loss, rel=1e-3)
+
+
+def test_the_loss_of_a_universal_shape_is_the_mean_over_its_places(problem: AttackProblem) -> None:
+    moved = problem.theta0.clone()
+    moved[3] += 0.7
+    other = replace(problem, theta0=moved)
+    both = shape_search(problem, 0.5, elsewhere=[other])
+    trials = Trials(problem, both)
+    here, there = Trials(problem, shape_search(problem, 0.5)), Trials(other, shape_search(other, 0.5))
+    code = problem.code0 + 0.05
+    gradient = trials.evaluate(code, True)
+    parts = [alone.evaluate(code, True) for alone in (here, there)]
+    assert gradient is not None and parts[0] is not None and parts[1] is not None
+    assert here.trace[0].loss != there.trace[0].loss
+    assert trials.trace[0].loss == pytest.approx((here.trace[0].loss + there.trace[0].loss) / 2, rel=1e-12)
+    assert trials.trace[0].adversarial_loss == here.trace[0].adversarial_loss
+    assert torch.allclose(gradient, (parts[0] + parts[1]) / 2, rtol=1e-9, atol=0.0)
+
+
+def test_a_universal_search_lowers_the_mean(problem: AttackProblem) -> None:
+    moved = problem.theta0.clone()
+    moved[3] += 0.7
+    search = shape_search(problem, 0.0, elsewhere=[replace(problem, theta0=moved)])
+    found = descend_expectation(problem, search, 30, 0.05, np.random.default_rng(0), placements=1)
+    assert found.best.loss < found.trace[0].loss
 
 
 def length_budget(problem: AttackProblem, space: CodeSpace, longest: float) -> CodeSpace:

@@ -66,6 +66,12 @@ def test_a_task_is_transferred_into_the_next_scenes_of_the_set() -> None:
     }
     assert specs[0].transfer_scenes[0].scene_hash == "hash1"
     assert all(spec.transfer_scenes == () for spec in specs if spec.mode == "pose")
+    # A universal shape is searched in the first of them, and judged in as many others.
+    wide = [
+        task.spec
+        for task in make_plan(compose_sweep("default", [*words, "attack.search_scenes=1"]), five_scenes)[0].tasks
+    ]
+    assert {len(spec.transfer_scenes) for spec in wide if spec.mode == "shape"} == {3}
     # One scene by its name is put into others of the whole set all the same.
     (one,) = (
         task.spec
@@ -76,5 +82,5 @@ def test_a_task_is_transferred_into_the_next_scenes_of_the_set() -> None:
 
 def test_more_scenes_than_there_are_is_refused() -> None:
     words = ["vehicle=suv", "mode=shape", "attack.transfer_scenes=5"]
-    with pytest.raises(InputError, match=r"is 5, and the set has 4 other scenes\. Give scenes\.count=6 or more"):
+    with pytest.raises(InputError, match=r"need 5 scenes, and the set has 4 others\. Give scenes\.count=6 or more"):
         make_plan(compose_sweep("default", words), five_scenes)

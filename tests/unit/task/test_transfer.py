@@ -10,12 +10,14 @@ from short_tasks import THERE, by_method, make_spec
 
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.errors import InputError
+from shift3d.placement.sampling import Placement
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.execution.worker import completed_rows
 from shift3d.task.assets import Assets
-from shift3d.task.problem import build_problem
+from shift3d.task.problem import build_problem, place_vehicle
+from shift3d.task.run import run_task
 from shift3d.task.scoring import score_object
-from shift3d.task.spec import PlacementSpec, Row, TaskResult, TransferScene
+from shift3d.task.spec import AttackSpec, PlacementSpec, Row, TaskResult, TransferScene
 from shift3d.task.transfer import put_elsewhere
 
 TRANSFER = (TransferScene(THERE, ""),)
@@ -78,3 +80,18 @@ def test_another_scene_that_changed_after_planning_is_refused(assets: Assets) ->
     code = torch.from_numpy(assets.vehicle(make_spec()).latent_code)
     with pytest.raises(InputError, match=rf"scene {THERE}: changed after the sweep was planned"):
         list(put_elsewhere(make_spec(transfer_scenes=(TransferScene(THERE, "another"),)), assets, code))
+
+
+def test_a_scene_that_was_searched_in_judges_nothing(assets: Assets) -> None:
+    short = AttackSpec(steps=1, noise_replicates=0, random_replicates=0, search_scenes=1)
+    spec = make_spec(transfer_scenes=TRANSFER, attack=short)
+    found = run_task(spec, assets)
+    assert found.transfers == [] and spec.search == "descent_universal2"
+    there = spec.moved_to(TRANSFER[0])
+    placement = place_vehicle(there, assets)
+    assert isinstance(placement, Placement)
+    problem = build_problem(there, assets, placement.theta)
+    alone = score_object(problem, problem.code0, placement.theta, 5.0).answers["pointpillars"].adversarial_loss
+    first = found.trajectories[0]
+    # Scored again from where it stands; the search rendered it in bfloat16's company, to a few thousandths.
+    assert first["loss"] == pytest.approx((first["adversarial_loss"] + alone) / 2, rel=0.02)
