@@ -37,12 +37,12 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
         spec.placement.attempts,
     )
     # Always at the standard accuracy: a rounding that turns one draw down would put the vehicle elsewhere, and
-    # accuracies could no longer be compared object by object.
+    # accuracies could no longer be compared object by object. Without a map of empty space, which takes longer to make
+    # than it saves here.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", spec.placement_seed)
     constraints, others = _constraints(spec), _other_vehicles(scene)
-    space = assets.space_of(spec, STANDARD)
-    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others, space)
+    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others)
 
 
 def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:
