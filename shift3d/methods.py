@@ -8,6 +8,7 @@ METHODS = {
     "baseline": "baseline",
     "random": "random",
     "random_search": "best of random draws",
+    "edited": "edited",
     "adversarial_noise": "adversarial + noise",
     "adversarial": "adversarial",
 }
@@ -15,7 +16,7 @@ METHODS = {
 
 METHODS_OF_MODE = {
     "shape": tuple(METHODS),
-    "pose": tuple(name for name in METHODS if name != "adversarial_noise"),
+    "pose": tuple(name for name in METHODS if name not in ("edited", "adversarial_noise")),
     "shape_pose": tuple(METHODS),
 }
 """By what is attacked: the methods that a task may score."""

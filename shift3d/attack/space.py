@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,7 +16,7 @@ from shift3d.attack.baselines import random_code
 from shift3d.errors import InputError
 from shift3d.vehicles.parameter_box import BoxOfParameters
 
-__all__ = ["SPACES", "CodeSpace", "free_space", "parameter_space", "pca_space", "within_budget"]
+__all__ = ["SPACES", "CodeSpace", "edited_code", "free_space", "parameter_space", "pca_space", "within_budget"]
 
 SPACES = ("free", "pca", "parameters")
 BALL = 0.95
@@ -98,6 +99,27 @@ def parameter_space(code0: Tensor, box: BoxOfParameters) -> CodeSpace:
         return torch.from_numpy(rng.uniform(-1.0, 1.0, len(start)))
 
     return CodeSpace(start, code, lambda u: u.clamp(-1.0, 1.0), draw)
+
+
+def edited_code(code0: Tensor, box: BoxOfParameters, edit: str, where: str) -> Tensor:
+    """A vehicle's code (d,) with one of its parameters put elsewhere in its kind's range.
+
+    edit: "NAME:PLACE", the place from -1 (the lowest of its kind) to 1. where: whose code it is, for messages.
+    Raises: InputError for a parameter that the kind does not leave open, or a place beyond its range.
+    """
+    name, _, text = edit.rpartition(":")
+    if name not in box.names:
+        raise InputError(f"no parameter {name or text!r}", where, f"NAME:PLACE, NAME one of: {', '.join(box.names)}")
+    try:
+        place = float(text)
+    except ValueError:
+        place = math.nan
+    if not -1.0 <= place <= 1.0:
+        raise InputError(f"{text!r} is no place in the range of {name}", where, "Give NAME:PLACE, PLACE from -1 to 1")
+    space = parameter_space(code0, box)
+    u = space.start.clone()
+    u[box.names.index(name)] = place
+    return space.code(u)
 
 
 def within_budget(space: CodeSpace, natural: Callable[[Tensor], bool], where: str) -> CodeSpace:

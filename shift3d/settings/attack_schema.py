@@ -32,7 +32,8 @@ class AttackConfig(Record):
     """The search and its comparisons.
 
     selection_window: steps before and after that count when one is kept. search, space, components, rate, placements,
-    starts, random_search, naturalness: see `task.spec.AttackSpec`. search_scenes: number of other scenes that each
+    starts, random_search, naturalness: see `task.spec.AttackSpec`. edit: NAME:PLACE, a parameter of the
+    vehicle and a place in its range, for the method edited. search_scenes: number of other scenes that each
     shape is searched in beside its own. transfer_scenes: number of others yet that it is put into.
     """
 
@@ -59,6 +60,7 @@ class AttackConfig(Record):
     naturalness: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = 0.0
     search_scenes: Number = 0
     transfer_scenes: Number = 0
+    edit: str = ""
     placement: PlacementConfig
 
     @model_validator(mode="after")

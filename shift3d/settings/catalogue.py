@@ -253,7 +253,14 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
 
         code = torch.from_numpy(source.vehicle(vehicle).latent_code)
         pca_space(code, source.codes(), attack.components, f"vehicle {vehicle}, attack.space=pca")
-    return space_hash(source, vehicle, attack.space)
+    if attack.edit:
+        import torch
+
+        from shift3d.attack.space import edited_code
+
+        code, where = torch.from_numpy(source.vehicle(vehicle).latent_code), f"vehicle {vehicle}, attack.edit"
+        edited_code(code, source.parameters(vehicle), attack.edit, where)
+    return space_hash(source, vehicle, attack.space, bool(attack.edit))
 
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:

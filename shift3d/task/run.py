@@ -22,7 +22,7 @@ from shift3d.task.audit import AUDITED, audit
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.rows import Rows
 from shift3d.task.scoring import Candidate, score_object
-from shift3d.task.searching import best_of_draws, pose_limits, search_task
+from shift3d.task.searching import best_of_draws, edited_vehicle, pose_limits, search_task
 from shift3d.task.spec import TaskResult, TaskSpec
 from shift3d.task.transfer import put_elsewhere
 
@@ -97,6 +97,8 @@ def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
     yield from (("random", i) for i in range(spec.attack.random_replicates))
     if spec.attack.random_search:
         yield "random_search", 0
+    if spec.attack.edit and spec.mode != "pose":
+        yield "edited", 0
     yield "adversarial", 0
     if spec.mode != "pose":
         yield from (("adversarial_noise", i) for i in range(spec.attack.noise_replicates))
@@ -121,6 +123,9 @@ def _candidates(
     if spec.attack.random_search:
         best = best_of_draws(spec, replace(problem, detector=searched), assets, distance)
         yield Candidate("random_search", 0, best.latent_code, best.theta, best.best_step, best.status)
+    if spec.attack.edit and spec.mode != "pose":
+        edited = edited_vehicle(spec, problem, assets)
+        yield Candidate("edited", 0, edited, on_ground(edited, problem, SNAP_M))
     yield Candidate("adversarial", 0, code, theta, found.best_step, found.status)
     if spec.mode != "pose":
         # A noisy copy stands where the solution does, on the ground under its own shape.

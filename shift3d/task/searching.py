@@ -12,7 +12,7 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
 from shift3d.attack.score_only import draw_best, evolve
 from shift3d.attack.shape import shape_search
-from shift3d.attack.space import CodeSpace, free_space, parameter_space, pca_space, within_budget
+from shift3d.attack.space import CodeSpace, edited_code, free_space, parameter_space, pca_space, within_budget
 from shift3d.attack.trials import Search
 from shift3d.errors import InputError
 from shift3d.seeding import generator
@@ -21,7 +21,7 @@ from shift3d.task.spec import TaskSpec
 from shift3d.task.transfer import problems_elsewhere
 from shift3d.vehicles.sources import space_hash
 
-__all__ = ["best_of_draws", "pose_limits", "search_task"]
+__all__ = ["best_of_draws", "edited_vehicle", "pose_limits", "search_task"]
 
 
 def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> AttackResult:
@@ -47,6 +47,16 @@ def best_of_draws(spec: TaskSpec, problem: AttackProblem, assets: Assets, distan
     problem = problem if spec.mode == "shape" else problem.with_space()
     rng = generator("random search", spec.task_id)
     return draw_best(problem, _search(spec, problem, assets), spec.attack.steps, rng, distance)
+
+
+def edited_vehicle(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Tensor:
+    """The code of the task's vehicle with the parameters of its edit put elsewhere.
+
+    Raises: InputError for a vehicle that is made of no parameters, or not of these.
+    """
+    _require_space(spec, assets)
+    box = assets.vehicles.parameters(spec.vehicle)
+    return edited_code(problem.code0, box, spec.attack.edit, f"vehicle {spec.vehicle}, attack.edit")
 
 
 def pose_limits(spec: TaskSpec) -> PoseLimits:
@@ -81,11 +91,15 @@ def _space(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> CodeSpace:
 
 
 def _unbounded_space(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> CodeSpace:
-    found = space_hash(assets.vehicles, spec.vehicle, spec.attack.space)
-    require_planned(f"the codes of {spec.vehicle}", spec.attack.space_hash, found)
+    _require_space(spec, assets)
     if spec.attack.space == "pca":
         codes = assets.vehicles.codes()
         return pca_space(problem.code0, codes, spec.attack.components, f"vehicle {spec.vehicle}, attack.space=pca")
     if spec.attack.space == "parameters":
         return parameter_space(problem.code0, assets.vehicles.parameters(spec.vehicle))
     return free_space(problem.code0)
+
+
+def _require_space(spec: TaskSpec, assets: Assets) -> None:
+    found = space_hash(assets.vehicles, spec.vehicle, spec.attack.space, bool(spec.attack.edit))
+    require_planned(f"the codes of {spec.vehicle}", spec.attack.space_hash, found)

@@ -66,7 +66,9 @@ class AttackSpec:
     space_hash: of the codes or ranges that bound it. rate, placements, starts: of search expectation. random_search: 1
     where the best of as many random draws stands beside the solution, as method ``random_search``. naturalness: the
     percentile of the reference set that a shape may not pass during the search; 0: any shape. search_scenes: how many
-    of the task's transfer scenes, from the first, the loss of a shape is taken over beside its own.
+    of the task's transfer scenes, from the first, the loss of a shape is taken over beside its own. edit:
+    "NAME:PLACE", a parameter of a parametric decoder's vehicle and where in its kind's range it is put, -1 lowest to 1
+    highest, for the method ``edited``.
 
     Source: SHIFT3D sections Hyper-parameters, Evaluation Metrics and Adversarial Pose Generation Results; searches but
     descent, and spaces but free, are our choice.
@@ -90,6 +92,7 @@ class AttackSpec:
     naturalness: float = 0.0
     noise_share: float = 0.0
     search_scenes: int = 0
+    edit: str = ""
     space_hash: str = ""
 
     @property
@@ -98,7 +101,8 @@ class AttackSpec:
         space = {"free": "", "pca": f"_pca{self.components}", "parameters": "_parameters"}[self.space]
         budget = f"_within{self.naturalness:g}" if self.naturalness else ""
         scenes = f"_universal{1 + self.search_scenes}" if self.search_scenes else ""
-        return f"{self.search}{space}{budget}{scenes}"
+        edit = f"_{self.edit}" if self.edit else ""
+        return f"{self.search}{space}{budget}{scenes}{edit}"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values. What came later is left out where it is as the paper has it: tasks keep their ids."""
@@ -106,7 +110,8 @@ class AttackSpec:
 
 
 _LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,
-          "random_search": 0, "naturalness": 0.0, "noise_share": 0.0, "search_scenes": 0, "space_hash": ""}  # fmt: skip
+          "random_search": 0, "naturalness": 0.0, "noise_share": 0.0, "search_scenes": 0, "edit": "",
+          "space_hash": ""}  # fmt: skip
 """Fields that specs of version 6 had not from the beginning, with the values that leave a task as it was."""
 
 

@@ -68,17 +68,18 @@ def vehicle_hash(vehicle: Vehicle) -> str:
     return digest.hexdigest()
 
 
-def space_hash(source: VehicleSource, vehicle: str, space: str) -> str:
+def space_hash(source: VehicleSource, vehicle: str, space: str, edited: bool = False) -> str:
     """128-bit BLAKE2b, hex, of what bounds a search beside the vehicle itself; empty for space free.
 
-    Raises: InputError where the vehicle is made of no parameters, and space is parameters.
+    edited: the vehicle's parameters are edited, whatever the space.
+    Raises: InputError where the vehicle is made of no parameters, and space is parameters or it is edited.
     """
-    if space == "free":
+    if space == "free" and not edited:
         return ""
-    arrays: tuple[NDArray[Any], ...] = (source.codes(),)
-    if space == "parameters":
+    arrays: tuple[NDArray[Any], ...] = (source.codes(),) if space == "pca" else ()
+    if space == "parameters" or edited:
         box = source.parameters(vehicle)
-        arrays = (box.basis, box.start, box.low, box.high)
+        arrays += (box.basis, box.start, box.low, box.high)
     digest = hashlib.blake2b(space.encode(), digest_size=16)
     for array in arrays:
         digest.update(np.asarray(array, dtype=np.float64).tobytes())

@@ -33,7 +33,7 @@ _QUANTITIES = {
 }
 """Wording, unit, factor and digits of what a rule may be about."""
 _SIZES = ("length_m", "width_m", "height_m", "clearance_m")
-_METHODS = ("baseline", "random", "random_search", "adversarial")
+_METHODS = ("baseline", "random", "random_search", "edited", "adversarial")
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,7 @@ def _planned_methods(plan: Plan) -> dict[tuple[Any, ...], list[str]]:
     methods: dict[tuple[Any, ...], list[str]] = {}
     for group in plan.tasks.groups():
         spec = group.template
-        optional = {"random_search": bool(spec.attack.random_search)}
+        optional = {"random_search": bool(spec.attack.random_search), "edited": bool(spec.attack.edit)}
         names = [name for name in METHODS_OF_MODE[spec.mode] if optional.get(name, True)]
         methods |= dict.fromkeys(_group_keys(plan, group), names)
     return methods

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from short_tasks import SHORT, STREET, THERE, by_method, make_spec
@@ -16,9 +17,11 @@ from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.errors import InputError
 from shift3d.naturalness.sources import reference_source, source_hash
 from shift3d.placement.constraints import ConstraintCheck
-from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.catalogue import accuracy_settings, read_catalogue
+from shift3d.settings.compose import compose_sweep
 from shift3d.settings.schema import AccuracyConfig
 from shift3d.store.tables import table_from_rows
+from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.rows import Rows
 from shift3d.task.run import run_task
@@ -308,3 +311,28 @@ def test_a_task_that_measures_none_keeps_the_id_of_an_older_program() -> None:
     assert TaskSpec.from_dict(make_spec().to_dict()) == make_spec()
     other = make_spec(reference_hash="a" * 32)
     assert TaskSpec.from_dict(other.to_dict()) == other and other.task_id != make_spec().task_id
+
+
+def test_an_edited_vehicle_stands_where_its_baseline_does() -> None:
+    wide = load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": "wide"}))
+    attack = AttackSpec(steps=0, random_replicates=0, noise_replicates=0, edit="chassis.height_m:-1")
+    found = run_task(make_spec(vehicle="sedan", attack=attack), wide)
+    (before,), (after,) = by_method(found, "baseline"), by_method(found, "edited")
+    assert all(after[name] == before[name] for name in ("x_m", "y_m", "yaw_rad"))
+    assert after["score"] != before["score"]
+    codes = {row["method"]: np.array(row["latent_code"]) for row in found.solutions}
+    box = wide.vehicles.parameters("sedan")
+    at = box.names.index("chassis.height_m")
+    moved = (box.low[at] - box.start[at]) * box.basis[at]
+    assert codes["edited"] - codes["baseline"] == pytest.approx(moved, abs=1e-6)
+
+
+def test_an_edit_of_an_unknown_parameter_names_those_there_are() -> None:
+    words = ["vehicle=wide", "vehicle.name=sedan", "mode=shape", "attack.edit=chassis.wings_m:1"]
+    with pytest.raises(InputError, match=r"no parameter 'chassis\.wings_m'.*chassis\.height_m"):
+        make_plan(compose_sweep("default", words), read_catalogue)
+    words[-1] = "attack.edit=chassis.height_m:2"
+    with pytest.raises(InputError, match=r"'2' is no place in the range of chassis\.height_m.*from -1 to 1"):
+        make_plan(compose_sweep("default", words), read_catalogue)
+    with pytest.raises(InputError, match="made of no parameters"):
+        make_plan(compose_sweep("default", ["mode=shape", "attack.edit=chassis.height_m:1"]), read_catalogue)
