@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["Sweep", "natural_by_task", "read_sweep", "sweep_of"]
 
 _TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
-_LATER = ("trajectories", "bev_transfer", "choices", "shapes")  # tables that folders of older versions do not have
+_LATER = ("trajectories", "transfers", "bev_transfer", "choices", "shapes")
+"""Tables that folders of older versions do not have."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Sweep:
     """A sweep's plan and tables.
 
     environment: what ran it (``env.json``). The others: tables of ``final/``; verification is None where the sweep was
-    not verified; trajectories, bev_transfer, choices and shapes are empty where it has none.
+    not verified; trajectories, transfers, bev_transfer, choices and shapes are empty where it has none.
     """
 
     plan: Plan
@@ -40,6 +41,7 @@ class Sweep:
     timings: pd.DataFrame
     attempts: pd.DataFrame
     trajectories: pd.DataFrame
+    transfers: pd.DataFrame
     bev_transfer: pd.DataFrame
     choices: pd.DataFrame
     shapes: pd.DataFrame

@@ -9,16 +9,17 @@ from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.coverage import coverage_lines, stage_times
 from shift3d.analysis.tables.numerics import diagnostics
 from shift3d.analysis.tables.shapes import natural_table
+from shift3d.analysis.tables.transfers import transfer_table
 from shift3d.analysis.variants import variants
 
 __all__ = ["sweep_report"]
 
 
 def sweep_report(sweep: Sweep) -> str:
-    """AUCs, natural shapes, chosen hyper-parameters, what ran, how long it took, and how accurate it was."""
-    natural = natural_table(sweep.scores)
+    """AUCs, natural shapes, shapes in other scenes, chosen hyper-parameters, what ran, its time and its accuracy."""
     tables = [auc_table(variant) for variant in variants(sweep.auc, sweep.scored)]
-    parts = [*tables, *([natural] if natural else []), *choice_tables(sweep.choices)]
+    found = [table for table in (natural_table(sweep.scores), transfer_table(sweep.transfers)) if table]
+    parts = [*tables, *found, *choice_tables(sweep.choices)]
     return "\n\n".join(
         [
             *map(str, parts),

@@ -19,6 +19,7 @@ from shift3d.analysis.statistics.intervals import ratio_interval
 from shift3d.analysis.tables.auc import auc_table
 from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.tables.shapes import natural_table
+from shift3d.analysis.tables.transfers import transfer_table
 from shift3d.analysis.variants import variants
 from shift3d.store.log import read_log
 from shift3d.store.tables import table_from_rows
@@ -109,6 +110,24 @@ def test_auc_over_natural_shapes_stands_beside_that_over_all() -> None:
 def test_the_papers_sst_stands_beside_the_small_one() -> None:
     assert paper_table("shape", "sst_small", "sst_small") == paper_table("shape", "sst", "sst")
     assert paper_table("pose", "sst_small", "pointpillars") == paper_table("pose", "sst", "pointpillars")
+
+
+def transfers(places: int = 6) -> pd.DataFrame:
+    """A suv that falls from 0.8 to 0.4 wherever it is put, a coupe from 0.4 to 0.4, and a scene without room."""
+    group = {"search": "descent", "lambda": 1.0, "alpha": 0.01, "detector": "p", "scored_by": "p", "dataset": "d"}
+    rows = []
+    for number in range(places):
+        rows.append(group | {"vehicle": "suv", "other_scene": f"s{number}", "score_baseline": 0.8, "score": 0.4})
+        rows.append(group | {"vehicle": "coupe", "other_scene": f"s{number}", "score_baseline": 0.4, "score": 0.4})
+    rows.append(group | {"vehicle": "suv", "other_scene": "full", "score_baseline": None, "score": None})
+    return pd.DataFrame(rows)
+
+
+def test_shapes_in_other_scenes_by_their_vehicles_means() -> None:
+    line = str(transfer_table(transfers())).splitlines()[-1].split()
+    assert line[-8:] == ["12", "6", "0.600", "0.400", "0.67", "[0.67,", "0.67]", "50%"]
+    assert transfer_table(transfers(0)) is None
+    assert "inf" in str(transfer_table(transfers(1))), "one scene has no interval"
 
 
 @pytest.fixture(scope="module")

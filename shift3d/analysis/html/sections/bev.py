@@ -11,6 +11,7 @@ from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, S
 from shift3d.analysis.html.figure import axis, plot
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.table import Table
+from shift3d.analysis.tables.transfers import transfer_table
 from shift3d.analysis.variants import Variant
 from shift3d.store.schemas import GROUP_COLUMNS
 
@@ -43,6 +44,8 @@ def transfer_grid(sweep: Sweep, found: Sequence[Variant]) -> Section:
     """The section: what shapes do in scenes and at places that they were not made for."""
     nothing = "No shape was put into another scene by this sweep."
     blocks = _grids(sweep.bev_transfer, found, "transfer", _TRANSFER_LEAD, nothing)
+    if (table := transfer_table(sweep.transfers)) is not None:
+        blocks = [*blocks, table]
     return Section("transfer", "In other scenes, at other places", blocks)
 
 
