@@ -8,6 +8,7 @@ one of shapes and one of poses say; ID (the hardest whose shape is natural) is t
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
     from shift3d.task.assets import Assets
 
-__all__ = ["draw_case", "draw_curves", "draw_family", "draw_training", "draw_vehicles"]
+__all__ = ["draw_case", "draw_curves", "draw_family", "draw_random_codes", "draw_training", "draw_vehicles"]
 
 _RED = (0.75, 0.3, 0.27)
 _SIDE, _THREE_QUARTERS = (np.pi / 2, 0.05), (0.7, 0.3)
@@ -108,6 +109,43 @@ def _draw_kind(panel: Axes, name: str, rgb: tuple[float, float, float] | None) -
     panel.imshow(picture)
     size = " x ".join(f"{side:.2f}" for side in spec.size_m)
     panel.set_title(f"{spec.kind.replace('_', ' ').replace('+', ' + ')}\n{size} m", fontsize=8)
+
+
+def draw_random_codes(path: Path, count: int = 40, columns: int = 8) -> None:
+    """Codes drawn at random from the parametric decoder: a kind at random, its parameters at random in their ranges.
+
+    Below each, its distance to the nearest known vehicle and the percentile of it; red where it is not natural.
+    """
+    import torch
+
+    from shift3d.attack.space import parameter_space
+    from shift3d.naturalness.build import load_reference
+    from shift3d.naturalness.measure import Naturalness
+    from shift3d.naturalness.sources import WideReference
+    from shift3d.seeding import generator
+    from shift3d.vehicles.names import WIDE
+    from shift3d.vehicles.picture import BODY_RGB, shaded
+    from shift3d.vehicles.sources import VehicleSet
+    from shift3d.vehicles.vehicle import vehicle_mesh
+
+    vehicles = VehicleSet(WIDE)
+    decoder, names, rng = vehicles.decoder(), vehicles.names(), generator("random codes picture")
+    measures = Naturalness(load_reference(WideReference(), "naturalness"))
+    figure = _figure(15, 1.55 * (count // columns))
+    for panel in figure.subplots(count // columns, columns).flat:
+        name = names[rng.integers(len(names))]
+        vehicle = vehicles.vehicle(name)
+        space = parameter_space(torch.from_numpy(vehicle.latent_code), vehicles.parameters(name))
+        code = space.code(space.draw(rng, 0.0)).float()
+        found = measures.of_code(vehicle, decoder, code)
+        drawn = replace(vehicle, latent_code=code.numpy())
+        mesh = vehicle_mesh(drawn, decoder, resolution=160)
+        span_m = 6.0 if np.ptp(mesh.vertices[:, 0]) < 6.0 else 8.9
+        panel.imshow(shaded(mesh, 0.75, 0.3, 400, 230, span_m, BODY_RGB if found.natural else _RED))
+        panel.set_axis_off()
+        distance = "" if found.nearest is None else f"{found.nearest.mean_cm:.1f} cm, {found.percentile:.0f} %"
+        panel.set_title(f"{name.replace('_', ' ')}\n{distance}", fontsize=7)
+    figure.savefig(path)
 
 
 def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.DataFrame, path: Path) -> None:
@@ -250,6 +288,7 @@ def main(arguments: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     draw_vehicles(folder / "vehicles.png")
     draw_family(folder / "family.png")
+    draw_random_codes(folder / "random_codes.png")
     draw_training(folder / "training.png")
     tables = {
         name: pd.concat([pd.read_parquet(out / "final" / f"{name}.parquet") for out in outs], ignore_index=True)
