@@ -18,6 +18,7 @@ from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import in_short
 from shift3d.analysis.html.sections.overview import overview
 from shift3d.analysis.html.sections.paths import paths
+from shift3d.analysis.html.sections.rules import rules
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
@@ -42,6 +43,7 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         bev(sweep, found),
         transfer_grid(sweep, found),
         paths(sweep, found),
+        rules(sweep),
         differences(found),
         choices(sweep),
         stability(sweep),
