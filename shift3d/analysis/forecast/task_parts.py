@@ -36,24 +36,32 @@ class TaskParts:
     placement_ms: float
 
     def of(self, spec: TaskSpec) -> float:
-        """Milliseconds of one task at this accuracy, without effects. Detectors not measured count as the slowest."""
+        """Milliseconds of one task at this accuracy, without effects.
+
+        Modes and detectors that were not measured count as the slowest.
+        """
         steps, objects = searched(spec)
-        each_step = self.step_ms[spec.mode] + _or_slowest(self.descent_ms, spec.detector)
-        each_object = self.scored_ms[spec.mode] + sum(_or_slowest(self.score_ms, name) for name in spec.scored_by)
+        each_step = _or_slowest(self.step_ms, spec.mode) + _or_slowest(self.descent_ms, spec.detector)
+        scored_ms = _or_slowest(self.scored_ms, spec.mode)
+        each_object = scored_ms + sum(_or_slowest(self.score_ms, name) for name in spec.scored_by)
         # In another scene a place is found, and the shape and its baseline are scored there.
-        others = len(spec.transfer_scenes) * (self.placement_ms + 2 * each_object)
-        return self.once_ms[spec.mode] + steps * each_step + objects * each_object + others
+        judging = max(len(spec.transfer_scenes) - spec.attack.search_scenes, 0)
+        others = len(spec.transfer_scenes) * self.placement_ms + judging * 2 * each_object
+        return _or_slowest(self.once_ms, spec.mode) + steps * each_step + objects * each_object + others
 
 
 def searched(spec: TaskSpec) -> tuple[int, int]:
     """Renderings of a task's search, and of the objects that it scores."""
     attack = spec.attack
-    noise = attack.noise_replicates if spec.mode == "shape" else 0
-    return attack.steps + 1, 2 + attack.random_replicates + noise
+    noise = attack.noise_replicates if spec.mode != "pose" else 0
+    beside = int(bool(attack.edit) and spec.mode != "pose") + attack.random_search
+    searches = 1 + attack.random_search
+    places = 1 + min(attack.search_scenes, len(spec.transfer_scenes))
+    return searches * places * (attack.steps + 1), 2 + attack.random_replicates + beside + noise
 
 
-def _or_slowest(by_detector: dict[str, float], name: str) -> float:
-    return by_detector.get(name, max(by_detector.values()))
+def _or_slowest(measured: dict[str, float], name: str) -> float:
+    return measured.get(name, max(measured.values()))
 
 
 def shipped_parts() -> TaskParts:

@@ -87,6 +87,24 @@ def test_a_task_by_its_parts() -> None:
     )
 
 
+def test_what_stands_beside_a_search_counts() -> None:
+    """Random draws take as many renderings as the search, a universal shape as many a step as it has scenes."""
+    parts = TaskParts(
+        "by hand", "standard", {"shape": 0.0, "pose": 7.0}, {"shape": 10.0, "pose": 20.0}, {"shape": 1e3, "pose": 2e3},
+        {"pointpillars": 0.0}, {"pointpillars": 0.0}, 0.0,
+    )  # fmt: skip
+    attack = AttackSpec(steps=10, random_replicates=0, noise_replicates=0)
+    spec = replace(plan_of("mode=shape").tasks[0].spec, attack=attack)
+    assert parts.of(spec) == 11 * 10 + 2 * 1e3
+    assert parts.of(replace(spec, attack=replace(attack, random_search=1))) == 22 * 10 + 3 * 1e3
+    assert parts.of(replace(spec, attack=replace(attack, edit="chassis.height_m:1"))) == 11 * 10 + 3 * 1e3
+    scenes = tuple(TransferScene(name, "hash") for name in "abc")
+    universal = replace(spec, attack=replace(attack, search_scenes=2), transfer_scenes=scenes)
+    assert parts.of(universal) == 3 * 11 * 10 + 2 * 1e3 + 2 * 1e3
+    both = replace(spec, mode="shape_pose")
+    assert parts.of(both) == 7 + 11 * 20 + 2 * 2e3, "a mode that was not measured takes as long as the slowest"
+
+
 def test_scenes_that_a_shape_is_put_into_count() -> None:
     """The smoke sweep's set has two streets: none or the other one, and one of each in a sweep over both."""
     one, both = plan_of("mode=shape", "attack.transfer_scenes=1"), plan_of("mode=shape", "attack.transfer_scenes=0,1")
