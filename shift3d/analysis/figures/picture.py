@@ -12,7 +12,14 @@ if TYPE_CHECKING:
 
 __all__ = ["COLOURS", "pixels_png", "png"]
 
-COLOURS = {"baseline": "#7d7d7d", "random": "#2f8fc9", "adversarial_noise": "#b97a00", "adversarial": "#d55e00"}
+COLOURS = {
+    "baseline": "#7d7d7d",
+    "random": "#2f8fc9",
+    "random_search": "#9467bd",
+    "edited": "#2c9668",
+    "adversarial_noise": "#b97a00",
+    "adversarial": "#d55e00",
+}
 """By method; each at least 3:1 against the light and the dark ground, told apart by who does not see all colours."""
 
 

@@ -11,7 +11,14 @@ from shift3d.analysis.html.blocks import Plot
 
 __all__ = ["DASHES", "LEGEND_BELOW", "axis", "band", "filled", "line", "plot", "plotly_library", "short"]
 
-DASHES = {"baseline": "solid", "random": "dot", "adversarial_noise": "dash", "adversarial": "solid"}
+DASHES = {
+    "baseline": "solid",
+    "random": "dot",
+    "random_search": "dot",
+    "edited": "dashdot",
+    "adversarial_noise": "dash",
+    "adversarial": "solid",
+}
 LEGEND_BELOW = {"orientation": "h", "yref": "container", "y": 0.01, "yanchor": "bottom", "itemsizing": "constant"}
 _GRID = "rgba(128,128,128,0.28)"
 _CLEAR = "rgba(0,0,0,0)"

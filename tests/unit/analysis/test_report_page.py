@@ -19,7 +19,7 @@ from shift3d.analysis.cases.rendered import Loaded
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Section
 from shift3d.analysis.html.document import blocks_html, document
-from shift3d.analysis.html.figure import plot
+from shift3d.analysis.html.figure import DASHES, plot
 from shift3d.analysis.html.report import write_report
 from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
@@ -35,6 +35,7 @@ from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import variants
 from shift3d.cli.main import main
 from shift3d.errors import InputError
+from shift3d.methods import METHODS
 from shift3d.store.log import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
@@ -268,6 +269,10 @@ def test_a_name_cannot_end_the_figures_script() -> None:
     shown = blocks_html([plot("k", traces, {}, 'a "label"', "c")])
     Page(shown)
     assert "</script><b>" not in shown and "&#34;label&#34;" in shown
+
+
+def test_every_method_has_a_colour_and_a_dash() -> None:
+    assert COLOURS.keys() == DASHES.keys() == METHODS.keys()
 
 
 def test_colours_show_on_light_and_dark() -> None:
