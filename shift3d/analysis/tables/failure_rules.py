@@ -143,4 +143,6 @@ def _condition_text(condition: Condition) -> str:
 
 
 def _difference(interval: Interval) -> str:
+    if math.isinf(interval.high):
+        return f"{interval.mean:+.2f} (one scene)"
     return f"{interval.mean:+.2f} [{number(interval.low, 2)}, {number(interval.high, 2)}]"

@@ -17,6 +17,7 @@ __all__ = ["gallery"]
 
 _COUNT = 50
 _SIZE_PX = (170, 105)
+_SPAN_M = 5.6
 _RESOLUTION = 72  # of the meshes: 7 cm
 _RGB = {"baseline": (0.55, 0.57, 0.60), "adversarial": (0.86, 0.42, 0.12)}
 
@@ -45,7 +46,7 @@ def gallery(sweep: Sweep, loaded: Loaded, count: int = _COUNT) -> Section:
 def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loaded: Loaded) -> Picture:
     spec = task.spec
     weight = "" if spec.lambda_ is None else f", lambda {spec.lambda_:g}"
-    name = f"{spec.vehicle.replace('_', ' ')}, {spec.mode}{weight}"
+    name = f"{spec.vehicle.replace('_', ' ')}, {spec.mode.replace('_', ' and ')}{weight}"
     if case is None:
         rows = sweep.scores[sweep.scores["task_id"] == spec.task_id]
         status = str(rows["status"].iloc[0]).replace("_", " ") if len(rows) else "no result"
@@ -63,12 +64,17 @@ def _pixels(sweep: Sweep, task: PlannedTask, loaded: Loaded) -> NDArray[np.uint8
     from shift3d.vehicles.picture import shaded
 
     rows = sweep.solutions[(sweep.solutions["task_id"] == task.spec.task_id) & (sweep.solutions["replicate"] == 0)]
-    views = []
-    for method, rgb in _RGB.items():
+    meshes = []
+    for method in _RGB:
         row = rows[rows["method"] == method].iloc[0]
         theta = row[list(POSE)].to_numpy(dtype=np.float64)
         mesh = loaded.mesh(task, row["latent_code"], _RESOLUTION).copy()
         mesh.vertices = oriented(mesh.vertices, theta)
-        towards_sensor = float(np.arctan2(-theta[1], -theta[0]))
-        views.append(shaded(mesh, towards_sensor, 0.22, *_SIZE_PX, rgb=rgb))
+        meshes.append((mesh, float(np.arctan2(-theta[1], -theta[0]))))
+    # One scale for both, that of a car unless the vehicle is longer.
+    span_m = max(_SPAN_M, *(1.08 * float(mesh.extents.max()) for mesh, _ in meshes))
+    views = [
+        shaded(mesh, towards_sensor, 0.22, *_SIZE_PX, span_m, rgb)
+        for (mesh, towards_sensor), rgb in zip(meshes, _RGB.values())
+    ]
     return np.concatenate(views, axis=1)
