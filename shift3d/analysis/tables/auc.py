@@ -26,7 +26,7 @@ def auc_table(variant: Variant, in_full: bool = False) -> Table:
     in_full: with 95 % intervals and numbers of scenes as notes, and the paper's rows beside; it takes a second or two.
     """
     vehicles = variant.vehicles
-    paper = paper_table(variant.mode, variant.detector, variant.scored_by) if in_full else None
+    paper = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search) if in_full else None
     if paper and not any(paper.aucs.of(method, vehicle) for method in METHODS for vehicle in vehicles):
         paper = None
     lines: list[Sequence[Cell]] = []

@@ -29,9 +29,13 @@ def _tables() -> dict[tuple[str, str, str], PaperTable]:
     return {(t["mode"], t["detector"], t["scored_by"]): PaperTable(t["table"], Aucs(t["auc"])) for t in found}
 
 
-def paper_table(mode: str, detector: str, scored_by: str) -> PaperTable | None:
+def paper_table(mode: str, detector: str, scored_by: str, search: str = "descent") -> PaperTable | None:
     """What the paper found for a detector that was attacked and one that scores; None where it has no such table.
+
+    search: as in the results' column; the paper's is a descent over every code.
 
     Beside the small SST stands the paper's SST.
     """
+    if search != "descent":
+        return None
     return _tables().get((mode, detector.removesuffix("_small"), scored_by.removesuffix("_small")))

@@ -112,6 +112,11 @@ def test_the_papers_sst_stands_beside_the_small_one() -> None:
     assert paper_table("pose", "sst_small", "pointpillars") == paper_table("pose", "sst", "pointpillars")
 
 
+def test_the_paper_stands_beside_its_own_search_alone() -> None:
+    assert paper_table("shape", "pointpillars", "pointpillars", "descent") is not None
+    assert paper_table("shape", "pointpillars", "pointpillars", "expectation_parameters") is None
+
+
 def transfers(places: int = 6) -> pd.DataFrame:
     """A suv that falls from 0.8 to 0.4 wherever it is put, a coupe from 0.4 to 0.4, and a scene without room."""
     group = {"search": "descent", "lambda": 1.0, "alpha": 0.01, "detector": "p", "scored_by": "p", "dataset": "d"}

@@ -45,7 +45,7 @@ def auc_blocks(variant: Variant) -> list[Block]:
     blocks: list[Block] = [auc_table(variant, in_full=True)]
     if natural := natural_sentence(variant):
         blocks.append(Paragraph(natural))
-    paper = paper_table(variant.mode, variant.detector, variant.scored_by)
+    paper = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search)
     if not paper or not set(variant.vehicles) & {name for row in paper.aucs.by_method.values() for name in row}:
         blocks.append(Paragraph(f"The paper has no table of these vehicles for {variant.label}.", "missing"))
     return blocks

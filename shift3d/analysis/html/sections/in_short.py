@@ -50,7 +50,7 @@ def headline(variant: Variant) -> str:
 
 
 def _papers_ratio(variant: Variant) -> float | None:
-    paper = paper_table(variant.mode, variant.detector, variant.scored_by)
+    paper = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search)
     return paper.aucs.of_baseline("adversarial", variant.vehicles) if paper else None
 
 
