@@ -32,6 +32,7 @@ def test_the_texts_among_the_settings() -> None:
             "naturalness.folder",
         ),
         *("detector.weights", "detector.module", "runner.address", "tracking.uri", "tracking.experiment"),
+        "attack.edit",
     }
 
 
