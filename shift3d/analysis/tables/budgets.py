@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -73,8 +74,8 @@ def _shapes(rows: pd.DataFrame) -> list[str]:
     own = rows[rows["method"] == "adversarial"].drop_duplicates("task_id")
     judged = own[own["natural"].notna()] if "natural" in own else own.iloc[:0]
     natural = f"{int(judged['natural'].eq(True).sum())} of {len(judged)}" if len(judged) else "-"
-    known = own["surface_distance_cm"].dropna() if "surface_distance_cm" in own else []
-    return [natural, f"{float(known.median()):.1f}" if len(known) else "-"]
+    apart = float(own["surface_distance_cm"].median()) if "surface_distance_cm" in own else math.nan
+    return [natural, "-" if math.isnan(apart) else f"{apart:.1f}"]
 
 
 def _text(found: Interval | None, digits: int = 2) -> str:
