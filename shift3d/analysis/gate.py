@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pandas as pd
 
 from shift3d.analysis.cases.frozen import view_of
 from shift3d.analysis.html.gate import GatePage, gate_html
+from shift3d.analysis.statistics.releases import Rule
 from shift3d.analysis.tables.gate import Comparison, compare, measures_table, simulated_rates, worst_table
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
@@ -30,12 +31,11 @@ _SHOWN = 8
 
 @dataclass(frozen=True)
 class GateSettings:
-    """score_threshold: a score above it is a detection. level: one-sided, of all measures together. workers: processes.
+    """rule: when weights are worse. workers: processes.
     against: number of the release to compare with, None: the last. accept: whether the scores become the next release:
     "true" where nothing got worse, "anyway" whatever was found."""
 
-    score_threshold: float = 0.3
-    level: float = 0.025
+    rule: Rule = field(default_factory=Rule)
     workers: int = 1
     against: int | None = None
     accept: Acceptance = "false"
@@ -49,16 +49,20 @@ class Outcome:
     text: str
 
 
-def run_gate(
-    suite: FrozenSuite, scorer: Scorer, releases: Location, out: Location, settings: GateSettings = GateSettings()
-) -> Outcome:
+def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Location, settings: GateSettings) -> Outcome:
     """Score, compare, and write ``out``: gate.parquet (a row an object, worst first), verdict.json, gate.html, and the
     answers, so that a killed gate goes on where it stopped. The same call gives the same bytes, whatever the workers.
 
     Raises:
-        InputError: weights that do not fit, no release to compare with, another gate's folder, a damaged suite.
+        InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's folder, a damaged suite.
     Source: our choice: the paper has no gate.
     """
+    scenes = len((suite.objects["dataset"] + "/" + suite.objects["scene"]).unique())
+    if 0.5**scenes > settings.rule.level:
+        what = (
+            f"has objects of {counted(scenes, 'scene')}: no loss would be significant at level={settings.rule.level:g}"
+        )
+        raise InputError(what, str(suite.folder), "Freeze a suite of a sweep over more scenes: scenes.count=")
     for precision in suite.objects["precision"].unique():
         scorer.at(precision)  # what is wrong with the weights is said before anything is scored
     last = last_release(suite, releases, scorer.name, settings.against)
@@ -76,7 +80,7 @@ def run_gate(
         )
     if missing := set(after) - set(last.scores):
         raise InputError(f"has no score of {counted(len(missing), 'object')}", f"{last.name} of {last.detector}")
-    found = compare(suite.objects, last.scores, after, settings.score_threshold, settings.level)
+    found = compare(suite.objects, last.scores, after, settings.rule)
     sentence, caution = found.sentence(last.name), _caution(suite, last, scorer)
     (out / "gate.parquet").write_atomic(suite_table_bytes(suite_table("gate", found.rows.to_dict("records"))))
     facts = _facts(suite, scorer, last, settings)
@@ -126,8 +130,8 @@ def _facts(suite: FrozenSuite, scorer: Scorer, last: Release, settings: GateSett
         "weights": scorer.digest,
         "against": last.name,
         "weights before": last.weights,
-        "score_threshold": f"{settings.score_threshold:g}",
-        "level": f"{settings.level:g}, one-sided, of all measures together",
+        "rule": f"a score above {settings.rule.score_threshold:g} is a detection; worse is a loss of at least "
+        f"{settings.rule.tolerance:g} with p of at most {settings.rule.level:g}, of any measure",
     }
 
 

@@ -60,6 +60,8 @@ def score_suite(suite: FrozenSuite, scorer: Scorer, folder: Location, workers: i
     """
     names = list(dict.fromkeys(suite.objects["background"]))
     files = {name: folder / f"{name}.parquet" for name in names}
+    for torn in folder.leftovers():
+        torn.delete()
     present = set(folder.names())
     missing = [name for name in names if files[name].name not in present]
     coming = _scored(suite, scorer, missing, workers)

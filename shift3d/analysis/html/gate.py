@@ -54,7 +54,7 @@ def gate_html(page: GatePage) -> str:
             "there are, the more objects it takes to see a loss. The table holds for independent objects and for the "
             "test of recall alone; the simulation below is of the whole test on these objects."
         ),
-        power_table(len(page.found.measures), page.found.level),
+        power_table(len(page.found.measures), page.found.rule.level),
         simulation_table(list(page.rates)),
     ]
     sections = [
@@ -126,7 +126,7 @@ def _scatter(found: Comparison) -> Plot:
     same = {"type": "scatter", "mode": "lines", "x": [0, 1], "y": [0, 1], "name": "no change", "hoverinfo": "skip"}
     traces.append({**same, "line": {"color": "#8a8a8a", "width": 1}})
     limit = {"type": "line", "line": {"color": "#8a8a8a", "width": 1, "dash": "dot"}}
-    t = found.score_threshold
+    t = found.rule.score_threshold
     shapes = [{**limit, "x0": t, "x1": t, "y0": 0, "y1": 1}, {**limit, "y0": t, "y1": t, "x0": 0, "x1": 1}]
     layout = {
         "xaxis": axis("score before", range=[-0.02, 1.02], constrain="domain"),

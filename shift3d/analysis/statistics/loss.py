@@ -37,6 +37,8 @@ def flip_p_values(sums: FloatArray, flips: int = _FLIPS) -> FloatArray:
 
     Source: sign-flip (Fisher's randomization) test; single-step maxT of Westfall and Young 1993.
     """
+    if not len(sums):
+        return np.ones(sums.shape[1:])
     scale = np.sqrt((sums**2).sum(axis=0))
     whole = np.divide(-sums, scale, out=np.zeros_like(sums), where=scale > 0)
     found = whole.sum(axis=0)

@@ -11,13 +11,27 @@ from numpy.typing import NDArray
 from shift3d.analysis.statistics.loss import flip_p_values, scene_sums
 from shift3d.seeding import generator
 
-__all__ = ["MEASURES", "Rates", "measured_differences", "stopped_releases"]
+__all__ = ["MEASURES", "Rates", "Rule", "measured_differences", "stopped_releases"]
 
 FloatArray = NDArray[np.float64]
 MEASURES = ("recall", "mean score")
 """Of each role's objects: what a gate tests."""
 _SIMULATED_FLIPS = 1_999
 _FLOOR = 0.005
+
+
+@dataclass(frozen=True)
+class Rule:
+    """When a release is worse: a measure fell by ``tolerance`` or more, and by more than chance explains at ``level``,
+    one-sided, of all measures together. A score above score_threshold is a detection. Source: our choice."""
+
+    score_threshold: float = 0.3
+    level: float = 0.05
+    tolerance: float = 0.005
+
+    def stops(self, changes: FloatArray, p_values: FloatArray) -> NDArray[np.bool_]:
+        """Whether measures (..., J) stop a release."""
+        return np.asarray((p_values <= self.level) & (changes <= -self.tolerance))
 
 
 @dataclass(frozen=True)
@@ -50,8 +64,7 @@ def stopped_releases(
     places: Sequence[str],
     churn: float,
     loss: float,
-    score_threshold: float,
-    level: float,
+    rule: Rule,
     releases: int = 200,
 ) -> Rates:
     """How often the gate stops releases drawn around scores (N,) of N objects in N named places.
@@ -62,6 +75,7 @@ def stopped_releases(
 
     Source: our choice.
     """
+    score_threshold = rule.score_threshold
     rng = generator("simulated releases", len(scores), releases)
     _, scene = np.unique(np.asarray(places), return_inverse=True)
     logits = np.clip(scores, _FLOOR, 1.0 - _FLOOR)
@@ -80,9 +94,10 @@ def stopped_releases(
         worse[taken, release] = score_threshold * rng.random(len(taken))
     groups = [role for role in (hard, ~hard) if role.any()]
     rates = []
+    sizes = np.repeat([role.sum() for role in groups], len(MEASURES))
     for new in (after, worse):
-        sums = scene_sums(measured_differences(before, new, groups, score_threshold), places)
-        p_values = flip_p_values(sums, _SIMULATED_FLIPS) if len(sums) else np.ones((releases, 1))
-        rates.append(float((p_values.min(axis=-1) <= level).mean()))
+        differences = measured_differences(before, new, groups, score_threshold)
+        p_values = flip_p_values(scene_sums(differences, places), _SIMULATED_FLIPS)
+        rates.append(float(rule.stops(differences.sum(axis=0) / sizes, p_values).any(axis=-1).mean()))
     lost = ((before > score_threshold) & (after <= score_threshold))[hard].mean()
     return Rates(churn, float(lost), rates[0], rates[1] if feasible else None)

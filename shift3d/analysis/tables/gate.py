@@ -10,7 +10,7 @@ import numpy as np
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.statistics.loss import detectable_loss, flip_p_values, objects_needed, scene_sums
-from shift3d.analysis.statistics.releases import MEASURES, Rates, measured_differences, stopped_releases
+from shift3d.analysis.statistics.releases import MEASURES, Rates, Rule, measured_differences, stopped_releases
 from shift3d.analysis.tables.table import Table
 from shift3d.wording import counted
 
@@ -38,7 +38,7 @@ _NOISES = (0.05, 0.1, 0.2, 0.4)
 @dataclass(frozen=True)
 class Measure:
     """One measure of one role's objects. change: after less before, with its interval over scenes. p_value: one-sided,
-    of a loss, corrected for the number of measures."""
+    of a loss, corrected for the number of measures. worse: whether it stops the release."""
 
     role: str
     name: str
@@ -46,6 +46,7 @@ class Measure:
     after: float
     change: Interval
     p_value: float
+    worse: bool
 
     @property
     def title(self) -> str:
@@ -58,18 +59,17 @@ class Comparison:
     """Two releases on the same objects.
 
     rows: the table of ``gate.parquet``, worst first: objects that are no longer detected, then by their change of
-    score. level: of the test.
+    score.
     """
 
     rows: pd.DataFrame
     measures: tuple[Measure, ...]
-    score_threshold: float
-    level: float
+    rule: Rule
 
     @property
     def worse(self) -> bool:
-        """Whether a measure fell by more than chance explains."""
-        return any(measure.p_value <= self.level for measure in self.measures)
+        """Whether a measure stops the release."""
+        return any(measure.worse for measure in self.measures)
 
     def lost(self, role: str) -> int:
         """Objects of a role that were detected before and are not now."""
@@ -90,13 +90,13 @@ class Comparison:
     def detectable(self) -> float | None:
         """The smallest loss of recall of hard objects that this suite shows in 90 % of releases with as much churn."""
         number = self.number("hard")
-        return detectable_loss(number, self.gained("hard") / number, _POWERS[1], self.level / len(self.measures))
+        return detectable_loss(number, self.gained("hard") / number, _POWERS[1], self.rule.level / len(self.measures))
 
     def sentence(self, against: str) -> str:
         """The verdict. against: the release that it is compared with."""
         counts = f"{self.lost('hard')} hard objects lost, {self.gained('hard')} newly detected"
         if self.worse:
-            worst = min(self.measures, key=lambda measure: measure.p_value)
+            worst = min((m for m in self.measures if m.worse), key=lambda measure: measure.p_value)
             return (
                 f"Worse than {against}: {worst.title} {worst.before:.3f} → {worst.after:.3f} "
                 f"(p = {worst.p_value:.4f}); {counts}."
@@ -110,36 +110,37 @@ class Comparison:
         return f"No loss found against {against}: {counts}. With {counted(number, 'hard object')}, {shown}."
 
 
-def compare(
-    objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[str, float], score_threshold: float, level: float
-) -> Comparison:
+def compare(objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[str, float], rule: Rule) -> Comparison:
     """Compare scores by object_id.
 
-    objects: of the suite. score_threshold: a score above it is a detection. level: one-sided, of all measures together.
+    objects: of the suite.
     """
     rows = objects[["object_id", "role", "task_id", "method", "vehicle", "scene", "dataset", "mode"]].copy()
     rows["range_m"] = np.hypot(objects["x_m"], objects["y_m"])
     rows["object_points"] = objects["object_points"]
     rows["score_before"], rows["score"] = (rows["object_id"].map(dict(scores)) for scores in (before, after))
     rows["change"] = rows["score"] - rows["score_before"]
-    rows["detected_before"], rows["detected"] = (rows[name] > score_threshold for name in ("score_before", "score"))
+    rows["detected_before"], rows["detected"] = (
+        rows[name] > rule.score_threshold for name in ("score_before", "score")
+    )
     places = list(rows["dataset"] + "/" + rows["scene"])
     roles = [role for role in _ROLES if (rows["role"] == role).any()]
     groups = [(rows["role"] == role).to_numpy() for role in roles]
     scores = rows["score_before"].to_numpy(), rows["score"].to_numpy()
-    differences = measured_differences(*scores, groups, score_threshold)
-    sums = scene_sums(differences, places)
-    p_values = flip_p_values(sums) if len(sums) else np.ones(differences.shape[1])
+    differences = measured_differences(*scores, groups, rule.score_threshold)
+    p_values = flip_p_values(scene_sums(differences, places))
     measures = []
     for column, (role, name) in enumerate((role, name) for role in roles for name in MEASURES):
         own = groups[column // len(MEASURES)]
-        values = [part > score_threshold if name == MEASURES[0] else part for part in scores]
+        values = [part > rule.score_threshold if name == MEASURES[0] else part for part in scores]
         change = mean_interval(differences[own, column], [place for place, taken in zip(places, own) if taken])
         means = [float(part[own].mean()) for part in values]
-        measures.append(Measure(role, name, means[0], means[1], change, float(p_values[column])))
+        p_value = p_values[column]
+        stops = bool(rule.stops(np.array(change.mean), p_value))
+        measures.append(Measure(role, name, means[0], means[1], change, float(p_value), stops))
     rows["lost"] = rows["detected_before"] & ~rows["detected"]
     ordered = rows.sort_values(["lost", "change", "object_id"], ascending=[False, True, True], kind="stable")
-    return Comparison(ordered.drop(columns="lost").reset_index(drop=True), tuple(measures), score_threshold, level)
+    return Comparison(ordered.drop(columns="lost").reset_index(drop=True), tuple(measures), rule)
 
 
 def measures_table(found: Comparison) -> Table:
@@ -151,12 +152,14 @@ def measures_table(found: Comparison) -> Table:
             f"{measure.after:.3f}",
             f"{measure.change.mean:+.3f} ({measure.change.low:+.3f} to {measure.change.high:+.3f})",
             f"{measure.p_value:.4f}",
-            "worse" if measure.p_value <= found.level else "",
+            "worse" if measure.worse else "",
         ]
         for measure in found.measures
     ]
     header = ["measure", "before", "after", "change (95 % interval)", "p of a loss", ""]
-    title = f"Scores above {found.score_threshold:g} are detections; p-values are corrected for there being several"
+    title = (
+        f"Scores above {found.rule.score_threshold:g} are detections; p-values are corrected for there being several"
+    )
     return Table(title, header, lines, ["worst" if line[-1] else "" for line in lines])
 
 
@@ -198,9 +201,7 @@ def simulated_rates(found: Comparison, loss: float = _LOSS) -> list[Rates]:
     rows = found.rows.sort_values("object_id", kind="stable")
     hard, places = (rows["role"] == "hard").to_numpy(), list(rows["dataset"] + "/" + rows["scene"])
     scores = rows["score_before"].to_numpy()
-    return [
-        stopped_releases(scores, hard, places, noise, loss, found.score_threshold, found.level) for noise in _NOISES
-    ]
+    return [stopped_releases(scores, hard, places, noise, loss, found.rule) for noise in _NOISES]
 
 
 def simulation_table(rates: list[Rates], loss: float = _LOSS) -> Table:
