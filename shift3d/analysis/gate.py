@@ -54,7 +54,8 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     answers, so that a killed gate goes on where it stopped. The same call gives the same bytes, whatever the workers.
 
     Raises:
-        InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's folder, a damaged suite.
+        InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's
+            folder, a damaged suite.
     Source: our choice: the paper has no gate.
     """
     scenes = len((suite.objects["dataset"] + "/" + suite.objects["scene"]).unique())

@@ -128,4 +128,4 @@ def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> No
 def _plain(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.tolist()
-    return None if value is None or value is pd.NA or value != value else value  # noqa: PLR0124 - NaN
+    return None if value is None or value is pd.NA or value != value else value
