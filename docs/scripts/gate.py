@@ -20,7 +20,7 @@ from shift3d.seeding import generator
 from shift3d.store.atomic import write_atomic
 
 LOSS = 0.02
-OBJECTS = (500, 1000, 2000)
+OBJECTS = (500, 1000, 2000, 4000)
 NOISES = (0.0, 0.05, 0.1, 0.2, 0.4)
 
 

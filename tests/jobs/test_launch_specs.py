@@ -68,7 +68,7 @@ def test_a_job_that_is_none_is_said(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["sweep", "smoke", "job=ray_job", "--dry-run"]) == 0, "a plan needs no cluster"
 
 
-def test_the_ci_example_gives_the_gate.KEYS_that_it_takes() -> None:
+def test_the_ci_example_gives_the_gate_words_that_it_takes() -> None:
     steps = yaml.safe_load((JOBS / "gate_ci.yaml").read_text())["jobs"]["gate"]["steps"]
     (command,) = [shlex.split(step["run"]) for step in steps if "shift3d gate" in step.get("run", "")]
     values = key_values(command[2:], gate.KEYS, ("suite", "detector", "weights", "accept"), "gate")
