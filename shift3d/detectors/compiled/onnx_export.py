@@ -33,6 +33,8 @@ class PointsToScores(nn.Module):
     Args: net: of pillars, as its `inference("float32")` gives it.
     """
 
+    limits: Tensor
+
     def __init__(self, net: PillarBackboneNet) -> None:
         super().__init__()
         if isinstance(net.heads, AnchorHeads):  # a number of the graph, whose shape cannot follow a tensor's value
@@ -41,6 +43,12 @@ class PointsToScores(nn.Module):
             net.heads.anchor_size_m = size_m  # type: ignore[assignment]
         self.net = net
         self.cells = net.grid.num_x * net.grid.num_y
+        grid = net.grid
+        # As tensors: the exporter rounds float64 numbers to float32, and points near an edge would change their cell.
+        limits = torch.tensor(
+            (grid.x_min_m, grid.y_min_m, grid.z_min_m, grid.z_max_m, grid.cell_m), dtype=torch.float64
+        )
+        self.register_buffer("limits", limits, persistent=False)
 
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """points: (N, 3) float32, network frame, metres. Returns boxes (A, 7) and scores (A,), float32."""
@@ -53,17 +61,17 @@ class PointsToScores(nn.Module):
     def _canvas(self, points: Tensor) -> Tensor:
         """(cells, C), zero where no point is."""
         grid, exact = self.net.grid, points.double()  # cells in float64, as `grid.cells_of` takes them
-        column = torch.floor((exact[:, 0] - grid.x_min_m) / grid.cell_m)
-        line = torch.floor((exact[:, 1] - grid.y_min_m) / grid.cell_m)
+        corner, low, high, edge = self.limits[:2], self.limits[2], self.limits[3], self.limits[4]
+        place = torch.floor((exact[:, :2] - corner) / edge)
+        column, line = place[:, 0], place[:, 1]
         inside = (column >= 0) & (column < grid.num_x) & (line >= 0) & (line < grid.num_y)
-        inside = inside & (exact[:, 2] >= grid.z_min_m) & (exact[:, 2] < grid.z_max_m)
+        inside = inside & (exact[:, 2] >= low) & (exact[:, 2] < high)
         cell = torch.where(inside, line * grid.num_x + column, float(self.cells)).long()
         points = torch.where(inside[:, None], points, 0.0)
         total = points.new_zeros(self.cells + 1, 3).scatter_reduce(0, cell[:, None].expand(-1, 3), points, "sum")
         count = points.new_zeros(self.cells + 1).scatter_reduce(0, cell, torch.ones_like(points[:, 0]), "sum")
         mean = total[cell] / count[cell][:, None]
-        corner = exact.new_tensor((grid.x_min_m, grid.y_min_m))
-        centre = corner + (torch.stack((column, line), dim=1) + 0.5) * grid.cell_m
+        centre = corner + (place + 0.5) * edge
         decorated = torch.cat((points, points - mean, points[:, :2] - centre.to(points.dtype)), dim=1)
         features: Tensor = self.net.pillar_net.linear(decorated)
         # From zero: the maximum and the ReLU after it at once.

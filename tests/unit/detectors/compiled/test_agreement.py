@@ -35,7 +35,7 @@ def test_less_than_the_tolerance_is_taken(tmp_path: Path, bias: float) -> None:
 
 
 def test_more_is_refused_with_place_and_scores(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"differs from own's by 0\.0012.*0\.5\d+ against 0\.5\d+ in one at \(.*\) m"):
+    with pytest.raises(InputError, match=r"differs from own's by 0\.0012.*0\.4\d+ against 0\.4\d+ in two at \(.*\) m"):
         require_agreement(*pair(tmp_path, 5e-3), clouds(), "mine.onnx")
 
 
