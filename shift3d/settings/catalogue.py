@@ -15,6 +15,7 @@ from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
 from shift3d.settings.attack_schema import AttackConfig
+from shift3d.settings.compiled import compare_with_original, require_score_only
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.scene_cache import SceneEntry
 from shift3d.settings.scene_entries import scene_entries
@@ -223,6 +224,7 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     Raises:
         InputError: a missing file, or a scene that cannot be read.
     """
+    require_score_only(config)
     scenes = scene_set(config.scenes)
     entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
@@ -247,8 +249,6 @@ def _notes(config: Config, scenes: SceneSet, names: Sequence[str], preview: bool
     """What is said of an ONNX file that scores; a preview looks at no scene."""
     if config.detector.file is None or preview:
         return ()
-    from shift3d.settings.compiled import compare_with_original
-
     return (compare_with_original(config.detector, scenes, names),)
 
 

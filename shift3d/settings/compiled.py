@@ -7,7 +7,9 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from shift3d.settings.schema import DetectorConfig
+from shift3d.detectors.names import ONNX
+from shift3d.errors import InputError
+from shift3d.settings.schema import Config, DetectorConfig
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -15,10 +17,17 @@ if TYPE_CHECKING:
 
     from shift3d.scenes.sets import SceneSet
 
-__all__ = ["compare_with_original", "compiled_network"]
+__all__ = ["compare_with_original", "compiled_network", "require_score_only"]
 
 _COMPARED_SCENES = 3
 _done: dict[tuple[str, ...], str] = {}
+
+
+def require_score_only(config: Config) -> None:
+    """Raises InputError where an ONNX file is to be searched along a gradient, which it does not give."""
+    if config.detector.name == ONNX and (search := config.attack.search) not in ("evolution", "random"):
+        what = f"attack.search={search} follows a gradient, and an ONNX file gives none"
+        raise InputError(what, "detector=onnx", "Give attack.search=evolution, or random")
 
 
 def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Sequence[str]) -> str:
@@ -37,7 +46,6 @@ def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Seque
     if key not in _done:
         from shift3d.detectors.compiled.agreement import require_agreement
         from shift3d.detectors.loading import detector_of
-        from shift3d.detectors.names import ONNX
 
         compiled = detector_of(ONNX, config.file, None, "float32")
         original = detector_of(config.original, weights.get(config.original), config.module, "float32")

@@ -271,15 +271,6 @@ class Config(Record):
             raise ValueError("attack.naturalness is a percentile of a reference set: give naturalness=wide")
         return self
 
-    @model_validator(mode="after")
-    def _a_gradient_for_the_search(self) -> Self:
-        if self.detector.name == ONNX and self.attack.search in ("descent", "expectation"):
-            raise ValueError(
-                f"attack.search={self.attack.search} follows a gradient, and an ONNX file gives none: "
-                "attack.search=evolution, or random"
-            )
-        return self
-
     def settings(self) -> dict[str, Any]:
         """The settings that can change a result, as plain values."""
         return self.model_dump(mode="json", by_alias=True, exclude={"runner", "tracking"})

@@ -12,7 +12,7 @@ from onnx_files import OWN_SOURCE, write_model
 from shift3d.errors import InputError
 from shift3d.scenes.sets import StreetScenes
 from shift3d.settings.catalogue import detector_hash, scoring_detectors
-from shift3d.settings.compiled import compare_with_original
+from shift3d.settings.compiled import compare_with_original, require_score_only
 from shift3d.settings.compose import validate
 from shift3d.settings.schema import Config, DetectorConfig
 from shift3d.task.asset_files import named_files
@@ -29,16 +29,18 @@ def asked(search: str = "evolution", **detector: Any) -> Config:
 @pytest.mark.parametrize("search", ["descent", "expectation"])
 def test_a_search_with_gradients_is_refused_with_the_remedy(search: str) -> None:
     with pytest.raises(InputError, match=rf"search={search} follows a gradient.*attack\.search=evolution, or random"):
-        asked(search)
+        require_score_only(asked(search))
 
 
 @pytest.mark.parametrize("search", ["evolution", "random"])
 def test_a_search_by_scores_is_taken(search: str) -> None:
+    require_score_only(asked(search))
     assert asked(search).detector.weights_by_name() == {"onnx": "mine.onnx"}
 
 
 def test_beside_another_detector_any_search_goes() -> None:
     config = asked("descent", name="pointpillars", scored_by=["onnx"])
+    require_score_only(config)
     assert config.detector.weights_by_name() == {"pointpillars": None, "onnx": "mine.onnx"}
 
 
