@@ -1,0 +1,133 @@
+"""A detector fine-tuned on the objects of a sweep, its weights with their provenance.
+
+Source: SHIFT3D, Improving Model Robustness: one epoch at a small rate over scenes with an object. Our choice beyond it:
+half of the crops show the same scenes without an object, and batch norms keep the statistics of the start, so that at
+a rate of 0 the detector would be the one before.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from shift3d.errors import InputError
+from shift3d.finetuning.objects import SweepObjects, stable_objects
+from shift3d.finetuning.scenes import natural_scenes, object_scenes, objects_digest
+from shift3d.settings.catalogue import file_hash
+from shift3d.store.resolve import LocationLike
+from shift3d.training.checkpoints import read_checkpoint
+from shift3d.training.command import WEIGHTS_FOLDER, TrainOptions
+from shift3d.training.compute import Compute
+from shift3d.training.detector.drawn_crops import EpochCrops, epoch_steps
+from shift3d.training.detector.loop import CHECKPOINT, train_on_scenes
+from shift3d.training.detector.recipe import Recipe
+from shift3d.training.detector.recipes import RECIPES, changed
+from shift3d.training.detector.train import CURVE_POINTS, export_weights
+from shift3d.training.detector.warm_start import start_state
+from shift3d.training.progress import Report, averaged
+from shift3d.training.provenance import write_provenance
+
+__all__ = ["RATE", "fine_tune", "tuning_recipe"]
+
+RATE = 1e-4
+"""Peak learning rate (our choice, for an epoch of some hundred steps; the paper: 1e-7, its optimiser unstated)."""
+
+
+def fine_tune(
+    detector: str,
+    sweep: LocationLike,
+    options: TrainOptions,
+    method: str = "adversarial",
+    report: Report | None = None,
+) -> Path:
+    """Train one epoch over the stable objects of a verified sweep, or go on from where an interrupted one stopped.
+
+    Args:
+        options: of which out, threads, device, steps (None: an epoch's), start_from (None: the shipped weights) and
+            recipe count.
+        method: whose objects: "adversarial", or "baseline" for a control that sees the same scenes.
+        report: is given the curves' points after every checkpoint.
+    Returns: the weights, float32, beside a JSON file of their provenance: the same bytes for the same sweep, recipe and
+        start on one processor.
+    Raises: InputError: as `stable_objects`; a field that a recipe does not have; a checkpoint of another tuning in out.
+    """
+    shipped = WEIGHTS_FOLDER / f"{detector}.safetensors"
+    start = shipped if options.start_from in (None, "shipped") else Path(str(options.start_from)).expanduser()
+    if not start.is_file():
+        raise InputError("no such weights", where=str(start), remedy="Give start_from=FILE, or start_from=shipped")
+    start_hash = file_hash(start)
+    found = stable_objects(sweep, detector, start_hash, method)
+    recipe = tuning_recipe(detector, len(found.objects), options)
+    compute = options.compute()
+    compute.prepare()
+    natural, inserted = natural_scenes(options.out, found), object_scenes(options.out, found)
+    net = train_on_scenes(
+        options.out,
+        recipe,
+        natural,
+        inserted,
+        compute=compute,
+        report=report,
+        data=f"objects-{objects_digest(found)} from {start_hash}",
+        start=start_state(recipe, start),
+        draw=EpochCrops,
+        keep_statistics=True,
+    )
+    weights = options.out / f"{detector}.safetensors"
+    # In float16 a small rate's changes would be rounded away.
+    export_weights(net, weights, recipe, halved=False)
+    state = read_checkpoint(options.out / CHECKPOINT)
+    assert state is not None
+    write_provenance(weights, _facts(found, method, recipe, (start, start_hash), compute, state))
+    return weights
+
+
+def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
+    """The detector's recipe for one epoch over some objects at `RATE`, with the fields that were given.
+
+    Raises: InputError for an unknown field, or a value that it cannot have.
+    """
+    plain = {"grown_from": "", "backbone_from": "", "mesh_only_steps": 0, "settle_steps": 0, "statistics_crops": 0}
+    recipe = changed(replace(RECIPES[detector], peak_rate=RATE, **plain), options.recipe)  # type: ignore[arg-type]
+    if recipe.inserted_share <= 0.0:
+        raise InputError("recipe.inserted_share=0 leaves no object", "train", "Give a share above 0")
+    return replace(recipe, steps=options.steps or epoch_steps(objects, recipe))
+
+
+def _facts(
+    found: SweepObjects,
+    method: str,
+    recipe: Recipe,
+    start: tuple[Path, str],
+    compute: Compute,
+    state: Mapping[str, Any],
+) -> dict[str, Any]:
+    """The provenance of fine-tuned weights."""
+    vehicles = Counter(row.spec.vehicle for row in found.objects)
+    return {
+        "model": recipe.detector,
+        "recipe": asdict(recipe),
+        "steps": state["steps_done"],
+        "rate": recipe.peak_rate,
+        "seed": recipe.seed,
+        "started_from": {"file": start[0].name, "blake2b": start[1]},
+        "finetuned_on": {
+            "sweep": found.plan.sweep,
+            "spec_hash": found.plan.spec_hash,
+            "method": method,
+            "objects": len(found.objects),
+            "left_out": found.left_out,
+            "vehicles": dict(sorted(vehicles.items())),
+            "scenes": found.scenes,
+            "rows": [[task, replicate] for task, _, replicate in (row.key for row in found.objects)],
+        },
+        "compute": compute.facts(recipe.bfloat16),
+        "training_seconds": round(float(state.get("seconds", 0.0)), 1),
+        "curve": [
+            {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}}
+            for step, values in averaged(state.get("curve", []), CURVE_POINTS)
+        ],
+    }
