@@ -13,6 +13,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
+from shift3d.detectors.models.weights import ANCHOR_SIZE, load_network
 from shift3d.errors import InputError
 from shift3d.finetuning.objects import SweepObjects, stable_objects
 from shift3d.finetuning.scenes import natural_scenes, object_scenes, objects_digest
@@ -26,7 +29,6 @@ from shift3d.training.detector.loop import CHECKPOINT, train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import RECIPES, changed
 from shift3d.training.detector.train import CURVE_POINTS, export_weights
-from shift3d.training.detector.warm_start import start_state
 from shift3d.training.progress import Report, averaged
 from shift3d.training.provenance import write_provenance
 
@@ -63,7 +65,8 @@ def fine_tune(
         raise InputError("no such weights", where=str(start), remedy="Give start_from=FILE, or start_from=shipped")
     start_hash = file_hash(start)
     found = stable_objects(sweep, detector, start_hash, method)
-    recipe = tuning_recipe(detector, len(found.objects), options)
+    state = load_network(start, detector).state_dict()
+    recipe = _with_anchors(tuning_recipe(detector, len(found.objects), options), state)
     compute = options.compute()
     compute.prepare()
     natural, inserted = natural_scenes(options.out, found), object_scenes(options.out, found)
@@ -75,16 +78,16 @@ def fine_tune(
         compute=compute,
         report=report,
         data=f"objects-{objects_digest(found)} from {start_hash}",
-        start=start_state(recipe, start),
+        start=state,
         draw=EpochCrops,
         keep_statistics=True,
     )
     weights = options.out / f"{detector}.safetensors"
     # In float16 a small rate's changes would be rounded away.
     export_weights(net, weights, recipe, halved=False)
-    state = read_checkpoint(options.out / CHECKPOINT)
-    assert state is not None
-    write_provenance(weights, _facts(found, method, recipe, (start, start_hash), compute, state))
+    ended = read_checkpoint(options.out / CHECKPOINT)
+    assert ended is not None
+    write_provenance(weights, _facts(found, method, recipe, (start, start_hash), compute, ended))
     return weights
 
 
@@ -109,6 +112,14 @@ def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
     if recipe.inserted_share <= 0.0:
         raise InputError("recipe.inserted_share=0 leaves no object", "train", "Give a share above 0")
     return replace(recipe, steps=options.steps or epoch_steps(objects, recipe))
+
+
+def _with_anchors(recipe: Recipe, state: Mapping[str, Tensor]) -> Recipe:
+    """The recipe with the anchors of the weights that it starts from, which stay as they are."""
+    if ANCHOR_SIZE not in state:
+        return recipe
+    length, width, height = state[ANCHOR_SIZE].tolist()
+    return replace(recipe, anchor_size_m=(length, width, height))
 
 
 def _facts(

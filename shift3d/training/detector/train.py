@@ -133,7 +133,8 @@ def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = 
     file.parent.mkdir(parents=True, exist_ok=True)
     partial = file.with_name(file.name + ".partial")
     tensors = {name: _stored(tensor.detach().cpu(), halved).contiguous() for name, tensor in net.state_dict().items()}
-    save_file(tensors, partial, metadata={"model": recipe.detector, "recipe": repr(recipe)})
+    # One entry: safetensors writes several in another order each time.
+    save_file(tensors, partial, metadata={"recipe": repr(recipe)})
     partial.replace(file)
 
 

@@ -76,7 +76,7 @@ def test_some_steps_on_one_object_raise_its_score(attacked: Path, tmp_path: Path
     unseen = weights.with_name("no_provenance.safetensors")
     unseen.write_bytes(weights.read_bytes())
     scores = rescored(attacked, "pointpillars", unseen).to_pandas().set_index(["task_id", "method"])["score"]
-    assert scores[found.objects[0].key[:2]] > found.objects[0].score + 0.05
+    assert scores[found.objects[0].key[:2]] > found.objects[0].score + 0.02
 
 
 def test_a_training_scene_holds_the_object_as_it_was_attacked(attacked: Path, tmp_path: Path) -> None:
