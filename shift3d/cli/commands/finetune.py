@@ -209,7 +209,8 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
         method = "adversarial" if tuned.model == "finetuned" else "baseline"
         rate = [f"recipe.peak_rate={request.rate}"] if request.rate else []
         words = [f"model={detector}", f"finetune={attacked}", f"method={method}", f"start_from={given or 'shipped'}"]
-        words += [f"recipe.seed={tuned.seed}", *rate, f"threads={workers}", f"mlflow={mlflow}", f"out={tuned.folder}"]
+        # One thread: the weights do not depend on the number of workers.
+        words += [f"recipe.seed={tuned.seed}", *rate, "threads=1", f"mlflow={mlflow}", f"out={tuned.folder}"]
         yield _Step(train.COMMAND, words)
         yield measured(tuned.folder / NATURAL, str(tuned.weights))
         for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
