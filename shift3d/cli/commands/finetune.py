@@ -170,7 +170,7 @@ def _checked(request: FinetuneRequest) -> tuple[Config, str]:
     for name, scenes in zip(_SWEEPS[1:], held_out, strict=True):
         if both := sorted(tuned[key] for key in tuned.keys() & scenes.keys()):
             what = f"fine-tuning and {name} share {', '.join(both[:5])}{' and others' if len(both) > 5 else ''}"
-            raise InputError(what, where="finetune", remedy="Give held_out.scenes.names= or another scenes.split")
+            raise InputError(what, where="finetune", remedy="Hold out others: held_out.scenes.KEY=VALUE")
     assert config is not None
     return config, plans[0].spec_hash
 
