@@ -38,14 +38,14 @@ def test_killed_in_its_training_and_resumed_it_gives_the_same_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    killed_when(out / "finetuned-0" / "checkpoint.pt", out)
+    killed_when(out / "finetuned-rate1e-3-0" / "checkpoint.pt", out)
     log = sorted((out / "attacked" / "_log").iterdir())
     assert main([*WORDS, f"out={out}"]) == 0
     printed = capsys.readouterr().out
     assert "0.482" in printed and "0.751" in printed
     assert sorted((out / "attacked" / "_log").iterdir()) == log, "no task runs twice"
     table = (out / "finetune.parquet").read_bytes()
-    shutil.rmtree(out / "finetuned-0")
+    shutil.rmtree(out / "finetuned-rate1e-3-0")
     (out / "finetune.parquet").unlink()
     assert main([*WORDS, f"out={out}"]) == 0
     assert (out / "finetune.parquet").read_bytes() == table
@@ -53,5 +53,5 @@ def test_killed_in_its_training_and_resumed_it_gives_the_same_table(
     assert set(rows["objects"].dropna()) == {"baseline", "adversarial", "adversarial_adaptive"}
     assert set(rows["scene_set"]) == {"held_out", "other_vehicles", "natural"}
     assert (rows[rows["model"] == "finetuned"]["gain"].abs() > 0).any()
-    facts = json.loads((out / "finetuned-0" / "pointpillars.json").read_text())
+    facts = json.loads((out / "finetuned-rate1e-3-0" / "pointpillars.json").read_text())
     assert facts["finetuned_on"]["objects"] == 1 and facts["rate"] == 1e-3

@@ -37,18 +37,20 @@ examples:
   shift3d finetune                             the paper's size, 2,000 objects: days on two cores, or runner.address=
   shift3d finetune --quick                     a few minutes: the same path; its numbers mean nothing
   shift3d finetune size=small control=true     beside it a model tuned on the unchanged objects of the same scenes
-  shift3d finetune size=small rate=3e-5 seeds=0,1,2,3,4 out=DIR
+  shift3d finetune size=small rate=3e-6 adaptive=false    another rate: what was found before is used again, and
+                                               nothing is attacked anew
   shift3d finetune size=small detector=sst streets=20 others=camper,trailer
   shift3d finetune --steps size=small          print the commands and run none
 
 rate=   peak of the learning rate             streets= natural streets for AP (200; size=small: 50)
-seeds=  of the tunings                        others=  vehicles of finetune_other_vehicles
+seeds=  of the tunings: 0,1,2                 others=  vehicles of finetune_other_vehicles
 Other words are overrides of the three sweeps; held_out.KEY=VALUE is one of the two over held-out streets alone.
 Scenes that are both attacked for training and held out are refused before anything runs.
 
   duckdb -c "select * from 'outputs/finetuning-*/finetune.parquet' where seed is null\""""
 
-_KEYS = ("out", "rate", "seeds", "streets", "others", "control")
+_KEYS = ("out", "rate", "seeds", "streets", "others", "control", "adaptive")
+_FLAGS = {"control": "false", "adaptive": "true"}
 _STREETS = {"full": "200", "small": "50"}
 _QUICK = ["size=small", "scenes.count=2", "attack.steps=4", "vehicle=coupe,suv"]
 _QUICK_VALUES = {"others": "kei_car", "streets": "2", "seeds": "0"}
@@ -67,6 +69,7 @@ class FinetuneRequest:
     rate: str | None = None
     others: str | None = None
     control: bool = False
+    adaptive: bool = True
     out: str | None = None
 
     def overrides_of(self, sweep: str) -> list[str]:
@@ -116,11 +119,14 @@ def read_request(words: Sequence[str], quick: bool = False) -> FinetuneRequest:
         raise InputError(f"seeds={seeds!r} are no different whole numbers", "finetune", "Give seeds=0,1,2")
     if not streets.isdecimal() or int(streets) < 1:
         raise InputError(f"streets={streets!r} is not a whole number from 1", "finetune", "Give streets=50")
-    if (control := values.get("control", "false")) not in ("true", "false"):
-        raise InputError(f"control={control!r} is neither true nor false", "finetune", "Give control=true")
+    flags = {name: values.get(name, default) for name, default in _FLAGS.items()}
+    for name, text in flags.items():
+        if text not in ("true", "false"):
+            raise InputError(f"{name}={text!r} is neither true nor false", "finetune", f"Give {name}=true")
     numbers = [int(part) for part in seeds.split(",")]
-    more = {name: values.get(name) for name in ("rate", "others", "out")}
-    return FinetuneRequest(rest, held_out, numbers, int(streets), control=control == "true", **more)
+    on = {name: text == "true" for name, text in flags.items()}
+    rate, others, out = (values.get(name) for name in ("rate", "others", "out"))
+    return FinetuneRequest(rest, held_out, numbers, int(streets), rate, others, **on, out=out)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -179,7 +185,8 @@ def _models(folder: Path, detector: str, request: FinetuneRequest) -> list[Tuned
     from shift3d.finetuning.report import Tuned
 
     names = ["finetuned", "control"] if request.control else ["finetuned"]
-    return [Tuned(name, seed, folder / f"{name}-{seed}", detector) for name in names for seed in request.seeds]
+    rate = f"-rate{request.rate}" if request.rate else ""
+    return [Tuned(name, seed, folder / f"{name}{rate}-{seed}", detector) for name in names for seed in request.seeds]
 
 
 def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Sequence[Tuned]) -> Iterator[_Step]:
@@ -214,7 +221,7 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
         yield _Step(train.COMMAND, words)
         yield measured(tuned.folder / NATURAL, str(tuned.weights))
         for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
-            if tuned.model == "finetuned":
+            if tuned.model == "finetuned" and request.adaptive:
                 yield swept(name, tuned.folder / place, f"detector.weights={tuned.weights}")
 
 

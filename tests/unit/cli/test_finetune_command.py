@@ -23,7 +23,9 @@ def test_words_go_to_the_sweeps_that_they_are_for() -> None:
     assert request.overrides_of("finetune") == ["size=small", "vehicle=suv"]
     assert request.overrides_of("finetune_held_out") == ["size=small", "vehicle=suv", "scenes.count=4"]
     assert request.overrides_of("finetune_other_vehicles") == ["size=small", "scenes.count=4", "vehicle.name=camper"]
-    assert read_request([]).seeds == [0, 1, 2] and read_request([]).streets == 200
+    plain = read_request([])
+    assert (plain.seeds, plain.streets, plain.adaptive) == ([0, 1, 2], 200, True)
+    assert not read_request(["adaptive=false"]).adaptive
 
 
 @pytest.mark.parametrize(
@@ -32,7 +34,8 @@ def test_words_go_to_the_sweeps_that_they_are_for() -> None:
         ("seeds=0,0", "no different whole numbers"),
         ("seeds=a", "no different whole numbers"),
         ("streets=0", "not a whole number from 1"),
-        ("control=yes", "neither true nor false"),
+        ("control=yes", "control='yes' is neither true nor false"),
+        ("adaptive=1", "adaptive='1' is neither true nor false"),
         ("rate=", "rate= is empty"),
     ],
 )
