@@ -20,7 +20,7 @@ from shift3d.placement.constraints import (
     points_near,
     snap_to_ground,
 )
-from shift3d.placement.ground import fit_ground
+from shift3d.placement.ground import MAX_SLOPE, ground_under
 from shift3d.render.beams import Beams
 from shift3d.render.culling import Box, rays_in_box
 from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
@@ -146,9 +146,11 @@ def _try_place(
 ) -> Tensor | str:
     """The snapped pose, or the reason why not."""
     x, y, yaw = draw
-    plane = fit_ground(carried, (x, y), ground_z_m, float(size[:2].norm()) / 2 + 0.5)
+    plane = ground_under(carried, (x, y), ground_z_m, float(size[:2].norm()) / 2 + 0.5)
     if plane is None:
         return "ground"
+    if plane.slope > MAX_SLOPE:
+        return "slope"
     theta = pose_on_plane((x, y), yaw, plane.height_m, plane.attitude(yaw), float(size[2]))
     near = points_near(beams, theta, float(size.norm()) / 2 + 0.6)
     if _obstacles(near, theta, size):
