@@ -51,7 +51,7 @@ class GroundPlane:
 
 
 def ground_under(
-    points: Array, centre_xy: tuple[float, float], nominal_z_m: float, radius_m: float
+    points: Array, centre_xy: tuple[float, float], nominal_z_m: float, radius_m: float, thorough: bool = True
 ) -> GroundPlane | None:
     """`fit_ground`, and where that fails: ground that climbs away from its nominal height, roofs, sparse scan lines.
 
@@ -61,7 +61,8 @@ def ground_under(
 
     Either way at most a tenth of the returns may lie more than 15 cm below the plane: a roof has ground below.
 
-    Args, source: see `fit_ground`. Source of RANSAC: Fischler and Bolles 1981.
+    thorough: False leaves the second search out. Other arguments and source: see `fit_ground`. Source of RANSAC:
+    Fischler and Bolles 1981.
     """
     offset = points[:, :2] - np.asarray(centre_xy)
     found = fit_ground(points, centre_xy, nominal_z_m, radius_m)
@@ -69,19 +70,17 @@ def ground_under(
         around = np.hypot(offset[:, 0], offset[:, 1]) <= radius_m
         if found.is_lowest(np.column_stack((offset[around], points[around, 2]))):
             return found
+    if not thorough:
+        return None
     distance = np.hypot(offset[:, 0], offset[:, 1])
     # Ground rises from its nominal height by no more than the steepest slope all the way.
     near = distance <= _WIDER[-1] * radius_m
     near &= np.abs(points[:, 2] - nominal_z_m) < 0.6 + MAX_SLOPE * math.hypot(*centre_xy)
-    local = np.column_stack((offset[near], points[near, 2]))
-    distance = distance[near]
+    local, distance = np.column_stack((offset[near], points[near, 2])), distance[near]
     if (distance <= radius_m).sum() < _MIN_POINTS:
         return None
-    for reach in _WIDER:
-        plane = _consensus(local[distance <= reach * radius_m], radius_m)
-        if plane is not None:
-            return plane
-    return None
+    planes = (_consensus(local[distance <= reach * radius_m], radius_m) for reach in _WIDER)
+    return next((plane for plane in planes if plane is not None), None)
 
 
 def fit_ground(
@@ -135,11 +134,12 @@ def _consensus(local: Array, radius_m: float) -> GroundPlane | None:
     planes = np.linalg.solve(design, z[rows][..., None])[..., 0]
     planes = planes[np.hypot(planes[:, 1], planes[:, 2]) <= 1.5 * MAX_SLOPE]
     above = z - planes @ np.column_stack((np.ones(len(xy)), xy)).T
-    on = np.abs(above) < _INLIER_M
+    on: npt.NDArray[np.bool_] = np.abs(above) < _INLIER_M
     ground = (above < -_BELOW_M).mean(axis=1) <= _BELOW_SHARE
     if not ground.any():
         return None
     keep = on[int(np.argmax(np.where(ground, on.sum(axis=1), -1)))]
+    plane = np.zeros(3)
     for _ in range(2):
         if not _spans_a_plane(xy[keep]):
             return None
