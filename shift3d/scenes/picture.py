@@ -37,7 +37,7 @@ def draw_bev(
     drawn = axes.scatter(points[:, 1], points[:, 0], s=point_size, c=height, cmap="viridis_r", vmin=-0.5, vmax=3, lw=0)
     if free_m is not None and len(free_m):
         axes.scatter(
-            free_m[:, 1], free_m[:, 0], s=18, c="tab:blue", marker="+", lw=0.8, label=f"{len(free_m)} free places"
+            free_m[:, 1], free_m[:, 0], s=18, c="tab:blue", marker="+", lw=0.8, label=f"{len(free_m)} places for a car"
         )
     for box, name in zip(scene.labels.boxes, scene.labels.classes, strict=True):
         corners = corners_bev(box[None])[0]
