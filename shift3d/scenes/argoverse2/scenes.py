@@ -29,6 +29,7 @@ from shift3d.store.resolve import LocationLike, as_location
 __all__ = ["Argoverse2Scenes"]
 
 VEHICLE_HEIGHT_M = 0.33  # of the vehicle frame's origin, the rear axle, above the ground
+_SPLITS = ("val", "train", "test")
 _SECOND_NS = np.int64(10**9)
 
 
@@ -111,6 +112,8 @@ class Argoverse2Scenes:
             if self._count is not None and self._wanted is None and len(found) == self._count:
                 break
             found.append(name)
+        if not found and (splits := [name for name in _SPLITS if name in self._logs]):
+            raise InputError("a data set, not one of its splits", str(self.root), f"Give {self.root / splits[0]}")
         return chosen(found, self._wanted, str(self.root))
 
     def _sweeps(self) -> Iterator[str]:
