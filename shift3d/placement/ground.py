@@ -160,5 +160,5 @@ def _spans_a_plane(xy: Array) -> bool:
 
 def _through(xy: Array, z: Array) -> Array:
     """(3,) height at the place and slopes of the least-squares plane."""
-    plane: Array = np.linalg.lstsq(np.column_stack((np.ones(len(xy)), xy)), z, rcond=None)[0]
-    return plane
+    found = np.linalg.lstsq(np.column_stack((np.ones(len(xy)), xy)), z, rcond=None)
+    return found[0].astype(np.float64)
