@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from shift3d.geometry.boxes import corners_bev
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.placement.constraints import (
     PAPER_CONSTRAINTS,
@@ -29,6 +30,7 @@ from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
 from shift3d.render.settings import STANDARD, RenderSettings
+from shift3d.scenes.ground_map import GroundMap
 
 _OBSTACLE_HEIGHT_M = 0.3
 _CLEARANCE_M = 0.1
@@ -110,6 +112,7 @@ def place(
     settings: RenderSettings = STANDARD,
     others: Tensor | None = None,
     space: SdfGrid | None = None,
+    ground_map: GroundMap | None = None,
 ) -> Placement | NoPlacement:
     """A random place that satisfies every constraint.
 
@@ -122,16 +125,17 @@ def place(
     Places where no ground was found are searched for it again, thoroughly, if no other one served: so a scene with room
     on plain ground has the places that it has without that search.
 
-    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of; `space` a map of this field.
+    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of; `space` a map of this field. With a
+    `ground_map` the footprint's corners stand where it allows, and its heights take the place of ground_z_m.
     Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
     metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
     size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
-    carried = beams.points[beams.carries].double().numpy()
+    site = Site.of(beams, ground_z_m, others, ground_map)
     rejected: Counter[str] = Counter()
 
     def stand(draw: tuple[float, float, float], thorough: bool) -> tuple[Tensor, ConstraintCheck, Rendering] | str:
-        standing = standing_pose(draw, beams, carried, ground_z_m, size, constraints, others, thorough)
+        standing = standing_pose(draw, site, size, constraints, thorough)
         if isinstance(standing, str):
             return standing
         theta = snap_to_ground(metric, _near(beams, standing, size), standing, size, reach_m=0.06)
@@ -169,33 +173,55 @@ def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int)
     return range_m * math.cos(azimuth), range_m * math.sin(azimuth), 2.0 * math.pi * rng.random()
 
 
+@dataclass(frozen=True)
+class Site:
+    """What a place is judged by: beams, their returns (N, 3) float64, and the rest as `place` takes it."""
+
+    beams: Beams
+    returns: np.ndarray
+    ground_z_m: float
+    others: Tensor | None
+    ground_map: GroundMap | None
+
+    @staticmethod
+    def of(beams: Beams, ground_z_m: float, others: Tensor | None, ground_map: GroundMap | None) -> Site:
+        """Of a scene's parts."""
+        return Site(beams, beams.points[beams.carries].double().numpy(), ground_z_m, others, ground_map)
+
+    def ground_at(self, x_m: float, y_m: float) -> float:
+        """Nominal height of the ground."""
+        known = None if self.ground_map is None else self.ground_map.height_at(x_m, y_m)
+        return self.ground_z_m if known is None else known
+
+    def allows(self, draw: tuple[float, float, float], size: Tensor) -> bool:
+        """Whether the map lets a footprint of this size stand at (x, y, yaw)."""
+        if self.ground_map is None:
+            return True
+        box = np.array([[draw[0], draw[1], 0.0, *size.tolist(), draw[2]]])
+        return all(self.ground_map.allows(float(x), float(y)) for x, y in corners_bev(box)[0])
+
+
 def standing_pose(
-    draw: tuple[float, float, float],
-    beams: Beams,
-    carried: np.ndarray,
-    ground_z_m: float,
-    size: Tensor,
-    constraints: Constraints,
-    others: Tensor | None = None,
-    thorough: bool = True,
+    draw: tuple[float, float, float], site: Site, size: Tensor, constraints: Constraints, thorough: bool = True
 ) -> Tensor | str:
     """The pose (6,) that a box of this size has on the ground at (x, y, yaw), or the key of `REFUSALS` why it has none.
 
-    carried: (N, 3) float64 returns of the beams that carry one, scene frame. others: see `place`. thorough: see
-    `ground_under`.
+    thorough: see `ground_under`.
     """
     x, y, yaw = draw
-    if not is_clear(torch.tensor(draw), others, constraints.clear_m):
+    if not is_clear(torch.tensor(draw), site.others, constraints.clear_m):
         return "neighbour"
-    plane = ground_under(carried, (x, y), ground_z_m, float(size[:2].norm()) / 2 + 0.5, thorough)
+    if not site.allows(draw, size):
+        return "off_road"
+    plane = ground_under(site.returns, (x, y), site.ground_at(x, y), float(size[:2].norm()) / 2 + 0.5, thorough)
     if plane is None:
         return "ground"
     if plane.slope > MAX_SLOPE:
         return "slope"
     theta = pose_on_plane((x, y), yaw, plane.height_m, plane.attitude(yaw), float(size[2]))
-    if _obstacles(_near(beams, theta, size), theta, size):
+    if _obstacles(_near(site.beams, theta, size), theta, size):
         return "occupied"
-    seen = len(rays_in_box(beams, theta, Box(-size / 2, size / 2)))
+    seen = len(rays_in_box(site.beams, theta, Box(-size / 2, size / 2)))
     return theta if seen >= constraints.min_object_points else "points"
 
 

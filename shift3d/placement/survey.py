@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import PlacementLimits, drawn_place, refusals, standing_pose
+from shift3d.placement.sampling import PlacementLimits, Site, drawn_place, refusals, standing_pose
 from shift3d.render.beams import Beams
 from shift3d.render.culling import clip_to_box, object_rays
+from shift3d.scenes.ground_map import GroundMap
 
 __all__ = ["Survey", "survey"]
 
@@ -46,6 +47,7 @@ def survey(
     limits: PlacementLimits,
     constraints: Constraints,
     others: Tensor | None = None,
+    ground_map: GroundMap | None = None,
     size_m: tuple[float, float, float] = CAR_SIZE_M,
 ) -> Survey:
     """Try as many places as `limits` allow attempts, with the tests of `sampling.place` that need no rendering.
@@ -54,23 +56,23 @@ def survey(
     than beams meet its box. Deterministic. Source: our choice.
     """
     size, whole = torch.tensor(size_m, dtype=torch.float64), replace(limits, attempts=1)
-    carried = beams.points[beams.carries].double().numpy()
+    site = Site.of(beams, ground_z_m, others, ground_map)
     rng, places, outcomes = np.random.default_rng(0), [], []
     for _ in range(limits.attempts):
         draw = drawn_place(rng, whole, 1)
         places.append(draw[:2])
-        standing = standing_pose(draw, beams, carried, ground_z_m, size, constraints, others)
+        standing = standing_pose(draw, site, size, constraints)
         outcome = standing if isinstance(standing, str) else FREE
-        if outcome == "points" and _aimed(beams, draw, ground_z_m, size) >= constraints.min_object_points:
+        if outcome == "points" and _aimed(site, draw, size) >= constraints.min_object_points:
             outcome = "hidden"
         outcomes.append(outcome)
     return Survey(np.array(places), tuple(outcomes))
 
 
-def _aimed(beams: Beams, draw: tuple[float, float, float], ground_z_m: float, size: Tensor) -> int:
+def _aimed(site: Site, draw: tuple[float, float, float], size: Tensor) -> int:
     """Number of beams that would meet a box there if nothing stood before it."""
     x, y, yaw = draw
-    theta = torch.tensor([x, y, ground_z_m + float(size[2]) / 2, yaw, 0.0, 0.0], dtype=torch.float64)
-    rays = object_rays(beams, torch.nonzero(beams.carries).squeeze(1), theta)
+    theta = torch.tensor([x, y, site.ground_at(x, y) + float(size[2]) / 2, yaw, 0.0, 0.0], dtype=torch.float64)
+    rays = object_rays(site.beams, torch.nonzero(site.beams.carries).squeeze(1), theta)
     endless = replace(rays, far_m=torch.full_like(rays.far_m, float("inf")))
     return len(clip_to_box(endless, -size / 2, size / 2))

@@ -36,8 +36,8 @@ def other_vehicles(scene: Scene) -> Tensor:
 
 def survey_scene(scene: Scene, where: PlacementSpec) -> Survey:
     """Where a car of usual size could stand in a scene."""
-    beams = Beams.of_main_sensor(scene)
-    return survey(beams, scene.ground_z_m, limits_of(where), constraints_of(where), other_vehicles(scene))
+    beams, others = Beams.of_main_sensor(scene), other_vehicles(scene)
+    return survey(beams, scene.ground_z_m, limits_of(where), constraints_of(where), others, scene.ground_map)
 
 
 def place_lines(scenes: SceneSet, names: Sequence[str], where: PlacementSpec, most: int = 20) -> Iterator[str]:

@@ -35,7 +35,9 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", spec.placement_seed)
     limits, constraints, others = limits_of(spec.placement), constraints_of(spec.placement), other_vehicles(scene)
-    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others)
+    return place(
+        beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others, ground_map=scene.ground_map
+    )
 
 
 def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:

@@ -15,7 +15,17 @@ from shift3d.scenes.argoverse2.feather_files import column, feather_table, poses
 from shift3d.scenes.labels import Labels
 from shift3d.store.location import Location
 
-__all__ = ["CLASSES", "Sweep", "ego_SE3_ego", "lidar_mounts", "read_labels", "read_sweep", "sweep_file", "timestamps"]
+__all__ = [
+    "CLASSES",
+    "Sweep",
+    "city_SE3_ego",
+    "ego_SE3_ego",
+    "lidar_mounts",
+    "read_labels",
+    "read_sweep",
+    "sweep_file",
+    "timestamps",
+]
 
 Float = NDArray[np.float64]
 
@@ -37,6 +47,7 @@ _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 _FARTHEST_NS = 100_000_000  # between a sweep and the nearest pose; poses come every 5 to 10 ms
 _SHORTEST_NS, _LONGEST_NS = 1_000_000, 200_000_000  # of a sweep's last firing: a hundredth of a turn, and two
 _AGAIN = "Copy it again"
+_AT_ONCE = np.zeros(1, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -101,6 +112,12 @@ def ego_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64]) -> 
     Raises:
         InputError: the poses are missing, damaged, out of order, or of another time.
     """
+    result: Float = inverse(city_SE3_ego(log, timestamp)[0]) @ city_SE3_ego(log, timestamp, offset_ns)
+    return result
+
+
+def city_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64] = _AT_ONCE) -> Float:
+    """(N, 4, 4) of the vehicle in the city at each of the times after a sweep's start. Raises: as `ego_SE3_ego`."""
     file = log / "city_SE3_egovehicle.feather"
     table = feather_table(file, ("timestamp_ns", *_POSE))
     times = column(table, "timestamp_ns", np.int64, file).astype(np.int64)
@@ -108,9 +125,7 @@ def ego_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64]) -> 
     times, city = times[order], poses(table, file)[order]
     if np.abs(times - timestamp).min() > _FARTHEST_NS:
         raise InputError(f"no pose near the sweep {timestamp}", str(file), "Pair files of one log: copy both again")
-    start = interpolated(times, city, np.array([timestamp]))[0]
-    result: Float = inverse(start) @ interpolated(times, city, timestamp + offset_ns)
-    return result
+    return interpolated(times, city, timestamp + offset_ns)
 
 
 def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offset: Float) -> Labels:
