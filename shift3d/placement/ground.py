@@ -64,6 +64,7 @@ def ground_under(
     thorough: False leaves the second search out. Other arguments and source: see `fit_ground`. Source of RANSAC:
     Fischler and Bolles 1981.
     """
+    points = points[np.abs(points[:, 0] - centre_xy[0]) <= _WIDER[-1] * radius_m]  # few of a scan: the rest is cheap
     offset = points[:, :2] - np.asarray(centre_xy)
     found = fit_ground(points, centre_xy, nominal_z_m, radius_m)
     if found is not None:
