@@ -109,8 +109,8 @@ class Argoverse2Scenes:
         """See `SceneSet`: the versions of the files."""
         log, timestamp = self._split(name)
         shared = (log / "annotations.feather", log / "city_SE3_egovehicle.feather")
-        files = (sweep_file(log, timestamp), *shared, log / "calibration" / "egovehicle_SE3_sensor.feather")
-        files += tuple(map_files(log))
+        mounts = log / "calibration" / "egovehicle_SE3_sensor.feather"
+        files = (sweep_file(log, timestamp), *shared, mounts, *map_files(log))
         return ("argoverse2", name, *(f"{file.absolute()}: {file.version()}" for file in files))
 
     @functools.cached_property
