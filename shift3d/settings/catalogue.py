@@ -229,6 +229,8 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
+    if arguments.get("beams") is None:  # a street seen by its own sensor: tasks keep their ids
+        arguments.pop("beams", None)
     return Catalogue(
         scenes=entries,
         scene_arguments=arguments,
