@@ -1,4 +1,4 @@
-"""Checkpoints of OpenPCDet and mmdetection3d: tensors by name, compared with what the config asks for, to the last one."""
+"""Checkpoints of OpenPCDet and mmdetection3d: tensors by name, each compared with what the config asks for."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from shift3d.wording import counted
 __all__ = ["load_foreign_net"]
 
 _SHOWN = 3
+_PLAIN = "Where it was trained, save the tensors alone: torch.save({'state_dict': model.state_dict()}, FILE)"
 _STATES = ("model_state", "state_dict", "model_state_dict")
 _COUNTERS = (".num_batches_tracked", "global_step")
 _KINDS = (
@@ -71,9 +72,8 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     tensors = {name: value for name, value in named.items() if isinstance(value, Tensor)}
     if not tensors:
         keys = ", ".join(sorted(map(str, content))[:_SHOWN])
-        raise InputError(
-            f"holds no table of tensors, but {keys}", str(path), f"Save it under {' or '.join(_STATES[:2])}"
-        )
+        remedy = f"Save it under {' or '.join(_STATES[:2])}"
+        raise InputError(f"holds no table of tensors, but {keys}", str(path), remedy)
     return {name: value for name, value in tensors.items() if not name.endswith(_COUNTERS)}
 
 
@@ -86,10 +86,7 @@ def _content(path: Path) -> Mapping[str, Any]:
     except Exception as error:  # a damaged pickle fails in as many ways as it has instructions
         reason = next((line for line in str(error).splitlines() if "GLOBAL" in line or "global" in line), "")
         what = f"no readable checkpoint of tensors and plain values {reason[:160]}".rstrip()
-        remedy = (
-            "Where it was trained, keep the model's tensors alone: torch.save({'state_dict': model.state_dict()}, FILE)"
-        )
-        raise InputError(what, str(path), remedy) from error
+        raise InputError(what, str(path), _PLAIN) from error
     if not isinstance(content, Mapping):
         raise InputError(f"holds a {type(content).__name__}, no table by name", str(path), "Give a checkpoint")
     return content

@@ -21,10 +21,11 @@ from shift3d.errors import InputError
 
 __all__ = ["ForeignDetector", "foreign_layout", "load_foreign"]
 
+CONFIGS_OWN = Choices()
 _IOU = 0.25
 
 
-def foreign_layout(name: str, config: Path, choices: Choices = Choices()) -> dict[str, Any]:
+def foreign_layout(name: str, config: Path, choices: Choices = CONFIGS_OWN) -> dict[str, Any]:
     """The layout that a config describes, as plain values. name: "openpcdet" or "mmdet3d".
 
     Raises: InputError naming file and value where something is missing or not covered.

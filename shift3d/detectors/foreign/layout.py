@@ -1,6 +1,6 @@
 """What a foreign model is, in plain values: all that its config decides, and nothing of how that config is written.
 
-A layout is made once, where a sweep is planned. It travels to the workers and enters the task ids in the config's place.
+A layout is made once, where a sweep is planned. It travels to the workers and enters the task ids, not the config.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Anchor(_Values):
 
 
 class AnchorHead(_Values):
-    """1x1 convolutions. classes: each anchor's; vehicle: the one that is kept. code_size: values of a box, 7 or more."""
+    """1x1 convolutions. classes: of each anchor; vehicle: the one that is kept. code_size: values of a box, from 7."""
 
     kind: Literal["anchors"] = "anchors"
     anchors: tuple[Anchor, ...]

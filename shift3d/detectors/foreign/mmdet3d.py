@@ -114,7 +114,7 @@ def _inputs(part: Section, root: Section, bounds: tuple[float, ...], voxels: Sec
 
 
 def _channels(root: Section, count: int) -> tuple[str, ...]:
-    """What the model's points are made of: what the test pipeline loads, the files' first columns where there is none."""
+    """What the model's points are made of: what the test pipeline loads; without one, the files' first columns."""
     columns: tuple[int, ...] = tuple(range(count))
     steps: Any = root.values.get("test_pipeline")
     for step in steps if isinstance(steps, list) else ():
@@ -222,8 +222,8 @@ def _branches(table: Section) -> list[Branch]:
     order = [name for name, _ in _BOX_BRANCHES]
     if surplus := sorted(set(table.values) - {*order, "vel"}):
         table.refuse(f"a branch {surplus[0]!r}")
-    found = [(name, *table.wholes(name, 2)) for name in (*order, *(["vel"] if table.has("vel") else []))]
-    for (name, wanted), (_, outputs, _layers) in zip(_BOX_BRANCHES, found, strict=False):
-        if outputs != wanted:
-            table.refuse(f"{name} has {outputs} outputs, not {wanted}")
-    return [Branch(name=name, outputs=outputs, layers=layers) for name, outputs, layers in found]
+    found = {name: table.wholes(name, 2) for name in (*order, *(["vel"] if table.has("vel") else []))}
+    for name, wanted in _BOX_BRANCHES:
+        if found[name][0] != wanted:
+            table.refuse(f"{name} has {found[name][0]} outputs, not {wanted}")
+    return [Branch(name=name, outputs=outputs, layers=layers) for name, (outputs, layers) in found.items()]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from shift3d.detectors.foreign.layout import Anchor, AnchorHead, Branch, CentreHead, Layout, PillarInputs
 from shift3d.detectors.foreign.parts import Choices, backbone_of, channel_values, frame_of, grid_of, vehicle_class
@@ -177,7 +177,7 @@ def _anchors_of(part: Section, bounds: tuple[float, ...], spec: BackboneSpec, gr
     inset = grid.cell_m * spec.out_stride / 2 if part.flag("align_center", False) else 0.0
     return [
         Anchor(
-            size_m=size,
+            size_m=(size[0], size[1], size[2]),
             heading_rad=heading,
             z_m=bottom + size[2] / 2,
             x_m=(bounds[0] + inset, bounds[3] - inset),
