@@ -17,7 +17,7 @@ VEHICLE_CLASSES = ("Car", "car", "Vehicle", "vehicle")
 
 @dataclass(frozen=True)
 class _DataSet:
-    """height_m: of the points' origin above the ground. turned: see `Frame`. intensity: of all points, in the file's units."""
+    """height_m: of the points' origin above the ground. turned: see `Frame`. intensity: of all, in the files' units."""
 
     height_m: float
     turned: bool

@@ -28,7 +28,7 @@ _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 _LARGEST = 100_000  # entries of a list or letters of a text that arithmetic makes
 
 
-class _NotData(Exception):
+class _NotDataError(Exception):
     """An expression that only running it would tell."""
 
 
@@ -56,8 +56,7 @@ def _read(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         reader.take(statement)
     under: dict[str, Any] = {}
     for name in reader.bases():
-        for key, value in _read((path.parent / name).resolve(), (*above, path)).items():
-            under[key] = value
+        under |= _read((path.parent / name).resolve(), (*above, path))
     return _merged(under, reader.with_base(under))
 
 
@@ -114,7 +113,7 @@ class _Reader:
     def _value(self, node: ast.expr) -> Any:
         try:
             return self._data(node)
-        except (_NotData, ArithmeticError, TypeError, ValueError, LookupError, RecursionError):
+        except (_NotDataError, ArithmeticError, TypeError, ValueError, LookupError, RecursionError):
             return Unread(ast.unparse(node)[:80], self._file, node.lineno)
 
     def _data(self, node: ast.expr) -> Any:
@@ -144,12 +143,12 @@ class _Reader:
                 return -self._data(operand)
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
                 return _sized(_OPERATORS[type(op)], _plain(self._data(left)), _plain(self._data(right)))
-        raise _NotData
+        raise _NotDataError
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Unread):
-        raise _NotData
+        raise _NotDataError
     return value
 
 
@@ -159,5 +158,5 @@ def _sized(combine: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:
         sizes = [len(side) for side in (left, right) if isinstance(side, list | tuple | str)]
         counts = [side for side in (left, right) if isinstance(side, int)]
         if sizes and counts and sizes[0] * counts[0] > _LARGEST:
-            raise _NotData
+            raise _NotDataError
     return combine(left, right)

@@ -41,16 +41,9 @@ class _Names:
 
 
 _OPENPCDET = _Names(
-    "vfe",
-    "backbone_2d.blocks",
-    "backbone_2d.deblocks",
-    "dense_head",
-    "conv_box",
-    ("0", "1"),
-    "heads_list",
-    ("0", "1"),
-    True,
-)
+    "vfe", "backbone_2d.blocks", "backbone_2d.deblocks", "dense_head", "conv_box", ("0", "1"), "heads_list",
+    ("0", "1"), True,
+)  # fmt: skip
 _MMDET3D = _Names(
     "voxel_encoder", "backbone.blocks", "neck.deblocks", "bbox_head", "conv_reg", ("conv", "bn"), "task_heads",
     ("conv", "bn"), False,
@@ -124,7 +117,7 @@ def _anchor_head(head: AnchorHead, channels: int, names: _Names, name: str) -> I
     count, code = len(head.anchors), head.code_size
 
     def boxes(part: Tensor) -> Tensor:
-        return part.unflatten(0, (count, code))[:, :7].flatten(0, 1)
+        return part.reshape(count, code, *part.shape[1:])[:, :7].flatten(0, 1)
 
     def vehicle(part: Tensor) -> Tensor:
         return part[head.vehicle :: head.classes]

@@ -84,7 +84,7 @@ class IncrementalPillars:
         return self._boxed(logits, rows, window)
 
     def _look_at(self, window: BevWindow) -> _Rectangle:
-        """The window's core (y0, x0, height, width) in the cached window, in output cells: what the next steps compute."""
+        """The window's core (y0, x0, height, width) in the cached one, in output cells: what the next steps compute."""
         cached = self._window
         step = self._cells.out_stride
         y0, x0 = (window.core_y0 - cached.y0) // step, (window.core_x0 - cached.x0) // step

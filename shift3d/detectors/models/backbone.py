@@ -12,7 +12,7 @@ __all__ = ["WAYMO_BACKBONE", "Backbone", "BackboneSpec"]
 
 @dataclass(frozen=True)
 class BackboneSpec:
-    """Blocks of 3x3 convolutions: one strided, then `layers`; each block brought to one map, coarser by `out_stride`."""
+    """Blocks of 3x3 convolutions: one strided, then `layers`; each brought to one map, coarser by `out_stride`."""
 
     in_channels: int = 64
     strides: tuple[int, ...] = (1, 2, 2)
