@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.detectors.names import DETECTOR_NAMES, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, OWN
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
 from shift3d.settings.attack_schema import AttackConfig
+from shift3d.settings.foreign import detector_layouts, layout_hash
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.scene_cache import SceneEntry
 from shift3d.settings.scene_entries import scene_entries
@@ -112,7 +113,7 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     are there, it scores only what it is asked to.
 
     Raises:
-        InputError: weights of a detector that was asked for are missing, or the user's own is none.
+        InputError: weights of a detector that was asked for are missing, or a user's files are no detector.
     """
     weights = config.weights_by_name()
     others: list[str] = list(config.scored_by or ())
@@ -120,25 +121,28 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
         others = [name for name in DETECTOR_NAMES if weights.get(name) or _weights_path(name, None).is_file()]
         others = [name for name in others if not (name == "sst_small" and "sst" in others)]
     names = list(dict.fromkeys([config.name, *others]))
+    layouts = detector_layouts(config)
     for name in names:
-        detector_hash(name, weights.get(name), config.module)
-    if OWN in names:
+        detector_hash(name, weights.get(name), config.module, layouts.get(name))
+    for name in [name for name in (OWN, *FOREIGN) if name in names]:  # what is wrong is said before anything runs
         from shift3d.detectors.loading import detector_of
 
-        detector_of(
-            OWN, weights.get(OWN), config.module, "float32"
-        )  # what is wrong with it is said before anything runs
+        detector_of(name, weights.get(name), config.module, "float32", layouts.get(name))
     return {name: weights.get(name) for name in names}
 
 
-def detector_hash(name: str, weights: str | None, module: str | None) -> str:
-    """128-bit BLAKE2b of what a detector is made of, hex: its weights; of the user's own, its Python file with them.
+def detector_hash(name: str, weights: str | None, module: str | None, layout: Mapping[str, Any] | None = None) -> str:
+    """128-bit BLAKE2b of what a detector is made of, hex.
+
+    Its weights; of the user's own, its Python file with them; of a foreign one, the layout that its config describes
+    with them.
 
     Raises:
         InputError: a file is missing.
     """
     if name != OWN:
-        return file_hash(weights_file(name, weights))
+        weights_hash = file_hash(weights_file(name, weights))
+        return weights_hash if layout is None else layout_hash(layout, weights_hash)
     parts = [Path(part).expanduser() for part in (module, weights) if part]
     for path in parts:
         if not path.is_file():
@@ -217,6 +221,7 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     scenes = scene_set(config.scenes)
     entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
+    layouts = detector_layouts(config.detector)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
     return Catalogue(
         scenes=entries,
@@ -225,7 +230,10 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         vehicles=_VehicleHashes(source),
         frame_of=source.vehicle,
         decoder_hash=source.decoder_hash(),
-        detectors={name: detector_hash(name, path, config.detector.module) for name, path in detectors.items()},
+        detectors={
+            name: detector_hash(name, path, config.detector.module, layouts.get(name))
+            for name, path in detectors.items()
+        },
         accuracy=accuracy_settings(config.accuracy),
         skipped=skipped,
         space_hash=functools.partial(_space_hash, source),

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shift3d.detectors.names import OWN, DetectorName
+from shift3d.detectors.names import FOREIGN, OWN, DetectorName
 from shift3d.settings.attack_schema import AttackConfig
 from shift3d.settings.names import Text
 from shift3d.settings.records import Count, NotNegative, Number, Positive, Record, Seed, Share
@@ -64,7 +64,8 @@ class DetectorConfig(Record):
 
     weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
     scored_by: names; None: every detector whose weights are there. The attacked one scores
-    always, and first. module: the Python file of the user's own detector, named "own".
+    always, and first. module: the Python file of the user's own detector, named "own". config: of a detector of another
+    codebase; vehicle_class, sensor_height_m, intensity: what is said beside it, see `detectors.foreign.parts.Choices`.
     """
 
     name: DetectorName
@@ -72,15 +73,36 @@ class DetectorConfig(Record):
     scored_by: list[DetectorName] | None
     other_weights: dict[DetectorName, Text | None]
     module: Text | None = None
+    config: Text | None = None
+    vehicle_class: Text | None = None
+    sensor_height_m: Annotated[float, Field(ge=-10.0, le=10.0)] | None = None
+    intensity: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
 
     @model_validator(mode="after")
     def _a_file_for_the_own(self) -> Self:
-        named = OWN in (self.name, *(self.scored_by or ()))
+        named = OWN in self.named()
         if named and self.module is None:
             raise ValueError("module is null, and your own detector needs a file: detector.module=FILE.py")
         if not named and self.module is not None:
             raise ValueError("module means nothing without detector=own or own in scored_by")
         return self
+
+    @model_validator(mode="after")
+    def _a_config_for_the_foreign(self) -> Self:
+        foreign = [name for name in FOREIGN if name in self.named()]
+        if len(foreign) > 1:
+            raise ValueError("config is of one of openpcdet and mmdet3d: name one of them")
+        if foreign and (self.config is None or self.weights_by_name().get(foreign[0]) is None):
+            raise ValueError(f"{foreign[0]} needs its config and its weights: detector.config=FILE, and weights")
+        beside = (self.config, self.vehicle_class, self.sensor_height_m, self.intensity)
+        if not foreign and any(value is not None for value in beside):
+            remedy = "config, vehicle_class, sensor_height_m and intensity mean nothing"
+            raise ValueError(f"{remedy} without {' or '.join(f'detector={name}' for name in FOREIGN)}")
+        return self
+
+    def named(self) -> tuple[str, ...]:
+        """The detectors that are asked for by name, the attacked one first."""
+        return (self.name, *(self.scored_by or ()))
 
     def weights_by_name(self) -> dict[str, str | None]:
         """Files of weights that were given, by the detector's name; None: those that ship."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from shift3d.detectors.models.network import Precision
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
-__all__ = ["ForeignDetector", "foreign_layout", "load_foreign"]
+__all__ = ["CONFIGS_OWN", "ForeignDetector", "foreign_layout", "load_foreign"]
 
 CONFIGS_OWN = Choices()
 _IOU = 0.25
@@ -39,13 +40,16 @@ def foreign_layout(name: str, config: Path, choices: Choices = CONFIGS_OWN) -> d
     return read(config, choices).model_dump(mode="json")
 
 
-def load_foreign(layout: dict[str, Any], weights: Path, precision: Precision = "float32") -> ForeignDetector:
+def load_foreign(layout: Mapping[str, Any], weights: Path, precision: Precision = "float32") -> ForeignDetector:
     """The detector of a layout, as `foreign_layout` gave it, with a checkpoint's weights.
 
     Raises: InputError: see `load_foreign_net`.
     """
     made = Layout.model_validate(layout)
-    return ForeignDetector(TrainedDetector(load_foreign_net(weights, made), precision), made)
+    net = load_foreign_net(weights, made)
+    if precision == "float64":
+        net = net.double()  # before norms are folded, which rounds to the weights' precision
+    return ForeignDetector(TrainedDetector(net, precision), made)
 
 
 class ForeignDetector:
