@@ -134,3 +134,12 @@ def scene(case: Case, count: int = 250, crowded: int = 25) -> torch.Tensor:
     x, y, z = torch.cat((points, cluster)).unbind(1)
     x, y = (y, -x) if case.turned else (x, y)
     return torch.stack((x, y, z + case.height_m), dim=1)
+
+
+def far(case: Case, folder: Path) -> tuple[Path, Path]:
+    """Config and checkpoint of a case of WIDE_RANGE, its pillars eight times as large: 51.2 m to each side."""
+    config, weights = case.saved(folder)
+    for file in [*folder.rglob("*.py"), *folder.rglob("*.yaml")]:
+        text = file.read_text().replace("-6.4, -6.4", "-51.2, -51.2").replace("6.4, 6.4", "51.2, 51.2")
+        file.write_text(text.replace("0.4, 0.4, 8", "3.2, 3.2, 8"))
+    return config, weights

@@ -15,7 +15,7 @@ from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
 from shift3d.settings.attack_schema import AttackConfig
-from shift3d.settings.foreign import detector_layouts, layout_hash
+from shift3d.settings.foreign import detector_layouts, layout_hash, require_in_range
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.scene_cache import SceneEntry
 from shift3d.settings.scene_entries import scene_entries
@@ -221,12 +221,13 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     scenes = scene_set(config.scenes)
     entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
-    layouts = detector_layouts(config.detector)
+    layouts, sector = detector_layouts(config.detector), scenes.placement_sector_rad
+    require_in_range(layouts, (float(sector[0]), float(sector[1])), config.attack.placement.max_range_m)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
     return Catalogue(
         scenes=entries,
         scene_arguments=arguments,
-        sector_rad=(float(scenes.placement_sector_rad[0]), float(scenes.placement_sector_rad[1])),
+        sector_rad=(float(sector[0]), float(sector[1])),
         vehicles=_VehicleHashes(source),
         frame_of=source.vehicle,
         decoder_hash=source.decoder_hash(),

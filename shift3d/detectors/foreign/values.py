@@ -53,7 +53,7 @@ class Section:
         """Refuse another value than the one wanted, or, of a tuple, than one of those."""
         value, known = self.get(name, default), wanted if isinstance(wanted, tuple) else (wanted,)
         if value not in known:
-            self.refuse(f"{name} is {str(value)[:80]!r}, not {' or '.join(repr(one) for one in known)}")
+            self.refuse(f"{name} is {repr(value)[:80]}, not {' or '.join(repr(one) for one in known)}")
 
     def absent(self, *names: str) -> None:
         """Refuse any of these, where it is there: a part that is not covered."""
@@ -141,4 +141,4 @@ class Section:
         return f"{self.path}.{name}" if self.path else name
 
     def _wrong(self, name: str, value: Any, wanted: str) -> NoReturn:
-        self.refuse(f"{name} is {str(value)[:80]!r}, not {wanted}", "Give the config that the model was trained with")
+        self.refuse(f"{name} is {repr(value)[:80]}, not {wanted}", "Give the config that the model was trained with")
