@@ -9,7 +9,7 @@ from typing import Any
 from shift3d.detectors.base import Detector
 from shift3d.detectors.models.network import Precision
 from shift3d.detectors.models.weights import NETWORKS, WEIGHTS_FOLDER, load_network
-from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
@@ -36,12 +36,13 @@ def detector_of(
     precision: Precision,
     layout: Mapping[str, Any] | None = None,
 ) -> Detector:
-    """A trained detector, the user's own from a Python file, or one of another codebase.
+    """A trained detector, the user's own from a Python file, an ONNX file, or one of another codebase.
 
-    path: of weights, None: shipped ones, or none at all. layout: of a foreign detector, see `foreign.layout`.
+    path: of weights, None: shipped ones, or none at all; of an ONNX file, which has one precision alone. layout: of a
+    foreign detector, see `foreign.layout`.
 
-    Raises: InputError as `load_detector`, `own.load_own` and `foreign.detector.load_foreign` do; a file or a config
-        that is not given.
+    Raises: InputError as `load_detector`, `own.load_own`, `onnx_detector.load_onnx` and `foreign.detector.load_foreign`
+        do; a file or a config that is not given.
     """
     if name in FOREIGN:
         if path is None or layout is None:
@@ -50,6 +51,12 @@ def detector_of(
         from shift3d.detectors.foreign.detector import load_foreign
 
         return load_foreign(layout, Path(path).expanduser(), precision)
+    if name == ONNX:
+        if path is None:
+            raise InputError("an ONNX detector needs a file", where="detector", remedy="Give detector.file=FILE.onnx")
+        from shift3d.detectors.compiled.onnx_detector import load_onnx
+
+        return load_onnx(Path(path).expanduser())
     if name != OWN:
         return load_detector(name, path, precision)
     if module is None:
