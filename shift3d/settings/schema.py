@@ -65,8 +65,8 @@ class DetectorConfig(Record):
     weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
     scored_by: names; None: every detector whose weights are there. The attacked one scores
     always, and first. module: the Python file of the user's own detector, named "own". file: the ONNX file of the
-    detector named "onnx"; original: the detector that it was made from, whose scores it must have. config: of a detector
-    of another codebase; vehicle_class, sensor_height_m, intensity: beside it, see `detectors.foreign.parts.Choices`.
+    detector named "onnx"; original: the detector that it was made from, whose scores it must have. config: of another
+    codebase's detector; vehicle_class, sensor_height_m, intensity: beside it, see `detectors.foreign.parts.Choices`.
     """
 
     name: DetectorName
