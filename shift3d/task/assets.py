@@ -44,9 +44,9 @@ class Assets:
     """Loaded once a worker; never changed by a task.
 
     scenes, vehicles: the sets that names are looked up in. decoder: float32, as shipped. detectors: name to a file of
-    weights (None: those that ship). modules: name to the Python file of a detector of the user's. reference: settings
-    of the reference set of naturalness, None: none. Precision twins, scenes with their beams, maps of vehicles and the
-    reference set are made on first use and kept.
+    weights (None: those that ship). modules: name to the Python file of a detector of the user's. layouts: name to the
+    layout of a foreign one. reference: settings of the reference set of naturalness, None: none. Precision twins,
+    scenes with their beams, maps of vehicles and the reference set are made on first use and kept.
     """
 
     scenes: SceneSet
@@ -55,6 +55,7 @@ class Assets:
     detectors: Mapping[str, str | None]
     modules: Mapping[str, str] = field(default_factory=dict)
     reference: Mapping[str, Any] | None = None
+    layouts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     _scenes: OrderedDict[str, tuple[Scene, Beams, str]] = field(default_factory=OrderedDict)
     _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)
@@ -104,8 +105,8 @@ class Assets:
     def detector_of(self, name: str, precision: str) -> Detector:
         """A detector with its arithmetic in a precision: bfloat16, float32 or float64."""
         if (name, precision) not in self._detectors:
-            files = self.detectors.get(name), self.modules.get(name)
-            self._detectors[name, precision] = detector_of(name, *files, precision)  # type: ignore[arg-type]
+            made_of = self.detectors.get(name), self.modules.get(name), precision, self.layouts.get(name)
+            self._detectors[name, precision] = detector_of(name, *made_of)  # type: ignore[arg-type]
         return self._detectors[name, precision]
 
     def vehicle(self, spec: TaskSpec) -> Vehicle:
@@ -180,12 +181,12 @@ def load_assets(spec: AssetsSpec) -> Assets:
         InputError: naming the file that is missing or unusable, or weights that are not those of the plan.
     """
     for name, path in spec.detectors.items():
-        found = detector_hash(name, path, spec.modules.get(name))
+        found = detector_hash(name, path, spec.modules.get(name), spec.layouts.get(name))
         require_planned(f"the weights of {name}", spec.hashes.get(name), found)
     source = vehicle_source(_vehicle_config(spec.vehicles))
     require_planned("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
     scenes = scene_set(scene_config(spec.scenes))
-    assets = Assets(scenes, source, source.decoder(), spec.detectors, spec.modules, spec.reference)
+    assets = Assets(scenes, source, source.decoder(), spec.detectors, spec.modules, spec.reference, spec.layouts)
     # Now, not at the first task: weights that do not fit stop the sweep in one line instead of failing every task.
     for name in spec.detectors:
         assets.detector_of(name, "float32")
