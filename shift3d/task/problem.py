@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -25,15 +26,16 @@ __all__ = ["build_problem", "place_vehicle"]
 def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings.
 
-    Whatever the task's mode, weights of the loss, accuracy or detector. Source: our choice: the paper is silent.
+    Whatever the task's mode, weights of the loss, accuracy or detector, and whatever beams see the street.
+    Source: our choice: the paper is silent.
     """
-    scene, beams = assets.scene(spec)
+    scene, beams, scene_hash = assets.placing_scene(spec)
     vehicle = assets.vehicle(spec)
     # Always at the standard accuracy: a rounding that turns one draw down would put the vehicle elsewhere, and
     # accuracies could no longer be compared object by object. Without a map of empty space, which takes longer to make
     # than it saves here.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
-    rng = generator("placement", spec.placement_seed)
+    rng = generator("placement", replace(spec, scene_hash=scene_hash).placement_seed)
     limits, constraints, others = limits_of(spec.placement), constraints_of(spec.placement), other_vehicles(scene)
     return place(
         beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others, ground_map=scene.ground_map
