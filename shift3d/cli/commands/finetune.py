@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from shift3d.cli.command import Command, key_values, run_command
 from shift3d.cli.commands import evaluate, sweep, train, verify
 from shift3d.cli.completion import overrides
+from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 
@@ -157,7 +158,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def _checked(request: FinetuneRequest) -> tuple[Config, str]:
     """The settings and the hash of what is attacked for training.
 
-    Raises: InputError naming scenes that are held out and trained on at once, or more than one detector.
+    Raises: InputError naming scenes that are held out and trained on at once, more than one detector, or one that
+        cannot be trained.
     """
     from shift3d.settings.compose import compose_sweep
     from shift3d.settings.expand import expand
@@ -169,6 +171,9 @@ def _checked(request: FinetuneRequest) -> tuple[Config, str]:
         composed = compose_sweep(name, request.overrides_of(name))
         if len({(c.detector.name, c.detector.weights) for c in expand(composed)}) > 1:
             raise InputError("several detectors are attacked", where=f"sweep {name}", remedy="Give detector= one value")
+        if (detector := composed.base["detector"]["name"]) not in DETECTOR_NAMES:
+            remedy = f"Give one of {', '.join(DETECTOR_NAMES)}"
+            raise InputError(f"there is no training of {detector}", where=f"sweep {name}", remedy=remedy)
         plan, own = make_plan(composed, catalogue)
         plans.append(plan)
         config = config or own

@@ -72,4 +72,7 @@ def test_scenes_that_are_trained_on_and_held_out_are_refused_by_name(
 def test_it_is_one_detector_that_is_tuned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["finetune", *LOCAL, "detector=pointpillars,sst_small", f"out={tmp_path / 'out'}"]) == 2
     assert "several detectors are attacked" in capsys.readouterr().err
+    own = ["detector=own", "detector.module=mine.py", "detector.scored_by=[]"]
+    assert main(["finetune", *LOCAL, *own, f"out={tmp_path / 'out'}"]) == 2
+    assert "there is no training of own" in capsys.readouterr().err
     assert finetune.COMMAND.name == "finetune"
