@@ -22,7 +22,7 @@ from shift3d.attack.objective import (
 )
 from shift3d.attack.problem import AttackProblem, Measurement, measure
 from shift3d.detectors.base import BevWindow, Detector, Proposals
-from shift3d.detectors.incremental.inference import IncrementalInference, incremental_inference
+from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow, incremental_inference
 from shift3d.detectors.nms import suppress
 
 # Scores below this count as 0: their boxes are not even candidates for suppression. Recall curves are drawn
@@ -84,8 +84,9 @@ class EmptyScene:
         """Incremental inference that has seen the scoring window of a pose (6,) without the object."""
         window = problem.detector.window_for((float(theta[0]), float(theta[1])), SCORE_RADIUS_M)
         if window not in self._seen:
-            self._seen[window] = incremental_inference(problem.detector, window)
-            self._seen[window].proposals(to_network_frame(problem.cast_beams.points, problem.ground_z_m), window)
+            seen = self._seen[window] = incremental_inference(problem.detector, window)
+            if not isinstance(seen, WholeWindow):  # which keeps nothing
+                seen.proposals(to_network_frame(problem.cast_beams.points, problem.ground_z_m), window)
         return self._seen[window].fork()
 
 
