@@ -234,6 +234,8 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     layouts, sector = detector_layouts(config.detector), scenes.placement_sector_rad
     require_in_range(layouts, (float(sector[0]), float(sector[1])), config.attack.placement.max_range_m)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
+    if arguments.get("beams") is None:  # a street seen by its own sensor: tasks keep their ids
+        arguments.pop("beams", None)
     return Catalogue(
         scenes=entries,
         scene_arguments=arguments,

@@ -20,7 +20,7 @@ from shift3d.render.beams import Beams
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import PRESETS, STANDARD, RenderSettings
 from shift3d.scenes.scene import Scene
-from shift3d.scenes.sets import SceneSet
+from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.settings.catalogue import detector_hash, vehicle_source
@@ -68,16 +68,30 @@ class Assets:
 
         Raises: InputError for an unknown name, a bad frame, or one that is not what the task was planned with.
         """
-        name = spec.scene
+        scene, beams, found = self._kept_scene(self.scenes, spec.scene)
+        require_planned(f"scene {spec.scene}", spec.scene_hash, found)
+        return scene, beams
+
+    def _kept_scene(self, scenes: SceneSet, name: str) -> tuple[Scene, Beams, str]:
+        """A scene, its beams and its hash."""
         if name not in self._scenes:
-            scene = self.scenes.load(name)
+            scene = scenes.load(name)
             self._scenes[name] = (scene, Beams.of_main_sensor(scene), scene.content_hash())
             if len(self._scenes) > _SCENES_KEPT:
                 self._scenes.popitem(last=False)
         self._scenes.move_to_end(name)
-        scene, beams, found = self._scenes[name]
-        require_planned(f"scene {name}", spec.scene_hash, found)
-        return scene, beams
+        return self._scenes[name]
+
+    def placing_scene(self, spec: TaskSpec) -> tuple[Scene, Beams, str]:
+        """The scene that a task's vehicle is placed in, its beams and hash: the task's own, but for a street that other
+        beams see, where it is the street as its own sensor sees it: places are then the same under any beams.
+
+        Raises: InputError as `scene` does.
+        """
+        own = self.scenes.seen_by_own(spec.scene) if isinstance(self.scenes, StreetScenes) else None
+        if own is None:
+            return *self.scene(spec), spec.scene_hash
+        return self._kept_scene(*own)
 
     def decoder_of(self, dtype: torch.dtype) -> Decoder | DeepSdfNetwork:
         """The decoder with its parameters in a dtype."""
