@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from analytic_fields import ground_scan
+from analytic_fields import Frame, box, ground_scan, in_frame
 from argoverse2_log import LOG, PERIOD, START, UP, write_log
 from argoverse2_log import city_SE3_ego as written_pose
 
 from shift3d.errors import InputError
+from shift3d.geometry.boxes import corners_bev
 from shift3d.geometry.rigid import inverse, moved
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.ground import ground_under
-from shift3d.placement.sampling import PlacementLimits
+from shift3d.placement.sampling import Placement, PlacementLimits, place
 from shift3d.placement.survey import survey
 from shift3d.render import Beams
 from shift3d.scenes.argoverse2.log import city_SE3_ego, lidar_mounts
@@ -121,6 +122,19 @@ def test_places_keep_to_the_road_and_start_from_the_maps_height() -> None:
     wrong = survey(beams, 9.0, limits, rules)
     right = survey(beams, 9.0, limits, rules, ground_map=GroundMap.of(ground, None))
     assert not wrong.free.any() and right.free.all()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_vehicle_is_put_on_the_road(seed: int) -> None:
+    frame, rules = Frame((4.0, 1.8, 1.4)), Constraints(min_object_points=100)
+    road = GroundMap.of(np.zeros((0, 3)), [np.array([[-50.0, 5.0], [50.0, 5.0], [50.0, 13.0], [-50.0, 13.0]])])
+    beams, crate = Beams.from_arrays(*ground_scan(rings=64, columns=900)), in_frame(box((2.0, 0.9, 0.7)), frame)
+    rng, limits = np.random.default_rng(seed), PlacementLimits(9.0, 12.0, attempts=80)
+    placed = place(beams, -1.73, crate, frame, rng, limits, rules, ground_map=road)
+    assert isinstance(placed, Placement) and placed.check.valid
+    footprint = corners_bev(np.array([[*placed.theta[:3].tolist(), 4.0, 1.8, 1.4, float(placed.theta[3])]]))[0]
+    assert ((footprint[:, 1] > 4.5) & (footprint[:, 1] < 13.5)).all()
+    assert placed.rejected.get("off_road", 0) == placed.attempts - 1
 
 
 def test_the_map_of_the_real_log_is_level_with_its_returns(real_data: Callable[[str], Path]) -> None:
