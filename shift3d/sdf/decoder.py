@@ -188,7 +188,8 @@ def load_decoder(path: Path | str | None = None) -> Decoder:
 
     source = Path(path) if path is not None else DEFAULT_WEIGHTS
     if not source.is_file():
-        raise InputError("no such file", where=str(source), remedy='train it: make train ARGS="model=sdf"')
+        remedy = "Check the path" if path is not None else 'Train it: make train ARGS="model=sdf"'
+        raise InputError("no such file", where=str(source), remedy=remedy)
     try:
         with safe_open(str(source), framework="pt") as file:
             metadata = file.metadata() or {}

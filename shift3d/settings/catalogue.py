@@ -112,7 +112,8 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     are there, it scores only what it is asked to.
 
     Raises:
-        InputError: weights of a detector that was asked for are missing, or the user's own is none.
+        InputError: weights of a detector that was asked for are missing, those given cannot be used, or the user's own
+            is none.
     """
     weights = config.weights_by_name()
     others: list[str] = list(config.scored_by or ())
@@ -122,12 +123,11 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     names = list(dict.fromkeys([config.name, *others]))
     for name in names:
         detector_hash(name, weights.get(name), config.module)
-    if OWN in names:
-        from shift3d.detectors.loading import detector_of
+    for name in names:
+        if name == OWN or weights.get(name):
+            from shift3d.detectors.loading import detector_of
 
-        detector_of(
-            OWN, weights.get(OWN), config.module, "float32"
-        )  # what is wrong with it is said before anything runs
+            detector_of(name, weights.get(name), config.module, "float32")  # what is wrong with it is said here
     return {name: weights.get(name) for name in names}
 
 
@@ -264,15 +264,9 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
 
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
-    """See `scene_entries`; the error for a frame that cannot be read says how to do without it."""
-    frames = config.scenes if isinstance(config.scenes, FramesConfig) else None
-    try:
-        return scene_entries(scenes, preview, skip_bad=frames is not None and frames.skip_bad)
-    except InputError as error:
-        if frames is None or frames.skip_bad:
-            raise
-        remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
-        raise InputError(error.what, where=error.where, remedy=remedy) from error
+    """See `scene_entries`."""
+    skip_bad = config.scenes.skip_bad if isinstance(config.scenes, FramesConfig) else None
+    return scene_entries(scenes, preview, skip_bad)
 
 
 class _VehicleHashes(Mapping[str, str]):
