@@ -146,7 +146,7 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
         parsed = []
         for text in texts:  # one at a time: the error names it
             try:
-                parsed.append(parser.parse_override(text))
+                parsed += parser.parse_overrides([text])
             except Exception as error:
                 raise messages.unreadable(text, where) from error
         return parsed
