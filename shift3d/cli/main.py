@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from shift3d.cli.command import Command
 from shift3d.cli.commands import (
     compact,
+    compile,
     effects,
     evaluate,
     export,
@@ -48,6 +49,7 @@ COMMANDS: tuple[Command, ...] = (
     fit.COMMAND,
     train.COMMAND,
     evaluate.COMMAND,
+    compile.COMMAND,
     frontier.COMMAND,
     ui.COMMAND,
     jobs.COMMAND,

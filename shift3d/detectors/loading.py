@@ -7,7 +7,7 @@ from pathlib import Path
 from shift3d.detectors.base import Detector
 from shift3d.detectors.models.network import Precision
 from shift3d.detectors.models.weights import NETWORKS, WEIGHTS_FOLDER, load_network
-from shift3d.detectors.names import DETECTOR_NAMES, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, ONNX, OWN
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
@@ -28,10 +28,18 @@ def load_detector(
 
 
 def detector_of(name: str, path: Path | str | None, module: Path | str | None, precision: Precision) -> Detector:
-    """A trained detector, or the user's own from a Python file. path: of weights, None: shipped ones, or none at all.
+    """A trained detector, the user's own from a Python file, or an ONNX file.
 
-    Raises: InputError as `load_detector` and `own.load_own` do; the user's own detector without a file.
+    path: of weights, None: shipped ones, or none at all; of an ONNX file, which has one precision alone.
+
+    Raises: InputError as `load_detector`, `own.load_own` and `onnx_detector.load_onnx` do; a file that is not given.
     """
+    if name == ONNX:
+        if path is None:
+            raise InputError("an ONNX detector needs a file", where="detector", remedy="Give detector.file=FILE.onnx")
+        from shift3d.detectors.compiled.onnx_detector import load_onnx
+
+        return load_onnx(Path(path).expanduser())
     if name != OWN:
         return load_detector(name, path, precision)
     if module is None:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import functools
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.detectors.names import DETECTOR_NAMES, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, ONNX, OWN
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
 from shift3d.settings.attack_schema import AttackConfig
+from shift3d.settings.compiled import compare_with_original, require_score_only
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.scene_cache import SceneEntry
 from shift3d.settings.scene_entries import scene_entries
@@ -64,7 +65,7 @@ class Catalogue:
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
     accuracy: every setting behind a preset's name. space_hash: (vehicle, config) to the hash of where its
     search may go. skipped: scenes that cannot be read and are left out, name to why.
-    reference_hash: of what the reference set of naturalness is made from; empty: none.
+    reference_hash: of what the reference set of naturalness is made from; empty: none. notes: lines that the plan says.
     """
 
     scenes: tuple[SceneEntry, ...]
@@ -78,6 +79,7 @@ class Catalogue:
     skipped: Mapping[str, str] = field(default_factory=dict)
     space_hash: Callable[[str, AttackConfig], str] = lambda vehicle, attack: ""
     reference_hash: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
@@ -124,26 +126,34 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     for name in names:
         detector_hash(name, weights.get(name), config.module)
     for name in names:
-        if name == OWN or weights.get(name):
+        if name in (OWN, ONNX) or weights.get(name):
             from shift3d.detectors.loading import detector_of
 
-            detector_of(name, weights.get(name), config.module, "float32")  # what is wrong with it is said here
+            detector_of(name, weights.get(name), config.module, "float32")  # what is wrong with a user's file is said
     return {name: weights.get(name) for name in names}
 
 
 def detector_hash(name: str, weights: str | None, module: str | None) -> str:
-    """128-bit BLAKE2b of what a detector is made of, hex: its weights; of the user's own, its Python file with them.
+    """128-bit BLAKE2b of what a detector is made of, hex: its weights, or its ONNX file; of the user's own, its
+    Python file with its weights.
 
     Raises:
         InputError: a file is missing.
     """
+    if name == ONNX:
+        return file_hash(_given_file(weights or "", "Check detector.file"))
     if name != OWN:
         return file_hash(weights_file(name, weights))
-    parts = [Path(part).expanduser() for part in (module, weights) if part]
-    for path in parts:
-        if not path.is_file():
-            raise InputError("no such file", where=str(path), remedy="Check detector.module and detector.weights")
+    remedy = "Check detector.module and detector.weights"
+    parts = [_given_file(part, remedy) for part in (module, weights) if part]
     return hashlib.blake2b("".join(map(file_hash, parts)).encode(), digest_size=16).hexdigest()
+
+
+def _given_file(text: str, remedy: str) -> Path:
+    path = Path(text).expanduser()
+    if not path.is_file():
+        raise InputError("no such file", where=str(path), remedy=remedy)
+    return path
 
 
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
@@ -214,6 +224,7 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     Raises:
         InputError: a missing file, or a scene that cannot be read.
     """
+    require_score_only(config)
     scenes = scene_set(config.scenes)
     entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
@@ -230,7 +241,15 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         skipped=skipped,
         space_hash=functools.partial(_space_hash, source),
         reference_hash=_reference_hash(config.naturalness),
+        notes=_notes(config, scenes, [entry.name for entry in entries], preview),
     )
+
+
+def _notes(config: Config, scenes: SceneSet, names: Sequence[str], preview: bool) -> tuple[str, ...]:
+    """What is said of an ONNX file that scores; a preview looks at no scene."""
+    if config.detector.file is None or preview:
+        return ()
+    return (compare_with_original(config.detector, scenes, names),)
 
 
 def _reference_hash(config: NaturalnessConfig) -> str:

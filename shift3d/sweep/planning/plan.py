@@ -34,7 +34,7 @@ class Plan:
 
     settings: of the first task, for the reader. axes: key to values as they were written.
     effects: what was decided about each effect for each scene, see `sweep.effects`.
-    skipped: scenes that cannot be read and are left out, name to why.
+    skipped: scenes that cannot be read and are left out, name to why. notes: lines for the reader, of no effect.
     preview: the content of some scenes is not known, and ids are not those that the sweep will have.
     runner, tracking: how it runs; they are no part of the hash.
     """
@@ -48,6 +48,7 @@ class Plan:
     effects: tuple[EffectLine, ...] = ()
     skipped: Mapping[str, str] = field(default_factory=dict)
     preview: bool = False
+    notes: tuple[str, ...] = ()
 
     @functools.cached_property
     def spec_hash(self) -> str:
@@ -112,6 +113,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
         decided.lines(),
         skipped={name: why for catalogue, _ in catalogues.values() for name, why in catalogue.skipped.items()},
         preview=not all(entry.content_hash for catalogue, _ in catalogues.values() for entry in catalogue.scenes),
+        notes=tuple(dict.fromkeys(note for catalogue, _ in catalogues.values() for note in catalogue.notes)),
     )
     return plan, first
 
