@@ -19,12 +19,14 @@ from shift3d.cli.commands import (
     export,
     fit,
     frontier,
+    gate,
     gc,
     jobs,
     plan,
     report,
     rules,
     scenes,
+    suite,
     sweep,
     train,
     ui,
@@ -44,6 +46,8 @@ COMMANDS: tuple[Command, ...] = (
     scenes.COMMAND,
     effects.COMMAND,
     export.COMMAND,
+    suite.COMMAND,
+    gate.COMMAND,
     gc.COMMAND,
     compact.COMMAND,
     fit.COMMAND,
@@ -128,6 +132,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of our output (head, less) has left; there is nobody to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return int(ExitCode.NO_READER)
+    except OSError as error:
+        from shift3d.store.atomic import disk_error
+
+        if (problem := disk_error(error)) is None:
+            raise
+        print(f"shift3d {parsed.command}: {problem}", file=sys.stderr)
+        return int(problem.exit_code)
 
 
 if __name__ == "__main__":

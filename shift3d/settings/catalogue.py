@@ -16,6 +16,7 @@ from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
 from shift3d.settings.attack_schema import AttackConfig
 from shift3d.settings.compiled import compare_with_original, require_score_only
+from shift3d.settings.foreign import detector_layouts, layout_hash, require_in_range
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.scene_cache import SceneEntry
 from shift3d.settings.scene_entries import scene_entries
@@ -114,8 +115,7 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     are there, it scores only what it is asked to.
 
     Raises:
-        InputError: weights of a detector that was asked for are missing, those given cannot be used, or the user's own
-            is none.
+        InputError: weights of a detector that was asked for are missing, or a user's files are no detector.
     """
     weights = config.weights_by_name()
     others: list[str] = list(config.scored_by or ())
@@ -123,19 +123,21 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
         others = [name for name in DETECTOR_NAMES if weights.get(name) or _weights_path(name, None).is_file()]
         others = [name for name in others if not (name == "sst_small" and "sst" in others)]
     names = list(dict.fromkeys([config.name, *others]))
+    layouts = detector_layouts(config)
     for name in names:
-        detector_hash(name, weights.get(name), config.module)
-    for name in names:
-        if name in (OWN, ONNX) or weights.get(name):
-            from shift3d.detectors.loading import detector_of
+        detector_hash(name, weights.get(name), config.module, layouts.get(name))
+    for name in [name for name in names if name == OWN or weights.get(name)]:  # said before anything runs
+        from shift3d.detectors.loading import detector_of
 
-            detector_of(name, weights.get(name), config.module, "float32")  # what is wrong with a user's file is said
+        detector_of(name, weights.get(name), config.module, "float32", layouts.get(name))
     return {name: weights.get(name) for name in names}
 
 
-def detector_hash(name: str, weights: str | None, module: str | None) -> str:
-    """128-bit BLAKE2b of what a detector is made of, hex: its weights, or its ONNX file; of the user's own, its
-    Python file with its weights.
+def detector_hash(name: str, weights: str | None, module: str | None, layout: Mapping[str, Any] | None = None) -> str:
+    """128-bit BLAKE2b of what a detector is made of, hex.
+
+    Its weights, or its ONNX file; of the user's own, its Python file with its weights; of a foreign one, the layout
+    that its config describes with its weights.
 
     Raises:
         InputError: a file is missing.
@@ -143,7 +145,8 @@ def detector_hash(name: str, weights: str | None, module: str | None) -> str:
     if name == ONNX:
         return file_hash(_given_file(weights or "", "Check detector.file"))
     if name != OWN:
-        return file_hash(weights_file(name, weights))
+        weights_hash = file_hash(weights_file(name, weights))
+        return weights_hash if layout is None else layout_hash(layout, weights_hash)
     remedy = "Check detector.module and detector.weights"
     parts = [_given_file(part, remedy) for part in (module, weights) if part]
     return hashlib.blake2b("".join(map(file_hash, parts)).encode(), digest_size=16).hexdigest()
@@ -228,15 +231,22 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     scenes = scene_set(config.scenes)
     entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
+    layouts, sector = detector_layouts(config.detector), scenes.placement_sector_rad
+    require_in_range(layouts, (float(sector[0]), float(sector[1])), config.attack.placement.max_range_m)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
+    if arguments.get("beams") is None:  # a street seen by its own sensor: tasks keep their ids
+        arguments.pop("beams", None)
     return Catalogue(
         scenes=entries,
         scene_arguments=arguments,
-        sector_rad=(float(scenes.placement_sector_rad[0]), float(scenes.placement_sector_rad[1])),
+        sector_rad=(float(sector[0]), float(sector[1])),
         vehicles=_VehicleHashes(source),
         frame_of=source.vehicle,
         decoder_hash=source.decoder_hash(),
-        detectors={name: detector_hash(name, path, config.detector.module) for name, path in detectors.items()},
+        detectors={
+            name: detector_hash(name, path, config.detector.module, layouts.get(name))
+            for name, path in detectors.items()
+        },
         accuracy=accuracy_settings(config.accuracy),
         skipped=skipped,
         space_hash=functools.partial(_space_hash, source),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.detectors.names import ONNX
 from shift3d.errors import InputError
+from shift3d.settings.foreign import detector_layouts
 from shift3d.settings.schema import Config, DetectorConfig
 from shift3d.wording import counted
 
@@ -41,14 +42,21 @@ def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Seque
     if config.original is None:
         return f"{config.file}: scores are compared with no original, as detector.original names none"
     first = tuple(islice(names, _COMPARED_SCENES))
-    weights = config.weights_by_name()
-    key = (str(config.file), config.original, str(weights.get(config.original)), str(config.module), *first)
+    weights, layout = config.weights_by_name(), detector_layouts(config).get(config.original)
+    key = (
+        str(config.file),
+        config.original,
+        str(weights.get(config.original)),
+        str(config.module),
+        str(layout),
+        *first,
+    )
     if key not in _done:
         from shift3d.detectors.compiled.agreement import require_agreement
         from shift3d.detectors.loading import detector_of
 
         compiled = detector_of(ONNX, config.file, None, "float32")
-        original = detector_of(config.original, weights.get(config.original), config.module, "float32")
+        original = detector_of(config.original, weights.get(config.original), config.module, "float32", layout)
         worst = require_agreement(original, compiled, _clouds(scenes, first), str(config.file))
         _done[key] = (
             f"{config.file}: scores are those of {config.original} within {worst.difference:.1g} "

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shift3d.detectors.names import ONNX, OWN, DetectorName
+from shift3d.detectors.names import FOREIGN, ONNX, OWN, DetectorName
 from shift3d.settings.attack_schema import AttackConfig
 from shift3d.settings.names import Text
 from shift3d.settings.records import Count, NotNegative, Number, Positive, Record, Seed, Share
@@ -65,7 +65,8 @@ class DetectorConfig(Record):
     weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
     scored_by: names; None: every detector whose weights are there. The attacked one scores
     always, and first. module: the Python file of the user's own detector, named "own". file: the ONNX file of the
-    detector named "onnx"; original: the detector that it was made from, whose scores it must have.
+    detector named "onnx"; original: the detector that it was made from, whose scores it must have. config: of another
+    codebase's detector; vehicle_class, sensor_height_m, intensity: beside it, see `detectors.foreign.parts.Choices`.
     """
 
     name: DetectorName
@@ -75,14 +76,31 @@ class DetectorConfig(Record):
     module: Text | None = None
     file: Text | None = None
     original: DetectorName | None = None
+    config: Text | None = None
+    vehicle_class: Text | None = None
+    sensor_height_m: Annotated[float, Field(ge=-10.0, le=10.0)] | None = None
+    intensity: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
 
     @model_validator(mode="after")
     def _a_file_for_the_own(self) -> Self:
-        named = OWN in (self.name, self.original, *(self.scored_by or ()))
+        named = OWN in self.named()
         if named and self.module is None:
             raise ValueError("module is null, and your own detector needs a file: detector.module=FILE.py")
         if not named and self.module is not None:
             raise ValueError("module means nothing without detector=own or own in scored_by")
+        return self
+
+    @model_validator(mode="after")
+    def _a_config_for_the_foreign(self) -> Self:
+        foreign = [name for name in FOREIGN if name in self.named()]
+        if len(foreign) > 1:
+            raise ValueError("config is of one of openpcdet and mmdet3d: name one of them")
+        if foreign and (self.config is None or self.weights_by_name().get(foreign[0]) is None):
+            raise ValueError(f"{foreign[0]} needs its config and its weights: detector.config=FILE, and weights")
+        beside = (self.config, self.vehicle_class, self.sensor_height_m, self.intensity)
+        if not foreign and any(value is not None for value in beside):
+            remedy = "config, vehicle_class, sensor_height_m and intensity mean nothing"
+            raise ValueError(f"{remedy} without {' or '.join(f'detector={name}' for name in FOREIGN)}")
         return self
 
     @model_validator(mode="after")
@@ -97,6 +115,10 @@ class DetectorConfig(Record):
         if self.name == ONNX and self.weights is not None:
             raise ValueError("weights means nothing for detector=onnx: give detector.file=FILE.onnx")
         return self
+
+    def named(self) -> tuple[str, ...]:
+        """The detectors that are asked for by name, the attacked one first, an ONNX file's original last."""
+        return (self.name, *(self.scored_by or ()), *([self.original] if self.original else []))
 
     def weights_by_name(self) -> dict[str, str | None]:
         """Files that were given, by the detector's name: of weights, None: those that ship; an ONNX file."""

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["UncertainError", "check_writable", "leftovers", "put_if_absent", "write_atomic"]
+__all__ = ["UncertainError", "check_writable", "disk_error", "leftovers", "put_if_absent", "write_atomic"]
 
 _TEMPORARY = ".tmp-"
 # .tmp-<process>-<machine><one use>-<final name>; earlier programs left the middle part out.
@@ -159,3 +159,11 @@ def _clear_disk_errors(path: Path, word: str = "out=DIR") -> Iterator[None]:
         unknown = f"nothing can be written here ({error.strerror or error})", _ELSEWHERE
         what, remedy = _REMEDIES.get(error.errno or 0, unknown)
         raise InputError(what, where=str(path), remedy=remedy.format(word)) from error
+
+
+def disk_error(error: OSError) -> InputError | None:
+    """The line for what a disk refuses a library that writes by itself; None for other errors."""
+    if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG):
+        return None
+    what, remedy = _REMEDIES[error.errno]
+    return InputError(what, where=str(error.filename or ""), remedy=remedy.format("out=DIR"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -26,9 +27,10 @@ __all__ = ["build_problem", "place_vehicle"]
 def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings.
 
-    Whatever the task's mode, weights of the loss, accuracy or detector. Source: our choice: the paper is silent.
+    Whatever the task's mode, weights of the loss, accuracy or detector, and whatever beams see the street.
+    Source: our choice: the paper is silent.
     """
-    scene, beams = assets.scene(spec)
+    scene, beams, scene_hash = assets.placing_scene(spec)
     vehicle = assets.vehicle(spec)
     limits = PlacementLimits(
         spec.placement.min_range_m,
@@ -40,7 +42,7 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     # accuracies could no longer be compared object by object. Without a map of empty space, which takes longer to make
     # than it saves here.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
-    rng = generator("placement", spec.placement_seed)
+    rng = generator("placement", replace(spec, scene_hash=scene_hash).placement_seed)
     constraints, others = _constraints(spec), _other_vehicles(scene)
     return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others)
 

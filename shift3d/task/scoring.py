@@ -17,7 +17,6 @@ from shift3d.attack.objective import (
     detection_score,
     object_box,
     to_network_frame,
-    window_around,
 )
 from shift3d.attack.problem import AttackProblem, Measurement, measure
 from shift3d.detectors.base import Detector, Proposals
@@ -98,10 +97,28 @@ def score_points(
 ) -> dict[str, Answer]:
     """What detectors make of a scene (N, 3) that holds the problem's object at a pose (6,), by their names."""
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
-    seen = to_network_frame(points, problem.ground_z_m)
+    return score_box(points, box, problem.ground_z_m, radius_m, detectors)
+
+
+def score_box(
+    points: Tensor, box: NDArray[np.float64], ground_z_m: float, radius_m: float, detectors: Mapping[str, Detector]
+) -> dict[str, Answer]:
+    """What detectors make of the object of a box (7,), network frame, in a scene (N, 3), by their names.
+
+    points: scene frame, metres. radius_m: how near the object's centre the centre of a detecting box lies, metres.
+    """
+    found = boxes_around(points, box, ground_z_m, detectors)
+    return {name: _answer(proposals, box, radius_m) for name, proposals in found.items()}
+
+
+def boxes_around(
+    points: Tensor, box: NDArray[np.float64], ground_z_m: float, detectors: Mapping[str, Detector]
+) -> dict[str, Proposals]:
+    """Every proposal around the object of a box (7,), network frame, in a scene (N, 3), by the detectors' names."""
+    seen, centre = to_network_frame(points, ground_z_m), (float(box[0]), float(box[1]))
     with torch.no_grad():
         return {
-            name: _answer(detector.proposals(seen, window_around(detector, theta, SCORE_RADIUS_M)), box, radius_m)
+            name: detector.proposals(seen, detector.window_for(centre, SCORE_RADIUS_M))
             for name, detector in detectors.items()
         }
 

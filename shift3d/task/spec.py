@@ -298,8 +298,9 @@ class AssetsSpec:
     scenes, vehicles: settings of the scene set and of the source of vehicles, as their schemas have them.
     detectors: name to a file of weights, or None for the weights that ship with shift3d. hashes: what "decoder" and
     the detectors had when the sweep was planned; one that is not there is not compared. results: the folder of final
-    tables that a verification reads. modules: Python files of detectors that are the user's own, by name. reference:
-    settings of the reference set of naturalness, None: it is not measured.
+    tables that a verification reads. modules: Python files of detectors that are the user's own, by name. layouts: of
+    foreign detectors, by name, see `detectors.foreign.layout`. reference: settings of the reference set of naturalness,
+    None: it is not measured.
     """
 
     scenes: Mapping[str, Any]
@@ -309,4 +310,5 @@ class AssetsSpec:
     threads: int = 1
     results: str | None = None
     modules: Mapping[str, str] = field(default_factory=dict)
+    layouts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     reference: Mapping[str, Any] | None = None

@@ -20,6 +20,7 @@ from shift3d.analysis.html.sections.in_short import in_short
 from shift3d.analysis.html.sections.overview import overview
 from shift3d.analysis.html.sections.paths import paths
 from shift3d.analysis.html.sections.rules import rules
+from shift3d.analysis.html.sections.sensors import sensors
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
@@ -40,6 +41,7 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         hard_cases(sweep, loaded, cases),
         gallery(sweep, loaded),
         budgets(found),
+        sensors(sweep),
         auc(sweep, found),
         curves(found),
         bev(sweep, found),

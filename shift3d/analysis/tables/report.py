@@ -9,6 +9,7 @@ from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.coverage import coverage_lines, stage_times
 from shift3d.analysis.tables.numerics import diagnostics
+from shift3d.analysis.tables.sensors import sensor_table
 from shift3d.analysis.tables.shapes import natural_table
 from shift3d.analysis.tables.transfers import transfer_table
 from shift3d.analysis.variants import variants
@@ -20,7 +21,8 @@ def sweep_report(sweep: Sweep) -> str:
     """AUCs, also by budget, natural shapes, shapes in other scenes, choices, what ran, its time and its accuracy."""
     parted = variants(sweep.auc, sweep.scored)
     tables = [auc_table(variant) for variant in parted]
-    further = (budget_table(parted), natural_table(sweep.scores), transfer_table(sweep.transfers))
+    by_sensor, elsewhere = sensor_table(sweep.scores), transfer_table(sweep.transfers)
+    further = (budget_table(parted), by_sensor, natural_table(sweep.scores), elsewhere)
     found = [table for table in further if table]
     parts = [*tables, *found, *choice_tables(sweep.choices)]
     return "\n\n".join(

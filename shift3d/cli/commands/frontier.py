@@ -183,6 +183,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
     """The sweep's scenes, and KITTI's where they are asked for. Raises InputError for a folder without frames."""
     from shift3d.accuracy_time.drive import SceneGroup
     from shift3d.settings.catalogue import scene_set
+    from shift3d.settings.foreign import detector_layouts
     from shift3d.settings.schema import KittiConfig
     from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
 
@@ -211,6 +212,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
             vehicles=config.vehicle.model_dump(mode="json", exclude={"name"}),
             detectors={config.detector.name: config.detector.weights},
             modules=config.detector.modules_by_name(),
+            layouts=detector_layouts(config.detector),
         )
         groups.append(SceneGroup(chosen.kind, assets, spec))
     return groups

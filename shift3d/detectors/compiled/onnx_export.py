@@ -73,7 +73,7 @@ class PointsToScores(nn.Module):
         mean = total[cell] / count[cell][:, None]
         centre = corner + (place + 0.5) * edge
         decorated = torch.cat((points, points - mean, points[:, :2] - centre.to(points.dtype)), dim=1)
-        features: Tensor = self.net.pillar_net.linear(decorated)
+        features: Tensor = self.net.pillar_net.linear(decorated)  # type: ignore[attr-defined]
         # From zero: the maximum and the ReLU after it at once.
         canvas = features.new_zeros(self.cells + 1, features.shape[1])
         where = cell[:, None].expand(-1, features.shape[1])

@@ -14,6 +14,7 @@ from shift3d.settings import messages
 from shift3d.settings.catalogue import Catalogue
 from shift3d.settings.compose import Composed
 from shift3d.settings.expand import expand
+from shift3d.settings.foreign import detector_layouts
 from shift3d.settings.schema import Config
 from shift3d.sweep.planning.effect_choices import EffectChoices, EffectLine
 from shift3d.sweep.planning.layout import Layouts
@@ -135,6 +136,7 @@ def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
         detectors={name: given.get(name) for name in catalogue.detectors},
         hashes={"decoder": catalogue.decoder_hash, **catalogue.detectors},
         modules=config.detector.modules_by_name(),
+        layouts=detector_layouts(config.detector),
         reference=config.naturalness.source(),
     )
 
