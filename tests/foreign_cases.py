@@ -12,6 +12,7 @@ from foreign_configs import (
     KITTI_RANGE,
     WIDE_RANGE,
     mm_centerpoint,
+    mm_hard,
     mm_pointpillars,
     pcd_centerpoint_nuscenes,
     pcd_centerpoint_waymo,
@@ -112,6 +113,13 @@ CASES = {
                 False, Pillars(KITTI_RANGE, (0.4, 0.4, 4), (0.27,), (8,), 32, legacy=True), (2, 2, 2), (1, 2, 4),
                 _mm_anchors(),
             ), 1.73, False, "state_dict",
+        ),
+        Case(
+            "mmdet3d-hard", mm_hard,
+            lambda: Source(
+                False, Pillars(WIDE_RANGE, (0.4, 0.4, 8), (0.0,), (6, 8), 20, hard=True), (2, 2, 2), (1, 2, 4),
+                Anchors(3, 2, -0.7854, (WALKER, CYCLIST, CAR), [(-6.0, -6.0, -1.8)] * 3, (0.8, 0.8), 9), "pts_",
+            ), 1.84, True, "state_dict",
         ),
         Case(
             "mmdet3d-centerpoint", mm_centerpoint,

@@ -193,6 +193,43 @@ model = dict(
     test_cfg=dict(use_rotate_nms=True, nms_thr=0.01, score_thr=0.1, nms_pre=100, max_num=50))
 """
 
+_MM_HARD = """
+_base_ = './pointpillars.py'
+voxel_size = [0.4, 0.4, 8]
+bounds = [-6.4, -6.4, -5.0, 6.4, 6.4, 3.0]
+test_pipeline = [
+    dict(type='LoadPointsFromFile', coord_type='LIDAR', load_dim=5, use_dim=5),
+    dict(type='LoadPointsFromMultiSweeps', sweeps_num=10),
+]
+dataset_type = 'NuScenesDataset'
+model = dict(
+    _delete_=True,
+    type='MVXFasterRCNN',
+    data_preprocessor=dict(
+        voxel=True, voxel_layer=dict(max_num_points=20, point_cloud_range=bounds, voxel_size=voxel_size)),
+    pts_voxel_encoder=dict(
+        type='HardVFE', in_channels=4, feat_channels=[6, 8], with_distance=False, voxel_size=voxel_size,
+        with_cluster_center=True, with_voxel_center=True, point_cloud_range=bounds,
+        norm_cfg=dict(type='naiveSyncBN1d', eps=1e-3, momentum=0.01)),
+    pts_middle_encoder=dict(type='PointPillarsScatter', in_channels=8, output_shape=[32, 32]),
+    pts_backbone=dict(
+        type='SECOND', in_channels=8, norm_cfg=dict(type='naiveSyncBN2d', eps=1e-3, momentum=0.01),
+        layer_nums=[1, 1, 1], layer_strides=[2, 2, 2], out_channels=[8, 8, 8]),
+    pts_neck=dict(
+        type='SECONDFPN', norm_cfg=dict(type='naiveSyncBN2d', eps=1e-3, momentum=0.01), in_channels=[8, 8, 8],
+        upsample_strides=[1, 2, 4], out_channels=[8, 8, 8]),
+    pts_bbox_head=dict(
+        type='Anchor3DHead', num_classes=3, in_channels=24, feat_channels=24, use_direction_classifier=True,
+        anchor_generator=dict(
+            type='Anchor3DRangeGenerator', ranges=[[-6.0, -6.0, -1.8, 6.0, 6.0, -1.8]],
+            sizes=[[0.8, 0.6, 1.73], [1.76, 0.6, 1.73], [3.9, 1.6, 1.56]], custom_values=[0, 0],
+            rotations=[0, 1.57], reshape_out=True),
+        dir_offset=-0.7854,
+        bbox_coder=dict(type='DeltaXYZWLHRBBoxCoder', code_size=9),
+        loss_cls=dict(type='mmdet.FocalLoss', use_sigmoid=True)),
+    test_cfg=dict(pts=dict(use_rotate_nms=True, nms_thr=0.2)))
+"""
+
 _MM_CENTERPOINT = """
 voxel_size = [0.4, 0.4, 8]
 model = dict(
@@ -298,6 +335,12 @@ def mm_pointpillars(folder: Path) -> Path:
     """mmdetection3d's PointPillars on KITTI's scale, legacy pillar features."""
     data = _MM_DATA.format(data_set="KittiDataset", classes=["Pedestrian", "Cyclist", "Car"], load=4)
     return _written(folder / "pointpillars.py", data + _MM_POINTPILLARS)
+
+
+def mm_hard(folder: Path) -> Path:
+    """mmdetection3d's PointPillars for nuScenes: HardVFE of two layers, velocities, anchors from border to border."""
+    mm_pointpillars(folder)
+    return _written(folder / "hard.py", _MM_HARD)
 
 
 def mm_centerpoint(folder: Path) -> Path:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True)
 class Pillars:
-    """How a model makes pillars. cap: slots; None: dynamic. legacy: offsets written over the coordinates."""
+    """How a model makes pillars. cap: slots; None: dynamic. legacy: offsets over the coordinates. hard: HardVFE's."""
 
     bounds: Sequence[float]
     voxel: Sequence[float]
@@ -23,6 +23,7 @@ class Pillars:
     filters: Sequence[int]
     cap: int | None
     legacy: bool = False
+    hard: bool = False
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class Anchors:
     sizes: Sequence[Sequence[float]]
     starts: Sequence[Sequence[float]]
     steps: Sequence[float]
+    code: int = 7
     rotations: Sequence[float] = (0.0, 1.57)
 
 
@@ -146,7 +148,8 @@ class Source:
         if lay.cap is not None:
             rows += [torch.zeros_like(rows[0])] * (lay.cap - len(rows))
         values = torch.stack(rows)
-        layers = self.part("vfe" if self.pcd else "voxel_encoder").pfn_layers
+        part = self.part("vfe" if self.pcd else "voxel_encoder")
+        layers = part.vfe_layers if lay.hard else part.pfn_layers
         for index, layer in enumerate(layers):
             values = torch.relu(layer.norm(layer.linear(values)))
             best = values.max(dim=0).values
@@ -176,7 +179,7 @@ class Source:
                 for size, start in zip(head.sizes, head.starts, strict=True):
                     for rotation in head.rotations:
                         at = (start[0] + column * head.steps[0], start[1] + line * head.steps[1], start[2])
-                        code = codes[line, column, 7 * number : 7 * number + 7].tolist()
+                        code = codes[line, column, head.code * number : head.code * number + 7].tolist()
                         pair = directions[line, column, 2 * number : 2 * number + 2]
                         boxes.append(_decoded(at, size, rotation, code, int(pair.argmax()), head.offset))
                         logits.append(classes[line, column, number * head.classes + head.vehicle])
@@ -218,12 +221,13 @@ def _decoded(
 
 def _encoder(lay: Pillars) -> nn.Module:
     module, inputs = nn.Module(), 3 + len(lay.extras) + 6
-    module.pfn_layers = nn.ModuleList()
+    layers = nn.ModuleList()
+    module.add_module("vfe_layers" if lay.hard else "pfn_layers", layers)
     for index, width in enumerate(lay.filters):
-        width = width if index + 1 == len(lay.filters) else width // 2
+        width = width if index + 1 == len(lay.filters) or lay.hard else width // 2
         layer = nn.Module()
         layer.linear, layer.norm = nn.Linear(inputs, width, bias=False), nn.BatchNorm1d(width, eps=1e-3)
-        module.pfn_layers.append(layer)
+        layers.append(layer)
         inputs = 2 * width
     return module
 
@@ -255,7 +259,7 @@ def _upsampling(ups: Sequence[float], plain: bool) -> nn.ModuleList:
 def _anchor_head(head: Anchors, pcd: bool) -> nn.Module:
     part, count = nn.Module(), len(head.sizes) * len(head.rotations)
     part.conv_cls = nn.Conv2d(24, count * head.classes, 1)
-    part.add_module("conv_box" if pcd else "conv_reg", nn.Conv2d(24, count * 7, 1))
+    part.add_module("conv_box" if pcd else "conv_reg", nn.Conv2d(24, count * head.code, 1))
     part.conv_dir_cls = nn.Conv2d(24, count * 2, 1)
     return part
 

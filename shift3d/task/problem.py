@@ -9,13 +9,12 @@ import torch
 from torch import Tensor
 
 from shift3d.attack.problem import AttackProblem
-from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, place
+from shift3d.placement.sampling import NoPlacement, Placement, place
 from shift3d.render.settings import STANDARD
 from shift3d.scenes.facts import EffectSettings
-from shift3d.scenes.scene import Scene
 from shift3d.seeding import derive_seed, generator
 from shift3d.task.assets import Assets, render_settings, score_precision
+from shift3d.task.places import constraints_of, limits_of, other_vehicles
 from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
@@ -32,19 +31,15 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     """
     scene, beams, scene_hash = assets.placing_scene(spec)
     vehicle = assets.vehicle(spec)
-    limits = PlacementLimits(
-        spec.placement.min_range_m,
-        spec.placement.max_range_m,
-        (spec.placement.sector_centre_rad, spec.placement.sector_half_width_rad),
-        spec.placement.attempts,
-    )
     # Always at the standard accuracy: a rounding that turns one draw down would put the vehicle elsewhere, and
     # accuracies could no longer be compared object by object. Without a map of empty space, which takes longer to make
     # than it saves here.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", replace(spec, scene_hash=scene_hash).placement_seed)
-    constraints, others = _constraints(spec), _other_vehicles(scene)
-    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others)
+    limits, constraints, others = limits_of(spec.placement), constraints_of(spec.placement), other_vehicles(scene)
+    return place(
+        beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others, ground_map=scene.ground_map
+    )
 
 
 def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:
@@ -64,10 +59,10 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProble
         detector=assets.detector_of(spec.detector, score_precision(spec)),
         theta0=theta,
         code0=torch.from_numpy(vehicle.latent_code).to(settings.dtype),
-        constraints=_constraints(spec),
+        constraints=constraints_of(spec.placement),
         settings=settings,
         travel_m=spec.attack.max_shift_m,
-        others=_other_vehicles(scene),
+        others=other_vehicles(scene),
         space=assets.space_of(spec, settings),
         effects=_effects(spec, assets),
     )
@@ -92,13 +87,3 @@ def _driving_heading_rad(spec: TaskSpec, assets: Assets) -> float:
     """A vehicle that drives does so along the heading it was placed with, whatever an attack makes of its pose."""
     placement = place_vehicle(spec, assets)
     return 0.0 if isinstance(placement, NoPlacement) else float(placement.theta[3])
-
-
-def _constraints(spec: TaskSpec) -> Constraints:
-    where = spec.placement
-    return Constraints(where.overlap_m, where.contact_m, where.min_object_points)
-
-
-def _other_vehicles(scene: Scene) -> Tensor:
-    """(M, 2) centres of the scene's own vehicles: a box of theirs near the object would pass for a detection of it."""
-    return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())

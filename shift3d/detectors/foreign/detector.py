@@ -103,6 +103,10 @@ class _Incremental:
         found = self._inner.proposals(_to_model(points, self._frame), window, requires_grad)
         return _proposals_back(found, self._frame)
 
+    def fork(self) -> _Incremental:
+        """See `IncrementalInference`."""
+        return _Incremental(self._inner.fork(), self._frame)
+
 
 def _to_model(points: Tensor, frame: Frame) -> Tensor:
     """Points (N, 3), network frame, in the model's. Differentiable."""

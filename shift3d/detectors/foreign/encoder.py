@@ -51,7 +51,7 @@ class ForeignEncoder(nn.Module):
     def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
         """(K, columns), sorted by pillar -> (P, channels). Differentiable w.r.t. decorated.
 
-        Of points that tie for a maximum, each gets an equal share of the gradient.
+        Of points that tie for a maximum, the first one in order of coordinates gets the gradient.
         """
         features, owner, counts = decorated, pillars.pillar, pillars.counts
         if self.slots is not None:
@@ -62,7 +62,7 @@ class ForeignEncoder(nn.Module):
             owner, counts = owner.index_select(0, order), counts + (counts < self.slots)
         for index, (linear, norm) in enumerate(zip(self.linears, self.norms, strict=True)):
             features = torch.relu(norm(linear(features)))
-            highest = torch.segment_reduce(features, "max", lengths=counts, axis=0, unsafe=True)
+            highest = _highest(features, owner, counts)
             if index + 1 < len(self.linears):
                 features = torch.cat((features, highest.index_select(0, owner)), dim=1)
         return highest
@@ -73,3 +73,18 @@ class ForeignEncoder(nn.Module):
             assert isinstance(linear, nn.Linear)
             self.linears[index], self.norms[index] = folded_linear(linear, norm), nn.Identity()
         return self
+
+
+def _highest(features: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
+    """(P, C) maximum over each pillar's rows (K, C).
+
+    Rows tie as soon as the layers before left nothing of them but their pillar's maximum. torch.segment_reduce shares
+    a gradient between them only where it is positive (2.13: a negative one is given to each in full).
+    """
+    with torch.no_grad():
+        highest = torch.segment_reduce(features, "max", lengths=counts, axis=0, unsafe=True)
+        rows = torch.arange(len(features))[:, None].expand_as(features)
+        rows = torch.where(features == highest.index_select(0, owner), rows, len(features))
+        first = rows.new_full(highest.shape, len(features) - 1)
+        first = first.scatter_reduce(0, owner[:, None].expand_as(features), rows, "amin")
+    return features.gather(0, first)

@@ -25,7 +25,8 @@ class PillarInputs(_Values):
     position: how the point's place is given first: its coordinates, its offset to the pillar's centre, or not at all.
     constants: what stands in for channels beside coordinates. middle_m: height of the pillar's centre.
     slots: points that the source keeps a pillar; in a pillar with fewer, one point of zeros takes part. None: any.
-    filters: outputs of each layer, as configs count them: of all but the last, half come from a point itself.
+    filters: what each layer hands on: of all but the last, half is a point's own and half its pillar's maximum. named:
+    how the source names the layers.
     """
 
     position: Literal["coordinates", "offset", "none"]
@@ -33,6 +34,7 @@ class PillarInputs(_Values):
     middle_m: float
     slots: int | None
     filters: tuple[int, ...]
+    named: str = "pfn_layers"
     eps: float = 1e-3
 
     @property

@@ -1,8 +1,8 @@
 """mmdetection3d's Python configs: PointPillars with one anchor head, and CenterPoint on pillars.
 
-Source: mmdetection3d 1.0 to 1.4, mmdet3d/models: pillar_encoder, second, second_fpn, anchor3d_head, centerpoint_head;
-anchor_3d_generator; delta_xyzwhlr_bbox_coder, centerpoint_bbox_coders. Boxes of 1.x have a bottom centre and a heading
-counter-clockwise from +x; both coders work on geometric centres, which is what is given here.
+Source: mmdetection3d 1.0 to 1.4, mmdet3d/models: pillar_encoder, voxel_encoder, second, second_fpn, anchor3d_head,
+centerpoint_head; anchor_3d_generator; delta_xyzwhlr_bbox_coder, centerpoint_bbox_coders. Boxes of 1.x have a bottom
+centre and a heading counter-clockwise from +x; both coders work on geometric centres, which is what is given here.
 """
 
 from __future__ import annotations
@@ -95,20 +95,25 @@ def _voxels(model: Section) -> Section:
 
 
 def _inputs(part: Section, root: Section, bounds: tuple[float, ...], voxels: Section, choices: Choices) -> PillarInputs:
-    part.expect("type", "PillarFeatureNet")
-    for name, wanted in (("with_distance", False), ("with_cluster_center", True), ("with_voxel_center", True)):
-        part.expect(name, wanted, wanted)
+    part.expect("type", ("PillarFeatureNet", "HardVFE"))
+    hard = part.text("type") == "HardVFE"
+    part.expect("with_distance", False, False)
+    for name in ("with_cluster_center", "with_voxel_center"):
+        part.expect(name, True, not hard)
     part.expect("mode", "max", "max")
+    part.absent("fusion_layer")
     for name in ("voxel_size", "point_cloud_range"):
         if not part.has(name) or part.numbers(name) != voxels.numbers(name):
             part.refuse(f"{name} is not that of voxel_layer", _GIVE)
-    channels = _channels(root, part.whole("in_channels", 4))
+    channels, filters = _channels(root, part.whole("in_channels", 4)), part.wholes("feat_channels", default=[64])
     return PillarInputs(
-        position="offset" if part.flag("legacy", True) else "coordinates",
+        position="offset" if part.flag("legacy", not hard) else "coordinates",
         constants=channel_values(channels[3:], _data_set(root), choices, part),
         middle_m=(bounds[2] + bounds[5]) / 2,
         slots=voxels.whole("max_num_points"),
-        filters=part.wholes("feat_channels", default=[64]),
+        # HardVFE counts what of a layer is a point's own.
+        filters=(*(2 * width for width in filters[:-1]), filters[-1]) if hard else filters,
+        named="vfe_layers" if hard else "pfn_layers",
         eps=_eps(part, 1e-3),
     )
 

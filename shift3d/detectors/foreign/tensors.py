@@ -73,7 +73,7 @@ def _encoder(layout: Layout, name: str) -> Iterator[Entry]:
     sources = (layout.inputs.columns, *filters[:-1])
     for index, (source, width) in enumerate(zip(sources, filters, strict=True)):
         outputs = width if index + 1 == len(filters) else width // 2
-        layer = f"{name}.pfn_layers.{index}"
+        layer = f"{name}.{layout.inputs.named}.{index}"
         yield Entry(f"{layer}.linear.weight", (outputs, source), f"pillar_net.linears.{index}.weight")
         yield from _norm(f"{layer}.norm", outputs, f"pillar_net.norms.{index}")
 

@@ -19,6 +19,7 @@ from torch import Tensor
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.incremental.activation_cache import ActivationCache
 from shift3d.detectors.incremental.active_sites import ActiveSites, SiteIndices, empty_set
+from shift3d.detectors.incremental.inference import copied_but_for
 from shift3d.detectors.incremental.point_sites import PointSites, contains
 from shift3d.detectors.incremental.sparse_backbone import SparseBackbone
 from shift3d.detectors.incremental.sparse_backward import SparseBackward
@@ -82,6 +83,10 @@ class IncrementalPillars:
             sparse = self._cache.backward(grad_cells, self._needed, self._outputs)
             logits = _Link.apply(features, logits, sparse, cells, core)  # type: ignore[no-untyped-call]
         return self._boxed(logits, rows, window)
+
+    def fork(self) -> IncrementalPillars:
+        """See `IncrementalInference`."""
+        return copied_but_for(self, self._net, self._cells, self._plain, self._boxed)
 
     def _look_at(self, window: BevWindow) -> _Rectangle:
         """The window's core (y0, x0, height, width) in the cached one, in output cells: what the next steps compute."""

@@ -95,7 +95,8 @@ def test_yaml_makes_no_objects(tmp_path: Path) -> None:
 
 
 MM = [
-    ("type='PillarFeatureNet'", "type='HardVFE'", "HardVFE"),
+    ("type='PillarFeatureNet'", "type='HardVFE'", "with_cluster_center"),
+    ("type='PillarFeatureNet'", "type='DynamicVFE'", "DynamicVFE"),
     ("type='SECONDFPN'", "type='FPN'", "FPN"),
     ("type='AlignedAnchor3DRangeGenerator'", "type='AnchorGenerator'", "AnchorGenerator"),
     ("use_sigmoid=True", "use_sigmoid=False", "use_sigmoid"),
