@@ -32,6 +32,7 @@ from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
 from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, detect_scenes
 from shift3d.training.detector.stored_answers import answers_of
+from shift3d.training.provenance import refuse_tuned_scenes
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -109,7 +110,8 @@ def evaluate_detector(
         layout: of a detector of another codebase, see `detectors.foreign.layout`.
 
     Raises:
-        InputError: unknown detector, missing weights or scenes, another evaluation in ``out``, a full disk.
+        InputError: unknown detector, missing weights or scenes, weights that were fine-tuned on one of the scenes,
+            another evaluation in ``out``, a full disk.
     """
     file = Path(weights).expanduser() if weights else WEIGHTS_FOLDER / f"{name}.safetensors"
     opened: Callable[[], Detector] = partial(detector_of, name, file, None, "float32", layout)
@@ -124,9 +126,10 @@ def evaluate_detector(
         "score_threshold": score_threshold,
         **({"layout": layout} if layout else {}),
     }
+    scene_names = scenes.open().names()
+    refuse_tuned_scenes(file, dict.fromkeys(scene_names, ""))
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
-    scene_names = scenes.open().names()
     found = answers_of(scene_names, out / "scenes", detect)
     answers = list(_with_progress(found, len(scene_names), f"{name}, {workers} at a time"))
     return write_evaluation(name, scenes.dataset, answers, out)

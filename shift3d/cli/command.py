@@ -9,7 +9,7 @@ from pathlib import Path
 
 from shift3d.errors import InputError, empty_error
 
-__all__ = ["Command", "key_values", "writable_folder"]
+__all__ = ["Command", "key_values", "run_command", "writable_folder"]
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,13 @@ class Command:
     epilog: str
     add_arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], int]
+
+
+def run_command(command: Command, words: Sequence[str]) -> int:
+    """Run a command with words, as a command line would. Raises: InputError as it does."""
+    parser = argparse.ArgumentParser(prog=f"shift3d {command.name}")
+    command.add_arguments(parser)
+    return command.run(parser.parse_args(words))
 
 
 def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[str], where: str) -> dict[str, str]:

@@ -64,10 +64,7 @@ def _tensors(path: Path) -> dict[str, Tensor]:
     content = _content(path)
     states = [content[name] for name in _STATES if isinstance(content.get(name), Mapping)]
     state = states[0] if states else content
-    version = content.get("meta", {}).get("mmdet3d_version") if isinstance(content.get("meta"), Mapping) else None
-    if isinstance(version, str) and version.startswith("0."):
-        what = f"is of mmdetection3d {version}, whose boxes and headings are others"
-        raise InputError(what, str(path), "Convert it with mmdetection3d's tools/model_converters, or train with 1.x")
+    _refuse_older(content, path)
     named = {str(name).removeprefix("module."): value for name, value in state.items()}
     tensors = {name: value for name, value in named.items() if isinstance(value, Tensor)}
     if not tensors:
@@ -75,6 +72,18 @@ def _tensors(path: Path) -> dict[str, Tensor]:
         remedy = f"Save it under {' or '.join(_STATES[:2])}"
         raise InputError(f"holds no table of tensors, but {keys}", str(path), remedy)
     return {name: value for name, value in tensors.items() if not name.endswith(_COUNTERS)}
+
+
+def _refuse_older(content: Mapping[str, Any], path: Path) -> None:
+    """Refuse a checkpoint that says it is of a release with other boxes and headings."""
+    meta = content.get("meta")
+    for codebase, version, older, covered in (
+        ("mmdetection3d", meta.get("mmdet3d_version") if isinstance(meta, Mapping) else None, ("0.",), "1.x"),
+        ("OpenPCDet", content.get("version"), ("pcdet+0.1", "pcdet+0.2"), "0.3 or later"),
+    ):
+        if isinstance(version, str) and version.startswith(older):
+            what = f"is of {codebase} {version}, whose boxes and headings are others"
+            raise InputError(what, str(path), f"Convert or train it with {covered}")
 
 
 def _content(path: Path) -> Mapping[str, Any]:

@@ -125,18 +125,19 @@ def _facts(
     }
 
 
-def export_weights(net: DetectorNet, file: Path, recipe: Recipe) -> None:
+def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = True) -> None:
     """Write the weights as safetensors, with the recipe in the metadata, replacing the file in one step.
 
-    Matrices and kernels are stored in float16, to 2^-11 of each value (our choice: half the bytes). Biases and batch
-    statistics stay float32: variances go beyond what float16 holds.
+    halved: matrices and kernels are stored in float16, to 2^-11 of each value (our choice: half the bytes). Biases and
+    batch statistics stay float32: variances go beyond what float16 holds.
     """
-    tensors = {name: _stored(tensor.detach().cpu()).contiguous() for name, tensor in net.state_dict().items()}
-    write_atomic(file, save(tensors, metadata={"model": recipe.detector, "recipe": repr(recipe)}))
+    tensors = {name: _stored(tensor.detach().cpu(), halved).contiguous() for name, tensor in net.state_dict().items()}
+    # One entry: safetensors writes several in another order each time.
+    write_atomic(file, save(tensors, metadata={"recipe": repr(recipe)}))
 
 
-def _stored(tensor: Tensor) -> Tensor:
-    return tensor.half() if tensor.is_floating_point() and tensor.dim() >= 2 else tensor
+def _stored(tensor: Tensor, halved: bool) -> Tensor:
+    return tensor.half() if halved and tensor.is_floating_point() and tensor.dim() >= 2 else tensor
 
 
 def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:

@@ -138,8 +138,13 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
         load_foreign(layout, tmp_path / "absent.pth")
 
 
-def test_boxes_of_mmdetection3d_0_are_others(tmp_path: Path) -> None:
-    said = refused(
-        MM, tmp_path, lambda state: None, lambda state: {"state_dict": state, "meta": {"mmdet3d_version": "0.17.1"}}
-    )
+def test_boxes_of_older_releases_are_others(tmp_path: Path) -> None:
+    meta = {"mmdet3d_version": "0.17.1"}
+    said = refused(MM, tmp_path, lambda state: None, lambda state: {"state_dict": state, "meta": meta})
     assert "mmdetection3d 0.17.1" in said
+    for version, older in (("pcdet+0.2.0+ab12", True), ("pcdet+0.6.0+ab12", False)):
+        wrap = lambda state, version=version: {"model_state": state, "version": version}  # noqa: E731
+        if older:
+            assert "OpenPCDet pcdet+0.2.0" in refused(PCD, tmp_path, lambda state: None, wrap)
+        else:
+            load(PCD, tmp_path, wrap=wrap)
