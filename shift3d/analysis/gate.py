@@ -43,10 +43,12 @@ class GateSettings:
 
 @dataclass(frozen=True)
 class Outcome:
-    """exit_code: of the command. text: what is printed."""
+    """exit_code: of the command. text: what is printed. compared: there was a release to compare with, and files say
+    what came of it."""
 
     exit_code: ExitCode
     text: str
+    compared: bool = True
 
 
 def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Location, settings: GateSettings) -> Outcome:
