@@ -15,6 +15,7 @@ from torch import Tensor
 from shift3d.attack.baselines import random_code
 from shift3d.errors import InputError
 from shift3d.vehicles.parameter_box import BoxOfParameters
+from shift3d.wording import counted
 
 __all__ = ["SPACES", "CodeSpace", "edited_code", "free_space", "parameter_space", "pca_space", "within_budget"]
 
@@ -59,7 +60,7 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
     Source: SHIFT3D's supplement takes 10 principal components to reconstruct vehicles; the ellipsoid is our choice.
     """
     if len(codes) < components + 2:
-        what = f"{len(codes)} codes are too few for {components} components"
+        what = f"{counted(len(codes), 'code')}: too few for {counted(components, 'component')}"
         raise InputError(what, where, f"Give attack.components of at most {max(len(codes) - 2, 1)}, or more vehicles")
     mean = codes.astype(np.float64).mean(axis=0)
     _, spread, axes = np.linalg.svd(codes - mean, full_matrices=False)

@@ -134,6 +134,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of our output (head, less) has left; there is nobody to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return int(ExitCode.NO_READER)
+    except OSError as error:
+        from shift3d.store.atomic import disk_error
+
+        if (problem := disk_error(error)) is None:
+            raise
+        print(f"shift3d {parsed.command}: {problem}", file=sys.stderr)
+        return int(problem.exit_code)
 
 
 if __name__ == "__main__":

@@ -95,8 +95,8 @@ class FrozenSuite:
     def _frames(self, number: int) -> SceneSet:
         if number not in self._sets:
             values = dict(self.manifest["scene_sets"][number])
-            if self.root is not None and "root" in values:
-                values["root"] = self.root
+            if "root" in values:  # whichever frames the sweep was limited to
+                values |= {"root": self.root or values["root"], "count": None}
             self._sets[number] = scene_set(scene_config(values))
         return self._sets[number]
 

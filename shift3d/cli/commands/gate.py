@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
 from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.completion import key_words
@@ -15,15 +16,16 @@ __all__ = ["COMMAND", "KEYS"]
 
 KEYS = (
     *("suite", "detector", "weights", "module", *FOREIGN_KEYS, "against", "accept", "releases"),
-    *("score_threshold", "level", "tolerance", "workers", "root", "out"),
+    *("score_threshold", "level", "tolerance", "workers", "root", "mlflow", "out"),
 )
 _VALUES = {"detector": (*DETECTOR_NAMES, *FOREIGN, OWN), "accept": ("true", "anyway", "false")}
+_STORE = "sqlite:///mlflow.db"
 
 _DESCRIPTION = """\
 Scores weights on every object of a suite and compares them, object by object, with the last release of the same
 detector: recall and mean score, of hard objects and of controls. Ends with a verdict and an exit code: 0 no loss
 found, 6 worse. Writes gate.html (what got worse, worst first, and what the suite can show), gate.parquet and
-verdict.json. A killed gate resumes with the same command."""
+verdict.json, and a run in MLflow (mlflow=none: none). A killed gate resumes with the same command."""
 
 _EPILOG = """\
 examples:
@@ -42,7 +44,8 @@ it in CI; docs/guides/gate.md says how many objects a suite needs."""
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [config=FILE] [accept=true] [against=N] "
-    text += "[releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [out=DIR]"
+    text += "[releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] "
+    text += "[out=DIR]"
     words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
     words.completer = key_words(KEYS, _VALUES)  # type: ignore[attr-defined]
 
@@ -60,20 +63,27 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     from shift3d.analysis.gate import GateSettings, run_gate
+    from shift3d.analysis.mlflow.gate import mirror_gate
+    from shift3d.analysis.mlflow.store_uri import check_store
     from shift3d.analysis.statistics.releases import Rule
     from shift3d.store.resolve import as_location
     from shift3d.suite.frozen import read_suite
     from shift3d.suite.scoring import Scorer
 
+    uri = values.get("mlflow", _STORE)
+    if uri != "none":
+        check_store(uri, "mlflow")
     suite = read_suite(values["suite"], values.get("root"))
     layout = foreign_layout_of(values["detector"], values, "gate")
     scorer = Scorer(values["detector"], values.get("weights"), values.get("module"), layout)
     name = f"outputs/gate/{suite.digest[:8]}-{scorer.name}-{scorer.digest[:8]}"
-    out = as_location(writable_folder(values.get("out", name)))
+    out = writable_folder(values.get("out", name))
     releases = as_location(values["releases"]) if "releases" in values else suite.folder / "releases"
     settings = GateSettings(Rule(**shares), workers, against, values.get("accept", "false"))  # type: ignore[arg-type]
-    outcome = run_gate(suite, scorer, releases, out, settings)
+    outcome = run_gate(suite, scorer, releases, as_location(out), settings)
     print(outcome.text)
+    if outcome.compared and uri != "none" and (problem := mirror_gate(out, uri)):
+        print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
     return int(outcome.exit_code)
 
 

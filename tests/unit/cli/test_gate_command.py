@@ -32,9 +32,22 @@ def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_exit_codes(folder: Path) -> None:
     module, weights = write_detector(folder, -9.0)
-    assert main(["gate", "suite=suite", "detector=own", f"module={module}", f"weights={weights}"]) == 6
+    assert main(["gate", "suite=suite", "detector=own", f"module={module}", f"weights={weights}", "mlflow=none"]) == 6
     module, weights = write_detector(folder, 9.0)
-    assert main(["gate", "suite=suite", "detector=own", f"module={module}", f"weights={weights}", "accept=true"]) == 0
+    assert (
+        main(
+            [
+                "gate",
+                "suite=suite",
+                "detector=own",
+                f"module={module}",
+                f"weights={weights}",
+                "accept=true",
+                "mlflow=none",
+            ]
+        )
+        == 0
+    )
     assert (folder / "suite/releases/00000001.parquet").is_file()
     assert len(list((folder / "outputs/gate").iterdir())) == 2
 

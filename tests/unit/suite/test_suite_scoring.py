@@ -78,7 +78,14 @@ def test_a_killed_gate_leaves_what_it_scored_and_ends_as_one_that_was_not(tmp_pa
     slow = Path(module).read_text().replace("    def model(points):\n", "    def model(points):\n        SLOW\n")
     Path(module).write_text(slow.replace("SLOW", "__import__('time').sleep(0.05)"))
     out = tmp_path / "killed"
-    words = [f"suite={tmp_path / 'suite'}", "detector=own", f"module={module}", f"out={out}", "accept=true"]
+    words = [
+        f"suite={tmp_path / 'suite'}",
+        "detector=own",
+        f"module={module}",
+        f"out={out}",
+        "accept=true",
+        "mlflow=none",
+    ]
     command = [sys.executable, "-m", "shift3d", "gate", *words]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     answers, deadline = out / "answers", time.monotonic() + 120
