@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
     from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["decoded_mesh"]
+__all__ = ["decoded_mesh", "decoded_surface"]
 
 RESOLUTION, COARSEST, MARGINS = 49, 12, (1.0, 0.6)
 """Nodes along the unit sphere's cube, 10 cm apart on a car, and cells of the first grid."""
@@ -32,9 +32,14 @@ def decoded_mesh(vehicle: Vehicle, decoder: Decoder | DeepSdfNetwork, code: Arra
     Source: our choice.
     """
     field = decoder.field(torch.as_tensor(code, dtype=torch.float32).detach())
-    mesh = zero_surface(*field_on_grid(_in_the_ball(field), RESOLUTION, COARSEST, MARGINS))
+    mesh = decoded_surface(field)
     mesh.vertices = vehicle.to_object(mesh.vertices)
     return mesh
+
+
+def decoded_surface(field: PointField) -> trimesh.Trimesh:
+    """The zero surface of a decoder's field: sdf frame. Raises: InputError where there is none."""
+    return zero_surface(*field_on_grid(_in_the_ball(field), RESOLUTION, COARSEST, MARGINS))
 
 
 def _in_the_ball(field: PointField) -> PointField:

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 __all__ = ["FinalTables", "committed_rows", "segments_in_plan_order", "write_final"]
 
-# A verification lies in a folder of its own.
-_KEPT = tuple(name for name in SEGMENTS if name != "verification")
+# Each lies in a folder of its own.
+_KEPT = tuple(name for name in SEGMENTS if name not in ("verification", "vehicle_pool", "retrieved"))
 
 _PLAN_GROUP = GROUP_COLUMNS[:11]  # what a task alone determines, and the detector that scores it
 
