@@ -32,7 +32,7 @@ __all__ = ["PoolAssets", "load_pool_assets", "pool_task", "reconstructor_of"]
 
 OWN_IOU = 0.3
 """Bird's-eye overlap with a label from which on a box is a detection of it: cars park nearer than 5 m."""
-_VEHICLES, _COMPARED = 5, 2000
+_VEHICLES, _COMPARED = 5, 1000
 _BOX = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
 
 
@@ -110,9 +110,9 @@ def _row(reconstructor: Reconstructor, crop: Crop, truth: trimesh.Trimesh | None
         "residual_cm": 100.0 * found.fit.residual_m,
         "outliers": found.fit.outliers,
     }
-    if truth is not None and found.mesh is not None:
+    if truth is not None and "no_surface" not in found.flags:
         mean = reconstructor.mean_mesh(float(crop.box[3]))
-        row["shape_error_cm"] = _apart_cm(found.mesh, truth)
+        row["shape_error_cm"] = _apart_cm(reconstructor.mesh(found.fit), truth)
         row["mean_shape_error_cm"] = _apart_cm(mean, truth)
     return row
 
