@@ -62,11 +62,13 @@ class _Problem:
     share: Array
 
     @staticmethod
-    def of(subspace: Subspace, surface: Array, free: Array, scale_m: float, rotation: Array) -> _Problem:
+    def of(
+        subspace: Subspace, surface: Array, free: Array, scale_m: float, rotation: Array, noise_m: float
+    ) -> _Problem:
         nuisances = [SHIFT_M] * 3 + [TURN_RAD, STRETCH]
         precision = np.concatenate((np.ones(subspace.components), np.array(nuisances) ** -2.0))
         parts = [np.full(len(part), min(1.0, COUNTED / max(len(part), 1))) for part in (surface, free)]
-        return _Problem(subspace, surface, free, scale_m, rotation, precision, np.concatenate(parts) / NOISE_M**2)
+        return _Problem(subspace, surface, free, scale_m, rotation, precision, np.concatenate(parts) / noise_m**2)
 
     def at(self, state: Array) -> _Point:
         """Metric distances of all places, and their derivatives by the state."""
@@ -112,23 +114,24 @@ def fit_shape(
     length_m: float,
     scale_per_length: float,
     sdf_R_object: Array | None = None,
+    noise_m: float = NOISE_M,
 ) -> Fit:
     """The most probable shape of the subspace behind some points: the maximum of a posterior.
 
-    Minimized is the sum of squared distances of the points to the surface over `NOISE_M` squared, each distance damped
+    Minimized is the sum of squared distances of the points to the surface over `noise_m` squared, each distance damped
     beyond `CLAMP_M`, that of the depths at which places that beams passed through lie inside, and the squared standard
     deviations of the shape's coordinates, of the box's centre, its heading and the scale.
 
     Args:
         surface: (P, 3) points on the vehicle, object frame of its box, metres; free: (Q, 3) places outside of it.
         length_m: of the box. scale_per_length: metres per sdf unit of a vehicle one metre long.
-        sdf_R_object: (3, 3), default the identity.
+        sdf_R_object: (3, 3), default the identity. noise_m: standard deviation of a point, see `NOISE_M`.
     A pure function: the same bytes whatever else is fitted, on one thread.
     Source: SHIFT3D, supplement, eq. reconstruction; it has no free space, no prior and a known pose. These, and the
     second-order method (Gauss-Newton with the exact derivative by the coordinates), are our choice.
     """
     rotation = np.eye(3) if sdf_R_object is None else sdf_R_object
-    problem = _Problem.of(subspace, surface, free, length_m * scale_per_length, rotation)
+    problem = _Problem.of(subspace, surface, free, length_m * scale_per_length, rotation, noise_m)
     at, damping, done = problem.at(np.zeros(subspace.components + 5)), 1e-2, 0
     while done < ITERATIONS and damping < _MOST_DAMPING:
         clamp = max(CLAMP_M[1], CLAMP_M[0] * (CLAMP_M[1] / CLAMP_M[0]) ** (done / 3))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-__all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
+__all__ = ["AGGREGATES", "FOLLOW_UPS", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
 # A new one needs a step in store/migrations.py and a folder of the former one in tests/reference.
 SCHEMA_VERSION = 9
@@ -289,6 +289,25 @@ _RETRIEVED = _schema(
     nullable=_NULLABLE,
 )
 
+_MEASURES = (
+    "length_cm", "width_cm", "height_cm", "clearance_cm", "nose_cm", "tail_cm", "bonnet_cm", "windshield_deg",
+    "rear_window_deg", "front_overhang_cm", "wheelbase_cm", "rear_overhang_cm", "volume_m3",
+)  # fmt: skip
+
+# The meshes of solutions, measured, see vehicles/mesh_measures.py: a row a method of a shape task.
+_PATTERNS = _schema(
+    "patterns",
+    [
+        *_SPEC_FIELDS,
+        ("method", pa.string()),
+        ("replicate", pa.int32()),
+        *((name, pa.float64()) for name in _MEASURES),
+        ("pieces", pa.int32()),
+    ],
+    # Null where the mesh does not have it.
+    nullable={*_NULLABLE, *_MEASURES, "pieces"},
+)
+
 _ATTEMPTS = _schema(
     "attempts",
     [
@@ -393,8 +412,10 @@ _CHOICES = _schema(
 # ones need no new version, and folders without them stay readable.
 SEGMENTS = (
     "scores", "solutions", "timings", "verification", "trajectories", "transfers", "shapes", "vehicle_pool",
-    "retrieved", "attempts",
+    "retrieved", "patterns", "attempts",
 )  # fmt: skip
+FOLLOW_UPS = ("verification", "vehicle_pool", "retrieved", "patterns")
+"""Those that commands of their own make of a sweep that has finished."""
 # Computed from the scores when a sweep has finished.
 AGGREGATES = ("curves", "auc", "bev", "bev_transfer", "choices")
 SCHEMAS: dict[str, pa.Schema] = {
@@ -407,6 +428,7 @@ SCHEMAS: dict[str, pa.Schema] = {
     "shapes": _SHAPES,
     "vehicle_pool": _VEHICLE_POOL,
     "retrieved": _RETRIEVED,
+    "patterns": _PATTERNS,
     "attempts": _ATTEMPTS,
     "curves": _CURVES,
     "auc": _AUC,

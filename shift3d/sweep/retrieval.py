@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
 
 from shift3d.errors import InputError
 from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
 from shift3d.store.location import Location
-from shift3d.store.log import Commit
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.tables import write_table
 from shift3d.sweep.drive import SweepResult, run_sweep
+from shift3d.sweep.follow_up import follow_up, follow_up_tables
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.results.final import FinalTables, segments_in_plan_order
 from shift3d.sweep.verification import verification_plan
 
 __all__ = ["build_pool", "pool_kind", "pool_plan", "retrieval_kind", "retrieve"]
@@ -62,7 +59,7 @@ def build_pool(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepR
 
     Exactly once, resumable and to the same bytes, as a sweep. Raises: InputError as `run_sweep`.
     """
-    return run_sweep(plan, runner, pool_kind(), folder, _finish_pool)
+    return run_sweep(plan, runner, pool_kind(), folder, follow_up_tables(_POOL))
 
 
 def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> SweepResult:
@@ -79,23 +76,7 @@ def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> 
     (folder / "final" / f"{_POOL}.parquet").write_atomic(content)
     digest = hashlib.blake2b(content, digest_size=6).hexdigest()
 
-    def finish(own: Location, run: Plan, entries: Sequence[Commit]) -> FinalTables:
-        found = _finish(own, run, entries, ("retrieved", "timings", "attempts"))
-        write_table(folder / "final" / "retrieved.parquet", found.tables["retrieved"])
-        return found
-
-    return run_sweep(plan, runner, retrieval_kind(), folder / FOLDER / digest, finish)
-
-
-def _finish_pool(own: Location, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
-    return _finish(own, plan, entries, (_POOL, "timings", "attempts"))
-
-
-def _finish(own: Location, plan: Plan, entries: Sequence[Commit], names: Sequence[str]) -> FinalTables:
-    tables = {name: segments_in_plan_order(own, entries, name, plan) for name in names}
-    for name, table in tables.items():
-        write_table(own / "final" / f"{name}.parquet", table)
-    return FinalTables(tables)
+    return follow_up(folder, plan, runner, retrieval_kind(), folder / FOLDER / digest, "retrieved")
 
 
 def _check_decoders(plan: Plan, pool: Location) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 import trimesh
 
-from shift3d.attack.objective import to_network_frame
+from shift3d.attack.objective import SCORE_RADIUS_M, to_network_frame
 from shift3d.detectors.nms import suppress
 from shift3d.geometry.iou import iou_bev
 from shift3d.retrieval.crops import Crop, crop_vehicles
@@ -138,12 +138,15 @@ def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> 
     """Best score of a box that overlaps each vehicle where it stands, 0 without one, by label."""
     if not crops:
         return {}
-    points = to_network_frame(torch.from_numpy(scene.points[scene.has_beam]), scene.ground_z_m)
-    with torch.no_grad():
-        proposals = assets.detector_of(spec.detector, "float32").proposals(points)
-    found = suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU)
     boxes = np.stack([crop.box for crop in crops])
     boxes[:, 2] -= scene.ground_z_m
+    middle = (boxes[:, :2].min(axis=0) + boxes[:, :2].max(axis=0)) / 2
+    reach = float(np.linalg.norm(boxes[:, :2] - middle, axis=1).max()) + SCORE_RADIUS_M
+    detector = assets.detector_of(spec.detector, "float32")
+    points = to_network_frame(torch.from_numpy(scene.points[scene.has_beam]), scene.ground_z_m)
+    with torch.no_grad():
+        proposals = detector.proposals(points, detector.window_for((float(middle[0]), float(middle[1])), reach))
+    found = suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU)
     overlaps = iou_bev(boxes, found.boxes) >= OWN_IOU
     best = (overlaps * found.scores).max(axis=1, initial=0.0)
     return {crop.label: float(score) for crop, score in zip(crops, best)}

@@ -18,6 +18,8 @@ from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import in_short
 from shift3d.analysis.html.sections.overview import overview
 from shift3d.analysis.html.sections.paths import paths
+from shift3d.analysis.html.sections.patterns import patterns
+from shift3d.analysis.html.sections.retrieval import retrieval
 from shift3d.analysis.html.sections.rules import rules
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep
@@ -38,12 +40,14 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         in_short(found, trial_caveat(plan.tasks), nothing_placed(sweep.scores, plan.settings)),
         hard_cases(sweep, loaded, cases),
         gallery(sweep, loaded),
+        patterns(sweep),
         auc(sweep, found),
         curves(found),
         bev(sweep, found),
         transfer_grid(sweep, found),
         paths(sweep, found),
         rules(sweep),
+        retrieval(sweep, loaded),
         differences(found),
         choices(sweep),
         stability(sweep),

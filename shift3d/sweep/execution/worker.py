@@ -221,6 +221,7 @@ def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, 
         "shapes": [{**row, **known} for row in result.shapes],
         "vehicle_pool": [{**row, **{name: known[name] for name in _OF_A_SCENE}} for row in result.vehicle_pool],
         "retrieved": [{**row, **known} for row in result.retrieved],
+        "patterns": [{**row, **known} for row in result.patterns],
     }
 
 
