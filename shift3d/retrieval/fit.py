@@ -18,6 +18,8 @@ NOISE_M = 0.03
 """Of a surface point: what the decoder, the subspace and a label are off, together."""
 CLAMP_M = (0.3, 0.1)
 """Distances beyond which a point counts for less and less, at the first step and from the fourth on."""
+FREE_CLAMP_M = 0.3
+"""The same of depths of free places: a beam may pass through windows."""
 COUNTED = 60.0
 """Neighbouring points err alike: so many at most count as independent."""
 SHIFT_M, TURN_RAD, STRETCH = 0.05, 0.0175, 0.02
@@ -85,14 +87,17 @@ class _Problem:
     def objective(self, at: _Point, clamp: float) -> float:
         """Geman and McClure's function of the distances; a free place counts where it lies inside."""
         squared = at.distance**2 * self._counts(at)
-        data = float((self.share * squared / (1.0 + squared / clamp**2)).sum())
+        data = float((self.share * squared / (1.0 + squared / self._clamps(clamp) ** 2)).sum())
         return data + float((self.precision * at.state**2).sum())
 
     def normal_equations(self, at: _Point, clamp: float) -> tuple[Array, Array]:
         """Hessian (k + 5, k + 5) and gradient (k + 5,) of half of the objective, as Gauss and Newton have them."""
-        weight = self.share * self._counts(at) * (1.0 + (at.distance / clamp) ** 2) ** -2.0
+        weight = self.share * self._counts(at) * (1.0 + (at.distance / self._clamps(clamp)) ** 2) ** -2.0
         hessian = at.by_state.T @ (weight[:, None] * at.by_state) + np.diag(self.precision)
         return hessian, at.by_state.T @ (weight * at.distance) + self.precision * at.state
+
+    def _clamps(self, clamp: float) -> Array:
+        return np.repeat((clamp, FREE_CLAMP_M), (len(self.surface), len(self.free)))
 
     def _counts(self, at: _Point) -> Array:
         return np.asarray((np.arange(len(at.distance)) < len(self.surface)) | (at.distance < 0.0), np.float64)
