@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
-from shift3d.analysis.tables.table import Table, number
+from shift3d.analysis.tables.table import Table, interval_text, number
 from shift3d.evaluation.failure_rules import aspect_deg
 
 if TYPE_CHECKING:
@@ -142,8 +142,7 @@ def patterns_table(title: str, patterns: list[Pattern]) -> Table:
     """A line a measure: baselines' mean, change with its interval, its size, and shares that fell and rose."""
     lines = []
     for found in patterns:
-        low, high = (number(value, found.digits + 1) for value in (found.change.low, found.change.high))
-        change = f"{found.change.mean:+.{found.digits + 1}f} [{low}, {high}]"
+        change = interval_text(found.change, found.digits + 1)
         texts = [f"{found.name}, {found.unit}".strip(", "), str(found.solutions), number(found.before, found.digits)]
         texts += [change, number(found.size, found.digits + 1), f"{found.fell:.0%}", f"{found.rose:.0%}"]
         lines.append([*texts, "yes" if found.clear else "no"])

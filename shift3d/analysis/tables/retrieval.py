@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from shift3d.analysis.statistics.intervals import Interval, mean_interval
-from shift3d.analysis.tables.table import Table, number
+from shift3d.analysis.statistics.intervals import mean_interval
+from shift3d.analysis.tables.table import Table, interval_text, number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,13 +92,5 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
     return Table("The shapes' natural kin, put in their place", header, lines)
 
 
-def difference(values: pd.Series, places: pd.Series) -> Interval | None:
-    """Mean of paired differences with its interval, whole places redrawn; None without one."""
-    return mean_interval(values, list(places)) if len(values) else None
-
-
 def _difference(values: pd.Series, places: pd.Series) -> str:
-    found = difference(values, places)
-    if found is None:
-        return "-"
-    return f"{found.mean:+.3f} [{number(found.low, 3)}, {number(found.high, 3)}]"
+    return interval_text(mean_interval(values, list(places)), 3) if len(values) else "-"
