@@ -62,9 +62,6 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     if (verification := read_verification(folder)) is not None:
         tables["scores"] = with_verification(tables["scores"], verification)
         tables["verification"] = verification
-    for name in FOLLOW_UPS[1:]:
-        if (made := folder / "final" / f"{name}.parquet").is_file():
-            tables[name] = read_table(made, name)
     scores = tables["scores"].to_pandas()
     scored = scores[scores["score"].notna()]
     if scored[["x_m", "y_m"]].isna().to_numpy().any():
@@ -81,6 +78,9 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
     for name, table in tables.items():
         write_table(folder / "final" / f"{name}.parquet", table)
+    for name in FOLLOW_UPS[1:]:
+        if (made := folder / "final" / f"{name}.parquet").is_file():
+            tables[name] = read_table(made, name)
     return FinalTables(tables)
 
 
