@@ -11,7 +11,7 @@ WORDS = $(strip $(foreach name,$(filter-out $(OWN),$(.VARIABLES)),$(if $(filter 
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train docs wheel pictures clean
+.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train finetune docs wheel pictures clean
 
 help:  ## what there is to run
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-18s %s\n", $$1, $$2}'
@@ -72,6 +72,9 @@ ui: .venv/.runtime  ## compare runs in MLflow, on loopback
 
 train: .venv/.runtime  ## train: ARGS="model=sdf", pointpillars, centerpoint, sst_small or sst; shift3d train --help says what else
 	$(BIN)/shift3d train $(ARGS) $(WORDS)
+
+finetune: .venv/.runtime  ## attack, fine-tune on what was found, measure: ARGS="size=small" takes an evening
+	$(BIN)/shift3d finetune $(ARGS) $(WORDS)
 
 docs: .venv/.runtime  ## write docs/reference from the code and the configuration
 	$(BIN)/python docs/scripts/reference_pages.py

@@ -15,6 +15,7 @@ class ExitCode(IntEnum):
     INCOMPLETE = 3
     TAKEN_OVER = 4
     ABORTED = 5
+    WORSE = 6
     INTERRUPTED = 130
     NO_READER = 141
 
@@ -25,6 +26,7 @@ EXIT_CODES = {
     ExitCode.INCOMPLETE: "done, but tasks were quarantined, no vehicle found a place or a fit is far worse than usual",
     ExitCode.TAKEN_OVER: "another driver took the sweep over",
     ExitCode.ABORTED: "too many tasks failed to go on",
+    ExitCode.WORSE: "a gate found the weights worse than the last release",
     ExitCode.INTERRUPTED: "interrupted",
     ExitCode.NO_READER: "the reader of the output left",
 }

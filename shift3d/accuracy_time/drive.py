@@ -134,8 +134,8 @@ def _file_name(text: str) -> str:
 
 def _identity(case: Case, plan: FrontierPlan, assets: Assets, group: SceneGroup) -> str:
     """Hash of everything that what was measured depends on, but for the settings, which are in the journal's names."""
-    files, modules = group.assets.detectors, group.assets.modules
-    detectors = {name: detector_hash(name, path, modules.get(name)) for name, path in files.items()}
+    files, modules, layouts = group.assets.detectors, group.assets.modules, group.assets.layouts
+    detectors = {name: detector_hash(name, path, modules.get(name), layouts.get(name)) for name, path in files.items()}
     vehicle = vehicle_hash(assets.vehicle(case.spec))
     options = [plan.reference.step_key, plan.search.step_key, plan.descent_steps, plan.warm_steps]
     parts = [case.spec.canonical_json(), case.theta.tolist(), vehicle, assets.vehicles.decoder_hash(), detectors]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from shift3d.analysis.figures.precision_recall import precision_recall_figure
 from shift3d.analysis.tables.detector_groups import group_table, summary_table
 from shift3d.analysis.tables.detector_metrics import metric_table
 from shift3d.analysis.tables.detector_tables import breakdown_tables, evaluation_tables
-from shift3d.detectors.loading import load_detector
+from shift3d.detectors.loading import detector_of
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
 from shift3d.evaluation.breakdown import breakdown
@@ -32,6 +32,7 @@ from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
 from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, detect_scenes
 from shift3d.training.detector.stored_answers import answers_of
+from shift3d.training.provenance import refuse_tuned_scenes
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -94,6 +95,7 @@ def evaluate_detector(
     weights: str | None = None,
     workers: int = 1,
     score_threshold: float = SCORE_FLOOR,
+    layout: Mapping[str, Any] | None = None,
 ) -> str:
     """Detect in every scene once, write the folder ``out``, and return what is printed.
 
@@ -105,12 +107,15 @@ def evaluate_detector(
         name: a detector, with its shipped weights or those of the file ``weights``.
         workers: processes, one thread each.
         score_threshold: detections below it are not kept.
+        layout: of a detector of another codebase, see `detectors.foreign.layout`.
 
     Raises:
-        InputError: unknown detector, missing weights or scenes, another evaluation in ``out``, a full disk.
+        InputError: unknown detector, missing weights or scenes, weights that were fine-tuned on one of the scenes,
+            another evaluation in ``out``, a full disk.
     """
     file = Path(weights).expanduser() if weights else WEIGHTS_FOLDER / f"{name}.safetensors"
-    load_detector(name, file)  # what is wrong with it is said before anything is computed
+    opened: Callable[[], Detector] = partial(detector_of, name, file, None, "float32", layout)
+    opened()  # what is wrong with it is said before anything is computed
     spec = {
         "schema_version": EVALUATION_SCHEMA_VERSION,
         "shift3d": shift3d.__version__,
@@ -119,11 +124,12 @@ def evaluate_detector(
         "dataset": scenes.dataset,
         "scenes": scenes.identity,
         "score_threshold": score_threshold,
+        **({"layout": layout} if layout else {}),
     }
-    _claim(out / "spec.json", spec)
-    opened: Callable[[], Detector] = partial(load_detector, name, file)
-    detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
     scene_names = scenes.open().names()
+    refuse_tuned_scenes(file, dict.fromkeys(scene_names, ""))
+    _claim(out / "spec.json", spec)
+    detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
     found = answers_of(scene_names, out / "scenes", detect)
     answers = list(_with_progress(found, len(scene_names), f"{name}, {workers} at a time"))
     return write_evaluation(name, scenes.dataset, answers, out)

@@ -87,14 +87,18 @@ def detection_score(detections: Detections, box: np.ndarray, radius_m: float = D
 
     The distance is taken in the ground plane. Source: SHIFT3D, Evaluation Metrics.
     """
-    near = np.hypot(*(detections.boxes[:, :2] - box[:2]).T) < radius_m
+    near = is_near(detections.boxes, box, radius_m)
     return float(detections.scores[near].max()) if near.any() else 0.0
+
+
+def is_near(boxes: np.ndarray, box: np.ndarray, radius_m: float) -> np.ndarray:
+    """(N,) bool: which boxes (N, 7) have their centre within radius_m of that of a box (7,), in the ground plane."""
+    return np.asarray(np.hypot(*(boxes[:, :2] - box[:2]).T) < radius_m)
 
 
 def proposal_score(proposals: Proposals, box: np.ndarray, radius_m: float = DETECTION_RADIUS_M) -> float:
     """Highest score of a proposal near the object before suppression: what a trace shows at no cost."""
-    centres = proposals.boxes[:, :2].detach().double().numpy()
-    near = np.hypot(*(centres - box[:2]).T) < radius_m
+    near = is_near(proposals.boxes.detach().double().numpy(), box, radius_m)
     return float(torch.sigmoid(proposals.logits.detach()[torch.from_numpy(near)].max())) if near.any() else 0.0
 
 

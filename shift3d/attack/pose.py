@@ -22,7 +22,8 @@ from shift3d.render.field.object_field import ObjectField
 class PoseLimits:
     """The set B(theta0).
 
-    max_shift_m: largest Euclidean |dxy|. max_tilt_rad: largest |change| of pitch and of roll. Yaw is free.
+    max_shift_m: largest Euclidean |dxy|. max_tilt_rad: largest |change| of pitch and of roll from theta0's, which are
+            those of the ground where the object was placed. Yaw is free.
     snap_m: how far from the ground plane under its new place the object may come to rest; 0 leaves z to the
             gradient.
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from shift3d.errors import InputError
+from shift3d.errors import InputError, empty_error
 
-__all__ = ["Command", "key_values", "writable_folder"]
+__all__ = ["Command", "key_values", "run_command", "writable_folder"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,13 @@ class Command:
     run: Callable[[argparse.Namespace], int]
 
 
+def run_command(command: Command, words: Sequence[str]) -> int:
+    """Run a command with words, as a command line would. Raises: InputError as it does."""
+    parser = argparse.ArgumentParser(prog=f"shift3d {command.name}")
+    command.add_arguments(parser)
+    return command.run(parser.parse_args(words))
+
+
 def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[str], where: str) -> dict[str, str]:
     """Read ``key=value`` words.
 
@@ -43,9 +50,8 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
             raise InputError(f"cannot read {word!r}", where=where, remedy=f"One of: {keys}")
         if key in values:
             raise InputError(f"{key}= is given twice", where=where, remedy="Give it once")
-        if not value:
-            # An unset variable of the shell leaves nothing; out= would be the current folder.
-            raise InputError(f"{key}= is empty", where=where, remedy=f"Give {key}=..., or leave it out")
+        if not value.strip():
+            raise empty_error(key, where)
         values[key] = value
     for key in required:
         if key not in values:
@@ -53,8 +59,8 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
     return values
 
 
-def writable_folder(text: str) -> Path:
-    """The folder that a command writes to, found to be writable before the work begins.
+def writable_folder(text: str, key: str = "out") -> Path:
+    """The folder that a command writes to, found to be writable before the work begins. key: of the word that names it.
 
     Raises:
         InputError: it cannot be written to, or made.
@@ -62,5 +68,5 @@ def writable_folder(text: str) -> Path:
     from shift3d.store.atomic import check_writable
 
     folder = Path(text).expanduser()
-    check_writable(folder)
+    check_writable(folder, f"{key}=DIR")
     return folder

@@ -13,11 +13,14 @@ from collections.abc import Sequence
 from shift3d.cli.command import Command
 from shift3d.cli.commands import (
     compact,
+    compile,
     effects,
     evaluate,
     export,
+    finetune,
     fit,
     frontier,
+    gate,
     gc,
     jobs,
     patterns,
@@ -26,6 +29,7 @@ from shift3d.cli.commands import (
     retrieve,
     rules,
     scenes,
+    suite,
     sweep,
     train,
     ui,
@@ -47,11 +51,15 @@ COMMANDS: tuple[Command, ...] = (
     scenes.COMMAND,
     effects.COMMAND,
     export.COMMAND,
+    suite.COMMAND,
+    gate.COMMAND,
     gc.COMMAND,
     compact.COMMAND,
     fit.COMMAND,
     train.COMMAND,
+    finetune.COMMAND,
     evaluate.COMMAND,
+    compile.COMMAND,
     frontier.COMMAND,
     ui.COMMAND,
     jobs.COMMAND,
@@ -130,6 +138,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of our output (head, less) has left; there is nobody to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return int(ExitCode.NO_READER)
+    except OSError as error:
+        from shift3d.store.atomic import disk_error
+
+        if (problem := disk_error(error)) is None:
+            raise
+        print(f"shift3d {parsed.command}: {problem}", file=sys.stderr)
+        return int(problem.exit_code)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from shift3d.detectors.base import Detector
 from shift3d.detectors.models.network import Precision
 from shift3d.detectors.models.weights import NETWORKS, WEIGHTS_FOLDER, load_network
-from shift3d.detectors.names import DETECTOR_NAMES, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
@@ -27,11 +29,34 @@ def load_detector(
     return TrainedDetector(load_network(file, name), precision)
 
 
-def detector_of(name: str, path: Path | str | None, module: Path | str | None, precision: Precision) -> Detector:
-    """A trained detector, or the user's own from a Python file. path: of weights, None: shipped ones, or none at all.
+def detector_of(
+    name: str,
+    path: Path | str | None,
+    module: Path | str | None,
+    precision: Precision,
+    layout: Mapping[str, Any] | None = None,
+) -> Detector:
+    """A trained detector, the user's own from a Python file, an ONNX file, or one of another codebase.
 
-    Raises: InputError as `load_detector` and `own.load_own` do; the user's own detector without a file.
+    path: of weights, None: shipped ones, or none at all; of an ONNX file, which has one precision alone. layout: of a
+    foreign detector, see `foreign.layout`.
+
+    Raises: InputError as `load_detector`, `own.load_own`, `onnx_detector.load_onnx` and `foreign.detector.load_foreign`
+        do; a file or a config that is not given.
     """
+    if name in FOREIGN:
+        if path is None or layout is None:
+            remedy = "Give detector.weights=FILE.pth and detector.config=FILE"
+            raise InputError(f"a detector of {name} needs weights and a config", where="detector", remedy=remedy)
+        from shift3d.detectors.foreign.detector import load_foreign
+
+        return load_foreign(layout, Path(path).expanduser(), precision)
+    if name == ONNX:
+        if path is None:
+            raise InputError("an ONNX detector needs a file", where="detector", remedy="Give detector.file=FILE.onnx")
+        from shift3d.detectors.compiled.onnx_detector import load_onnx
+
+        return load_onnx(Path(path).expanduser())
     if name != OWN:
         return load_detector(name, path, precision)
     if module is None:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-__all__ = ["DETECTOR_NAMES", "OWN", "DetectorName", "TrainedName"]
+__all__ = ["DETECTOR_NAMES", "FOREIGN", "ONNX", "OWN", "DetectorName", "ForeignName", "TrainedName"]
 
 TrainedName = Literal["pointpillars", "centerpoint", "sst", "sst_small"]
-DetectorName = Literal[TrainedName, "own"]
+ForeignName = Literal["openpcdet", "mmdet3d"]
+DetectorName = Literal[TrainedName, ForeignName, "own", "onnx"]
 DETECTOR_NAMES: tuple[str, ...] = get_args(TrainedName)
 """Detectors of shift3d."""
 OWN = "own"
 """The user's own, see `detectors.own`."""
+FOREIGN: tuple[str, ...] = get_args(ForeignName)
+"""Trained by other codebases, see `detectors.foreign`."""
+ONNX = "onnx"
+"""An ONNX file, which gives no gradient, see `detectors.compiled`."""

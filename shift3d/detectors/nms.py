@@ -17,11 +17,18 @@ MAX_BEFORE_NMS = 4096
 Array = npt.NDArray[np.float64]
 
 
-def rotated_nms(boxes: Array, scores: Array, iou_threshold: float, max_kept: int = 500) -> npt.NDArray[np.int64]:
+def rotated_nms(
+    boxes: Array,
+    scores: Array,
+    iou_threshold: float,
+    max_kept: int = 500,
+    until: npt.NDArray[np.bool_] | None = None,
+) -> npt.NDArray[np.int64]:
     """Indices of the boxes kept, best score first; equal scores keep the lower index first.
 
     boxes: (N, 7) metres; scores: (N,). A box is dropped when its BEV IoU with a kept one is above
-    iou_threshold. Exact overlaps are computed only for boxes whose circumscribed circles meet. Not
+    iou_threshold. Exact overlaps are computed only for boxes whose circumscribed circles meet. until: (N,) boxes; the
+    first of these that is kept is the last of all, as no later one changes which are kept before. Not
     differentiable. Source: the detector's public config; deterministic order is our choice.
     """
     order = np.argsort(-scores, kind="stable")
@@ -33,7 +40,7 @@ def rotated_nms(boxes: Array, scores: Array, iou_threshold: float, max_kept: int
         if not alive[index]:
             continue
         kept.append(index)
-        if len(kept) == max_kept:
+        if len(kept) == max_kept or (until is not None and until[order[index]]):
             break
         rest = index + 1 + np.flatnonzero(alive[index + 1 :])
         distance = np.hypot(*(ordered[rest, :2] - ordered[index, :2]).T)
@@ -45,13 +52,17 @@ def rotated_nms(boxes: Array, scores: Array, iou_threshold: float, max_kept: int
 
 
 def suppress(
-    proposals: Proposals, score_threshold: float, iou_threshold: float, among: Tensor | None = None
+    proposals: Proposals,
+    score_threshold: float,
+    iou_threshold: float,
+    among: Tensor | None = None,
+    until: npt.NDArray[np.bool_] | None = None,
 ) -> Detections:
     """Proposals to boxes: those with at least score_threshold, best first, without the overlapping ones.
 
-    among: (A,) bool, the proposals that may be kept; None: all. At most MAX_BEFORE_NMS go in. Equal scores come in the
-    order of their logits: in float32 every logit above 17 has the score 1. Equal logits come in the order of the
-    proposals. A NaN reaches no threshold. Not differentiable.
+    among: (A,) bool, the proposals that may be kept; None: all. until: (A,) bool, see `rotated_nms`. At most
+    MAX_BEFORE_NMS go in. Equal scores come in the order of their logits: in float32 every logit above 17 has the score
+    1. Equal logits come in the order of the proposals. A NaN reaches no threshold. Not differentiable.
     Source: the public Waymo config; the order of equals is our choice.
     """
     logits = proposals.logits.detach()
@@ -61,5 +72,6 @@ def suppress(
     by_logit = np.argsort(-logits.double().numpy()[candidates], kind="stable")
     candidates = candidates[by_logit[:MAX_BEFORE_NMS]]
     boxes = proposals.boxes.detach().double().numpy()[candidates]
-    kept = rotated_nms(boxes, scores[candidates], iou_threshold)
+    last = None if until is None else until[candidates]
+    kept = rotated_nms(boxes, scores[candidates], iou_threshold, until=last)
     return Detections(boxes[kept], scores[candidates][kept])

@@ -93,17 +93,17 @@ class TrainedDetector:
 
     def _proposals(self, logits: Tensor, rows: Tensor, window: BevWindow) -> Proposals:
         """Proposals from class logits (A,) and the rows of the box layers (cells, R) of a window's core."""
-        heads = self._net.heads
+        heads, grid, window = self._net.heads, self._net.head_grid, self._net.head_window(window)
         with torch.no_grad():
-            boxes = heads.decode(rows, self.grid, window)
-        return Proposals(boxes.float(), logits, proposal_indices(heads.per_cell, self.grid, window))
+            boxes = heads.decode(rows, grid, window)
+        return Proposals(boxes.float(), logits, proposal_indices(heads.per_cell, grid, window))
 
     def incremental(self, window: BevWindow) -> IncrementalInference:
         """Proposals inside a window for many frames of one scene, at the cost of what differs between them."""
         net = self._net
         if isinstance(net, SstNet):
             return IncrementalTokens(net, window, self._dtype, self.proposals, self._answer)
-        if not (isinstance(net, PillarBackboneNet) and IncrementalPillars.is_aligned(net, window)):
+        if not (isinstance(net, PillarBackboneNet) and net.is_cellwise and IncrementalPillars.is_aligned(net, window)):
             return WholeWindow(self, window)
         if self._cells is None:
             self._cells = SparseBackbone(net.backbone, net.heads, self._dtype)
@@ -124,5 +124,5 @@ class TrainedDetector:
         window = window or full_window(self.grid)
         with torch.no_grad():
             found = self.proposals(points, window)
-            candidates = self._net.heads.candidates(found.logits, window)
+            candidates = self._net.heads.candidates(found.logits, self._net.head_window(window))
         return suppress(found, score_threshold, iou_threshold, candidates)

@@ -23,7 +23,7 @@ from shift3d.evaluation.waymo import (
     cutoff_counts,
 )
 
-__all__ = ["BreakdownRow", "breakdown"]
+__all__ = ["Area", "BreakdownRow", "breakdown", "overall_areas"]
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -49,6 +49,29 @@ class BreakdownRow:
     number: int
 
 
+@dataclass(frozen=True)
+class Area:
+    """AP or APH, its values over resampled frames, empty where there is nothing to resample, and of how many."""
+
+    value: float | None
+    drawn: Sequence[float | None]
+    number: int
+
+
+def overall_areas(frames: Sequence[DetectedFrame], draws: int = DRAWS) -> dict[tuple[str, str], Area]:
+    """AP and APH over all vehicles by (measure, view), as in `breakdown`.
+
+    The same frames are drawn whatever was detected in them, so that two detectors' values are paired.
+    """
+    weights = frame_weights(len(frames), draws)
+    found: dict[tuple[str, str], Area] = {}
+    for view in VIEWS:
+        assigned = [assign(compare(frame, view), IOU, *Group("all", "all").range_m) for frame in frames]
+        areas = _group_areas(Group("all", "all"), assigned, weights)
+        found |= {(measure, view): area for measure, area in areas.items()}
+    return found
+
+
 def breakdown(frames: Sequence[DetectedFrame], draws: int = DRAWS) -> tuple[VehicleRows, list[BreakdownRow]]:
     """Every vehicle that counts, and the numbers of every group, in a fixed order.
 
@@ -71,6 +94,11 @@ def breakdown(frames: Sequence[DetectedFrame], draws: int = DRAWS) -> tuple[Vehi
 
 
 def _areas(group: Group, view: str, assignments: Sequence[Assignment], weights: Floats) -> Iterator[BreakdownRow]:
+    for measure, area in _group_areas(group, assignments, weights).items():
+        yield BreakdownRow(group.by, group.name, measure, view, area.value, *interval(area.drawn), area.number)
+
+
+def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Floats) -> dict[str, Area]:
     truths = [assignment.comparison.truth for assignment in assignments]
     inside = [group.members(truth.boxes, truth.num_points, truth.kinds) for truth in truths]
     asked = [truth.counts & (truth.num_points >= LEVELS["LEVEL_1"]) for truth in truths]
@@ -93,10 +121,8 @@ def _areas(group: Group, view: str, assignments: Sequence[Assignment], weights: 
         return curve.average_precision, curve.average_precision_heading
 
     values, number = areas(np.ones(len(counts))), int(numbers.sum())
-    resampled = list(zip(*map(areas, weights))) if number else []
-    for index, measure in enumerate(("AP", "APH")):
-        low, high = interval(resampled[index] if resampled else ())
-        yield BreakdownRow(group.by, group.name, measure, view, values[index], low, high, number)
+    drawn = list(zip(*map(areas, weights))) if number and len(weights) else [(), ()]
+    return {name: Area(value, own, number) for name, value, own in zip(("AP", "APH"), values, drawn)}
 
 
 def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floats) -> Iterator[BreakdownRow]:

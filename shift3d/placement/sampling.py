@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from shift3d.geometry.boxes import corners_bev
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.placement.constraints import (
     PAPER_CONSTRAINTS,
@@ -20,7 +22,7 @@ from shift3d.placement.constraints import (
     points_near,
     snap_to_ground,
 )
-from shift3d.placement.ground import fit_ground
+from shift3d.placement.ground import MAX_SLOPE, ground_under
 from shift3d.render.beams import Beams
 from shift3d.render.culling import Box, rays_in_box
 from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
@@ -28,9 +30,23 @@ from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
 from shift3d.render.settings import STANDARD, RenderSettings
+from shift3d.scenes.ground_map import GroundMap
 
 _OBSTACLE_HEIGHT_M = 0.3
 _CLEARANCE_M = 0.1
+REFUSALS = {
+    "neighbour": "a labelled vehicle too near",
+    "off_road": "off the map's drivable area",
+    "ground": "no ground seen",
+    "slope": f"ground steeper than {100 * MAX_SLOPE:.0f} %",
+    "occupied": "something stands there",
+    "hidden": "hidden by what stands before it",
+    "points": "too few beams reach it",
+    "contact": "touches nothing",
+    "overlap": "reaches into something",
+}
+"""Why a place is turned down, in the order of the tests; `points` counts hidden places too where only beams that
+arrive were counted."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +92,13 @@ class NoPlacement:
 
     def reason(self) -> str:
         """One line for a log or a result row."""
-        listed = ", ".join(f"{name} {count}" for name, count in sorted(self.rejected.items(), key=lambda p: -p[1]))
-        return f"no valid placement in {self.attempts} attempts ({listed})"
+        return f"no valid placement in {self.attempts} attempts ({refusals(self.rejected)})"
+
+
+def refusals(rejected: Mapping[str, int]) -> str:
+    """Reasons in words with their counts, most frequent first."""
+    ordered = sorted(rejected.items(), key=lambda pair: (-pair[1], list(REFUSALS).index(pair[0])))
+    return ", ".join(f"{REFUSALS[name]} {count}" for name, count in ordered)
 
 
 def place(
@@ -91,6 +112,7 @@ def place(
     settings: RenderSettings = STANDARD,
     others: Tensor | None = None,
     space: SdfGrid | None = None,
+    ground_map: GroundMap | None = None,
 ) -> Placement | NoPlacement:
     """A random place that satisfies every constraint.
 
@@ -100,33 +122,49 @@ def place(
     Where far places keep failing for want of points (300 returns at 35 m do not exist with 64 beams), the range is
     drawn nearer: after each quarter of the attempts the interval beyond min_range_m is halved.
 
-    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of; `space` a map of this field.
+    Places where no ground was found are searched for it again, thoroughly, if no other one served: so a scene with room
+    on plain ground has the places that it has without that search.
+
+    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of; `space` a map of this field. With a
+    `ground_map` the footprint's corners stand where it allows, and its heights take the place of ground_z_m.
     Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
     metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
     size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
-    carried = beams.points[beams.carries].double().numpy()
+    site = Site.of(beams, ground_z_m, others, ground_map)
     rejected: Counter[str] = Counter()
-    for attempt in range(1, limits.attempts + 1):
-        draw = _draw(rng, limits, attempt)
-        if not is_clear(torch.tensor(draw), others, constraints.clear_m):
-            rejected["neighbour"] += 1
-            continue
-        outcome = _try_place(draw, beams, carried, ground_z_m, metric, size, constraints)
-        if isinstance(outcome, str):
-            rejected[outcome] += 1
-            continue
+
+    def stand(draw: tuple[float, float, float], thorough: bool) -> tuple[Tensor, ConstraintCheck, Rendering] | str:
+        standing = standing_pose(draw, site, size, constraints, thorough)
+        if isinstance(standing, str):
+            return standing
+        theta = snap_to_ground(metric, _near(beams, standing, size), standing, size, reach_m=0.06)
+        if theta is None:
+            return "contact"
         with torch.no_grad():
-            rendering = render(beams, sdf, outcome, vehicle, settings, grid=space)
-        near = points_near(beams, outcome, float(size.norm()) / 2 + 0.6)
-        held = check(metric, near, outcome, size, rendering.object_points, constraints)
-        if held.valid:
-            return Placement(outcome, held, rendering, attempt, dict(rejected))
-        rejected["points" if not held.points_ok else "overlap" if not held.overlap_ok else "contact"] += 1
-    return NoPlacement(limits.attempts, dict(rejected))
+            rendering = render(beams, sdf, theta, vehicle, settings, grid=space)
+        held = check(metric, _near(beams, theta, size), theta, size, rendering.object_points, constraints)
+        if not held.valid:
+            return "points" if not held.points_ok else "overlap" if not held.overlap_ok else "contact"
+        return theta, held, rendering
+
+    unseen = []
+    for attempt in range(1, limits.attempts + 1):
+        outcome = stand(draw := drawn_place(rng, limits, attempt), thorough=False)
+        if not isinstance(outcome, str):
+            return Placement(*outcome, attempt, dict(rejected))
+        rejected[outcome] += 1
+        unseen += [draw] if outcome == "ground" else []
+    for draw in unseen:
+        rejected["ground"] -= 1
+        outcome = stand(draw, thorough=True)
+        if not isinstance(outcome, str):
+            return Placement(*outcome, limits.attempts, dict(+rejected))
+        rejected[outcome] += 1
+    return NoPlacement(limits.attempts, dict(+rejected))
 
 
-def _draw(rng: np.random.Generator, limits: PlacementLimits, attempt: int) -> tuple[float, float, float]:
+def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int) -> tuple[float, float, float]:
     """(x, y, yaw) of one attempt; always three numbers from rng, whatever becomes of them."""
     halvings = (attempt - 1) * 4 // limits.attempts
     reach = (limits.max_range_m - limits.min_range_m) / 2**halvings
@@ -135,29 +173,60 @@ def _draw(rng: np.random.Generator, limits: PlacementLimits, attempt: int) -> tu
     return range_m * math.cos(azimuth), range_m * math.sin(azimuth), 2.0 * math.pi * rng.random()
 
 
-def _try_place(
-    draw: tuple[float, float, float],
-    beams: Beams,
-    carried: np.ndarray,
-    ground_z_m: float,
-    metric: ObjectField,
-    size: Tensor,
-    constraints: Constraints,
+@dataclass(frozen=True)
+class Site:
+    """What a place is judged by: beams, their returns (N, 3) float64, and the rest as `place` takes it."""
+
+    beams: Beams
+    returns: np.ndarray
+    ground_z_m: float
+    others: Tensor | None
+    ground_map: GroundMap | None
+
+    @staticmethod
+    def of(beams: Beams, ground_z_m: float, others: Tensor | None, ground_map: GroundMap | None) -> Site:
+        """Of a scene's parts."""
+        return Site(beams, beams.points[beams.carries].double().numpy(), ground_z_m, others, ground_map)
+
+    def ground_at(self, x_m: float, y_m: float) -> float:
+        """Nominal height of the ground."""
+        known = None if self.ground_map is None else self.ground_map.height_at(x_m, y_m)
+        return self.ground_z_m if known is None else known
+
+    def allows(self, draw: tuple[float, float, float], size: Tensor) -> bool:
+        """Whether the map lets a footprint of this size stand at (x, y, yaw)."""
+        if self.ground_map is None:
+            return True
+        box = np.array([[draw[0], draw[1], 0.0, *size.tolist(), draw[2]]])
+        return all(self.ground_map.allows(float(x), float(y)) for x, y in corners_bev(box)[0])
+
+
+def standing_pose(
+    draw: tuple[float, float, float], site: Site, size: Tensor, constraints: Constraints, thorough: bool = True
 ) -> Tensor | str:
-    """The snapped pose, or the reason why not."""
+    """The pose (6,) that a box of this size has on the ground at (x, y, yaw), or the key of `REFUSALS` why it has none.
+
+    thorough: see `ground_under`.
+    """
     x, y, yaw = draw
-    plane = fit_ground(carried, (x, y), ground_z_m, float(size[:2].norm()) / 2 + 0.5)
+    if not is_clear(torch.tensor(draw), site.others, constraints.clear_m):
+        return "neighbour"
+    if not site.allows(draw, size):
+        return "off_road"
+    plane = ground_under(site.returns, (x, y), site.ground_at(x, y), float(size[:2].norm()) / 2 + 0.5, thorough)
     if plane is None:
         return "ground"
+    if plane.slope > MAX_SLOPE:
+        return "slope"
     theta = pose_on_plane((x, y), yaw, plane.height_m, plane.attitude(yaw), float(size[2]))
-    near = points_near(beams, theta, float(size.norm()) / 2 + 0.6)
-    if _obstacles(near, theta, size):
+    if _obstacles(_near(site.beams, theta, size), theta, size):
         return "occupied"
-    box = Box(-size / 2, size / 2)
-    if len(rays_in_box(beams, theta, box)) < constraints.min_object_points:
-        return "points"
-    snapped = snap_to_ground(metric, near, theta, size, reach_m=0.06)
-    return "contact" if snapped is None else snapped
+    seen = len(rays_in_box(site.beams, theta, Box(-size / 2, size / 2)))
+    return theta if seen >= constraints.min_object_points else "points"
+
+
+def _near(beams: Beams, theta: Tensor, size: Tensor) -> Tensor:
+    return points_near(beams, theta, float(size.norm()) / 2 + 0.6)
 
 
 def pose_on_plane(

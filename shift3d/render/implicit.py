@@ -9,12 +9,10 @@ through x does what the paper does in three.
 
 Grazing beams. dg/dk = e . grad g tends to 0 at the silhouette and the derivative of k grows without bound,
 although the beam itself is about to leave the object. Our choice (the paper is silent): |dg/dk| is floored at
-`min_n_dot_d` (0.2, an angle of 78 degrees). A beam below it keeps the sign and direction of its gradient and
-loses only length: no surface motion is amplified more than five times. Measured on attacks of cars at 16 m: with
-a floor of 0.05, nine of 960 beams carried a third of the gradient and single steps threw the code four times its
-own length; with 0.2 the direction stays (cosine 0.9) and the loss falls steadily. Dropping such beams would
-hide the silhouette from the attack; sharing their gradient out would couple beams. A floor of 0 is the paper's
-formula; there, a beam with dg/dk exactly 0 gets no gradient instead of NaN.
+`min_n_dot_d` (0.2, an angle of 78 degrees; docs/why/accuracy.md). A beam below it keeps the sign and direction of its
+gradient and loses only length: no surface motion is amplified more than five times. Dropping such beams would hide the
+silhouette from the attack; sharing their gradient out would couple beams. A floor of 0 is the paper's formula; there, a
+beam with dg/dk exactly 0 gets no gradient instead of NaN.
 """
 
 from __future__ import annotations

@@ -12,6 +12,15 @@ from shift3d.errors import InputError
 SMALLEST_SCALE_M = 0.5
 """Settings alone are checked for an object a metre long; `render` checks them again for the one at hand."""
 
+_POSITIVE = (
+    *("step_m", "max_step_m", "step_safety", "max_slope", "tolerance_m", "max_iterations"),
+    *("approach_slope", "grazing_m", "batch"),
+)
+_NOT_NEGATIVE = (
+    *("final_newton_m", "box_margin_m", "min_n_dot_d", "bfloat16_band_m", "warm_refresh", "approach_m"),
+    *("warm_change_m", "prediction_error"),
+)
+
 Solver = Literal["paper", "plain_sphere_tracing", "sphere_tracing", "piecewise_linear"]
 
 
@@ -109,30 +118,11 @@ class RenderSettings:
         if self.solver not in get_args(Solver):
             found = f"solver is {self.solver!r}"
             raise InputError(found, where="render settings", remedy=f"one of {', '.join(get_args(Solver))}")
-        positive = (
-            *("step_m", "max_step_m", "step_safety", "max_slope", "tolerance_m", "max_iterations"),
-            *("approach_slope", "grazing_m", "batch"),
-        )
-        for name in positive:
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} must be positive", where=f"render settings: {name}={getattr(self, name)}")
-        not_negative = (
-            *(
-                "final_newton_m",
-                "box_margin_m",
-                "min_n_dot_d",
-                "bfloat16_band_m",
-                "warm_refresh",
-                "approach_m",
-                "warm_change_m",
-                "prediction_error",
-            ),
-        )
-        for name in not_negative:
+        for name in _POSITIVE + _NOT_NEGATIVE:
             # NaN compares false: a margin of NaN would leave no beam and say nothing.
-            if not getattr(self, name) >= 0:
-                found = f"{name} must not be negative"
-                raise InputError(found, where=f"render settings: {name}={getattr(self, name)}")
+            value, must = getattr(self, name), "be positive" if name in _POSITIVE else "not be negative"
+            if not (value > 0 if name in _POSITIVE else value >= 0):
+                raise InputError(f"{name} must {must}", where=f"render settings: {name}={value}")
         if not self.dtype.is_floating_point:
             raise InputError(f"dtype is {self.dtype}", where="render settings", remedy="float32 or float64")
         self.check_tolerance(SMALLEST_SCALE_M)

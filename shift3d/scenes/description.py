@@ -26,6 +26,7 @@ def scene_lines(scene: Scene) -> list[str]:
         ("reflectance", "none" if scene.reflectance is None else _span(scene.reflectance, "")),
         ("beams without return", "unknown" if scene.no_return is None else f"{len(scene.no_return):,}"),
         ("ground", f"at {scene.ground_z_m:.2f} m, the sensor at 0"),
+        ("map", _map(scene)),
         ("labels", _labels(scene)),
         ("conditions", _conditions(scene)),
     ]
@@ -51,6 +52,14 @@ def _returns(scene: Scene) -> str:
 
 def _span(values: np.ndarray, unit: str) -> str:
     return f"{values.min():.3g} to {values.max():.3g} {unit}".rstrip()
+
+
+def _map(scene: Scene) -> str:
+    if scene.ground_map is None:
+        return "none"
+    known = f"heights of {100 * np.isfinite(scene.ground_map.height_m).mean():.0f} % of 120 m x 120 m"
+    drivable = scene.ground_map.drivable
+    return known if drivable is None else f"{known}; drivable {100 * drivable.mean():.0f} %"
 
 
 def _labels(scene: Scene) -> str:

@@ -101,7 +101,7 @@ class OpenPcdetScenes:
         values = _read_points(file)
         sensor = np.array(self.sensor_m, dtype=np.float64)
         points = (values[:, :3] - sensor).astype(np.float32)
-        require_metres(np.linalg.norm(points, axis=1), str(file))
+        require_metres(np.linalg.norm(points.astype(np.float64), axis=1), str(file))
         scene = Scene(
             scene_id=name,
             dataset=self.dataset,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,28 +14,44 @@ from shift3d.scenes.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import PathCollection
 
 BOX_COLOURS = {"vehicle": "tab:red", "pedestrian": "tab:green", "cyclist": "tab:orange"}
 _EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 
 
-def draw_bev(axes: Axes, scene: Scene, reach_m: float = 50.0, point_size: float = 0.15) -> None:
-    """Points from above, coloured by height above the ground, x up the page; labels with their nose.
+def draw_bev(
+    axes: Axes, scene: Scene, reach_m: float = 50.0, point_size: float = 0.5, free_m: NDArray[np.float64] | None = None
+) -> PathCollection:
+    """Points from above, coloured by height above the ground, x up the page, y to the left; labels with their nose.
 
     Args:
         axes: matplotlib axes to draw on.
         reach_m: half the side of the square that is shown.
+        free_m: (N, 2) places to mark, where a vehicle could stand.
+
+    Returns: the points, for a colour bar.
     """
     points = scene.points[(np.abs(scene.points[:, :2]) < reach_m).all(axis=1)]
     height = points[:, 2] - scene.ground_z_m
-    axes.scatter(-points[:, 1], points[:, 0], s=point_size, c=height, cmap="viridis", vmin=-0.3, vmax=3, lw=0)
+    drawn = axes.scatter(points[:, 1], points[:, 0], s=point_size, c=height, cmap="viridis_r", vmin=-0.5, vmax=3, lw=0)
+    if free_m is not None and len(free_m):
+        axes.scatter(
+            free_m[:, 1], free_m[:, 0], s=18, c="tab:blue", marker="+", lw=0.8, label=f"{len(free_m)} places for a car"
+        )
     for box, name in zip(scene.labels.boxes, scene.labels.classes, strict=True):
         corners = corners_bev(box[None])[0]
         nose = (corners[0] + corners[3]) / 2
-        outline = np.concatenate((corners, corners[:1], [box[:2]], [nose]))
-        axes.plot(-outline[[0, 1, 2, 3, 4], 1], outline[[0, 1, 2, 3, 4], 0], lw=0.8, c=_colour(name))
-        axes.plot(-outline[5:, 1], outline[5:, 0], lw=0.8, c=_colour(name))
-    axes.set(xlim=(-reach_m, reach_m), ylim=(-reach_m, reach_m), aspect="equal", title=scene.scene_id)
+        outline = np.concatenate((corners, corners[:1]))
+        axes.plot(outline[:, 1], outline[:, 0], lw=0.8, c=_colour(name))
+        axes.plot([box[1], nose[1]], [box[0], nose[0]], lw=0.8, c=_colour(name))
+    for name, count in sorted(Counter(scene.labels.classes).items()):
+        axes.plot([], [], c=_colour(name), label=f"{count} {name}")
+    axes.plot(0.0, 0.0, "k^", ms=5, label="sensor, facing up")
+    axes.legend(loc="upper right", fontsize=7)
+    axes.set(xlim=(reach_m, -reach_m), ylim=(-reach_m, reach_m), aspect="equal", title=scene.scene_id)
+    axes.set(xlabel="y, to the left, m", ylabel="x, ahead, m")
+    return drawn
 
 
 def draw_view(
@@ -42,7 +59,7 @@ def draw_view(
     scene: Scene,
     eye_m: tuple[float, float, float] = (-18.0, 10.0, 16.0),
     look_at_m: tuple[float, float, float] = (14.0, 0.0, -1.5),
-    point_size: float = 0.3,
+    point_size: float = 0.8,
 ) -> None:
     """Perspective view from a raised eye (scene frame), far points first, labels as wire boxes."""
     eye, camera = np.array(eye_m), _camera(np.array(eye_m), np.array(look_at_m))
@@ -56,8 +73,8 @@ def draw_view(
         image[front][order, 1],
         s=size,
         c=height,
-        cmap="viridis",
-        vmin=-0.3,
+        cmap="viridis_r",
+        vmin=-0.5,
         vmax=3,
         lw=0,
     )
@@ -70,15 +87,16 @@ def draw_view(
     axes.set_axis_off()
 
 
-def save_picture(scene: Scene, path: Path, reach_m: float = 50.0) -> None:
-    """Write both views side by side as a PNG."""
+def save_picture(scene: Scene, path: Path, reach_m: float = 50.0, free_m: NDArray[np.float64] | None = None) -> None:
+    """Write both views side by side as a PNG. free_m: see `draw_bev`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(19, 7.5), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.6))
-    draw_bev(left, scene, reach_m)
+    points = draw_bev(left, scene, reach_m, free_m=free_m)
+    figure.colorbar(points, ax=left, label="height above the ground at the sensor, m", shrink=0.6, extend="both")
     draw_view(right, scene)
     figure.savefig(path)
 

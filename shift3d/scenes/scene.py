@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.scenes.ground_map import GroundMap
 from shift3d.scenes.labels import Conditions, Labels
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 from shift3d.wording import counted
@@ -36,6 +37,7 @@ class Scene:
         sensor: what is stated about the sensor; None: nothing.
         no_return: beams without a return, where the scene is a whole range image; None: unknown.
         in_no_label_zone: (N,) bool, points where the data set labels nothing, or None: it labels everywhere.
+        ground_map: the ground as the data set's map has it, or None.
 
     Source: our choice (design sections 4 and 6: beams come from each sensor's own origin).
     """
@@ -54,6 +56,7 @@ class Scene:
     sensor: SensorModel | None = None
     no_return: NoReturnBeams | None = None
     in_no_label_zone: NDArray[np.bool_] | None = None
+    ground_map: GroundMap | None = None
 
     @property
     def has_beam(self) -> NDArray[np.bool_]:
@@ -90,6 +93,8 @@ class Scene:
             self.sensor.validate(where)
         if self.no_return is not None:
             self.no_return.validate(where)
+        if self.ground_map is not None:
+            self.ground_map.validate(where)
 
     def content_hash(self) -> str:
         """BLAKE2b-128 hex digest of everything in the record: equal content gives equal digests anywhere.
@@ -115,6 +120,9 @@ class Scene:
             arrays += [
                 (f"silent.{name}", values) for name, values in vars(self.no_return).items() if values is not None
             ]
+        if self.ground_map is not None:
+            parts = vars(self.ground_map).items()
+            arrays += [(f"ground_map.{name}", values) for name, values in parts if values is not None]
         for name, values in arrays:
             little = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
             digest.update(f"|{name}:{little.dtype.str}:{little.shape}|".encode())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -125,6 +126,14 @@ class StreetScenes:
             first, last = self._name(self.start), self._name(self.start + self.count - 1)
             raise InputError(f"unknown scene {name!r}", "street scenes", f"Choose from {first} to {last}.")
         return self.split, self.seed, index, self._sensor_of(index), self.options
+
+    def seen_by_own(self, name: str) -> tuple[StreetScenes, str] | None:
+        """The same street seen by its own sensor: set and name; None where it is so already."""
+        if self.options.beams is None:
+            return None
+        options = replace(self.options, beams=None)
+        own = StreetScenes(self.sensor, self.seed, self.count, self.split, self.start, options)
+        return own, own._name(int(name.split("-")[3]))
 
     def configured(self, name: str) -> tuple[str, SceneFacts] | None:
         """See `SceneSet`."""

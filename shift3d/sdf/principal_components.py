@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.wording import counted
 
 __all__ = ["principal_components"]
 
@@ -19,7 +20,7 @@ def principal_components(codes: NDArray[np.float32], components: int, where: str
     Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
     """
     if len(codes) < components + 2:
-        what = f"{len(codes)} codes are too few for {components} components"
+        what = f"{counted(len(codes), 'code')}: too few for {counted(components, 'component')}"
         raise InputError(what, where, f"Give at most {max(len(codes) - 2, 1)} components, or more vehicles")
     mean = codes.astype(np.float64).mean(axis=0)
     _, spread, axes = np.linalg.svd(codes - mean, full_matrices=False)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from shift3d.detectors.names import ONNX
 from shift3d.errors import InputError
 from shift3d.settings import messages
 from shift3d.settings.catalogue import accuracy_settings
@@ -90,6 +91,12 @@ class FrontierSweep(Config):
     """Everything of a sweep, and the section ``frontier``."""
 
     frontier: FrontierConfig
+
+    @model_validator(mode="after")
+    def _a_gradient_to_measure(self) -> Self:
+        if self.detector.name == ONNX:
+            raise ValueError("the frontier measures gradients, and an ONNX file gives none: give another detector=NAME")
+        return self
 
 
 def validate_frontier(values: Values, where: str) -> FrontierSweep:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import functools
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.detectors.names import DETECTOR_NAMES, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, ONNX, OWN
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
 from shift3d.settings.attack_schema import AttackConfig
+from shift3d.settings.compiled import compare_with_original, require_score_only
+from shift3d.settings.foreign import detector_layouts, layout_hash, require_in_range
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.scene_cache import SceneEntry
 from shift3d.settings.scene_entries import scene_entries
@@ -64,7 +66,7 @@ class Catalogue:
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
     accuracy: every setting behind a preset's name. space_hash: (vehicle, config) to the hash of where its
     search may go. skipped: scenes that cannot be read and are left out, name to why.
-    reference_hash: of what the reference set of naturalness is made from; empty: none.
+    reference_hash: of what the reference set of naturalness is made from; empty: none. notes: lines that the plan says.
     """
 
     scenes: tuple[SceneEntry, ...]
@@ -78,6 +80,7 @@ class Catalogue:
     skipped: Mapping[str, str] = field(default_factory=dict)
     space_hash: Callable[[str, AttackConfig], str] = lambda vehicle, attack: ""
     reference_hash: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
@@ -112,7 +115,7 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     are there, it scores only what it is asked to.
 
     Raises:
-        InputError: weights of a detector that was asked for are missing, or the user's own is none.
+        InputError: weights of a detector that was asked for are missing, or a user's files are no detector.
     """
     weights = config.weights_by_name()
     others: list[str] = list(config.scored_by or ())
@@ -120,30 +123,40 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
         others = [name for name in DETECTOR_NAMES if weights.get(name) or _weights_path(name, None).is_file()]
         others = [name for name in others if not (name == "sst_small" and "sst" in others)]
     names = list(dict.fromkeys([config.name, *others]))
+    layouts = detector_layouts(config)
     for name in names:
-        detector_hash(name, weights.get(name), config.module)
-    if OWN in names:
+        detector_hash(name, weights.get(name), config.module, layouts.get(name))
+    for name in [name for name in names if name == OWN or weights.get(name)]:  # said before anything runs
         from shift3d.detectors.loading import detector_of
 
-        detector_of(
-            OWN, weights.get(OWN), config.module, "float32"
-        )  # what is wrong with it is said before anything runs
+        detector_of(name, weights.get(name), config.module, "float32", layouts.get(name))
     return {name: weights.get(name) for name in names}
 
 
-def detector_hash(name: str, weights: str | None, module: str | None) -> str:
-    """128-bit BLAKE2b of what a detector is made of, hex: its weights; of the user's own, its Python file with them.
+def detector_hash(name: str, weights: str | None, module: str | None, layout: Mapping[str, Any] | None = None) -> str:
+    """128-bit BLAKE2b of what a detector is made of, hex.
+
+    Its weights, or its ONNX file; of the user's own, its Python file with its weights; of a foreign one, the layout
+    that its config describes with its weights.
 
     Raises:
         InputError: a file is missing.
     """
+    if name == ONNX:
+        return file_hash(_given_file(weights or "", "Check detector.file"))
     if name != OWN:
-        return file_hash(weights_file(name, weights))
-    parts = [Path(part).expanduser() for part in (module, weights) if part]
-    for path in parts:
-        if not path.is_file():
-            raise InputError("no such file", where=str(path), remedy="Check detector.module and detector.weights")
+        weights_hash = file_hash(weights_file(name, weights))
+        return weights_hash if layout is None else layout_hash(layout, weights_hash)
+    remedy = "Check detector.module and detector.weights"
+    parts = [_given_file(part, remedy) for part in (module, weights) if part]
     return hashlib.blake2b("".join(map(file_hash, parts)).encode(), digest_size=16).hexdigest()
+
+
+def _given_file(text: str, remedy: str) -> Path:
+    path = Path(text).expanduser()
+    if not path.is_file():
+        raise InputError("no such file", where=str(path), remedy=remedy)
+    return path
 
 
 def accuracy_settings(config: AccuracyConfig) -> dict[str, Any]:
@@ -214,23 +227,39 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     Raises:
         InputError: a missing file, or a scene that cannot be read.
     """
+    require_score_only(config)
     scenes = scene_set(config.scenes)
     entries, skipped = _entries(config, scenes, preview)
     source, detectors = vehicle_source(config.vehicle), scoring_detectors(config.detector)
+    layouts, sector = detector_layouts(config.detector), scenes.placement_sector_rad
+    require_in_range(layouts, (float(sector[0]), float(sector[1])), config.attack.placement.max_range_m)
     arguments = config.scenes.model_dump(mode="json", exclude={"root", "count", "names", "skip_bad"})
+    if arguments.get("beams") is None:  # a street seen by its own sensor: tasks keep their ids
+        arguments.pop("beams", None)
     return Catalogue(
         scenes=entries,
         scene_arguments=arguments,
-        sector_rad=(float(scenes.placement_sector_rad[0]), float(scenes.placement_sector_rad[1])),
+        sector_rad=(float(sector[0]), float(sector[1])),
         vehicles=_VehicleHashes(source),
         frame_of=source.vehicle,
         decoder_hash=source.decoder_hash(),
-        detectors={name: detector_hash(name, path, config.detector.module) for name, path in detectors.items()},
+        detectors={
+            name: detector_hash(name, path, config.detector.module, layouts.get(name))
+            for name, path in detectors.items()
+        },
         accuracy=accuracy_settings(config.accuracy),
         skipped=skipped,
         space_hash=functools.partial(_space_hash, source),
         reference_hash=_reference_hash(config.naturalness),
+        notes=_notes(config, scenes, [entry.name for entry in entries], preview),
     )
+
+
+def _notes(config: Config, scenes: SceneSet, names: Sequence[str], preview: bool) -> tuple[str, ...]:
+    """What is said of an ONNX file that scores; a preview looks at no scene."""
+    if config.detector.file is None or preview:
+        return ()
+    return (compare_with_original(config.detector, scenes, names),)
 
 
 def _reference_hash(config: NaturalnessConfig) -> str:
@@ -264,15 +293,9 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
 
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
-    """See `scene_entries`; the error for a frame that cannot be read says how to do without it."""
-    frames = config.scenes if isinstance(config.scenes, FramesConfig) else None
-    try:
-        return scene_entries(scenes, preview, skip_bad=frames is not None and frames.skip_bad)
-    except InputError as error:
-        if frames is None or frames.skip_bad:
-            raise
-        remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
-        raise InputError(error.what, where=error.where, remedy=remedy) from error
+    """See `scene_entries`."""
+    skip_bad = config.scenes.skip_bad if isinstance(config.scenes, FramesConfig) else None
+    return scene_entries(scenes, preview, skip_bad)
 
 
 class _VehicleHashes(Mapping[str, str]):

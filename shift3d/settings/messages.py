@@ -81,6 +81,10 @@ def from_hydra(
         key, siblings = match.group(1), _siblings(match.group(1), config or {})
         if (renamed := renamed_error(key)) is not None:
             return renamed
+        if key in siblings and not _is_group(key, config or {}):
+            group = key.partition(".")[0]
+            what = f"{key} is a setting of another option of {group} than the chosen one"
+            return InputError(what, where=where, remedy=f"Leave it out, or choose another option: {group}=NAME")
         if key in siblings:
             return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
         return choice_error("setting", key, siblings, where)
@@ -88,14 +92,21 @@ def from_hydra(
     return InputError(" ".join(text.split())[:300], where=where, remedy=remedy)
 
 
-def unreadable(error: Exception, where: str) -> InputError:
+def unreadable(override: str, where: str) -> InputError:
     """The error for an override that is not of Hydra's grammar."""
-    shown = str(error).splitlines()[0].split(": ", 1)[-1]
     return InputError(
-        f"cannot read the override {shown!r}",
+        f"cannot read the override {override!r}",
         where=where,
         remedy="Write key=value, and quote values with spaces or brackets: 'key=\"a b\"'",
     )
+
+
+def _is_group(key: str, config: Mapping[str, Any]) -> bool:
+    """Whether a setting of a configuration holds others."""
+    found: Any = config
+    for part in key.split("."):
+        found = found[part]
+    return isinstance(found, Mapping)
 
 
 def _siblings(key: str, config: Mapping[str, Any]) -> list[str]:

@@ -43,6 +43,7 @@ class StreetOptionsConfig(Record):
     ego_speed_m_s: Annotated[float, Field(ge=0, le=LIMITS["ego_speed_m_s"])] = 0.0
     motion_compensated: bool = False
     traffic: Literal["family", "wide", "held_out"] = "family"
+    beams: Literal["hdl64", "waymo_top", "hdl32", "av2_pair", "pandar64"] | None = None
 
     def options(self) -> StreetOptions:
         """The same for the generator. Raises InputError for settings that contradict each other."""

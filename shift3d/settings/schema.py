@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shift3d.detectors.names import OWN, DetectorName
+from shift3d.detectors.names import FOREIGN, ONNX, OWN, DetectorName
 from shift3d.settings.attack_schema import AttackConfig
 from shift3d.settings.names import Text
 from shift3d.settings.records import Count, NotNegative, Number, Positive, Record, Seed, Share
@@ -64,27 +64,66 @@ class DetectorConfig(Record):
 
     weights: a file of the attacked detector's. other_weights: files of the others by name; None: what ships.
     scored_by: names; None: every detector whose weights are there. The attacked one scores
-    always, and first. module: the Python file of the user's own detector, named "own".
+    always, and first. module: the Python file of the user's own detector, named "own". file: the ONNX file of the
+    detector named "onnx"; original: the detector that it was made from, whose scores it must have. config: of another
+    codebase's detector; vehicle_class, sensor_height_m, intensity: beside it, see `detectors.foreign.parts.Choices`.
     """
 
     name: DetectorName
-    weights: Text | None
+    weights: Text | None = None
     scored_by: list[DetectorName] | None
     other_weights: dict[DetectorName, Text | None]
     module: Text | None = None
+    file: Text | None = None
+    original: DetectorName | None = None
+    config: Text | None = None
+    vehicle_class: Text | None = None
+    sensor_height_m: Annotated[float, Field(ge=-10.0, le=10.0)] | None = None
+    intensity: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
 
     @model_validator(mode="after")
     def _a_file_for_the_own(self) -> Self:
-        named = OWN in (self.name, *(self.scored_by or ()))
+        named = OWN in self.named()
         if named and self.module is None:
             raise ValueError("module is null, and your own detector needs a file: detector.module=FILE.py")
         if not named and self.module is not None:
             raise ValueError("module means nothing without detector=own or own in scored_by")
         return self
 
+    @model_validator(mode="after")
+    def _a_config_for_the_foreign(self) -> Self:
+        foreign = [name for name in FOREIGN if name in self.named()]
+        if len(foreign) > 1:
+            raise ValueError("config is of one of openpcdet and mmdet3d: name one of them")
+        if foreign and (self.config is None or self.weights_by_name().get(foreign[0]) is None):
+            raise ValueError(f"{foreign[0]} needs its config and its weights: detector.config=FILE, and weights")
+        beside = (self.config, self.vehicle_class, self.sensor_height_m, self.intensity)
+        if not foreign and any(value is not None for value in beside):
+            remedy = "config, vehicle_class, sensor_height_m and intensity mean nothing"
+            raise ValueError(f"{remedy} without {' or '.join(f'detector={name}' for name in FOREIGN)}")
+        return self
+
+    @model_validator(mode="after")
+    def _a_file_for_the_compiled(self) -> Self:
+        named = ONNX in (self.name, *(self.scored_by or ()))
+        if named and self.file is None:
+            raise ValueError("file is null, and the detector onnx is a file: detector.file=FILE.onnx")
+        if not named and (self.file is not None or self.original is not None):
+            raise ValueError("file and original mean nothing without detector=onnx or onnx in scored_by")
+        if self.original == ONNX:
+            raise ValueError("original is onnx: name the detector that the file was made from")
+        if self.name == ONNX and self.weights is not None:
+            raise ValueError("weights means nothing for detector=onnx: give detector.file=FILE.onnx")
+        return self
+
+    def named(self) -> tuple[str, ...]:
+        """The detectors that are asked for by name, the attacked one first, an ONNX file's original last."""
+        return (self.name, *(self.scored_by or ()), *([self.original] if self.original else []))
+
     def weights_by_name(self) -> dict[str, str | None]:
-        """Files of weights that were given, by the detector's name; None: those that ship."""
-        return {**{str(name): path for name, path in self.other_weights.items()}, self.name: self.weights}
+        """Files that were given, by the detector's name: of weights, None: those that ship; an ONNX file."""
+        others: dict[str, str | None] = {str(name): path for name, path in self.other_weights.items()}
+        return {**others, self.name: self.weights, **({ONNX: self.file} if self.file else {})}
 
     def modules_by_name(self) -> dict[str, str]:
         """Python files of detectors, by name: of the user's own, where it is asked."""

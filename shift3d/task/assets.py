@@ -20,7 +20,7 @@ from shift3d.render.beams import Beams
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import PRESETS, STANDARD, RenderSettings
 from shift3d.scenes.scene import Scene
-from shift3d.scenes.sets import SceneSet
+from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.settings.catalogue import detector_hash, vehicle_source
@@ -44,9 +44,9 @@ class Assets:
     """Loaded once a worker; never changed by a task.
 
     scenes, vehicles: the sets that names are looked up in. decoder: float32, as shipped. detectors: name to a file of
-    weights (None: those that ship). modules: name to the Python file of a detector of the user's. reference: settings
-    of the reference set of naturalness, None: none. Precision twins, scenes with their beams, maps of vehicles and the
-    reference set are made on first use and kept.
+    weights (None: those that ship). modules: name to the Python file of a detector of the user's. layouts: name to the
+    layout of a foreign one. reference: settings of the reference set of naturalness, None: none. Precision twins,
+    scenes with their beams, maps of vehicles and the reference set are made on first use and kept.
     """
 
     scenes: SceneSet
@@ -55,6 +55,7 @@ class Assets:
     detectors: Mapping[str, str | None]
     modules: Mapping[str, str] = field(default_factory=dict)
     reference: Mapping[str, Any] | None = None
+    layouts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     _scenes: OrderedDict[str, tuple[Scene, Beams, str]] = field(default_factory=OrderedDict)
     _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)
@@ -67,16 +68,30 @@ class Assets:
 
         Raises: InputError for an unknown name, a bad frame, or one that is not what the task was planned with.
         """
-        name = spec.scene
+        scene, beams, found = self._kept_scene(self.scenes, spec.scene)
+        require_planned(f"scene {spec.scene}", spec.scene_hash, found)
+        return scene, beams
+
+    def _kept_scene(self, scenes: SceneSet, name: str) -> tuple[Scene, Beams, str]:
+        """A scene, its beams and its hash."""
         if name not in self._scenes:
-            scene = self.scenes.load(name)
+            scene = scenes.load(name)
             self._scenes[name] = (scene, Beams.of_main_sensor(scene), scene.content_hash())
             if len(self._scenes) > _SCENES_KEPT:
                 self._scenes.popitem(last=False)
         self._scenes.move_to_end(name)
-        scene, beams, found = self._scenes[name]
-        require_planned(f"scene {name}", spec.scene_hash, found)
-        return scene, beams
+        return self._scenes[name]
+
+    def placing_scene(self, spec: TaskSpec) -> tuple[Scene, Beams, str]:
+        """The scene that a task's vehicle is placed in, its beams and hash: the task's own, but for a street that other
+        beams see, where it is the street as its own sensor sees it: places are then the same under any beams.
+
+        Raises: InputError as `scene` does.
+        """
+        own = self.scenes.seen_by_own(spec.scene) if isinstance(self.scenes, StreetScenes) else None
+        if own is None:
+            return *self.scene(spec), spec.scene_hash
+        return self._kept_scene(*own)
 
     def decoder_of(self, dtype: torch.dtype) -> Decoder | DeepSdfNetwork:
         """The decoder with its parameters in a dtype."""
@@ -90,8 +105,8 @@ class Assets:
     def detector_of(self, name: str, precision: str) -> Detector:
         """A detector with its arithmetic in a precision: bfloat16, float32 or float64."""
         if (name, precision) not in self._detectors:
-            files = self.detectors.get(name), self.modules.get(name)
-            self._detectors[name, precision] = detector_of(name, *files, precision)  # type: ignore[arg-type]
+            made_of = self.detectors.get(name), self.modules.get(name), precision, self.layouts.get(name)
+            self._detectors[name, precision] = detector_of(name, *made_of)  # type: ignore[arg-type]
         return self._detectors[name, precision]
 
     def vehicle(self, spec: TaskSpec) -> Vehicle:
@@ -166,12 +181,12 @@ def load_assets(spec: AssetsSpec) -> Assets:
         InputError: naming the file that is missing or unusable, or weights that are not those of the plan.
     """
     for name, path in spec.detectors.items():
-        found = detector_hash(name, path, spec.modules.get(name))
+        found = detector_hash(name, path, spec.modules.get(name), spec.layouts.get(name))
         require_planned(f"the weights of {name}", spec.hashes.get(name), found)
     source = vehicle_source(_vehicle_config(spec.vehicles))
     require_planned("the vehicles' decoder", spec.hashes.get("decoder"), source.decoder_hash())
     scenes = scene_set(scene_config(spec.scenes))
-    assets = Assets(scenes, source, source.decoder(), spec.detectors, spec.modules, spec.reference)
+    assets = Assets(scenes, source, source.decoder(), spec.detectors, spec.modules, spec.reference, spec.layouts)
     # Now, not at the first task: weights that do not fit stop the sweep in one line instead of failing every task.
     for name in spec.detectors:
         assets.detector_of(name, "float32")

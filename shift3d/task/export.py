@@ -21,7 +21,7 @@ from shift3d.scenes.kitti_writing import frame_files, velodyne_bytes
 from shift3d.scenes.scene import Scene
 from shift3d.store.atomic import write_atomic
 from shift3d.task.assets import Assets
-from shift3d.task.run import build_problem
+from shift3d.task.rendered import POSE, render_solution
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import vehicle_mesh
 
@@ -30,7 +30,6 @@ FRAME = "000000"
 _BOX = ("x", "y", "z", "dx", "dy", "dz", "heading")
 _UNITS = "metres, radians; geometric centre; heading counter-clockwise from +x"
 _OBJECT_RGBA, _SCENE_RGBA = (213, 94, 0, 255), (140, 140, 140, 255)
-_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
 _FILES = ("scene.bin", "scene.ply", "hit_mask.npy", "object.ply", "object.glb", "box.json", "boxes.json")
@@ -68,11 +67,8 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     """
     scene, _ = assets.scene(spec)
     vehicle = assets.vehicle(spec)
-    theta = torch.tensor([solution[name] for name in _POSE], dtype=torch.float64)
-    problem = build_problem(spec, assets, theta)
-    code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
-    with torch.no_grad():
-        rendering = problem.insert(code, theta)
+    rendered = render_solution(spec, solution, assets)
+    theta, code, rendering = rendered.theta, rendered.code, rendered.rendering
     mesh = vehicle_mesh(vehicle, assets.decoder, code.float())
     mesh.vertices = scene_from_object(torch.from_numpy(np.array(mesh.vertices)), theta).numpy()
     kept = slice(None) if rendering.returned is None else rendering.returned.numpy()
@@ -143,7 +139,7 @@ def _box_json(
         "frame": "lidar",
         "units": _UNITS,
         "class": "vehicle",
-        "pose": {name: float(solution[name]) for name in _POSE},
+        "pose": {name: float(solution[name]) for name in POSE},
         "object_points": object_points,
         "task_id": spec.task_id,
         "vehicle": spec.vehicle,

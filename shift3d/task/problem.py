@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from shift3d.attack.problem import AttackProblem
-from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, place
+from shift3d.placement.sampling import NoPlacement, Placement, place
 from shift3d.render.settings import STANDARD
 from shift3d.scenes.facts import EffectSettings
-from shift3d.scenes.scene import Scene
 from shift3d.seeding import derive_seed, generator
 from shift3d.task.assets import Assets, render_settings, score_precision
+from shift3d.task.places import constraints_of, limits_of, other_vehicles
 from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
@@ -27,23 +27,20 @@ __all__ = ["build_problem", "place_vehicle"]
 def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings.
 
-    Whatever the task's mode, weights of the loss, accuracy or detector. Source: our choice: the paper is silent.
+    Whatever the task's mode, weights of the loss, accuracy or detector, and whatever beams see the street.
+    Source: our choice: the paper is silent.
     """
-    scene, beams = assets.scene(spec)
+    scene, beams, scene_hash = assets.placing_scene(spec)
     vehicle = assets.vehicle(spec)
-    limits = PlacementLimits(
-        spec.placement.min_range_m,
-        spec.placement.max_range_m,
-        (spec.placement.sector_centre_rad, spec.placement.sector_half_width_rad),
-        spec.placement.attempts,
-    )
     # Always at the standard accuracy: a rounding that turns one draw down would put the vehicle elsewhere, and
     # accuracies could no longer be compared object by object. Without a map of empty space, which takes longer to make
     # than it saves here.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
-    rng = generator("placement", spec.placement_seed)
-    constraints, others = _constraints(spec), _other_vehicles(scene)
-    return place(beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others)
+    rng = generator("placement", replace(spec, scene_hash=scene_hash).placement_seed)
+    limits, constraints, others = limits_of(spec.placement), constraints_of(spec.placement), other_vehicles(scene)
+    return place(
+        beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others, ground_map=scene.ground_map
+    )
 
 
 def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicle | None = None) -> AttackProblem:
@@ -65,10 +62,10 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicl
         detector=assets.detector_of(spec.detector, score_precision(spec)),
         theta0=theta,
         code0=torch.from_numpy(vehicle.latent_code).to(settings.dtype),
-        constraints=_constraints(spec),
+        constraints=constraints_of(spec.placement),
         settings=settings,
         travel_m=spec.attack.max_shift_m,
-        others=_other_vehicles(scene),
+        others=other_vehicles(scene),
         space=space,
         effects=_effects(spec, assets, vehicle),
     )
@@ -93,13 +90,3 @@ def _driving_heading_rad(spec: TaskSpec, assets: Assets) -> float:
     """A vehicle that drives does so along the heading it was placed with, whatever an attack makes of its pose."""
     placement = place_vehicle(spec, assets)
     return 0.0 if isinstance(placement, NoPlacement) else float(placement.theta[3])
-
-
-def _constraints(spec: TaskSpec) -> Constraints:
-    where = spec.placement
-    return Constraints(where.overlap_m, where.contact_m, where.min_object_points)
-
-
-def _other_vehicles(scene: Scene) -> Tensor:
-    """(M, 2) centres of the scene's own vehicles: a box of theirs near the object would pass for a detection of it."""
-    return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())

@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -20,7 +20,7 @@ from shift3d.settings.schema import AccuracyConfig
 from shift3d.task.assets import Assets, score_precision
 from shift3d.task.differences import Differences, differences
 from shift3d.task.run import build_problem
-from shift3d.task.scoring import Scored, score_object, score_points
+from shift3d.task.scoring import SCORED_FROM_EMPTY, EmptyScene, Scored, score_object, score_points
 from shift3d.task.spec import TaskSpec
 
 __all__ = ["DRAWS", "Problems", "Solution", "Verified", "verify_object"]
@@ -69,6 +69,7 @@ class Problems:
     reference: AttackProblem
     others: Mapping[str, Detector]
     others_reference: Mapping[str, Detector]
+    empty: EmptyScene = field(default_factory=EmptyScene)
 
     @staticmethod
     def of(spec: TaskSpec, assets: Assets, theta: Tensor) -> Problems:
@@ -92,8 +93,9 @@ def verify_object(spec: TaskSpec, solution: Solution, problems: Problems) -> Ver
     made of it get the same ones."""
     spent: dict[str, float] = {}
     radius_m = spec.attack.detection_radius_m
+    scene = problems.empty if solution.method in SCORED_FROM_EMPTY else None
     with _timed(spent, "again"):
-        again = _score(problems.standard, solution.code, solution.theta, radius_m, problems.others)
+        again = _score(problems.standard, solution.code, solution.theta, radius_m, problems.others, scene)
     with _timed(spent, "reference"):
         true = _score(problems.reference, solution.code, solution.theta, radius_m, problems.others_reference)
     everyone = {problems.standard.detector.name: problems.standard.detector, **problems.others}
@@ -128,9 +130,14 @@ def _timed(spent: dict[str, float], stage: str) -> Iterator[None]:
 
 
 def _score(
-    problem: AttackProblem, code: Tensor, theta: Tensor, radius_m: float, others: Mapping[str, Detector]
+    problem: AttackProblem,
+    code: Tensor,
+    theta: Tensor,
+    radius_m: float,
+    others: Mapping[str, Detector],
+    scene: EmptyScene | None = None,
 ) -> Scored:
-    return score_object(problem, code.to(problem.settings.dtype), theta, radius_m, others)
+    return score_object(problem, code.to(problem.settings.dtype), theta, radius_m, others, scene)
 
 
 def _scores(scored: Scored) -> dict[str, float]:

@@ -21,7 +21,7 @@ from shift3d.task.assets import Assets, load_assets, score_precision, search_pre
 from shift3d.task.audit import AUDITED, audit
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.rows import Rows
-from shift3d.task.scoring import Candidate, score_object
+from shift3d.task.scoring import SCORED_FROM_EMPTY, Candidate, EmptyScene, score_object
 from shift3d.task.searching import best_of_draws, edited_vehicle, pose_limits, search_task
 from shift3d.task.spec import TaskResult, TaskSpec
 from shift3d.task.transfer import put_elsewhere
@@ -53,8 +53,10 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
             rows.time("baseline", "effects_once", 1e3 * (time.perf_counter() - start_effects))
         searched = assets.detector_of(spec.detector, search_precision(spec))
         others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
+        empty, radius_m = EmptyScene(), spec.attack.detection_radius_m
         for candidate in _candidates(spec, problem, searched, assets, rows):
-            scored = score_object(problem, candidate.code, candidate.theta, spec.attack.detection_radius_m, others)
+            scene = empty if candidate.method in SCORED_FROM_EMPTY else None
+            scored = score_object(problem, candidate.code, candidate.theta, radius_m, others, scene)
             # The reference would only be held against itself.
             audited = candidate.method in AUDITED and problem.settings != REFERENCE
             checked = audit(spec, assets, problem, candidate, scored) if audited else None

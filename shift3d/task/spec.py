@@ -10,13 +10,15 @@ import dataclasses
 import functools
 import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from shift3d.seeding import derive_seed
 
-__all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec", "TransferScene"]
+__all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec", "TransferScene",
+           "split_label"]  # fmt: skip
 
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
 SPEC_VERSION = 6
@@ -107,6 +109,12 @@ class AttackSpec:
     def to_dict(self) -> dict[str, Any]:
         """Plain values. What came later is left out where it is as the paper has it: tasks keep their ids."""
         return {name: value for name, value in vars(self).items() if _LATER.get(name) != value}
+
+
+def split_label(label: str) -> tuple[str, float | None]:
+    """An `AttackSpec.label` without its budget, and the budget: "descent_within95" as ("descent", 95.0)."""
+    found = re.search(r"_within([0-9.]+(?:e[+-]?[0-9]+)?)", label)
+    return (label, None) if found is None else (label.replace(found.group(), "", 1), float(found.group(1)))
 
 
 _LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,
@@ -295,8 +303,9 @@ class AssetsSpec:
     scenes, vehicles: settings of the scene set and of the source of vehicles, as their schemas have them.
     detectors: name to a file of weights, or None for the weights that ship with shift3d. hashes: what "decoder" and
     the detectors had when the sweep was planned; one that is not there is not compared. results: the folder of final
-    tables that a verification reads. modules: Python files of detectors that are the user's own, by name. reference:
-    settings of the reference set of naturalness, None: it is not measured.
+    tables that a verification reads. modules: Python files of detectors that are the user's own, by name. layouts: of
+    foreign detectors, by name, see `detectors.foreign.layout`. reference: settings of the reference set of naturalness,
+    None: it is not measured.
     """
 
     scenes: Mapping[str, Any]
@@ -306,4 +315,5 @@ class AssetsSpec:
     threads: int = 1
     results: str | None = None
     modules: Mapping[str, str] = field(default_factory=dict)
+    layouts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     reference: Mapping[str, Any] | None = None

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
 
-__all__ = ["TrainingScene", "cache_scenes", "from_scene", "load_cached", "network_points"]
+__all__ = ["TrainingScene", "cache_scenes", "cut_scene", "from_scene", "load_cached", "network_points"]
 
 KEPT_RADIUS_M = 80.0
 EVERYWHERE_RAD = (0.0, float(np.pi))
@@ -44,13 +44,22 @@ def from_scene(scene: Scene, sector_rad: tuple[float, float] = EVERYWHERE_RAD) -
     there are none, a vehicle would be trained as background: all points outside go, but for those on vehicles whose
     centre is inside, and so do vehicles whose centre is outside, with their points.
     """
-    points = network_points(scene)[scene.has_beam]
-    points = points[np.abs(points[:, :2]).max(axis=1) < KEPT_RADIUS_M]
     boxes = scene.labels.of_class("vehicle").astype(np.float32).reshape(-1, 7)
     boxes[:, 2] -= np.float32(scene.ground_z_m)
+    return cut_scene(network_points(scene)[scene.has_beam], boxes, -float(scene.ground_z_m), sector_rad)
+
+
+def cut_scene(
+    points: npt.NDArray[np.float32],
+    boxes: npt.NDArray[np.float32],
+    sensor_height_m: float,
+    sector_rad: tuple[float, float] = EVERYWHERE_RAD,
+) -> TrainingScene:
+    """`from_scene` of points (N, 3) and vehicle boxes (M, 7) in the network frame; boxes keep their order."""
+    points = points[np.abs(points[:, :2]).max(axis=1) < KEPT_RADIUS_M]
     if sector_rad[1] < np.pi:
         points, boxes = _labelled_part(points, boxes, sector_rad)
-    return TrainingScene(points, boxes, -float(scene.ground_z_m))
+    return TrainingScene(points, boxes, sensor_height_m)
 
 
 def _labelled_part(

@@ -12,9 +12,10 @@ import numpy as np
 import torch
 
 from shift3d import __version__
+from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 
-__all__ = ["versions", "write_provenance"]
+__all__ = ["refuse_tuned_scenes", "versions", "write_provenance"]
 
 
 def versions() -> dict[str, str]:
@@ -36,3 +37,27 @@ def write_provenance(weights_file: Path, facts: Mapping[str, Any]) -> Path:
     text = json.dumps({**facts, "versions": versions()}, indent=1, default=str) + "\n"
     write_atomic(file, text.encode())
     return file
+
+
+def refuse_tuned_scenes(weights_file: Path, scenes: Mapping[str, str]) -> None:
+    """Refuse to measure weights on scenes that they were fine-tuned on, by the provenance beside them.
+
+    scenes: content hash by name; an empty hash is any. Weights without provenance, or that were trained otherwise,
+    pass.
+    Raises: InputError naming the scenes, or a provenance that cannot be read.
+    """
+    file = weights_file.with_suffix(".json")
+    if not file.is_file():
+        return
+    try:
+        facts = json.loads(file.read_bytes())
+    except ValueError as error:
+        what = f"is no provenance ({type(error).__name__})"
+        raise InputError(what, where=str(file), remedy="Restore it from a copy, or train again") from error
+    source = facts.get("finetuned_on") if isinstance(facts, dict) else None
+    tuned: dict[str, str] = source["scenes"] if source else {}
+    hashes = {value for value in tuned.values() if value}
+    both = sorted(name for name, value in scenes.items() if name in tuned or value in hashes)
+    if both:
+        what = f"was fine-tuned on {', '.join(both[:5])}{' and others' if len(both) > 5 else ''}"
+        raise InputError(what, where=str(weights_file), remedy="Measure it on scenes that it has not seen")

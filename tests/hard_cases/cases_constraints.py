@@ -182,7 +182,7 @@ def a_scene_without_room_for_the_object() -> None:
     limits = PlacementLimits(8.0, 12.0, attempts=7)
     found = place(beams, -1.73, soft_car(CODE), FRAME, np.random.default_rng(0), limits, settings=SETTINGS)
     assert isinstance(found, NoPlacement) and found.rejected == {"ground": 7}
-    assert "no valid placement in 7 attempts (ground 7)" in found.reason()
+    assert "no valid placement in 7 attempts (no ground seen 7)" in found.reason()
 
 
 @hard_case(

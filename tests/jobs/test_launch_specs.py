@@ -15,6 +15,8 @@ import pytest
 import yaml
 from jobs.kuberay_schema import RAY_JOB
 
+from shift3d.cli.command import key_values
+from shift3d.cli.commands import gate
 from shift3d.cli.job_spec import JobSpec, job_names, read_job, take_job
 from shift3d.cli.main import main
 from shift3d.errors import InputError
@@ -25,7 +27,7 @@ OWN = ("local", "ray_cluster", "ray_job")
 
 
 def test_every_spec_is_looked_at_here() -> None:
-    others = {"Containerfile", "autoscaler.yaml", "kuberay.yaml", "slurm.sbatch"}
+    others = {"Containerfile", "autoscaler.yaml", "gate_ci.yaml", "kuberay.yaml", "slurm.sbatch"}
     assert {path.name for path in JOBS.iterdir()} == {f"{name}.yaml" for name in OWN} | others
     assert tuple(job_names()) == OWN
 
@@ -64,6 +66,13 @@ def test_a_job_that_is_none_is_said(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["sweep", "smoke", "job=ray_job", "out=here"]) == 2
     assert "Give out=s3://BUCKET/FOLDER" in capsys.readouterr().err
     assert main(["sweep", "smoke", "job=ray_job", "--dry-run"]) == 0, "a plan needs no cluster"
+
+
+def test_the_ci_example_gives_the_gate_words_that_it_takes() -> None:
+    steps = yaml.safe_load((JOBS / "gate_ci.yaml").read_text())["jobs"]["gate"]["steps"]
+    (command,) = [shlex.split(step["run"]) for step in steps if "shift3d gate" in step.get("run", "")]
+    values = key_values(command[2:], gate.KEYS, ("suite", "detector", "weights", "accept"), "gate")
+    assert values["out"] == "outputs/gate" and steps[-1]["with"]["path"].startswith(values["out"])
 
 
 def test_the_autoscalers_file_fits_rays_own_schema() -> None:

@@ -17,7 +17,17 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.tasks import PlannedTask
     from shift3d.task.assets import Assets
 
-__all__ = ["POSE", "VIEW_M", "Loaded", "Rendered", "oriented", "render_again", "simplified"]
+__all__ = [
+    "POSE",
+    "VIEW_M",
+    "Loaded",
+    "Rendered",
+    "best_box",
+    "oriented",
+    "render_again",
+    "simplified",
+    "thinned",
+]
 
 FloatArray = NDArray[np.float64]
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
@@ -94,13 +104,13 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
         measured = measure(problem, code, theta, radius_m=SCORE_RADIUS_M)
     rendering = measured.rendering
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
-    found, score = _best(measured.proposals, box, spec.attack.detection_radius_m)
+    found, score = best_box(measured.proposals, box, spec.attack.detection_radius_m)
     here = np.ones(len(rendering.points), bool) if rendering.returned is None else rendering.returned.numpy()
     points, hits = rendering.points.double().numpy()[:, :2], rendering.hit_mask.numpy()
     return Rendered(
         mesh=loaded.mesh(task, solution["latent_code"]),
         theta=theta.numpy(),
-        scene_xy=_thinned(points[here & ~hits], centre_xy),
+        scene_xy=thinned(points[here & ~hits], centre_xy),
         object_xy=points[here & hits],
         object_points=int((here & hits).sum()),
         box=box,
@@ -109,7 +119,7 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
     )
 
 
-def _best(proposals: Proposals, box: FloatArray, radius_m: float) -> tuple[FloatArray | None, float]:
+def best_box(proposals: Proposals, box: FloatArray, radius_m: float) -> tuple[FloatArray | None, float]:
     """The box (7,) that gives the object at ``box`` its score, and the score; None and 0 without one."""
     from shift3d.detectors.nms import suppress
     from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
@@ -121,7 +131,7 @@ def _best(proposals: Proposals, box: FloatArray, radius_m: float) -> tuple[Float
     return detections.boxes[near[0]], float(detections.scores[near[0]])  # best first
 
 
-def _thinned(points: FloatArray, centre_xy: FloatArray) -> FloatArray:
+def thinned(points: FloatArray, centre_xy: FloatArray) -> FloatArray:
     """Points (N, 2) within the view, at most one a small cell and some thousands in all; the same ones every time."""
     points = points[(np.abs(points - centre_xy) < VIEW_M).all(axis=1)]
     _, kept = np.unique(np.floor(points / _THIN_M).astype(np.int64), axis=0, return_index=True)

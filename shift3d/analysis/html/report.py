@@ -8,6 +8,7 @@ from shift3d.analysis.html.figure import plotly_library
 from shift3d.analysis.html.sections.accuracy import accuracy
 from shift3d.analysis.html.sections.auc import auc
 from shift3d.analysis.html.sections.bev import bev, transfer_grid
+from shift3d.analysis.html.sections.budgets import budgets
 from shift3d.analysis.html.sections.cases import hard_cases
 from shift3d.analysis.html.sections.choices import choices
 from shift3d.analysis.html.sections.coverage import coverage
@@ -21,6 +22,7 @@ from shift3d.analysis.html.sections.paths import paths
 from shift3d.analysis.html.sections.patterns import patterns
 from shift3d.analysis.html.sections.retrieval import retrieval
 from shift3d.analysis.html.sections.rules import rules
+from shift3d.analysis.html.sections.sensors import sensors
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
@@ -40,6 +42,8 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         in_short(found, trial_caveat(plan.tasks), nothing_placed(sweep.scores, plan.settings)),
         hard_cases(sweep, loaded, cases),
         gallery(sweep, loaded),
+        budgets(found),
+        sensors(sweep),
         auc(sweep, found),
         curves(found),
         bev(sweep, found),
@@ -60,7 +64,8 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         f"{counted(len(plan.tasks), 'attack')} on a LiDAR vehicle detector: a vehicle is inserted into a scene, "
         "and its shape or pose is changed, by the detector's gradient, until the detector misses it."
     )
-    return document(f"shift3d: {plan.sweep}", sections, lead, plotly_library())
+    shown = [section for section in sections if section is not None]
+    return document(f"shift3d: {plan.sweep}", shown, lead, plotly_library())
 
 
 def write_report(folder: LocationLike, cases: int = 4) -> Location:

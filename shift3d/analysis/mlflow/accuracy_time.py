@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, runs_of
+from shift3d.analysis.mlflow.measured import mirror_measured
 from shift3d.errors import InputError
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, machine_of, read_frontier
 
@@ -33,27 +32,13 @@ def mirror_frontier(folder: Path, uri: str, experiment: str) -> str | None:
     Returns:
         None, or why MLflow could not be written.
     """
-    return attempt(lambda: _write(folder, uri, experiment))
-
-
-def _write(folder: Path, uri: str, experiment: str) -> None:
-    # Before anything is written: half a run would look like a whole one.
-    missing = [name for name in _FILES if not (folder / name).is_file()]
-    if missing:
-        raise InputError(f"{missing[0]} is missing", str(folder), "Write the frontier's report first")
-    table = read_frontier(folder / "frontier.parquet")
-    key = hashlib.blake2b((folder / "frontier.parquet").read_bytes(), digest_size=8).hexdigest()
-    client = open_client(uri)
-    experiment_id = experiment_of(client, experiment)
-    found = runs_of(client, experiment_id, "shift3d.frontier", key, most=1)
-    tags = {"shift3d.frontier": key, "shift3d.folder": str(folder)}
-    run = found[0] if found else client.create_run(experiment_id, run_name=f"frontier-{key}", tags=tags)
-    points = [(name, value, 0) for name, value in frontier_metrics(table.to_pylist()).items()]
-    params = flat({f"machine.{_clean(name)}": value for name, value in machine_of(table).items()})
-    log(client, run.info.run_id, points, run.info.start_time, params)
-    for name in _FILES:
-        client.log_artifact(run.info.run_id, str(folder / name))
-    client.set_terminated(run.info.run_id, "FINISHED")
+    try:
+        table = read_frontier(folder / "frontier.parquet")
+    except InputError as error:
+        return str(error)
+    metrics = frontier_metrics(table.to_pylist())
+    params = {f"machine.{_clean(name)}": value for name, value in machine_of(table).items()}
+    return mirror_measured("frontier", folder, _FILES, metrics, params, uri, experiment)
 
 
 def frontier_metrics(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from shift3d.analysis.mlflow.auc_view import share_view
 from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, rounded, runs_of
-from shift3d.analysis.mlflow.sweep_groups import MOST_GROUPS, Recall, groups, overall
+from shift3d.analysis.mlflow.sweep_groups import MOST_GROUPS, Recall, budget_points, groups, overall
 from shift3d.store.resolve import LocationLike, local_copy
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def _write_parent(client: MlflowClient, run_id: str, record: SweepRecord, childr
         client.set_tag(run_id, name, text)
     # What is logged later is the value that MLflow shows, so a count that has changed needs a time of its own.
     log(client, run_id, changed, int(1e3 * time.time()), {"sweep": record.sweep, **flat(record.settings)})
-    log(client, run_id, _points(recalls), run.info.start_time)
+    log(client, run_id, [*_points(recalls), *budget_points(record.auc)], run.info.start_time)
     return list(aucs)
 
 

@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from shift3d.analysis.mlflow.client import metric_name
+from shift3d.analysis.tables.budgets import budget_curves
 from shift3d.analysis.variants import SETTINGS, variants
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MOST_GROUPS", "Group", "groups", "overall"]
+__all__ = ["MOST_GROUPS", "Group", "budget_points", "groups", "overall"]
 
 MOST_GROUPS = 200
 """Groups that get a run of their own: beyond that, MLflow's lists show nothing to anybody."""
@@ -84,6 +85,18 @@ def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], 
             if means:
                 mean_recalls[metric_name(f"recall/{variant.mode}/{tail}")] = np.mean(means, axis=0)
     return values, mean_recalls
+
+
+def budget_points(auc: pd.DataFrame) -> list[tuple[str, float, int]]:
+    """AUCs over the baseline's as curves over the budget of naturalness in percent, 100 for none: MLflow's steps."""
+    points = []
+    for curve in budget_curves(variants(auc)):
+        for budget, variant in curve.variants.items():
+            for method in ("random_search", "adversarial"):
+                ratio = variant.aucs.of_baseline(method, variant.vehicles)
+                name = metric_name(f"auc_by_budget/{method}/{curve.title}")
+                points += [(name, ratio, round(budget))] if ratio is not None else []
+    return points
 
 
 def _mean(group: pd.DataFrame, recalls: Mapping[tuple[str, ...], Recall]) -> Recall | None:

@@ -14,6 +14,7 @@ from shift3d.analysis.statistics.intervals import Interval, difference_interval
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.errors import InputError
 from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg, find_rules
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +67,7 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
     """
     scenes, vehicles = (sorted(objects[name].unique()) for name in ("place", "vehicle"))
     if len(scenes) < 4:
-        what = f"{len(scenes)} scenes with scored objects are too few to find rules on and to try them"
+        what = f"{counted(len(scenes), 'scene')} with scored objects: too few to find rules on and to try them"
         raise InputError(what, "failure rules", "Give scenes.count=4 or more")
     here = objects["place"].isin(scenes[::2])
     ours = objects["vehicle"].isin(vehicles[::2])

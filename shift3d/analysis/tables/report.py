@@ -5,9 +5,11 @@ from __future__ import annotations
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy_cost import accuracy_cost, preset_table
 from shift3d.analysis.tables.auc import auc_table
+from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.coverage import coverage_lines, stage_times
 from shift3d.analysis.tables.numerics import diagnostics
+from shift3d.analysis.tables.sensors import sensor_table
 from shift3d.analysis.tables.shapes import natural_table
 from shift3d.analysis.tables.transfers import transfer_table
 from shift3d.analysis.variants import variants
@@ -16,9 +18,12 @@ __all__ = ["sweep_report"]
 
 
 def sweep_report(sweep: Sweep) -> str:
-    """AUCs, natural shapes, shapes in other scenes, chosen hyper-parameters, what ran, its time and its accuracy."""
-    tables = [auc_table(variant) for variant in variants(sweep.auc, sweep.scored)]
-    found = [table for table in (natural_table(sweep.scores), transfer_table(sweep.transfers)) if table]
+    """AUCs, also by budget, natural shapes, shapes in other scenes, choices, what ran, its time and its accuracy."""
+    parted = variants(sweep.auc, sweep.scored)
+    tables = [auc_table(variant) for variant in parted]
+    by_sensor, elsewhere = sensor_table(sweep.scores), transfer_table(sweep.transfers)
+    further = (budget_table(parted), by_sensor, natural_table(sweep.scores), elsewhere)
+    found = [table for table in further if table]
     parts = [*tables, *found, *choice_tables(sweep.choices)]
     return "\n\n".join(
         [

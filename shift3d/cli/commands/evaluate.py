@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, key_values, writable_folder
@@ -15,7 +17,11 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND", "evaluate_words"]
 
 _STREET_KEYS = ("sensor", "split", "traffic")
-_KEYS = ("detector", "scenes", "count", *_STREET_KEYS, "root", "weights", "score_threshold", "workers", "out")
+_FOREIGN_KEYS = ("config", "vehicle_class", "sensor_height_m", "intensity")
+_KEYS = (
+    *("detector", "scenes", "count", *_STREET_KEYS, "root", "weights", *_FOREIGN_KEYS),
+    *("score_threshold", "workers", "out"),
+)
 _VALUES = {
     "scenes": ("street", "kitti"),
     "sensor": ("mixed", "hdl64", "waymo_top"),
@@ -42,6 +48,7 @@ examples:
   shift3d evaluate detector=pointpillars traffic=held_out   every second vehicle of a kind that training never sees
   shift3d evaluate detector=pointpillars scenes=kitti root=PATH      PATH holds training/; cars in the image
   shift3d evaluate detector=pointpillars weights=FILE scenes=kitti root=PATH out=DIR
+  shift3d evaluate detector=openpcdet weights=FILE.pth config=FILE.yaml scenes=kitti root=PATH
   shift3d evaluate model=sdf
 
   duckdb -c "select * from 'outputs/evaluate/*/metrics.parquet' where protocol = 'waymo'\""""
@@ -61,7 +68,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         metavar="key=value",
         help="detector=NAME [scenes=street|kitti] [count=N] [sensor= split= traffic=] [root=PATH] [weights=FILE] "
-        "[score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
+        "[config=FILE] [score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
     )
     words.completer = evaluate_words  # type: ignore[attr-defined]
 
@@ -80,7 +87,8 @@ def _run(arguments: argparse.Namespace) -> int:
     scenes = _scenes(values, count)
     name, tail = values["detector"], f"-{count}" if count else ""
     out = writable_folder(values.get("out", f"outputs/evaluate/{name}-{scenes.dataset}{tail}"))
-    print(evaluate_detector(name, scenes, out, values.get("weights"), workers, score_threshold))
+    layout = _layout(name, values)
+    print(evaluate_detector(name, scenes, out, values.get("weights"), workers, score_threshold, layout))
     return 0
 
 
@@ -100,6 +108,35 @@ def _scenes(values: dict[str, str], count: int | None) -> StreetChoice | KittiCh
     if not values.get("root"):
         raise InputError("root= is missing", "evaluate", "Give root=PATH, the folder that holds KITTI's training/")
     return KittiChoice(values["root"], count)
+
+
+def _layout(name: str, values: dict[str, str]) -> dict[str, Any] | None:
+    """What the config of a detector of another codebase says; None for one of shift3d."""
+    from shift3d.detectors.names import FOREIGN
+
+    if name not in FOREIGN:
+        for key in _FOREIGN_KEYS:
+            if key in values:
+                raise InputError(f"{key}= means nothing for detector={name}", "evaluate", f"Leave out {key}=")
+        return None
+    if not values.get("config"):
+        raise InputError("config= is missing", "evaluate", f"Give config=FILE, the model's config of {name}")
+    from shift3d.detectors.foreign.detector import foreign_layout
+    from shift3d.detectors.foreign.parts import Choices
+
+    choices = Choices(values.get("vehicle_class"), _number(values, "sensor_height_m"), _number(values, "intensity"))
+    return foreign_layout(name, Path(values["config"]).expanduser(), choices)
+
+
+def _number(values: dict[str, str], key: str) -> float | None:
+    text = values.get(key)
+    try:
+        value = None if text is None else float(text)
+    except ValueError:
+        value = math.nan
+    if value is not None and not math.isfinite(value):
+        raise InputError(f"{key}={text!r} is not a number", "evaluate", f"Give {key}=1.7")
+    return value
 
 
 def _whole_number(values: dict[str, str], key: str) -> int | None:

@@ -14,6 +14,7 @@ from shift3d.cli.completion import overrides
 from shift3d.cli.words import take_folders
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.accuracy_time.drive import FrontierPlan, SceneGroup
@@ -182,6 +183,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
     """The sweep's scenes, and KITTI's where they are asked for. Raises InputError for a folder without frames."""
     from shift3d.accuracy_time.drive import SceneGroup
     from shift3d.settings.catalogue import scene_set
+    from shift3d.settings.foreign import detector_layouts
     from shift3d.settings.schema import KittiConfig
     from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
 
@@ -210,6 +212,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
             vehicles=config.vehicle.model_dump(mode="json", exclude={"name"}),
             detectors={config.detector.name: config.detector.weights},
             modules=config.detector.modules_by_name(),
+            layouts=detector_layouts(config.detector),
         )
         groups.append(SceneGroup(chosen.kind, assets, spec))
     return groups
@@ -228,7 +231,8 @@ def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: boo
     groups = groups_of(config)
     cases = len(plan.cases) * len(groups)
     minutes = expected_minutes(plan, len(groups))
-    print(f"{len(plan.settings)} settings on {cases} cases, about {minutes} min on a quiet core without bfloat16")
+    what = f"{counted(len(plan.settings), 'setting')} on {counted(cases, 'case')}"
+    print(f"{what}, about {minutes} min on a quiet core without bfloat16")
     print(f"writing to {folder}", flush=True)
     with SecondsBar(plan.expected_seconds(len(groups))) as bar:
         measured = measure_frontier(groups, plan, folder, again, bar.tell)

@@ -9,18 +9,21 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli import words
 from shift3d.cli.command import Command
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
+    from shift3d.settings.schema import Config
     from shift3d.store.location import Location
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
 
-__all__ = ["COMMAND", "add_tasks", "show"]
+__all__ = ["COMMAND", "add_tasks", "show", "show_places"]
 
 
 _DESCRIPTION = """\
 Says how many tasks a sweep has; which effects their scenes call for, with what each costs; how long it would take;
-and, with --tasks, every task in order with its id. Runs nothing. The same as: shift3d sweep plan.
+with --tasks, every task in order with its id; with --places, in which scenes a car finds a place, and what refuses the
+others. Runs nothing. The same as: shift3d sweep plan.
 
 The time a task takes is that of the sweep's own folder as far as it has run, or of timings=OUT; else the figures that
 ship. What the folder has done already, or that of reuse=OUT, is not counted.
@@ -34,24 +37,27 @@ examples:
   shift3d plan default scenes.count=500 timings=outputs/default-1a2b3c4d runner.workers=64"""
 
 
-def add_tasks(parser: argparse.ArgumentParser, help_text: str) -> None:
-    """The option that lists tasks."""
-    parser.add_argument("--tasks", action="store_true", help=help_text)
+def add_tasks(parser: argparse.ArgumentParser, when: str = "") -> None:
+    """The options that list tasks and places. when: said before what they do."""
+    parser.add_argument("--tasks", action="store_true", help=f"{when}list every task, with its id")
+    parser.add_argument("--places", action="store_true", help=f"{when}count the places of each scene, up to 20 scenes")
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     words.add_words(parser)
-    add_tasks(parser, "list every task, with its id")
+    add_tasks(parser)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.sweep.planning.kind import shift3d_kind
 
-    return show(arguments.words, shift3d_kind(), arguments.tasks)
+    return show(arguments.words, shift3d_kind(), arguments.tasks, arguments.places)
 
 
-def show(given: Sequence[str], kind: TaskKind, tasks: bool = False) -> int:
+def show(given: Sequence[str], kind: TaskKind, tasks: bool = False, places: bool = False) -> int:
     """Print what a sweep of a kind of task would run. given: the words of the command. tasks: list each of them.
+
+    places: count those of each scene.
 
     Raises:
         InputError: the sweep itself would be refused.
@@ -63,8 +69,11 @@ def show(given: Sequence[str], kind: TaskKind, tasks: bool = False) -> int:
     from shift3d.sweep.planning.folder import check_folder, default_folder
     from shift3d.sweep.planning.plan import make_plan
     from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
+    from shift3d.sweep.planning.spec_file import read_spec
 
     timings, rest = words.take_folders("timings", given)
+    for other in timings:
+        read_spec(other)  # as read_words does with reuse=
     asked = words.read_words(rest)
     if asked.out:
         asked.out.check_writable()
@@ -81,9 +90,24 @@ def show(given: Sequence[str], kind: TaskKind, tasks: bool = False) -> int:
     print(_where(plan, folder))
     for line in plan_lines(plan) if tasks else ():
         print(line)
+    if places:
+        show_places(plan, config)
     if not tasks:
         print("every task with its id: --tasks")
     return 0
+
+
+def show_places(plan: Plan, config: Config, most: int = 20) -> None:
+    """Print how many places each scene has for a car, and what refuses the others, by the first task's settings."""
+    from shift3d.settings.scene_sets import scene_set
+    from shift3d.task.places import place_lines
+
+    scenes, where = scene_set(config.scenes), plan.tasks[0].spec.placement
+    known = set(scenes.names())  # an axis may be of several sets
+    names = [name for _, name in plan.tasks.scenes() if name in known]
+    print(f"places for a car, {counted(where.attempts, 'draw')} a scene:")
+    for line in place_lines(scenes, names, where, most):
+        print(line, flush=True)
 
 
 def _where(plan: Plan, folder: Location | None) -> str:

@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND", "scenes_words"]
 
 _ACTIONS = ("list", "show")
+_WORDS = ("scene=", "scenes=", "scenes.", "attack.placement.")
 _SWEEP = "smoke"  # only its settings of scenes count; any would do
 
 _DESCRIPTION = """\
 list prints the names of the scenes that settings describe; show prints what was found in one of them (scene=NAME,
-else the first) and draws it from above and at an angle, with its labels, into out=FILE.png.
+else the first), counts the places where a car could stand and why it could not elsewhere, and draws the scene from
+above and at an angle, with its labels and those places, into out=FILE.png.
 
 The words are those of a sweep, so that what works here works there: scenes=waymo|argoverse2|nuscenes|openpcdet|
-kitti|street, scenes.root=PATH, and the other settings of the data set (docs/guides/scenes.md)."""
+kitti|street, scenes.root=PATH, the other settings of the data set, and attack.placement.* (docs/guides/scenes.md)."""
 
 _EPILOG = """\
 examples:
@@ -39,8 +41,7 @@ def scenes_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_
     if not list(getattr(parsed_args, "words", None) or []) and "=" not in prefix:
         return [word for word in _ACTIONS if word.startswith(prefix)]
     known = overrides(prefix)
-    wanted = ("scene=", "scenes=", "scenes.", "out=")
-    return [word for word in known if word.startswith(wanted)]
+    return [word for word in known if word.startswith((*_WORDS, "out="))]
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,12 +71,13 @@ def _config(words: Sequence[str]) -> Config:
     """The settings of a sweep with these words; several values of one make no sense here."""
     from shift3d.settings.compose import compose_sweep, validate
 
-    foreign = [word for word in words if not word.startswith(("scene=", "scenes=", "scenes."))]
+    foreign = [word for word in words if not word.startswith(_WORDS)]
     if foreign:
-        raise InputError(f"cannot read {foreign[0]!r}", "scenes", "One of: scenes=, scenes.SETTING=, scene=, out=")
+        one_of = "One of: scenes=, scenes.SETTING=, scene=, out=, attack.placement.SETTING="
+        raise InputError(f"cannot read {foreign[0]!r}", "scenes", one_of)
     composed = compose_sweep(_SWEEP, list(words))
     for axis in composed.axes:
-        if axis.key.partition(".")[0] in ("scene", "scenes"):
+        if axis.key.startswith("scene") or axis.key.startswith("attack.placement"):
             raise InputError(f"{axis.key} has several values", "scenes", "Give it one; lists stand in brackets: [a,b]")
     if not any(word.startswith("scenes.count=") for word in words) and composed.base["scenes"]["kind"] != "street":
         composed.base["scenes"]["count"] = None  # the sweep's own is meant for its scenes
@@ -99,20 +101,26 @@ def _show(config: Config, out: str | None) -> int:
     from shift3d.scenes.description import scene_lines
     from shift3d.settings.scene_sets import scene_set
     from shift3d.store.atomic import check_writable
+    from shift3d.task.places import survey_scene
+    from shift3d.task.spec import PlacementSpec
 
     path = None if out is None else Path(out).expanduser()
     if path is not None:
         if path.suffix != ".png":
             raise InputError(f"out={out} is no name of a PNG", "scenes", "Give out=FILE.png")
-        check_writable(path.parent)
+        check_writable(path.parent, "out=FILE.png")
     scenes = scene_set(config.scenes)
     scene = scenes.load(config.scene or scenes.names()[0])
     print("\n".join(scene_lines(scene)))
+    centre, half_width = scenes.placement_sector_rad
+    settings = config.attack.placement.model_dump()
+    places = survey_scene(scene, PlacementSpec(**settings, sector_centre_rad=centre, sector_half_width_rad=half_width))
+    print(f"{'places for a car:':<22}{places.line()}")
     if path is not None:
         from shift3d.scenes.picture import save_picture
 
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_picture(scene, path)
+        save_picture(scene, path, free_m=places.xy_m[places.free])
         print(f"{path} written")
     return 0
 

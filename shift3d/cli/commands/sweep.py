@@ -8,8 +8,8 @@ import sys
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
-from shift3d.cli.commands.plan import add_tasks, show
-from shift3d.cli.completion import sweep_words
+from shift3d.cli.commands.plan import add_tasks, show, show_places
+from shift3d.cli.completion import folder_words, sweep_words
 from shift3d.cli.words import Request, add_words, read_words
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
@@ -60,17 +60,13 @@ examples:
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add_words(parser, sweep_words)
     parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing, as: sweep plan")
-    add_tasks(parser, "with plan or --dry-run: list every task, with its id")
+    add_tasks(parser, "with plan or --dry-run: ")
     parser.add_argument(
         "--retry-quarantined", action="store_true", help="run the tasks again that earlier runs gave up on"
     )
-    parser.add_argument(
-        "--reuse",
-        metavar="OUT",
-        action="append",
-        default=[],
-        help="take over what another sweep's folder has done of the same tasks; also reuse=OUT",
-    )
+    help_text = "take over what another sweep's folder has done of the same tasks; also reuse=OUT"
+    reuse = parser.add_argument("--reuse", metavar="OUT", action="append", default=[], help=help_text)
+    reuse.completer = folder_words  # type: ignore[attr-defined]
     parser.add_argument(
         "--task", metavar="ID", help="run this one task here, show its rows or its traceback, write nothing"
     )
@@ -99,9 +95,9 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         return _status(arguments.words[1:])
     words = [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)]
     if words[:1] == ["plan"] or arguments.dry_run:
-        return show(words[1:] if words[:1] == ["plan"] else words, kind, arguments.tasks)
-    if arguments.tasks:
-        raise InputError("--tasks lists the tasks of a plan", remedy="shift3d sweep plan NAME --tasks")
+        return show(words[1:] if words[:1] == ["plan"] else words, kind, arguments.tasks, arguments.places)
+    if arguments.tasks or arguments.places:
+        raise InputError("--tasks and --places are of a plan", remedy="shift3d sweep plan NAME --tasks")
     asked = read_words(words)
     if asked.job and asked.job.address and not arguments.task:
         return _submit(asked, asked.job.address, arguments.retry_quarantined)
@@ -171,6 +167,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     if unplaced:
         covered = "\n".join(coverage_lines(sweep.scores, sweep.attempts, result.planned))
         print(f"\n{unplaced}\n\n{covered}\n", flush=True)
+        show_places(plan, config, most=5)
     else:
         if caveat := trial_caveat(plan.tasks):
             print(f"\n{caveat}")

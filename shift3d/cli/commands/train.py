@@ -16,6 +16,8 @@ from shift3d.errors import InputError
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from shift3d.analysis.mlflow.training import TrainingCurves
     from shift3d.training.command import TrainOptions
 
@@ -47,6 +49,9 @@ examples:
                                                    batch statistics and heads alone (600 steps)
   shift3d train model=pointpillars start_from=shipped recipe.pasted=0 recipe.scale=0.9,1.1 out=DIR
                                                    any field of the recipe; an unknown one lists them
+  shift3d train model=pointpillars finetune=OUT out=DIR
+                                                   fine-tune on the objects that a sweep found: one epoch at a small
+                                                   rate, see shift3d finetune
   shift3d train model=sdf vehicles=PATH length_m=4.5 out=DIR
                                                    a decoder of your own meshes and their codes, into DIR
   shift3d train model=sdf vehicles=wide out=DIR
@@ -62,8 +67,10 @@ mixed precision: bfloat16 on CUDA and on processors that multiply it; elsewhere 
 
 _FIELD = "recipe."
 _SCENE_KEYS = ("scenes", "root", "count", "inserted", "start_from")
-_KEYS = ("model", "out", "threads", "device", "mlflow", "steps", *_SCENE_KEYS, "vehicles", *FRAME_KEYS)
+_TUNE_KEYS = ("finetune", "method")
+_KEYS = ("model", "out", "threads", "device", "mlflow", "steps", *_SCENE_KEYS, *_TUNE_KEYS, "vehicles", *FRAME_KEYS)
 _VALUES = {
+    "method": ("adversarial", "baseline"),
     "model": ("sdf", *DETECTOR_NAMES),
     "device": ("auto", "cpu", "cuda"),
     "scenes": ("street", "kitti"),
@@ -79,7 +86,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
         "[mlflow=URI|none]; "
         "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped] "
-        "[recipe.FIELD=VALUE]; "
+        "[recipe.FIELD=VALUE] [finetune=OUT [method=adversarial|baseline]]; "
         f"sdf: vehicles=PATH|wide [count=N] [{'=] ['.join(FRAME_KEYS)}=]"
     )
     words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
@@ -91,18 +98,37 @@ def _run(arguments: argparse.Namespace) -> int:
     values = key_values([word for word in arguments.words if word not in fields], _KEYS, ("model",), "train")
     if "vehicles" in values:
         return _train_on_meshes(values)
+    if "method" in values and "finetune" not in values:
+        raise InputError("method= says which objects of finetune=", where="train", remedy="Give finetune=OUT too")
     for key in FRAME_KEYS:
         if key in values:
             raise InputError(f"{key}= says something about vehicles=", where="train", remedy="Give vehicles=PATH too")
-    from shift3d.training.command import train
-
     model, options = values["model"], _options(values, _recipe_words(fields))
     curves = _curves(values, model, options)
+    report = None if curves is None else _warning(curves)
     began = time.monotonic()
-    weights = train(model, options, None if curves is None else _warning(curves))
+    if "finetune" in values:
+        weights = _fine_tune(values, options, report)
+    else:
+        from shift3d.training.command import train
+
+        weights = train(model, options, report)
     _finish(curves)
     print(f"{model}: done after {(time.monotonic() - began) / 60:.1f} min, weights and their JSON: {weights}")
     return 0
+
+
+def _fine_tune(values: dict[str, str], options: TrainOptions, report: Any) -> Path:
+    """Train on a sweep's objects: everything goes to out=."""
+    for key in ("scenes", "root", "count", "inserted"):
+        if key in values:
+            what = f"{key}= means nothing with finetune=, whose sweep has the scenes"
+            raise InputError(what, where="train", remedy=f"Leave out {key}=")
+    if values["model"] not in DETECTOR_NAMES:
+        raise InputError(f"finetune= is for detectors, not model={values['model']}", "train", "Give model=pointpillars")
+    from shift3d.finetuning.tune import fine_tune
+
+    return fine_tune(values["model"], values["finetune"], options, values.get("method", "adversarial"), report)
 
 
 def _number(values: dict[str, str], key: str) -> int | None:
@@ -120,7 +146,8 @@ def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> Tr
     from shift3d.training.command import TrainOptions
 
     scenes = values.get("scenes", "street")
-    folder = f"outputs/train-{values['model']}" + ("" if scenes == "street" else f"-{scenes}")
+    tail = "-finetuned" if "finetune" in values else "" if scenes == "street" else f"-{scenes}"
+    folder = f"outputs/train-{values['model']}{tail}"
     return TrainOptions(
         out=writable_folder(values.get("out", folder)),
         threads=_number(values, "threads"),
@@ -152,7 +179,9 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
     words = {key: value for key, value in values.items() if key not in ("mlflow", "threads", "out")}
     words |= {f"{_FIELD}{name}": value for name, value in options.recipe.items()}
     params: dict[str, Any] = {"command": words, "out": str(options.out)}
-    if model in MODELS and model != "sdf":
+    if "finetune" in values:
+        pass  # its recipe depends on how many objects there are, and stands beside the weights
+    elif model in MODELS and model != "sdf":
         params["recipe"] = asdict(detector_recipe(model, options))
     elif "vehicles" not in values and model == "sdf":
         from shift3d.training.sdf.train import SdfRecipe

@@ -8,13 +8,16 @@ of floating-point sums.
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+import copy
+from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Detector, Proposals
 
-__all__ = ["IncrementalInference", "WholeWindow", "incremental_inference"]
+__all__ = ["IncrementalInference", "WholeWindow", "copied_but_for", "incremental_inference"]
+
+T = TypeVar("T")
 
 
 class IncrementalInference(Protocol):
@@ -29,6 +32,10 @@ class IncrementalInference(Protocol):
         saved; any points are right. requires_grad: (N,) bool, the points whose gradient is asked for; that of
         others may be missing. None: all of them.
         """
+        ...
+
+    def fork(self) -> Self:
+        """A second one that goes on from the frame of this one; neither changes the other."""
         ...
 
 
@@ -53,3 +60,12 @@ class WholeWindow:
     ) -> Proposals:
         """See `IncrementalInference`."""
         return self._detector.proposals(points, window or self._window)
+
+    def fork(self) -> WholeWindow:
+        """Itself: it keeps nothing."""
+        return self
+
+
+def copied_but_for(frames: T, *shared: Any) -> T:
+    """A deep copy that shares some parts, such as networks."""
+    return copy.deepcopy(frames, {id(part): part for part in shared})

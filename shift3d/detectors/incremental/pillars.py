@@ -19,6 +19,7 @@ from torch import Tensor
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.incremental.activation_cache import ActivationCache
 from shift3d.detectors.incremental.active_sites import ActiveSites, SiteIndices, empty_set
+from shift3d.detectors.incremental.inference import copied_but_for
 from shift3d.detectors.incremental.point_sites import PointSites, contains
 from shift3d.detectors.incremental.sparse_backbone import SparseBackbone
 from shift3d.detectors.incremental.sparse_backward import SparseBackward
@@ -47,7 +48,7 @@ class IncrementalPillars:
         self._shape = self._points.shape
         self._cache = ActivationCache(cells, self._shape)
         self._core: _Rectangle | None = None
-        self._outputs, self._needed = empty_set(self._shape), list[ActiveSites]()
+        self._outputs, self._needed = empty_set(cells.output_shape(self._shape)), list[ActiveSites]()
 
     @staticmethod
     def is_aligned(net: PillarBackboneNet, window: BevWindow) -> bool:
@@ -83,14 +84,19 @@ class IncrementalPillars:
             logits = _Link.apply(features, logits, sparse, cells, core)  # type: ignore[no-untyped-call]
         return self._boxed(logits, rows, window)
 
+    def fork(self) -> IncrementalPillars:
+        """See `IncrementalInference`."""
+        return copied_but_for(self, self._net, self._cells, self._plain, self._boxed)
+
     def _look_at(self, window: BevWindow) -> _Rectangle:
-        """The window's core (y0, x0, height, width) in the cached window; it is what the next steps compute."""
+        """The window's core (y0, x0, height, width) in the cached one, in output cells: what the next steps compute."""
         cached = self._window
-        core = (window.core_y0 - cached.y0, window.core_x0 - cached.x0, window.core_num_y, window.core_num_x)
+        step = self._cells.out_stride
+        y0, x0 = (window.core_y0 - cached.y0) // step, (window.core_x0 - cached.x0) // step
+        core = (y0, x0, window.core_num_y // step, window.core_num_x // step)
         if core != self._core:
-            y0, x0, height, width = core
-            outputs = empty_set(self._shape)
-            outputs[1 + y0 : 1 + y0 + height, 1 + x0 : 1 + x0 + width] = True
+            outputs = empty_set(self._cells.output_shape(self._shape))
+            outputs[1 + y0 : 1 + y0 + core[2], 1 + x0 : 1 + x0 + core[3]] = True
             self._core, self._outputs, self._needed = core, outputs, self._cells.needed(outputs)
         return core
 
@@ -125,7 +131,7 @@ class _Link(torch.autograd.Function):
         """The gradient at the features; None for the rest."""
         sparse: SparseBackward = ctx.sparse
         y0, x0, height, width = ctx.core
-        shape = sparse.shapes[0]
+        shape = sparse.net.output_shape(sparse.shapes[0])
         everywhere = gradient.new_zeros(shape.height + 2, shape.width + 2, sparse.net.per_cell)
         everywhere[1 + y0 : 1 + y0 + height, 1 + x0 : 1 + x0 + width] = gradient.view(height, width, -1)
         at_cells = sparse.gradient(everywhere.view(-1, sparse.net.per_cell))

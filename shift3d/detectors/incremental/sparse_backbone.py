@@ -58,8 +58,10 @@ class SparseBackbone:
         head_rows = torch.cat([kind.weight.flatten(1) for kind in kinds]).detach().to(exact)
         self.head_bias = torch.cat([kind.bias for kind in kinds if kind.bias is not None]).detach().to(exact)
         self.per_cell = heads.per_cell
+        self.out_stride = backbone.spec.out_stride
         first = 0
-        for block, up, factor in zip(backbone.blocks, backbone.ups, backbone.spec.total_strides, strict=True):
+        for block, up, stride in zip(backbone.blocks, backbone.ups, backbone.spec.total_strides, strict=True):
+            factor = stride // self.out_stride
             chain += [_convolution(layer) for layer in block.modules() if isinstance(layer, nn.Conv2d)]
             (layer,) = (part for part in up.modules() if isinstance(part, nn.ConvTranspose2d))
             assert layer.bias is not None
@@ -78,9 +80,14 @@ class SparseBackbone:
             result.append(result[-1].strided(layer.stride))
         return result
 
+    def output_shape(self, window: MapShape) -> MapShape:
+        """Of the map that the heads read. window: of the input, a multiple of the stride."""
+        return MapShape(window.height // self.out_stride, window.width // self.out_stride)
+
     def needed(self, outputs: ActiveSites) -> list[ActiveSites]:
         """The cells of the input and of every layer that the features of these output cells depend on."""
-        shapes = self.shapes(MapShape(outputs.shape[0] - 2, outputs.shape[1] - 2))
+        height, width = (self.out_stride * (cells - 2) for cells in outputs.shape)
+        shapes = self.shapes(MapShape(height, width))
         result = [empty_set(shape) for shape in shapes]
         for branch in self.branches:
             result[branch.last_layer + 1] |= pooled(outputs, branch.factor)

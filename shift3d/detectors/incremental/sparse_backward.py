@@ -37,7 +37,7 @@ class SparseBackward:
         Runs through cells between such a cell and a logit with a gradient that is not zero, and through no other.
         """
         chain = self.net.chain
-        outputs = empty_set(self.shapes[0])
+        outputs = empty_set(self.net.output_shape(self.shapes[0]))
         outputs.reshape(-1)[np.flatnonzero(logits.numpy()) // self.net.per_cell] = True
         wanted = self.net.needed(outputs)
         above, gradient = self.cells[-1][:0], chain[-1].weight.new_zeros(0, len(chain[-1].weight))
@@ -73,7 +73,7 @@ class SparseBackward:
         """Add to total (n, C), at these cells of a block's last layer, what comes back through its upsampling."""
         branch, all_cells = self.net.branches[number], self.up_cells[number]
         kept = np.flatnonzero(pooled(outputs, branch.factor).reshape(-1)[all_cells])
-        fine = fine_cells(all_cells[kept], branch.factor, self.shapes[0])
+        fine = fine_cells(all_cells[kept], branch.factor, self.net.output_shape(self.shapes[0]))
         classes = branch.heads[:, : self.net.per_cell].t()
         features = logits.index_select(0, torch.from_numpy(fine.reshape(-1))) @ classes
         active = self.up_active[number].index_select(0, torch.from_numpy(kept))

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.incremental.active_sites import ActiveSites, SiteIndices, empty_set, whole_set
+from shift3d.detectors.incremental.inference import copied_but_for
 from shift3d.detectors.incremental.point_sites import PointSites, contains
 from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.models.token_windows import Tokens
@@ -106,6 +107,10 @@ class IncrementalTokens:
         cells = np.flatnonzero(needed[-1] & held)
         features = self._read(-1, cells, flow)
         return self._answer(self._net.core_features(features, self._tokens(cells), [window]), window)
+
+    def fork(self) -> IncrementalTokens:
+        """See `IncrementalInference`."""
+        return copied_but_for(self, self._net, self._plain, self._answer)
 
     def _needed(self, window: BevWindow) -> list[ActiveSites]:
         """The cells of the encoder and of every layer that the window's core depends on."""

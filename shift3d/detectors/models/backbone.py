@@ -12,13 +12,14 @@ __all__ = ["WAYMO_BACKBONE", "Backbone", "BackboneSpec"]
 
 @dataclass(frozen=True)
 class BackboneSpec:
-    """Blocks of 3x3 convolutions: one strided, then `layers`; each block upsampled back to the input grid."""
+    """Blocks of 3x3 convolutions: one strided, then `layers`; each brought to one map, coarser by `out_stride`."""
 
     in_channels: int = 64
     strides: tuple[int, ...] = (1, 2, 2)
     layers: tuple[int, ...] = (3, 5, 5)
     channels: tuple[int, ...] = (64, 128, 256)
     up_channels: int = 128
+    out_stride: int = 1
 
     @property
     def total_strides(self) -> tuple[int, ...]:
@@ -65,13 +66,18 @@ def _block(in_channels: int, channels: int, stride: int, layers: int) -> nn.Sequ
     return nn.Sequential(*modules)
 
 
-def _upsampling(in_channels: int, channels: int, stride: int) -> nn.Sequential:
-    layer = nn.ConvTranspose2d(in_channels, channels, stride, stride, bias=False)
+def _upsampling(in_channels: int, channels: int, stride: int, out_stride: int) -> nn.Sequential:
+    if stride >= out_stride:
+        factor = stride // out_stride
+        layer: nn.Module = nn.ConvTranspose2d(in_channels, channels, factor, factor, bias=False)
+    else:
+        factor = out_stride // stride
+        layer = nn.Conv2d(in_channels, channels, factor, factor, bias=False)
     return nn.Sequential(layer, _norm(channels), nn.ReLU(inplace=True))
 
 
 class Backbone(nn.Module):
-    """Dense pillar map (B, 64, H, W) -> features (B, 384, h, w) of the core, one per input cell."""
+    """Dense pillar map (B, 64, H, W) -> features (B, 384, h, w) of the core, one per `out_stride` input cells."""
 
     def __init__(self, spec: BackboneSpec = WAYMO_BACKBONE) -> None:
         super().__init__()
@@ -81,7 +87,7 @@ class Backbone(nn.Module):
             _block(*sizes) for sizes in zip(sources, spec.channels, spec.strides, spec.layers, strict=True)
         )
         self.ups = nn.ModuleList(
-            _upsampling(channels, spec.up_channels, stride)
+            _upsampling(channels, spec.up_channels, stride, spec.out_stride)
             for channels, stride in zip(spec.channels, spec.total_strides, strict=True)
         )
 

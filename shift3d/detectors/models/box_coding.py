@@ -33,18 +33,20 @@ def direction_bins(heading_rad: Tensor) -> Tensor:
     return (turned >= pi).to(torch.int64)
 
 
-def decode_boxes(codes: Tensor, anchors: Tensor, direction_logits: Tensor) -> Tensor:
+def decode_boxes(
+    codes: Tensor, anchors: Tensor, direction_logits: Tensor, offset_rad: float = DIRECTION_OFFSET_RAD
+) -> Tensor:
     """Codes (A, 7), anchors (A, 7), direction logits (A, 2) -> boxes (A, 7), heading in [-pi, pi).
 
-    The sine loss leaves the heading open by half turns: the direction bin settles it. Size codes are
-    clipped at +-5, so that no code can give an infinite box.
+    The sine loss leaves the heading open by half turns: the direction bin settles it, bin 0 from offset_rad on. Size
+    codes are clipped at +-5, so that no code can give an infinite box.
     """
     diagonal = torch.hypot(anchors[:, 3], anchors[:, 4])
     centre_xy = codes[:, :2] * diagonal.unsqueeze(1) + anchors[:, :2]
     centre_z = codes[:, 2:3] * anchors[:, 5:6] + anchors[:, 2:3]
     sizes = torch.exp(codes[:, 3:6].clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)) * anchors[:, 3:6]
-    half_turn = torch.remainder(codes[:, 6] + anchors[:, 6] - DIRECTION_OFFSET_RAD, pi)
+    half_turn = torch.remainder(codes[:, 6] + anchors[:, 6] - offset_rad, pi)
     bins = direction_logits.argmax(dim=1).to(codes.dtype)
-    heading = half_turn + DIRECTION_OFFSET_RAD + pi * bins
+    heading = half_turn + offset_rad + pi * bins
     heading = torch.remainder(heading + pi, 2 * pi) - pi
     return torch.cat((centre_xy, centre_z, sizes, heading.unsqueeze(1)), dim=1)

@@ -39,12 +39,14 @@ def _folded_convolution(layer: nn.Module, norm: nn.Module) -> nn.Module:
     shape = (1, -1, 1, 1) if isinstance(folded, nn.ConvTranspose2d) else (-1, 1, 1, 1)
     dtype = folded.weight.dtype
     folded.weight = nn.Parameter((folded.weight.double() * scale.view(shape)).to(dtype))
+    if layer.bias is not None:
+        shift = shift + layer.bias.double() * scale  # type: ignore[operator]
     folded.bias = nn.Parameter(shift.to(dtype))
     return folded
 
 
 def folded_sequence(sequence: nn.Sequential) -> nn.Sequential:
-    """Convolutions without bias and the norms after them, in evaluation mode, as one. Folded in float64."""
+    """Convolutions and the norms after them, in evaluation mode, as one. Folded in float64."""
     modules: list[nn.Module] = []
     for module in sequence:
         if isinstance(module, nn.BatchNorm2d):

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid
 
-__all__ = ["BoxHeads", "proposal_indices"]
+__all__ = ["BoxHeads", "map_rows", "proposal_indices"]
 
 
 class BoxHeads(nn.Module, ABC):
@@ -46,7 +46,7 @@ class BoxHeads(nn.Module, ABC):
 
     def logits(self, features: Tensor) -> Tensor:
         """(B, A) class logits alone, for a backward pass that needs nothing else."""
-        return _rows(self.classes(features)).flatten(1)
+        return map_rows(self.classes(features)).flatten(1)
 
     def box_rows_at(self, features: Tensor, cells: Tensor) -> Tensor:
         """(P, R): what `box_layers` give at cells (P,) of one map's features (C, h, w), in the weights' precision.
@@ -60,11 +60,11 @@ class BoxHeads(nn.Module, ABC):
 
     def box_rows(self, features: Tensor) -> Tensor:
         """(B, cells, R): what `box_layers` give."""
-        return torch.cat([_rows(layer(features)) for layer in self.box_layers], dim=2)
+        return torch.cat([map_rows(layer(features)) for layer in self.box_layers], dim=2)
 
 
-def _rows(output: Tensor) -> Tensor:
-    """(B, C, h, w) -> (B, h w, C)."""
+def map_rows(output: Tensor) -> Tensor:
+    """What a convolution gave as rows: (B, C, h, w) -> (B, h w, C)."""
     return output.permute(0, 2, 3, 1).flatten(1, 2)
 
 

@@ -39,6 +39,15 @@ class DetectorNet(nn.Module, ABC):
     def outer_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
         """The stretch of the axis that a core's result depends on."""
 
+    @property
+    def head_grid(self) -> Grid:
+        """The grid of the cells that have proposals."""
+        return self.grid
+
+    def head_window(self, window: BevWindow) -> BevWindow:
+        """A window in cells of `head_grid`."""
+        return window
+
     @abstractmethod
     def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
         """(B, C, h, w) of the windows' cores; windows of equal shape. clouds: (N_b, 3), network frame, metres.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Self
+from dataclasses import replace
+from typing import Protocol, Self
 
 import torch
 from torch import Tensor, nn
@@ -12,16 +13,28 @@ from torch import Tensor, nn
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars, assign_pillars
 from shift3d.detectors.models.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
-from shift3d.detectors.models.folding import folded_linear, folded_sequence
+from shift3d.detectors.models.folding import folded_sequence
 from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
 from shift3d.detectors.models.pillar_net import PillarNet, decorate
 
-__all__ = ["PillarBackboneNet"]
+__all__ = ["PillarBackboneNet", "PillarEncoder", "core_in_window", "to_dense"]
 
 # Memory layout of the backbone at inference, contiguous elsewhere. The gradient of a core comes back in contiguous
 # slices; in float32 with channels last that made the backward pass slower by 1.4 to 1.5 (415 to 460 ms against 296 to
 # 305 on one core, the weights frozen), the forward pass the same within noise. The bfloat16 kernels want it.
 _LAYOUT = {torch.bfloat16: torch.channels_last}
+
+
+class PillarEncoder(Protocol):
+    """Points of pillars, as `PillarBackboneNet.decorated` gives them -> one feature a pillar."""
+
+    def __call__(self, decorated: Tensor, pillars: Pillars) -> Tensor:
+        """(K, inputs) -> (P, channels). Differentiable w.r.t. decorated."""
+        ...
+
+    def folded(self) -> Self:
+        """The same function in evaluation mode, norms folded."""
+        ...
 
 
 class PillarBackboneNet(DetectorNet):
@@ -31,12 +44,33 @@ class PillarBackboneNet(DetectorNet):
     voxelisation instead of at most 20 points a pillar (our choice: see shift3d.detectors.grid).
     """
 
+    pillar_net: PillarEncoder
+
     def __init__(self, spec: BackboneSpec = WAYMO_BACKBONE, grid: Grid = WAYMO_GRID) -> None:
         super().__init__()
         self.spec = spec
         self.grid = grid
         self.pillar_net = PillarNet(spec.in_channels)
         self.backbone = Backbone(spec)
+
+    @property
+    def is_cellwise(self) -> bool:
+        """Whether proposals come of single cells of blocks that are upsampled: what incremental inference needs."""
+        return self.spec.out_stride <= min(self.spec.total_strides)
+
+    @property
+    def head_grid(self) -> Grid:
+        """See `DetectorNet`: coarser by the backbone's output stride."""
+        grid, step = self.grid, self.spec.out_stride
+        return replace(grid, cell_m=grid.cell_m * step, num_x=grid.num_x // step, num_y=grid.num_y // step)
+
+    def head_window(self, window: BevWindow) -> BevWindow:
+        """See `DetectorNet`."""
+        return BevWindow(*(cells // self.spec.out_stride for cells in vars(window).values()))
+
+    def decorated(self, points: Tensor, pillars: Pillars) -> Tensor:
+        """What the pillar network is given of points (N, 3), network frame, metres: (K, inputs), sorted by pillar."""
+        return decorate(points, pillars, self.grid)
 
     def canvas(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
         """Pillar features on the dense grid: (B, C, H, W), channels last in memory, zero where no point is.
@@ -48,14 +82,14 @@ class PillarBackboneNet(DetectorNet):
         owner = []
         for index, (points, window) in enumerate(zip(clouds, windows, strict=True)):
             pillars = assign_pillars(points, self.grid, window)
-            decorated.append(decorate(points, pillars, self.grid))
+            decorated.append(self.decorated(points, pillars))
             rows = pillars.cell_y - window.y0 + index * height
             flat_cells.append(rows * width + pillars.cell_x - window.x0)
             counts.append(pillars.counts)
             owner.append(pillars.pillar + pillars_before)
             points_before += pillars.order.numel()
             pillars_before += pillars.counts.numel()
-        channels = self.pillar_net.linear.out_features
+        channels = self.spec.in_channels
         dense = decorated[0].new_zeros(len(clouds) * height * width, channels)
         if points_before:
             empty = torch.empty(0, dtype=torch.int64)
@@ -72,8 +106,8 @@ class PillarBackboneNet(DetectorNet):
         """
         pillars = assign_pillars(points, self.grid, window)
         if pillars.counts.numel() == 0:
-            return pillars, points.new_zeros(0, self.pillar_net.linear.out_features)
-        features: Tensor = self.pillar_net(decorate(points, pillars, self.grid), pillars)
+            return pillars, points.new_zeros(0, self.spec.in_channels)
+        features: Tensor = self.pillar_net(self.decorated(points, pillars), pillars)
         return pillars, features
 
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
@@ -89,12 +123,18 @@ class PillarBackboneNet(DetectorNet):
 
     def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
         """(B, 384, h, w) of the windows' cores; windows of equal shape. Differentiable w.r.t. points and weights."""
+        return self.core_features(clouds, windows, core_in_window(windows[0]))
+
+    def core_features(
+        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], core: tuple[int, int, int, int]
+    ) -> Tensor:
+        """As `features`, of another core (y0, x0, height, width) in the windows' own cells, aligned to the stride."""
         canvas = self.canvas(clouds, windows)
         weight: Tensor = self.backbone.blocks[0][0].weight  # type: ignore[index]
         canvas = canvas.to(weight.dtype)
         if not weight.is_contiguous(memory_format=torch.channels_last):
             canvas = canvas.contiguous()  # else every convolution would take the canvas's layout, not its weights'
-        result: Tensor = self.backbone(canvas, core_in_window(windows[0]))
+        result: Tensor = self.backbone(canvas, core)
         return result
 
     def inference(self, precision: Precision) -> Self:
@@ -104,18 +144,14 @@ class PillarBackboneNet(DetectorNet):
         """
         exact, dense = arithmetic(precision)
         folded = copy.deepcopy(self)
-        pillar_net = folded.pillar_net
-        gains: Tensor = pillar_net.feature_scale  # type: ignore[assignment]
-        pillar_net.linear = folded_linear(pillar_net.linear, pillar_net.norm, gains)
-        pillar_net.norm = nn.Identity()
-        pillar_net.feature_scale = torch.ones_like(gains)
+        folded.pillar_net = folded.pillar_net.folded()
         for group in (folded.backbone.blocks, folded.backbone.ups):
             for index, sequence in enumerate(group):
                 assert isinstance(sequence, nn.Sequential)
                 group[index] = folded_sequence(sequence)
         folded = folded.eval().requires_grad_(False).to(exact)
         for part in (folded.backbone, *folded.heads.layers):
-            part.to(dense).to(memory_format=_LAYOUT.get(dense, torch.contiguous_format))  # type: ignore[call-overload]
+            to_dense(part, dense)
         return folded
 
 
@@ -127,3 +163,8 @@ def core_in_window(window: BevWindow) -> tuple[int, int, int, int]:
         window.core_num_y,
         window.core_num_x,
     )
+
+
+def to_dense(part: nn.Module, dense: torch.dtype) -> None:
+    """A part of the network in the dtype of the large products, in the memory layout that is fast there."""
+    part.to(dense).to(memory_format=_LAYOUT.get(dense, torch.contiguous_format))  # type: ignore[call-overload]

@@ -5,10 +5,13 @@ Source: PointPillars (Lang et al. 2019), section 2.1, without reflectance, as SH
 
 from __future__ import annotations
 
+from typing import Self
+
 import torch
 from torch import Tensor, nn
 
 from shift3d.detectors.grid import Grid, Pillars
+from shift3d.detectors.models.folding import folded_linear
 
 __all__ = ["DECORATED_CHANNELS", "FEATURE_SCALE", "PillarNet", "decorate", "segment_mean"]
 
@@ -43,6 +46,8 @@ def decorate(points: Tensor, pillars: Pillars, grid: Grid) -> Tensor:
 class PillarNet(nn.Module):
     """Linear, batch norm, maximum over the pillar, ReLU (which commutes with the maximum)."""
 
+    feature_scale: Tensor
+
     def __init__(self, channels: int = 64) -> None:
         super().__init__()
         self.linear = nn.Linear(DECORATED_CHANNELS, channels, bias=False)
@@ -54,7 +59,13 @@ class PillarNet(nn.Module):
 
         Of points that tie for a maximum, each gets an equal share of the gradient.
         """
-        scale: Tensor = self.feature_scale  # type: ignore[assignment]
-        per_point = self.norm(self.linear(decorated * scale))
+        per_point = self.norm(self.linear(decorated * self.feature_scale))
         highest = torch.segment_reduce(per_point, "max", lengths=pillars.counts, axis=0, unsafe=True)
         return torch.relu(highest)
+
+    def folded(self) -> Self:
+        """The same function in evaluation mode, norm and input gains folded into the layer, in place."""
+        self.linear = folded_linear(self.linear, self.norm, self.feature_scale)
+        self.norm = nn.Identity()
+        self.feature_scale = torch.ones_like(self.feature_scale)
+        return self

@@ -18,7 +18,7 @@ from shift3d.detectors.models.pointpillars import PointPillarsNet
 from shift3d.detectors.models.sst import SST_SMALL_SPEC, SstNet
 from shift3d.errors import InputError
 
-__all__ = ["ANCHOR_SIZE", "NETWORKS", "WEIGHTS_FOLDER", "load_network", "load_weights"]
+__all__ = ["ANCHOR_SIZE", "NETWORKS", "WEIGHTS_FOLDER", "load_network", "load_weights", "wrong_values"]
 
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[2] / "weights"
 NETWORKS: dict[str, Callable[[], DetectorNet]] = {
@@ -67,13 +67,13 @@ def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
                 where=str(path),
                 remedy="use weights trained for this version",
             )
-        if wrong := _wrong_values(name, state[name], expected[name]):
+        if wrong := wrong_values(name, state[name], expected[name]):
             raise InputError(f"tensor {name} {wrong}", where=str(path), remedy="copy it again, or train again")
     net.load_state_dict(state)
     return net.eval()
 
 
-def _wrong_values(name: str, found: Tensor, expected: Tensor) -> str:
+def wrong_values(name: str, found: Tensor, expected: Tensor) -> str:
     """Why a tensor of the right shape cannot be a trained network's, or nothing. NaN fails every comparison."""
     if found.is_floating_point() != expected.is_floating_point() or found.is_complex():
         return f"is {str(found.dtype).removeprefix('torch.')}, not {str(expected.dtype).removeprefix('torch.')}"

@@ -8,7 +8,7 @@ in small steps, and most hits are found within half a millimetre of that (see `c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import torch
@@ -52,37 +52,25 @@ class Linearization:
 
     def select(self, rows: Tensor) -> Linearization:
         """Some of them, by row or by mask."""
-        return Linearization(
-            self.index[rows],
-            self.range_m[rows],
-            self.x_object[rows],
-            self.g[rows],
-            self.gradient[rows],
-            {layer: part[rows] for layer, part in self.at_bias.items()},
-            self.biases,
-            self._graph_of(lambda graph: graph[rows]),
-        )
+        return self._of((part[rows] for part in self._parts()), self._graph_of(lambda graph: graph[rows]))
 
     def joined(self, other: Linearization) -> Linearization:
         """These and others of the same field, by beam."""
         if len(other) == 0 or len(self) == 0:
             return self if len(other) == 0 else other
-        order = torch.argsort(torch.cat((self.index, other.index)))
+        order, theirs = torch.argsort(torch.cat((self.index, other.index))), other.graph
+        parts = (torch.cat(pair)[order] for pair in zip(self._parts(), other._parts(), strict=True))
+        graph = None if theirs is None else self._graph_of(lambda graph: torch.cat((graph, theirs))[order])
+        return self._of(parts, graph)
 
-        def both(one: Tensor, another: Tensor) -> Tensor:
-            return torch.cat((one, another))[order]
+    def _parts(self) -> tuple[Tensor, ...]:
+        return (self.index, self.range_m, self.x_object, self.g, self.gradient, *self.at_bias.values())
 
-        theirs = other.graph
-        return Linearization(
-            both(self.index, other.index),
-            both(self.range_m, other.range_m),
-            both(self.x_object, other.x_object),
-            both(self.g, other.g),
-            both(self.gradient, other.gradient),
-            {layer: both(part, other.at_bias[layer]) for layer, part in self.at_bias.items()},
-            self.biases,
-            None if theirs is None else self._graph_of(lambda graph: both(graph, theirs)),
-        )
+    def _of(self, parts: Iterable[Tensor], graph: Tensor | None) -> Linearization:
+        """Of the same field, with other `_parts`."""
+        index, range_m, x_object, g, gradient, *at_bias = parts
+        by_layer = dict(zip(self.at_bias, at_bias, strict=True))
+        return Linearization(index, range_m, x_object, g, gradient, by_layer, self.biases, graph)
 
     def _graph_of(self, part: Callable[[Tensor], Tensor]) -> Tensor | None:
         """A part of the graph with its way back to the code, which a search without gradients would cut."""

@@ -98,7 +98,7 @@ def cover(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, se
         rows, k = torch.cat((nodes.rows[at], places.rows)), torch.cat((nodes.k[at], places.k))
         g = field.estimate(rays.at(k, rows), torch.cat((nodes.g[at], places.g))).double()
         undecided[rows[~torch.isfinite(g)]] = True
-        nodes = nodes.with_measured(at, g[: len(at)], len(rays)).joined(replace(places, g=g[len(at) :]))
+        nodes = nodes.with_measured(at, g[: len(at)], len(rays)).with_nodes(replace(places, g=g[len(at) :]))
         nodes = nodes.select(~undecided[nodes.rows]).up_to_first_inside(len(rays))
     not_covered = torch.zeros_like(undecided)
     not_covered[nodes.rows] = True
@@ -167,13 +167,9 @@ def _entries(nodes: _Nodes, count: int) -> tuple[Brackets, Tensor]:
 
 
 @dataclass(frozen=True)
-class _Nodes:
-    """Samples and the ends of rays, by ray and range: as in `RaySamples`, and (K,) what each is."""
+class _Nodes(RaySamples):
+    """Samples and the ends of rays, by ray and range, and (K,) what each is."""
 
-    rows: Tensor
-    k: Tensor
-    g: Tensor
-    error: Tensor
     kind: Tensor
 
     @staticmethod
@@ -181,24 +177,16 @@ class _Nodes:
         """The samples, and where rays begin and end."""
         every, is_hit = torch.arange(len(rays)), torch.isfinite(hit_m)
         end_m, kind = torch.where(is_hit, hit_m, rays.far_m), torch.where(is_hit, _HIT, _FAR)
-        inner = _Nodes(samples.rows, samples.k, samples.g, samples.error, torch.full_like(samples.rows, _SAMPLE))
+        inner = _Nodes(**vars(samples), kind=torch.full_like(samples.rows, _SAMPLE))
         near = _Nodes.empty(every, rays.near_m, torch.full_like(every, _NEAR))
-        return near.joined(inner).joined(_Nodes.empty(every, end_m, kind))
+        return near.with_nodes(inner).with_nodes(_Nodes.empty(every, end_m, kind))
 
     @staticmethod
     def empty(rows: Tensor, k: Tensor, kind: Tensor) -> _Nodes:
         """Nodes that cover nothing."""
         return _Nodes(rows, k, torch.zeros_like(k), torch.zeros_like(k), kind)
 
-    @staticmethod
-    def stacked(parts: list[_Nodes]) -> _Nodes:
-        """Nodes of different rays, each ray's in one piece."""
-        return _Nodes(*(torch.cat(some) for some in zip(*(vars(part).values() for part in parts), strict=True)))
-
-    def select(self, chosen: Tensor) -> _Nodes:
-        return _Nodes(*(part[chosen] for part in vars(self).values()))
-
-    def joined(self, other: _Nodes) -> _Nodes:
+    def with_nodes(self, other: _Nodes) -> _Nodes:
         """These nodes and others, in order: the end of a ray behind a sample at that very place."""
         both = _Nodes.stacked([self, other])
         return both.select(by_ray_and_range(both.rows, torch.where(both.kind == _FAR, both.k + _BEHIND_M, both.k)))

@@ -8,7 +8,9 @@ Source: our choice: the paper renders every step afresh.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -43,9 +45,14 @@ class RaySamples:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def select(self, chosen: Tensor) -> RaySamples:
+    def select(self, chosen: Tensor) -> Self:
         """Some of the samples, by number or mask."""
-        return RaySamples(self.rows[chosen], self.k[chosen], self.g[chosen], self.error[chosen])
+        return type(self)(*(part[chosen] for part in vars(self).values()))
+
+    @classmethod
+    def stacked(cls, parts: Sequence[Self]) -> Self:
+        """Samples behind one another."""
+        return cls(*(torch.cat(some) for some in zip(*(vars(part).values() for part in parts), strict=True)))
 
     def before(self, end_m: Tensor) -> RaySamples:
         """The samples in front of a range (M,) of each ray."""
@@ -65,8 +72,7 @@ class RaySamples:
 
     def joined(self, other: RaySamples) -> RaySamples:
         """These samples and others, in order; where both have one at the same place, the other one."""
-        parts = [torch.cat(pair) for pair in zip(vars(self).values(), vars(other).values(), strict=True)]
-        both = RaySamples(*parts)
+        both = RaySamples.stacked([self, other])
         both = both.select(by_ray_and_range(both.rows, both.k))
         kept = torch.ones(len(both), dtype=torch.bool)
         kept[:-1] = (both.rows[1:] != both.rows[:-1]) | (both.k[1:] != both.k[:-1])

@@ -187,10 +187,8 @@ def _predicted(before: WarmStart, old: Tensor, rays: Rays, field: ObjectField) -
 def _survey(field: ObjectField, box: Box, more: Tensor, settings: RenderSettings) -> tuple[ChangeGrid, LiveUnits]:
     """The change grid of a box, and the hidden units that are on at its nodes or at some more places (n, 3)."""
     first, nodes, shape = ChangeGrid.nodes(box)
-    if not settings.live_units:
-        return ChangeGrid(first, field.estimate(nodes).float().reshape(shape)), None
     g, live = field.survey(torch.cat((nodes, more)))
-    return ChangeGrid(first, g[: len(nodes)].float().reshape(shape)), live
+    return ChangeGrid(first, g[: len(nodes)].float().reshape(shape)), live if settings.live_units else None
 
 
 def _covered(

@@ -9,13 +9,23 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import count_in_boxes
+from shift3d.geometry.boxes import count_in_boxes, validate_boxes
 from shift3d.geometry.rigid import heading_of, interpolated, inverse
 from shift3d.scenes.argoverse2.feather_files import column, feather_table, poses
 from shift3d.scenes.labels import Labels
 from shift3d.store.location import Location
 
-__all__ = ["CLASSES", "Sweep", "ego_SE3_ego", "lidar_mounts", "read_labels", "read_sweep", "sweep_file", "timestamps"]
+__all__ = [
+    "CLASSES",
+    "Sweep",
+    "city_SE3_ego",
+    "ego_SE3_ego",
+    "lidar_mounts",
+    "read_labels",
+    "read_sweep",
+    "sweep_file",
+    "timestamps",
+]
 
 Float = NDArray[np.float64]
 
@@ -35,7 +45,9 @@ CLASSES = {
 }
 _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 _FARTHEST_NS = 100_000_000  # between a sweep and the nearest pose; poses come every 5 to 10 ms
+_SHORTEST_NS, _LONGEST_NS = 1_000_000, 200_000_000  # of a sweep's last firing: a hundredth of a turn, and two
 _AGAIN = "Copy it again"
+_AT_ONCE = np.zeros(1, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -77,6 +89,9 @@ def read_sweep(log: Location, timestamp: int) -> Sweep:
     if intensity.max() > 255.0 or not intensity.min() >= 0.0:
         raise InputError("an intensity that is not 0 to 255", str(file), "Give the data set's own file")
     offset_ns = column(table, "offset_ns", np.int64, file).astype(np.int64)
+    if offset_ns.min() < 0 or not _SHORTEST_NS <= offset_ns.max() <= _LONGEST_NS:
+        what = f"firing times from {offset_ns.min():,} to {offset_ns.max():,} ns, where a sweep takes 0.1 s"
+        raise InputError(what, str(file), "Convert the file: offset_ns counts nanoseconds from the sweep's start")
     return Sweep(points, intensity / np.float32(255.0), laser < BEAMS_A_LIDAR, offset_ns)
 
 
@@ -97,6 +112,12 @@ def ego_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64]) -> 
     Raises:
         InputError: the poses are missing, damaged, out of order, or of another time.
     """
+    result: Float = inverse(city_SE3_ego(log, timestamp)[0]) @ city_SE3_ego(log, timestamp, offset_ns)
+    return result
+
+
+def city_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64] = _AT_ONCE) -> Float:
+    """(N, 4, 4) of the vehicle in the city at each of the times after a sweep's start. Raises: as `ego_SE3_ego`."""
     file = log / "city_SE3_egovehicle.feather"
     table = feather_table(file, ("timestamp_ns", *_POSE))
     times = column(table, "timestamp_ns", np.int64, file).astype(np.int64)
@@ -104,9 +125,7 @@ def ego_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64]) -> 
     times, city = times[order], poses(table, file)[order]
     if np.abs(times - timestamp).min() > _FARTHEST_NS:
         raise InputError(f"no pose near the sweep {timestamp}", str(file), "Pair files of one log: copy both again")
-    start = interpolated(times, city, np.array([timestamp]))[0]
-    result: Float = inverse(start) @ interpolated(times, city, timestamp + offset_ns)
-    return result
+    return interpolated(times, city, timestamp + offset_ns)
 
 
 def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offset: Float) -> Labels:
@@ -128,6 +147,7 @@ def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offs
     placed = poses(table, file)
     sizes = np.stack([column(table, f"{edge}_m", np.float64, file) for edge in ("length", "width", "height")], axis=1)
     boxes = np.concatenate((placed[:, :3, 3] - offset, sizes.astype(np.float64), heading_of(placed)[:, None]), axis=1)
+    validate_boxes(boxes, f"{file}, sweep {timestamp}")
     names = tuple(str(name) for name in table["category"].to_pylist())
     for name in names:
         if name not in CLASSES:

@@ -11,6 +11,7 @@ from shift3d.errors import InputError
 from shift3d.geometry.rigid import moved
 from shift3d.scenes.argoverse2.log import (
     Sweep,
+    city_SE3_ego,
     ego_SE3_ego,
     lidar_mounts,
     read_labels,
@@ -18,6 +19,7 @@ from shift3d.scenes.argoverse2.log import (
     sweep_file,
     timestamps,
 )
+from shift3d.scenes.argoverse2.map_files import map_files, read_ground_map
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.ground_height import estimate_ground_z
 from shift3d.scenes.labels import Conditions
@@ -29,6 +31,7 @@ from shift3d.store.resolve import LocationLike, as_location
 __all__ = ["Argoverse2Scenes"]
 
 VEHICLE_HEIGHT_M = 0.33  # of the vehicle frame's origin, the rear axle, above the ground
+_SPLITS = ("val", "train", "test")
 _SECOND_NS = np.int64(10**9)
 
 
@@ -46,6 +49,8 @@ class Argoverse2Scenes:
     motion compensated, to the sweep's start. Coordinates are stored as float16: a point is up to half a step off along
     each axis, 1 mm within 2 m, 8 mm within 32 m, 3 cm beyond 64 m of the rear axle along that axis. Beams through such
     points are off by as much, across and along: their directions by 0.5 mrad, on average below it.
+
+    Where a log has a map/, places have its drivable areas and heights (of float16: 3 to 6 cm); see `GroundMap`.
 
     Raises:
         InputError: no logs.
@@ -79,6 +84,8 @@ class Argoverse2Scenes:
         points = (sweep.points - up).astype(np.float32)
         origins = (_origins(log, timestamp, sweep, up, down) - up).astype(np.float32)
         require_metres(np.linalg.norm(points - origins, axis=1), str(sweep_file(log, timestamp)))
+        city_SE3_scene = city_SE3_ego(log, timestamp)[0]
+        city_SE3_scene[:3, 3] += city_SE3_scene[:3, :3] @ up
         scene = Scene(
             scene_id=name,
             dataset=self.dataset,
@@ -89,6 +96,7 @@ class Argoverse2Scenes:
             reflectance=sweep.reflectance,
             time_s=(sweep.offset_ns * 1e-9).astype(np.float32),
             conditions=Conditions(ego_velocity_m_s=_velocity(log, timestamp)),
+            ground_map=read_ground_map(log, city_SE3_scene),
         )
         scene.validate()
         return scene
@@ -101,7 +109,8 @@ class Argoverse2Scenes:
         """See `SceneSet`: the versions of the files."""
         log, timestamp = self._split(name)
         shared = (log / "annotations.feather", log / "city_SE3_egovehicle.feather")
-        files = (sweep_file(log, timestamp), *shared, log / "calibration" / "egovehicle_SE3_sensor.feather")
+        mounts = log / "calibration" / "egovehicle_SE3_sensor.feather"
+        files = (sweep_file(log, timestamp), *shared, mounts, *map_files(log))
         return ("argoverse2", name, *(f"{file.absolute()}: {file.version()}" for file in files))
 
     @functools.cached_property
@@ -111,6 +120,8 @@ class Argoverse2Scenes:
             if self._count is not None and self._wanted is None and len(found) == self._count:
                 break
             found.append(name)
+        if not found and (splits := [name for name in _SPLITS if name in self._logs]):
+            raise InputError("a data set, not one of its splits", str(self.root), f"Give {self.root / splits[0]}")
         return chosen(found, self._wanted, str(self.root))
 
     def _sweeps(self) -> Iterator[str]:

@@ -244,7 +244,7 @@ def _read(file: Location) -> NDArray[np.float32]:
     if not raw or len(raw) % 20:
         raise InputError(f"{len(raw)} bytes are not a whole number of 20-byte points", str(file), "Copy it again")
     values = np.frombuffer(raw, dtype="<f4").reshape(-1, 5).astype(np.float32)
-    require_metres(np.linalg.norm(values[:, :3], axis=1), str(file))
+    require_metres(np.linalg.norm(values[:, :3].astype(np.float64), axis=1), str(file))
     if not ((values[:, 3] >= 0.0) & (values[:, 3] <= 255.0)).all():
         raise InputError("an intensity that is not 0 to 255", str(file), "Copy it again")
     return values

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ from shift3d.scenes.street.options import PLAIN, StreetOptions
 from shift3d.scenes.street.pool import POOL_SIZES
 from shift3d.scenes.street.raycast import Sweep
 from shift3d.scenes.street.returns import Paint, finish, sensor_model
-from shift3d.scenes.street.sensors import SENSORS, Mount, Sensor, side_sensors
+from shift3d.scenes.street.sensors import BEAMS, SENSORS, Mount, Sensor, companions, side_sensors
 from shift3d.scenes.street.world import PlacedVehicle, World
 from shift3d.seeding import generator
 
@@ -28,7 +30,8 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
     Args:
         split: "train", "val" or "test": disjoint layouts and disjoint vehicles.
         seed, index: which scene.
-        sensor_name: "hdl64" or "waymo_top".
+        sensor_name: "hdl64" or "waymo_top": whose street it is, and whose beams see it where options.beams is None.
+            Others' beams leave the same point, and see the same things in the same places.
         options: what the scene states and shows beyond that, the street being the same; and whose vehicles it has.
 
     Returns:
@@ -46,7 +49,8 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
     sensor = _sensor(split, sensor_name)
     parts = ("street-scene", split, seed, index, sensor_name)
     layout, world = _street(parts, sensor, options)
-    echoes, sweeps, second = _sense(world, layout, sensor, options, parts)
+    seen_by = seeing(sensor, options)
+    echoes, sweeps, second = _sense(world, layout, seen_by, options, parts)
     compensated = options.motion_compensated
     return Scene(
         scene_id=f"street-{split}-{sensor_name}-{index:06d}{options.tag}" + (f"-seed{seed}" if seed else ""),
@@ -58,9 +62,9 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
         reflectance=echoes.reflectance,
         return_number=second if options.returns > 1 else None,
         time_s=echoes.time_s,
-        range_image_index=echoes.pixel if options.sensors == 1 else None,
+        range_image_index=echoes.pixel if len(sweeps) == 1 else None,
         conditions=conditions_of(options),
-        sensor=sensor_model(sensor) if options.sensor_model else None,
+        sensor=sensor_model(seen_by) if options.sensor_model else None,
         no_return=no_return_beams(sweeps, compensated) if options.range_image else None,
     )
 
@@ -79,6 +83,11 @@ def _street(parts: tuple[str | int, ...], sensor: Sensor, options: StreetOptions
     return layout, World.of(layout, fleet, driven_m=options.ego_speed_m_s * sensor.turn_s)
 
 
+def seeing(sensor: Sensor, options: StreetOptions) -> Sensor:
+    """The sensor that sees a street of a sensor, where the latter stands."""
+    return sensor if options.beams is None else replace(BEAMS[options.beams], mount_height_m=sensor.mount_height_m)
+
+
 def _sensor(split: str, sensor_name: str) -> Sensor:
     if split not in POOL_SIZES:
         raise InputError(f"unknown split {split!r}", "street", f"Choose from {', '.join(POOL_SIZES)}.")
@@ -95,17 +104,21 @@ def _sense(
     Options draw from generators of their own: the main sensor's first returns do not depend on them.
     """
     compensated = options.motion_compensated
+    if options.beams:
+        parts = (*parts, "beams", options.beams)
     rng = generator(*parts, "sensing")
     main = Sweep.empty(sensor, Mount(speed_m_s=options.ego_speed_m_s))
     world.cast(main, rng)
-    paint = _sample_paint(layout, rng)
+    # Vehicles are painted alike whatever beams see them; what casting draws depends on the beams.
+    paint = _sample_paint(layout, rng if options.beams is None else generator(*parts[:-2], "paint"))
     range_m, reflectance, kept = finish(main, paint, rng)
     echoes = [Echoes.of_kept(main, kept, range_m, reflectance, compensated)]
     sweeps = [(main, kept)]
     if options.returns > 1:
         second = second_returns(world, main, range_m, kept, paint, generator(*parts, "second returns"))
         echoes.append(Echoes.of(main, *second, compensated))
-    for number, (model, mount) in enumerate(side_sensors(sensor, options.sensors - 1, options.ego_speed_m_s)):
+    beside = side_sensors(sensor, options.sensors - 1, options.ego_speed_m_s)
+    for number, (model, mount) in enumerate([*beside, *companions(sensor, options.ego_speed_m_s)]):
         rng = generator(*parts, "side sensor", number)
         side = Sweep.empty(model, mount)
         world.cast(side, rng)

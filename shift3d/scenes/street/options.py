@@ -8,12 +8,13 @@ from decimal import Decimal
 
 from shift3d.errors import InputError
 
-__all__ = ["MOST_SENSORS", "PLAIN", "TRAFFIC", "WEATHER_STRENGTHS", "StreetOptions", "check_traffic"]
+__all__ = ["BEAM_NAMES", "MOST_SENSORS", "PLAIN", "TRAFFIC", "WEATHER_STRENGTHS", "StreetOptions", "check_traffic"]
 
 TRAFFIC = ("family", "wide", "held_out")
 WEATHER_STRENGTHS = {"rain": ("rain_mm_h", 10.0), "fog": ("visibility_m", 100.0), "snow": ("snow_mm_h", 1.0)}
 """Of each weather: the field that says how strong it is, and what null stands for (our choice): heavy rain, thick
 fog, moderate snow."""
+BEAM_NAMES = ("hdl64", "waymo_top", "hdl32", "av2_pair", "pandar64")
 LIMITS = {"rain_mm_h": 500.0, "visibility_m": 1e5, "snow_mm_h": 50.0, "ego_speed_m_s": 50.0}
 """Largest values (our choice): beyond them lie typing errors."""
 MOST_SENSORS = 5  # one on the roof, one at each corner of the car
@@ -21,7 +22,7 @@ _WHERE = "street scenes"
 _TAG = re.compile(
     r"(?:-(?P<weather>rain|fog|snow)(?P<strength>[\d.]+))?(?P<sensor_model>-model)?(?P<range_image>-image)?"
     r"(?:-returns(?P<returns>\d+))?(?:-sensors(?P<sensors>\d+))?(?:-ego(?P<ego>[\d.]+)(?P<compensated>comp)?)?"
-    r"(?:-(?P<traffic>wide|held_out))?"
+    r"(?:-(?P<traffic>wide|held_out))?(?:-beams_(?P<beams>[a-z0-9_]+))?"
 )
 
 
@@ -43,6 +44,8 @@ class StreetOptions:
             the frame of the sensor as it fires.
         traffic: "family": vehicles of the embedded family; "wide": of the wide family's seen kinds, no two alike;
             "held_out": every second one of a kind that training never sees, see `shift3d.vehicles.family.split`.
+        beams: one of :data:`BEAM_NAMES`: the street is seen by that sensor, in the place of the street's own, which
+            says where things stand; None: by its own.
 
     Raises:
         InputError: for values out of range or settings that contradict each other, naming the field and the remedy.
@@ -59,6 +62,7 @@ class StreetOptions:
     ego_speed_m_s: float = 0.0
     motion_compensated: bool = False
     traffic: str = "family"
+    beams: str | None = None
 
     def __post_init__(self) -> None:
         if self.weather not in ("dry", *WEATHER_STRENGTHS):
@@ -66,6 +70,8 @@ class StreetOptions:
             raise InputError(f"unknown weather {self.weather!r}", _WHERE, remedy)
         if self.traffic not in TRAFFIC:
             raise InputError(f"unknown traffic {self.traffic!r}", _WHERE, f"Choose from {', '.join(TRAFFIC)}")
+        if self.beams is not None and self.beams not in BEAM_NAMES:
+            raise InputError(f"unknown beams {self.beams!r}", _WHERE, f"Choose from {', '.join(BEAM_NAMES)}")
         for weather, (name, usual) in WEATHER_STRENGTHS.items():
             self._fill_in(weather, name, usual)
         if not 0.0 <= self.ego_speed_m_s <= LIMITS["ego_speed_m_s"]:
@@ -74,6 +80,9 @@ class StreetOptions:
         for name, most in (("returns", 2), ("sensors", MOST_SENSORS)):
             if getattr(self, name) not in range(1, most + 1):
                 raise InputError(f"{name} is {getattr(self, name)}", _WHERE, f"Give 1 to {most}")
+        if self.returns > 1 and self.beams == "av2_pair":
+            what = "returns=2 with beams=av2_pair: points of two sensors carry no pixels that tell which share a beam"
+            raise InputError(what, _WHERE, "Set returns=1")
         if self.returns > 1 and self.sensors > 1:
             what = f"returns={self.returns} with sensors={self.sensors}: points of several sensors carry no pixels"
             raise InputError(f"{what} that would tell which returns share a beam", _WHERE, "Set one of them to 1")
@@ -106,6 +115,7 @@ class StreetOptions:
         if self.ego_speed_m_s:
             words.append(f"ego{_digits(self.ego_speed_m_s)}" + ("comp" if self.motion_compensated else ""))
         words += [self.traffic] if self.traffic != "family" else []
+        words += [f"beams_{self.beams}"] if self.beams else []
         return "".join(f"-{word}" for word in words)
 
     @staticmethod
@@ -147,6 +157,7 @@ def _from_groups(match: re.Match[str]) -> StreetOptions:
         ego_speed_m_s=float(match["ego"] or 0.0),
         motion_compensated=match["compensated"] is not None,
         traffic=match["traffic"] or "family",
+        beams=match["beams"],
     )
 
 

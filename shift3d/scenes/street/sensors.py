@@ -13,7 +13,7 @@ class Sensor:
     """A spinning LiDAR whose beams all leave one point.
 
     Attributes:
-        name: "hdl64", "waymo_top" or "short32".
+        name: one of :data:`BEAMS`, or of a head beside the main one.
         elevations_rad: beam elevations from the top beam down.
         columns: firings a turn; azimuth decreases (clockwise from above) from half the view: over a whole turn,
             column 0 looks backwards.
@@ -113,6 +113,65 @@ WAYMO_TOP = Sensor(
 )
 
 SENSORS = {sensor.name: sensor for sensor in (HDL64, WAYMO_TOP)}
+"""Sensors with streets of their own."""
+
+HDL32 = replace(
+    HDL64,
+    name="hdl32",
+    elevations_rad=tuple(float(e) for e in np.deg2rad(32.0 / 3.0 - np.arange(32) * 4.0 / 3.0)),
+    columns=1086,
+    max_range_m=100.0,
+    turn_s=0.05,
+    divergence_rad=2.8e-3,
+)
+"""HDL-32E at 20 turns a second, as nuScenes drives it. Source: its manual: +10.67 to -30.67 degrees in steps of 4/3,
+46 microseconds a firing, 100 m, 2.8 mrad."""
+
+_VLP32C_DEG = (
+    15.0, 10.333, 7.0, 4.667, 3.333, 2.333, 1.667, 1.333, 1.0, 0.667, 0.333, 0.0, -0.333, -0.667, -1.0, -1.333,
+    -1.667, -2.0, -2.333, -2.667, -3.0, -3.333, -3.667, -4.0, -4.667, -5.333, -6.148, -7.254, -8.843, -11.31, -15.639,
+    -25.0,
+)  # fmt: skip
+
+AV2_PAIR = replace(
+    HDL64,
+    name="av2_pair",
+    elevations_rad=tuple(float(e) for e in np.deg2rad(_VLP32C_DEG)),
+    columns=1808,
+    max_range_m=200.0,
+    divergence_rad=3.0e-3,
+)
+"""The upper of Argoverse 2's two VLP-32C, one upright on top of one upside down, at 10 turns a second. Source: the
+sensor's manual: its table of elevations, 55.296 microseconds a firing, 200 m, 3 mrad."""
+
+_AV2_LOWER = replace(
+    AV2_PAIR, name="av2_lower", elevations_rad=tuple(-elevation for elevation in reversed(AV2_PAIR.elevations_rad))
+)
+_AV2_APART_M = 0.115
+"""Source: the calibration of an Argoverse 2 log: heights of 1.640 and 1.525 m, the lower head turned about x."""
+
+_PANDAR64_DEG = (
+    14.882, 11.032, 8.059, 5.057, 3.04, 2.028, 1.86, 1.688, 1.522, 1.351, 1.184, 1.013, 0.846, 0.675, 0.508, 0.337,
+    0.169, 0.0, -0.169, -0.337, -0.508, -0.675, -0.845, -1.013, -1.184, -1.351, -1.522, -1.688, -1.86, -2.028, -2.198,
+    -2.365, -2.536, -2.7, -2.873, -3.04, -3.21, -3.375, -3.548, -3.712, -3.884, -4.05, -4.221, -4.385, -4.558, -4.72,
+    -4.892, -5.057, -5.229, -5.391, -5.565, -5.726, -5.898, -6.061, -7.063, -8.059, -9.06, -9.885, -11.032, -12.006,
+    -12.974, -13.93, -18.889, -24.897,
+)  # fmt: skip
+
+PANDAR64 = replace(
+    HDL64,
+    name="pandar64",
+    elevations_rad=tuple(float(e) for e in np.deg2rad(_PANDAR64_DEG)),
+    columns=1800,
+    max_range_m=200.0,
+    divergence_rad=2.0e-3,
+)
+"""Pandar64, as PandaSet drives it, at 10 turns a second. Source: its manual: the table of elevations, 0.2 degrees a
+firing, 200 m; the divergence is our choice."""
+
+BEAMS = {sensor.name: sensor for sensor in (HDL64, WAYMO_TOP, HDL32, AV2_PAIR, PANDAR64)}
+"""Sensors whose beams any street can be seen with. Noise, steps of range and losses that are not said here are those of
+the HDL-64E (our choice)."""
 
 SHORT32 = Sensor(
     name="short32",
@@ -130,13 +189,20 @@ SHORT32 = Sensor(
 )
 """A short-range sensor for the corners of the car (our choice)."""
 
-_BY_NAME = {**SENSORS, SHORT32.name: SHORT32}
+_BY_NAME = {**BEAMS, SHORT32.name: SHORT32, _AV2_LOWER.name: _AV2_LOWER}
 _CORNERS = ((2.0, 1.0, 45.0), (2.0, -1.0, -45.0), (-3.6, 1.0, 135.0), (-3.6, -1.0, -135.0))  # x, y, degrees
 
 
 def sensor_named(name: str) -> Sensor:
     """One of the sensors; KeyError for an unknown name."""
     return _BY_NAME[name]
+
+
+def companions(main: Sensor, speed_m_s: float) -> list[tuple[Sensor, Mount]]:
+    """The other heads of a sensor that has several, at the main one's height in the scene; none for most sensors."""
+    if main.name != AV2_PAIR.name:
+        return []
+    return [(replace(_AV2_LOWER, mount_height_m=main.mount_height_m), Mount((0.0, 0.0, -_AV2_APART_M), 0.0, speed_m_s))]
 
 
 def side_sensors(main: Sensor, count: int, speed_m_s: float) -> list[tuple[Sensor, Mount]]:

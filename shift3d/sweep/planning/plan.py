@@ -14,6 +14,7 @@ from shift3d.settings import messages
 from shift3d.settings.catalogue import Catalogue
 from shift3d.settings.compose import Composed
 from shift3d.settings.expand import expand
+from shift3d.settings.foreign import detector_layouts
 from shift3d.settings.schema import Config
 from shift3d.sweep.planning.effect_choices import EffectChoices, EffectLine
 from shift3d.sweep.planning.layout import Layouts
@@ -34,7 +35,7 @@ class Plan:
 
     settings: of the first task, for the reader. axes: key to values as they were written.
     effects: what was decided about each effect for each scene, see `sweep.effects`.
-    skipped: scenes that cannot be read and are left out, name to why.
+    skipped: scenes that cannot be read and are left out, name to why. notes: lines for the reader, of no effect.
     preview: the content of some scenes is not known, and ids are not those that the sweep will have.
     runner, tracking: how it runs; they are no part of the hash.
     """
@@ -48,6 +49,7 @@ class Plan:
     effects: tuple[EffectLine, ...] = ()
     skipped: Mapping[str, str] = field(default_factory=dict)
     preview: bool = False
+    notes: tuple[str, ...] = ()
 
     @functools.cached_property
     def spec_hash(self) -> str:
@@ -112,6 +114,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
         decided.lines(),
         skipped={name: why for catalogue, _ in catalogues.values() for name, why in catalogue.skipped.items()},
         preview=not all(entry.content_hash for catalogue, _ in catalogues.values() for entry in catalogue.scenes),
+        notes=tuple(dict.fromkeys(note for catalogue, _ in catalogues.values() for note in catalogue.notes)),
     )
     return plan, first
 
@@ -133,6 +136,7 @@ def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
         detectors={name: given.get(name) for name in catalogue.detectors},
         hashes={"decoder": catalogue.decoder_hash, **catalogue.detectors},
         modules=config.detector.modules_by_name(),
+        layouts=detector_layouts(config.detector),
         reference=config.naturalness.source(),
     )
 

@@ -26,7 +26,7 @@ def plan_summary(plan: Plan) -> str:
     size = ", its small size" if plan.settings.get("size") == "small" else ""
     counts = f"sweep {plan.sweep}{size}: {counted(len(plan.tasks), 'task')} ({by_mode}) of "
     counts += f"{counted(vehicles, 'vehicle')} in {counted(scenes, 'scene')}"
-    return "\n".join([counts, effect_table(plan.effects, scenes), *skipped_lines(plan)])
+    return "\n".join([counts, effect_table(plan.effects, scenes), *plan.notes, *skipped_lines(plan)])
 
 
 def skipped_lines(plan: Plan) -> list[str]:

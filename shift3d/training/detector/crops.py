@@ -60,15 +60,17 @@ def random_crop(
     recipe: Recipe,
     rng: np.random.Generator,
     database: VehicleDatabase | None = None,
+    around: npt.NDArray[np.float64] | None = None,
 ) -> Crop:
     """Cut, paste vehicles into it, vary and move. The same rng state gives the same crop.
 
-    Of the recipe its crop and its augmentation are read. database: vehicles to paste; None: none are.
+    Of the recipe its crop and its augmentation are read. database: vehicles to paste; None: none are. around: (x, y)
+    that the crop is cut near; None: a vehicle's, or anywhere.
     """
     augmentation, cells = recipe.augmentation, recipe.crop_cells
     angle, scale = rng.uniform(*augmentation.turn_rad), rng.uniform(*augmentation.scale)
     flip = rng.random() < augmentation.flip
-    centre = _centre(scene, recipe, rng)
+    centre = _centre(scene, recipe, rng) if around is None else _near(around, recipe, rng)
     reach = (hypot(cells, cells) / 2 * grid.cell_m + 4.0) / scale
     if database is not None and augmentation.pasted:
         side = cells / 2 * grid.cell_m
@@ -92,8 +94,12 @@ def _centre(scene: TrainingScene, recipe: Recipe, rng: np.random.Generator) -> n
     if rng.random() >= recipe.empty_share:
         vehicle = vehicle_centre(scene, recipe.augmentation.range_bins_m, recipe.min_points, rng)
         if vehicle is not None:
-            return vehicle + rng.uniform(-recipe.jitter_m, recipe.jitter_m, 2)
+            return _near(vehicle, recipe, rng)
     return rng.uniform(-ANYWHERE_M, ANYWHERE_M, 2)
+
+
+def _near(place: npt.NDArray[np.float64], recipe: Recipe, rng: np.random.Generator) -> npt.NDArray[np.float64]:
+    return place + rng.uniform(-recipe.jitter_m, recipe.jitter_m, 2)
 
 
 def vehicle_centre(

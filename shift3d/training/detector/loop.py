@@ -6,7 +6,7 @@ import copy
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import count, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,15 @@ from tqdm import tqdm
 
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.errors import InputError
-from shift3d.seeding import generator
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute, choose_compute
 from shift3d.training.detector.batch_statistics import recompute_statistics
-from shift3d.training.detector.crops import Crop, random_crop
+from shift3d.training.detector.crops import Crop
+from shift3d.training.detector.drawn_crops import RandomCrops
 from shift3d.training.detector.objective import batch_loss, objective_of
 from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle
-from shift3d.training.detector_scenes import load_cached
 from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
 
 __all__ = ["CHECKPOINT", "SHIPPED_DATA", "train_on_scenes"]
@@ -33,9 +32,6 @@ CHECKPOINT = "checkpoint.pt"
 SHIPPED_DATA = "street"
 CURVE_STEPS = 25
 """Every so many steps the curves get a point; it is the mean over them."""
-LEAST_POINTS = 10
-"""Of a crop: a batch norm has no statistics of a single point."""
-TRIES = 50
 
 Batch = tuple[int, list[Crop], list[Any]]
 
@@ -108,6 +104,8 @@ def train_on_scenes(
     report: Report | None = None,
     data: str = SHIPPED_DATA,
     start: Mapping[str, Any] | None = None,
+    draw: type[RandomCrops] = RandomCrops,
+    keep_statistics: bool = False,
 ) -> DetectorNet:
     """Train, or go on from out_dir's checkpoint, to recipe.all_steps (or stop_after, to be resumed).
 
@@ -121,6 +119,8 @@ def train_on_scenes(
         report: is given the curves' points after every checkpoint.
         data: what identifies the scenes; a checkpoint of others is refused.
         start: a state dict to start from instead of random weights.
+        draw: how a step's crops are chosen. keep_statistics: batch norms compute as at inference from the first step
+            on, by the statistics of `start`.
     Returns: the network on its device, in evaluation mode.
     Raises: InputError if the recipe cannot be trained by, or the checkpoint belongs to another recipe or other scenes;
         KeyboardInterrupt when asked to stop, the checkpoint being written.
@@ -130,12 +130,12 @@ def train_on_scenes(
     compute.prepare()
     out_dir.mkdir(parents=True, exist_ok=True)
     run = _Run(out_dir / CHECKPOINT, recipe, compute, data, start)
-    run.net.train()
+    run.net.train(not keep_statistics)
     end = recipe.all_steps if stop_after is None else min(recipe.all_steps, stop_after)
     recent: list[dict[str, float]] = []
     pasting = recipe.augmentation.pasted > 0 and end > 0
     database = VehicleDatabase.of(mesh_scenes, recipe.min_points) if pasting else None
-    crops = _Crops(run, mesh_scenes, inserted_scenes, database)
+    crops = draw(recipe, run.net.grid, mesh_scenes, inserted_scenes, database)
     bar = tqdm(initial=run.done, total=recipe.all_steps, desc=recipe.detector, mininterval=5.0)
     with stop_on_signal() as stop, bar:
         for step, made, targets in _batches(crops, run, range(run.done, end)):
@@ -194,36 +194,7 @@ def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Any]) -> 
     return {**parts, "learning_rate": rate}
 
 
-class _Crops:
-    """The crops of a step, or of the statistics: the seed and the step alone decide them."""
-
-    def __init__(
-        self, run: _Run, mesh: Sequence[Path], inserted: Sequence[Path], database: VehicleDatabase | None
-    ) -> None:
-        self.recipe, self.grid = run.recipe, run.net.grid
-        self.mesh, self.inserted, self.database = mesh, inserted, database
-
-    def of(self, step: int, slot: int) -> Crop:
-        """One crop."""
-        recipe = self.recipe
-        rng = generator(f"{recipe.detector} crop", recipe.seed, step, slot)
-        use_inserted = step >= recipe.mesh_only_steps and rng.random() < recipe.inserted_share
-        files = self.inserted if use_inserted and len(self.inserted) else self.mesh
-        for _ in range(TRIES):
-            scene = load_cached(files[int(rng.integers(len(files)))])
-            crop = random_crop(scene, self.grid, recipe, rng, self.database)
-            if len(crop.points_inside(self.grid)) >= LEAST_POINTS:
-                return crop
-        raise InputError(
-            f"{TRIES} crops in a row hold fewer than {LEAST_POINTS} points", f"step {step}", "Give scenes with points"
-        )
-
-    def of_statistics(self) -> Iterator[Crop]:
-        """Crops of no step."""
-        return (self.of(self.recipe.all_steps, slot) for slot in count(0))
-
-
-def _batches(crops: _Crops, run: _Run, steps: range) -> Iterator[Batch]:
+def _batches(crops: RandomCrops, run: _Run, steps: range) -> Iterator[Batch]:
     """Crops and targets of each step, the next ones made in threads while the network computes."""
     net, ahead = run.net, run.compute.crops_ahead
 

@@ -8,15 +8,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from safetensors.torch import save_file
+from safetensors.torch import save
+from torch import Tensor
 from tqdm import tqdm
 
 from shift3d.detectors.models.network import DetectorNet
+from shift3d.detectors.models.weights import load_weights
 from shift3d.errors import InputError
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.fleet import fleet_of
 from shift3d.scenes.street.options import StreetOptions
 from shift3d.seeding import generator
+from shift3d.store.atomic import write_atomic
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute
 from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
@@ -61,7 +64,7 @@ def train_detector(
             labelled sector is used, see :func:`~shift3d.training.detector_scenes.from_scene`.
         start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
         compute: default the CPU with `threads` threads. report: see :func:`train_on_scenes`.
-    Returns: the trained network on the CPU, in evaluation mode.
+    Returns: the network of the exported file, on the CPU, in evaluation mode.
     Raises: InputError when the recipe cannot be trained by, weights to start from are missing, the scenes hold no
         vehicle, or the checkpoint is of another recipe, other scenes or another start; KeyboardInterrupt when asked to
         stop.
@@ -77,13 +80,13 @@ def train_detector(
     inserted: list[Path] = []
     if recipe.inserted_scenes and recipe.inserted_share > 0.0:
         inserted = inserted_scene_files(out_dir, base, recipe)
-    net = train_on_scenes(out_dir, recipe, base, inserted, **shared).to("cpu")
+    net = train_on_scenes(out_dir, recipe, base, inserted, **shared)
     weights_file = weights_file or out_dir / f"{recipe.detector}.safetensors"
     export_weights(net, weights_file, recipe)
     state = read_checkpoint(out_dir / CHECKPOINT)
     assert state is not None
     write_provenance(weights_file, _facts(recipe, scenes, start_from, compute, state))
-    return net
+    return load_weights(recipe.new_network(), weights_file)
 
 
 def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
@@ -122,13 +125,19 @@ def _facts(
     }
 
 
-def export_weights(net: DetectorNet, file: Path, recipe: Recipe) -> None:
-    """Write the weights as safetensors, with the recipe in the metadata, replacing the file in one step."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_name(file.name + ".partial")
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
-    save_file(tensors, partial, metadata={"model": recipe.detector, "recipe": repr(recipe)})
-    partial.replace(file)
+def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = True) -> None:
+    """Write the weights as safetensors, with the recipe in the metadata, replacing the file in one step.
+
+    halved: matrices and kernels are stored in float16, to 2^-11 of each value (our choice: half the bytes). Biases and
+    batch statistics stay float32: variances go beyond what float16 holds.
+    """
+    tensors = {name: _stored(tensor.detach().cpu(), halved).contiguous() for name, tensor in net.state_dict().items()}
+    # One entry: safetensors writes several in another order each time.
+    write_atomic(file, save(tensors, metadata={"recipe": repr(recipe)}))
+
+
+def _stored(tensor: Tensor, halved: bool) -> Tensor:
+    return tensor.half() if halved and tensor.is_floating_point() and tensor.dim() >= 2 else tensor
 
 
 def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:

@@ -28,6 +28,15 @@ def test_the_summary_comes_first_and_the_list_is_folded(capsys: pytest.CaptureFi
     assert [line.split()[2] for line in listed[-2:]] == StreetScenes("mixed", count=2).names()
 
 
+def test_places_of_each_scene_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "default", "scenes.count=2", *ONE, "--places", "attack.placement.attempts=20"]) == 0
+    said = capsys.readouterr().out
+    assert "places for a car, 20 draws a scene:" in said
+    for name in StreetScenes("mixed", count=2).names():
+        assert f"  {name}: " in said
+    assert said.count(" of 20 free; ") == 2
+
+
 def test_a_plan_of_many_streets_makes_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,8 +34,10 @@ def test_show_says_what_was_found_and_draws_it(log: list[str], capsys: pytest.Ca
     name = f"{LOG}-{START + PERIOD}"
     assert main(["scenes", "show", *log, f"scene={name}", "out=pictures/scene.png"]) == 0
     said = capsys.readouterr().out
-    for part in (name, "5,760; ranges", "places, up to", "1 pedestrian, 1 vehicle", "sensor at 9.0 m/s"):
+    for part in (name, "5,760; ranges", "places, up to", "1 pedestrian, 1 vehicle", "sensor at 9.0 m/s", "of 400 free"):
         assert part in said
+    assert main(["scenes", "show", *log, f"scene={name}", "attack.placement.attempts=9"]) == 0
+    assert "of 9 free" in capsys.readouterr().out
     picture = imread("pictures/scene.png")
     assert picture[..., :3].std() > 0.02 and picture.shape[1] > 1000
 

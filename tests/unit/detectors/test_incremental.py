@@ -197,6 +197,20 @@ def test_points_that_require_it_get_their_gradient_whether_they_moved_or_not(exa
         _assert_same(exact, incremental, EDITS[edit](points), window, requires_grad)
 
 
+def test_forks_answer_as_if_they_were_alone(single: TrainedDetector) -> None:
+    """To the bit, whatever other forks of the same frame were asked."""
+    points, window = _scene(), single.window_for(CENTRE, 5.0)
+    moved, gone = EDITS["the car"](points), EDITS["removed far away"](points)
+    incremental = single.incremental(window)
+    incremental.proposals(points, window)
+    first = incremental.fork().proposals(moved, window).logits
+    other = incremental.fork()
+    assert not torch.equal(other.proposals(gone, window).logits, first)
+    other.proposals(moved, window)
+    assert torch.equal(incremental.fork().proposals(moved, window).logits, first)
+    _assert_same(single, incremental.fork(), moved, window, tolerance=1e-4)
+
+
 def test_a_backward_pass_may_wait_for_later_editions(exact: TrainedDetector) -> None:
     points, window = _scene().double(), exact.window_for(CENTRE, 5.0)
     incremental = exact.incremental(window)

@@ -42,6 +42,16 @@ def test_limit_and_nothing() -> None:
     assert rotated_nms(np.zeros((0, 7)), np.zeros(0), 0.25).tolist() == []
 
 
+def test_nothing_kept_behind_the_box_asked_for_and_all_before_it_the_same() -> None:
+    for seed in range(5):
+        boxes, scores = _boxes(120, seed)
+        near = np.hypot(boxes[:, 0], boxes[:, 1]) < 5.0
+        kept = rotated_nms(boxes, scores, 0.25).tolist()
+        first = next(place for place, index in enumerate(kept) if near[index])
+        assert rotated_nms(boxes, scores, 0.25, until=near).tolist() == kept[: first + 1]
+    assert rotated_nms(boxes, scores, 0.25, until=np.zeros(120, dtype=bool)).tolist() == kept
+
+
 def test_touching_and_degenerate_boxes_do_not_suppress() -> None:
     boxes = np.array([[0, 0, 0, 4, 2, 1, 0], [4, 0, 0, 4, 2, 1, 0], [0, 0, 0, 0, 0, 1, 0]], dtype=float)
     assert rotated_nms(boxes, np.array([0.9, 0.8, 0.7]), 0.1).tolist() == [0, 1, 2]

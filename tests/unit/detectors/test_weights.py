@@ -9,7 +9,7 @@ from safetensors.torch import load_file, save_file
 from shift3d.detectors.loading import load_detector
 from shift3d.detectors.models.pointpillars import PointPillarsNet
 from shift3d.detectors.models.weights import NETWORKS, load_network
-from shift3d.detectors.names import DETECTOR_NAMES, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 from shift3d.errors import InputError
 from shift3d.training.detector.recipes import RECIPES
 
@@ -68,7 +68,8 @@ def test_every_name_has_a_network_a_setting_and_a_recipe() -> None:
     """One list: what settings, commands, weights and recipes go by."""
     settings = Path(__file__).resolve().parents[3] / "conf" / "detector"
     assert tuple(NETWORKS) == DETECTOR_NAMES
-    assert {file.stem for file in settings.glob("*.yaml")} - {OWN} == set(DETECTOR_NAMES) == set(RECIPES)
+    others = {OWN, ONNX, *FOREIGN}
+    assert {file.stem for file in settings.glob("*.yaml")} - others == set(DETECTOR_NAMES) == set(RECIPES)
     assert all(NETWORKS[name]().name == name for name in DETECTOR_NAMES)
 
 

@@ -48,5 +48,5 @@ def test_coordinates_stay_within_the_ellipsoid() -> None:
 
 def test_too_few_codes_are_refused() -> None:
     vehicles = VehicleSet()
-    with pytest.raises(InputError, match="11 codes are too few for 10 components"):
+    with pytest.raises(InputError, match="11 codes: too few for 10 components"):
         Subspace.of(vehicles.decoder(), vehicles.codes()[:11])

@@ -127,11 +127,14 @@ def centimetres(table: pa.Table) -> pa.Table:
         (rewrite(SWEEP, scaled("x", float("nan"))), r"range of nan m"),
         (rewrite(SWEEP, scaled("laser_number", 2.0)), r"laser numbers up to 126"),
         (rewrite(SWEEP, scaled("intensity", 257.0)), r"intensity that is not 0 to 255"),
+        (rewrite(SWEEP, scaled("offset_ns", 1e-3)), r"firing times from .* nanoseconds"),
+        (rewrite(SWEEP, scaled("offset_ns", -1.0)), r"firing times from -"),
         (rewrite(POSES, scaled("timestamp_ns", 0.5)), r"no pose near the sweep"),
         (rewrite(POSES, scaled("qw", 1.5)), r"no unit quaternion"),
         (rewrite(MOUNTS, lambda table: table.slice(0, 2)), r"0 rows of down_lidar"),
         (rewrite(BOXES, lambda t: t.set_column(2, "category", pa.array(["CAR"] * len(t)))), r"unknown category 'CAR'"),
-        (rewrite(BOXES, scaled("length_m", 0.0)), r"dx = 0"),
+        (rewrite(BOXES, scaled("length_m", 0.0)), r"annotations\.feather, sweep .*dx = 0"),
+        (rewrite(BOXES, scaled("tz_m", float("nan"))), r"annotations\.feather.*finite translation"),
     ],
 )
 def test_damaged_files_give_one_clear_line(tmp_path: Path, spoil: Spoil, says: str) -> None:
@@ -148,6 +151,13 @@ def test_folders_without_logs(tmp_path: Path) -> None:
         Argoverse2Scenes(tmp_path)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no scenes"):
+        Argoverse2Scenes(tmp_path).names()
+
+
+def test_a_data_set_in_place_of_its_split_is_told_which(tmp_path: Path) -> None:
+    write_log(tmp_path / "val")
+    (tmp_path / "train").mkdir()
+    with pytest.raises(InputError, match=r"not one of its splits.*Give .*val"):
         Argoverse2Scenes(tmp_path).names()
 
 

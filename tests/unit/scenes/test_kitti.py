@@ -166,6 +166,23 @@ def test_real_frames_load() -> None:
 
 
 @needs_kitti
+def test_real_beams_turn_counter_clockwise_ring_by_ring_downwards() -> None:
+    """Ranges from the origin are the file's; the order of azimuths is that of 64 turns, each below the one before."""
+    for name in KittiScenes(REAL).names()[:3]:
+        scene = KittiScenes(REAL).load(name)
+        raw = np.fromfile(REAL / "training" / "velodyne" / f"{name}.bin", "<f4").reshape(-1, 4)
+        away = scene.points.astype(np.float64) - scene.origins
+        reach = np.linalg.norm(away, axis=1)
+        np.testing.assert_allclose(reach, np.linalg.norm(raw[:, :3].astype(np.float64), axis=1), atol=1e-6)
+        azimuth, up = np.arctan2(away[:, 1], away[:, 0]), np.arcsin(away[:, 2] / reach)
+        step = np.mod(np.diff(azimuth) + np.pi, 2 * np.pi) - np.pi
+        assert (step > 0).mean() > 0.999
+        turn = np.floor((np.cumsum(np.concatenate(([0.0], step))) + azimuth[0]) / (2 * np.pi)).astype(int)
+        rings = [np.median(up[turn == number]) for number in np.unique(turn)]
+        assert len(rings) == 64 and (np.diff(rings) < 0).all()
+
+
+@needs_kitti
 def test_labelled_boxes_hold_their_points_and_stand_on_the_ground() -> None:
     scene = KittiScenes(REAL).load("001584")
     near = scene.labels.num_points > 300

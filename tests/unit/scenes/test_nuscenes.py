@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -199,6 +200,14 @@ def test_rows_of_a_table_are_read_across_pieces(tmp_path: Path, monkeypatch: pyt
 def test_folders_that_are_no_release(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"neither tables v1\.0-\*/ nor \*\.pcd\.bin files"):
         NuScenesScenes(tmp_path)
+
+
+def test_numbers_of_another_width_are_no_metres_and_warn_of_nothing(tmp_path: Path) -> None:
+    scan(global_SE3_lidar(0.0, 0), 0).astype("<f8").tofile(tmp_path / "wide.pcd.bin")
+    scenes = NuScenesScenes(tmp_path)
+    with warnings.catch_warnings(), pytest.raises(InputError, match=r"wide\.pcd\.bin: .*(range|bytes).*"):
+        warnings.simplefilter("error")
+        scenes.load("wide")
 
 
 def test_the_real_file_turns_clockwise_and_its_rings_rise(real_data: Callable[[str], Path]) -> None:

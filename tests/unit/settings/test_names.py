@@ -31,7 +31,8 @@ def test_the_texts_among_the_settings() -> None:
             "vehicle.checkpoint",
             "naturalness.folder",
         ),
-        *("detector.weights", "detector.module", "runner.address", "tracking.uri", "tracking.experiment"),
+        *("detector.weights", "detector.module", "detector.file", "detector.config", "detector.vehicle_class"),
+        *("runner.address", "tracking.uri", "tracking.experiment"),
         "attack.edit",
     }
 

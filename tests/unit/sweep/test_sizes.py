@@ -27,6 +27,8 @@ PAPERS = {
     "bev_transfer": (5000, 100),
     "trajectories": (500, 100),
     "hyperparameters": (1600, 600),
+    "finetune": (2000, 100),
+    "finetune_held_out": (500, 100),
 }
 """Tasks at full and at small size."""
 

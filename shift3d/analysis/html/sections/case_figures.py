@@ -14,7 +14,7 @@ from shift3d.analysis.html.blocks import Panels, TurnButtons
 from shift3d.analysis.html.figure import LEGEND_BELOW, axis, plot
 from shift3d.geometry.boxes import corners_bev
 
-__all__ = ["from_above", "turnable"]
+__all__ = ["dots", "from_above", "outline", "turnable"]
 
 FloatArray = NDArray[np.float64]
 _EYE = {"x": 1.15, "y": 1.15, "z": 0.55}
@@ -82,22 +82,23 @@ def from_above(key: str, case: Case, before: Rendered, after: Rendered, centre_x
 def _above(name: str, rendered: Rendered) -> list[dict[str, Any]]:
     own = COLOURS["adversarial" if name == "adversarial" else "random"]
     traces = [
-        _dots(rendered.scene_xy, "#8a8a8a", 2, "scene"),
-        _dots(rendered.object_xy, own, 3, "vehicle's points"),
-        _outline(rendered.box, "#2f9e44", "dash", "ground truth"),
+        dots(rendered.scene_xy, "#8a8a8a", 2, "scene"),
+        dots(rendered.object_xy, own, 3, "vehicle's points"),
+        outline(rendered.box, "#2f9e44", "dash", "ground truth"),
     ]
     if rendered.found is not None:
-        traces.append(_outline(rendered.found, "#9b5de5", "solid", f"best box, {rendered.score:.3f}"))
+        traces.append(outline(rendered.found, "#9b5de5", "solid", f"best box, {rendered.score:.3f}"))
     return traces
 
 
-def _dots(points: FloatArray, colour: str, size: int, name: str) -> dict[str, Any]:
+def dots(points: FloatArray, colour: str, size: int, name: str) -> dict[str, Any]:
+    """Points (P, 2) as dots."""
     at = {axis_name: np.round(points[:, i], 2).astype(np.float32) for i, axis_name in enumerate("xy")}
     marker = {"size": size, "color": colour}
     return {"type": "scatter", "mode": "markers", **at, "marker": marker, "name": name, "hoverinfo": "skip"}
 
 
-def _outline(box: FloatArray, colour: str, dash: str, name: str) -> dict[str, Any]:
+def outline(box: FloatArray, colour: str, dash: str, name: str) -> dict[str, Any]:
     """A box's footprint, with a stroke from its middle to its front."""
     corners = corners_bev(box[None])[0]
     front = (corners[0] + corners[3]) / 2.0

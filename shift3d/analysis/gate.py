@@ -1,0 +1,167 @@
+"""The gate: a suite's objects scored by new weights, compared with the last release's scores, as a folder."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import pandas as pd
+
+from shift3d.analysis.cases.frozen import view_of
+from shift3d.analysis.html.gate import GatePage, gate_html
+from shift3d.analysis.statistics.releases import Rule
+from shift3d.analysis.tables.gate import Comparison, compare, measures_table, simulated_rates, worst_table
+from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
+from shift3d.store.location import Location
+from shift3d.suite.frozen import FrozenSuite
+from shift3d.suite.releases import Release, accept_release, last_release
+from shift3d.suite.scoring import Scorer, score_suite
+from shift3d.suite.tables import suite_table, suite_table_bytes
+from shift3d.wording import counted
+
+__all__ = ["Acceptance", "GateSettings", "Outcome", "run_gate"]
+
+Acceptance = Literal["false", "true", "anyway"]
+_SHOWN = 8
+
+
+@dataclass(frozen=True)
+class GateSettings:
+    """rule: when weights are worse. workers: processes.
+    against: number of the release to compare with, None: the last. accept: whether the scores become the next release:
+    "true" where nothing got worse, "anyway" whatever was found."""
+
+    rule: Rule = field(default_factory=Rule)
+    workers: int = 1
+    against: int | None = None
+    accept: Acceptance = "false"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """exit_code: of the command. text: what is printed. compared: there was a release to compare with, and files say
+    what came of it."""
+
+    exit_code: ExitCode
+    text: str
+    compared: bool = True
+
+
+def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Location, settings: GateSettings) -> Outcome:
+    """Score, compare, and write ``out``: gate.parquet (a row an object, worst first), verdict.json, gate.html, and the
+    answers, so that a killed gate goes on where it stopped. The same call gives the same bytes, whatever the workers.
+
+    Raises:
+        InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's
+            folder, a damaged suite.
+    Source: our choice: the paper has no gate.
+    """
+    scenes = len((suite.objects["dataset"] + "/" + suite.objects["scene"]).unique())
+    if 0.5**scenes > settings.rule.level:
+        what = (
+            f"has objects of {counted(scenes, 'scene')}: no loss would be significant at level={settings.rule.level:g}"
+        )
+        raise InputError(what, str(suite.folder), "Freeze a suite of a sweep over more scenes: scenes.count=")
+    for precision in suite.objects["precision"].unique():
+        scorer.at(precision)  # what is wrong with the weights is said before anything is scored
+    last = last_release(suite, releases, scorer.name, settings.against)
+    if last is None and settings.accept == "false":
+        what = f"{scorer.name} has no release to compare with, and did not score the sweep"
+        raise InputError(what, str(releases), "Give accept=true to make these weights the first release")
+    _claim(out, suite, scorer)
+    answers = _with_progress(score_suite(suite, scorer, out / "answers", settings.workers), suite)
+    after = {key: score for table in answers for key, score in zip(table["object_id"], table["score"], strict=True)}
+    after = {key: after[key] for key in suite.objects["object_id"]}
+    if last is None:
+        number = accept_release(suite, releases, scorer, after, None)
+        return Outcome(
+            ExitCode.DONE, f"{counted(len(after), 'object')} scored; accepted as release {number}, the first"
+        )
+    if missing := set(after) - set(last.scores):
+        raise InputError(f"has no score of {counted(len(missing), 'object')}", f"{last.name} of {last.detector}")
+    found = compare(suite.objects, last.scores, after, settings.rule)
+    sentence, caution = found.sentence(last.name), _caution(suite, last, scorer)
+    (out / "gate.parquet").write_atomic(suite_table_bytes(suite_table("gate", found.rows.to_dict("records"))))
+    facts = _facts(suite, scorer, last, settings)
+    (out / "verdict.json").write_atomic(_verdict(found, sentence, facts))
+    worst = found.rows[found.rows["change"] < 0].head(_SHOWN)["object_id"]
+    by_id = suite.objects.set_index("object_id", drop=False)
+    views = {key: view_of(suite, by_id.loc[key].to_dict(), scorer) for key in worst}
+    page = GatePage(found, sentence, caution, views, simulated_rates(found), facts)
+    (out / "gate.html").write_atomic(gate_html(page).encode())
+    said = [str(measures_table(found)), str(worst_table(found, 10)), sentence, caution, f"{out / 'gate.html'} written"]
+    if settings.accept == "anyway" or (settings.accept == "true" and not found.worse):
+        said.append(f"accepted as release {accept_release(suite, releases, scorer, after, last)}")
+    elif settings.accept == "true":
+        said.append("not accepted: accept=anyway accepts a release that is worse")
+    return Outcome(ExitCode.WORSE if found.worse else ExitCode.DONE, "\n\n".join(filter(None, said)))
+
+
+def _claim(out: Location, suite: FrozenSuite, scorer: Scorer) -> None:
+    """Write whose answers the folder holds, or refuse one that holds others."""
+    held = {"suite": suite.digest, "detector": scorer.name, "weights": scorer.digest}
+    content = (json.dumps(held, indent=1, sort_keys=True) + "\n").encode()
+    if (out / "spec.json").is_file() and (out / "spec.json").read_bytes() != content:
+        raise InputError("holds the gate of another suite or other weights", str(out), "Give another out=DIR")
+    (out / "spec.json").write_atomic(content)
+
+
+def _caution(suite: FrozenSuite, last: Release, scorer: Scorer) -> str:
+    if last.weights == scorer.digest:
+        return "These are the same weights as the ones that they are compared with."
+    if last.number or scorer.name not in suite.manifest["attacked"]:
+        return ""
+    return (
+        "The hard objects were made against the weights that these are compared with, so that other weights tend to "
+        "score them higher without being better. Look at the controls; from the first accepted release on, the "
+        "comparison is fair."
+    )
+
+
+def _facts(suite: FrozenSuite, scorer: Scorer, last: Release, settings: GateSettings) -> dict[str, str]:
+    manifest = suite.manifest
+    return {
+        "suite": suite.digest,
+        "sweep": f"{manifest['made']['sweep']}-{manifest['made']['spec_hash']}",
+        "objects": f"{manifest['hard_objects']} hard, {manifest['control_objects']} controls, "
+        f"{manifest['scenes']} scenes of {', '.join(manifest['datasets'])}",
+        "detector": scorer.name,
+        "weights": scorer.digest,
+        "against": last.name,
+        "weights before": last.weights,
+        "rule": f"a score above {settings.rule.score_threshold:g} is a detection; worse is a loss of at least "
+        f"{settings.rule.tolerance:g} with p of at most {settings.rule.level:g}, of any measure",
+    }
+
+
+def _verdict(found: Comparison, sentence: str, facts: Mapping[str, str]) -> bytes:
+    measures = [
+        {
+            **{name: getattr(measure, name) for name in ("role", "name", "before", "after", "p_value")},
+            "change": measure.change.mean,
+            # None: one scene alone has no interval.
+            "interval": [v if abs(v) < float("inf") else None for v in (measure.change.low, measure.change.high)],
+        }
+        for measure in found.measures
+    ]
+    counts: dict[str, Any] = {
+        role: {name: getattr(found, name)(role) for name in ("number", "lost", "gained")}
+        for role in ("hard", "control")
+    }
+    values = {"worse": found.worse, "sentence": sentence, "measures": measures, "objects": counts}
+    values |= {"detectable_loss": found.detectable, "facts": dict(facts)}
+    return (json.dumps(values, indent=1, sort_keys=True, allow_nan=False) + "\n").encode()
+
+
+def _with_progress(answers: Iterator[pd.DataFrame], suite: FrozenSuite) -> Iterator[pd.DataFrame]:
+    from tqdm import tqdm
+
+    slow = {} if sys.stderr.isatty() else {"mininterval": 15.0}
+    with tqdm(total=len(suite.objects), desc="scoring", unit="object", dynamic_ncols=True, **slow) as bar:
+        for table in answers:
+            bar.update(len(table))
+            yield table

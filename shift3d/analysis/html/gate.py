@@ -1,0 +1,138 @@
+"""The page of a gate: the verdict, what got worse with pictures, every score before and after, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from shift3d.analysis.cases.frozen import FrozenView
+from shift3d.analysis.figures.picture import COLOURS
+from shift3d.analysis.html.blocks import Article, Block, Panels, Paragraph, Plot, Section, Terms
+from shift3d.analysis.html.document import document
+from shift3d.analysis.html.figure import LEGEND_BELOW, axis, plot, plotly_library, short
+from shift3d.analysis.html.sections.case_figures import dots, outline
+from shift3d.analysis.statistics.releases import Rates
+from shift3d.analysis.tables.gate import Comparison, measures_table, power_table, simulation_table, worst_table
+
+__all__ = ["GatePage", "gate_html"]
+
+_MEANING = {
+    "hard object": "a solution of the sweep, in its scene, frozen when the suite was made",
+    "control": "the unchanged vehicle of the same task, in the same scene",
+    "score": "of the best box within the detection radius of the object's centre; 0 without one",
+    "recall": "share of the objects whose score is above score_threshold",
+    "lost": "detected before, and not now",
+    "test": "before and after change places in random scenes, all measures together; p is the share of 10,000 such "
+    "draws in which the largest of the measures' losses is as large as the one that was found",
+}
+
+
+@dataclass(frozen=True)
+class GatePage:
+    """What the page shows. sentence: the verdict. caution: what a reader must know of it; empty: nothing. views: of the
+    worst objects, by object_id. rates: of simulated releases. facts: by name, of suite and weights."""
+
+    found: Comparison
+    sentence: str
+    caution: str
+    views: Mapping[str, FrozenView]
+    rates: Sequence[Rates]
+    facts: Mapping[str, str]
+
+
+def gate_html(page: GatePage) -> str:
+    """The whole page; the same result to the same text."""
+    verdict: list[Block] = [Paragraph(page.sentence, "worst" if page.found.worse else "")]
+    verdict += [Paragraph(page.caution)] if page.caution else []
+    verdict += [measures_table(page.found)]
+    sure: list[Block] = [
+        Paragraph(
+            "Objects whose score lies near the threshold change sides between any two trainings. The more of them "
+            "there are, the more objects it takes to see a loss. The table holds for independent objects and for the "
+            "test of recall alone; the simulation below is of the whole test on these objects."
+        ),
+        power_table(len(page.found.measures), page.found.rule.level),
+        simulation_table(list(page.rates)),
+    ]
+    sections = [
+        Section("verdict", "Verdict", verdict),
+        Section("worst", "What got worse, worst first", [*_articles(page), worst_table(page.found)]),
+        Section("scores", "Every object before and after", [_scatter(page.found)]),
+        Section("power", "What this suite can show", sure),
+        Section("compared", "What was compared", [Terms(page.facts), Terms(_MEANING)]),
+    ]
+    return document("shift3d: gate", sections, "New weights on a suite of hard objects.", plotly_library())
+
+
+def _articles(page: GatePage) -> list[Block]:
+    rows = {row["object_id"]: row for row in page.found.rows.to_dict("records")}
+    parts: list[Block] = []
+    for number, (key, view) in enumerate(page.views.items(), start=1):
+        row = rows[key]
+        title = f"{number}. {row['vehicle']}, {row['role']}: score {row['score_before']:.2f} → {row['score']:.2f}"
+        views = Panels([_above(f"above-{number}", view), _side(f"side-{number}", view)])
+        text = f"Scene {row['scene']}, {row['range_m']:.1f} m away, {row['object_points']} points, object {key[:12]}."
+        parts.append(Article(f"object-{number}", title, [Paragraph(text), views]))
+    return parts or [Paragraph("No score fell.", "missing")]
+
+
+def _above(key: str, view: FrozenView) -> Plot:
+    traces = [*_points(view.scene_xy, view.object_xy), outline(view.box, "#2f9e44", "dash", "ground truth")]
+    if view.found is not None:
+        traces.append(outline(view.found, "#9b5de5", "solid", f"best box, {view.score:.3f}"))
+    best = f"best box {view.score:.3f}" if view.found is not None else "no box within the detection radius"
+    return _true_to_scale(key, traces, f"From above, scene frame: {best}", view.box[:2], 10.0, ("x, m", "y, m"))
+
+
+def _side(key: str, view: FrozenView) -> Plot:
+    half, top, bottom = view.box[3] / 2.0, view.box[2] + view.box[5] / 2.0, view.box[2] - view.box[5] / 2.0
+    edge = {"x": [-half, half, half, -half, -half], "y": short([bottom, bottom, top, top, bottom])}
+    box = {"type": "scatter", "mode": "lines", **edge, "name": "ground truth"}
+    traces = [*_points(view.scene_side, view.object_side), {**box, "line": {"color": "#2f9e44", "dash": "dash"}}]
+    middle = np.array([0.0, 1.0])
+    return _true_to_scale(key, traces, "From the side, front to the right", middle, 5.0, ("along, m", "height, m"))
+
+
+def _points(scene: Any, own: Any) -> list[dict[str, Any]]:
+    return [dots(scene, "#8a8a8a", 2, "scene"), dots(own, COLOURS["adversarial"], 3, "object's points")]
+
+
+def _true_to_scale(
+    key: str, traces: list[dict[str, Any]], caption: str, middle: Any, half_m: float, names: tuple[str, str]
+) -> Plot:
+    spans = [{"range": [round(float(c) - half_m, 2), round(float(c) + half_m, 2)]} for c in middle]
+    layout = {
+        "xaxis": axis(names[0], **spans[0], constrain="domain", zeroline=False),
+        "yaxis": axis(names[1], **spans[1], scaleanchor="x", constrain="domain", zeroline=False),
+        "legend": LEGEND_BELOW,
+    }
+    return plot(key, traces, layout, caption, caption, 380)
+
+
+def _scatter(found: Comparison) -> Plot:
+    traces: list[dict[str, Any]] = []
+    for role, name, colour in (("control", "controls", COLOURS["baseline"]), ("hard", "hard objects", "#d55e00")):
+        rows = found.rows[found.rows["role"] == role]
+        if rows.empty:
+            continue
+        at = {"x": short(rows["score_before"]), "y": short(rows["score"])}
+        texts = [f"{row.vehicle}, {row.scene}, {row.object_id[:12]}" for row in rows.itertuples()]
+        marker = {"size": 6, "color": colour, "opacity": 0.7}
+        hover = {"text": texts, "hovertemplate": "%{text}<br>%{x:.3f} → %{y:.3f}<extra></extra>"}
+        traces.append({"type": "scatter", "mode": "markers", **at, "marker": marker, "name": name, **hover})
+    same = {"type": "scatter", "mode": "lines", "x": [0, 1], "y": [0, 1], "name": "no change", "hoverinfo": "skip"}
+    traces.append({**same, "line": {"color": "#8a8a8a", "width": 1}})
+    limit = {"type": "line", "line": {"color": "#8a8a8a", "width": 1, "dash": "dot"}}
+    t = found.rule.score_threshold
+    shapes = [{**limit, "x0": t, "x1": t, "y0": 0, "y1": 1}, {**limit, "y0": t, "y1": t, "x0": 0, "x1": 1}]
+    layout = {
+        "xaxis": axis("score before", range=[-0.02, 1.02], constrain="domain"),
+        "yaxis": axis("score", range=[-0.02, 1.02], scaleanchor="x", constrain="domain"),
+        "shapes": shapes,
+        "legend": LEGEND_BELOW,
+    }
+    caption = "Below the line: worse. Dotted: the threshold; lower right of it: lost"
+    return plot("scores", traces, layout, "Scores before and after", caption, 520)

@@ -1,0 +1,105 @@
+"""Whether scores got worse, tested by flipping whole scenes; and how many objects such a test needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.seeding import generator
+
+__all__ = ["detectable_loss", "flip_p_values", "objects_needed", "recall_power", "scene_sums"]
+
+FloatArray = NDArray[np.float64]
+_FLIPS = 9_999
+_ALL_PATTERNS = 13
+"""Up to so many scenes every pattern of signs is looked at, which makes the p-values exact."""
+_MOST_OBJECTS = 1_000_000
+
+
+def scene_sums(differences: FloatArray, places: Sequence[str]) -> FloatArray:
+    """Sums over each place (S, ...) of differences (N, ...), of N named places; those without a difference left out."""
+    _, index = np.unique(np.asarray(places), return_inverse=True)
+    sums = np.zeros((index.max() + 1, *differences.shape[1:]))
+    np.add.at(sums, index, differences)
+    return np.asarray(sums[sums.reshape(len(sums), -1).any(axis=1)])
+
+
+def flip_p_values(sums: FloatArray, flips: int = _FLIPS) -> FloatArray:
+    """One-sided p-values (..., J) of losses, corrected for there being J of them.
+
+    sums: (S, ..., J) of differences after - before, over S scenes, of J measures; what stands between is independent
+    tests. A measure's statistic is -sum / sqrt(sum of squares) over the scenes. Where nothing got worse, before and
+    after could change places in any scene, all measures together: so the statistics are compared with the largest of
+    the J under random signs of scenes. Exact in level for exchangeable releases, whatever the distribution and however
+    the measures or the objects of a scene hang together. A measure without differences has p = 1.
+
+    Source: sign-flip (Fisher's randomization) test; single-step maxT of Westfall and Young 1993.
+    """
+    if not len(sums):
+        return np.ones(sums.shape[1:])
+    scale = np.sqrt((sums**2).sum(axis=0))
+    whole = np.divide(-sums, scale, out=np.zeros_like(sums), where=scale > 0)
+    found = whole.sum(axis=0)
+    signs = _signs(len(sums), flips)
+    flat = whole.reshape(len(sums), -1)
+    drawn = (signs @ flat).reshape(len(signs), *found.shape).max(axis=-1, keepdims=True)
+    at_least = (drawn >= found - 1e-9).mean(axis=0)
+    return np.asarray(np.where(scale > 0, at_least, 1.0))
+
+
+def _signs(scenes: int, flips: int) -> FloatArray:
+    """Patterns of signs (B, S): every one where there are few scenes, else as they are and random ones."""
+    if scenes <= _ALL_PATTERNS:
+        patterns = np.arange(2**scenes)[:, None] >> np.arange(scenes) & 1
+        return np.asarray(1.0 - 2.0 * patterns, dtype=np.float64)
+    drawn = generator("sign flips", scenes, flips).integers(0, 2, (flips, scenes))
+    return np.concatenate((np.ones((1, scenes)), 1.0 - 2.0 * drawn))
+
+
+def recall_power(objects: int, lost: float, gained: float, level: float) -> float:
+    """Chance that the exact sign test finds a loss of recall, of independent objects.
+
+    lost, gained: shares of the objects that are no longer, and newly, detected. level: one-sided.
+    Source: McNemar's test in its exact form, averaged over the number of discordant objects.
+    """
+    from scipy.stats import binom
+
+    discordant = np.arange(objects + 1)
+    weight = binom.pmf(discordant, objects, lost + gained)
+    discordant, weight = discordant[weight > 1e-12], weight[weight > 1e-12]
+    critical = binom.isf(level, discordant, 0.5) + 1  # the fewest losses that are significant
+    return float((weight * binom.sf(critical - 1, discordant, lost / (lost + gained))).sum())
+
+
+def objects_needed(loss: float, churn: float, power: float, level: float) -> int | None:
+    """The fewest objects with which a loss of recall is found with a power; None: more than a million.
+
+    loss: share of the objects, beyond churn: the share that is lost, and the one that is gained, without any loss.
+    """
+
+    def enough(objects: int) -> bool:
+        return recall_power(objects, churn + loss, churn, level) >= power
+
+    high = 16
+    while not enough(high):
+        high *= 2
+        if high > _MOST_OBJECTS:
+            return None
+    low = high // 2
+    while high - low > 1:  # the power of a discrete test is a saw; where it first rises above does
+        middle = (low + high) // 2
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high
+
+
+def detectable_loss(objects: int, churn: float, power: float, level: float) -> float | None:
+    """The smallest loss of recall that so many objects show with a power, to 0.0005; None: not even a loss of all."""
+    steps = np.arange(1, round((1.0 - 2.0 * churn) / 0.0005))
+    low, high = 0, len(steps)
+    while low < high:
+        middle = (low + high) // 2
+        found = recall_power(objects, churn + 0.0005 * steps[middle], churn, level) >= power
+        low, high = (low, middle) if found else (middle + 1, high)
+    return float(0.0005 * steps[low]) if low < len(steps) else None

@@ -1,0 +1,85 @@
+"""The AUC against the budget of naturalness: how hard vehicles get that stay vehicles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from shift3d.analysis.statistics.intervals import Interval, ratio_interval
+from shift3d.analysis.statistics.paired import paired
+from shift3d.analysis.tables.table import Table, number
+from shift3d.analysis.variants import Variant
+from shift3d.task.spec import split_label
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["ANY_SHAPE", "BudgetCurve", "budget_curves", "budget_table"]
+
+ANY_SHAPE = 100.0
+"""The budget of a search without one: no percentile lies beyond it."""
+
+
+@dataclass(frozen=True)
+class BudgetCurve:
+    """One search before one detector. variants: by the percentile that its shapes may not pass, rising."""
+
+    title: str
+    variants: dict[float, Variant]
+
+    def ratio(self, budget: float, method: str) -> Interval | None:
+        """The method's AUC over the baseline's of the same tasks, scenes redrawn; None where it has no scores."""
+        rows = self.variants[budget].rows
+        return ratio_interval(rows[rows["method"] == method], rows[rows["method"] == "baseline"])
+
+
+def budget_curves(found: Sequence[Variant]) -> list[BudgetCurve]:
+    """Searches over shapes that a sweep ran under two budgets or more."""
+    groups: dict[tuple[str, ...], dict[float, Variant]] = {}
+    for variant in found:
+        search, budget = split_label(variant.search)
+        settings = (variant.detector, variant.scored_by, f"alpha {variant.alpha:g}", variant.accuracy, variant.effects)
+        if variant.mode != "pose" and len(variant.auc):
+            groups.setdefault((variant.mode, search, *settings), {})[budget or ANY_SHAPE] = variant
+    several = {key: dict(sorted(group.items())) for key, group in groups.items() if len(group) > 1}
+    differing = [len(set(values)) > 1 for values in zip(*several)]
+    differing[:2] = [True] * len(differing[:2])  # what is searched, and how, is always said
+    return [
+        BudgetCurve(", ".join(text.replace("_", " ") for text, told in zip(key, differing) if told), group)
+        for key, group in several.items()
+    ]
+
+
+def budget_table(found: Sequence[Variant]) -> Table | None:
+    """A line a search and budget; None where no search ran under two budgets. All tasks that have a score count."""
+    lines = []
+    for curve in budget_curves(found):
+        for budget, variant in curve.variants.items():
+            shown = "any shape" if budget == ANY_SHAPE else f"{budget:g}"
+            ratios = [_text(curve.ratio(budget, method)) for method in ("random_search", "adversarial")]
+            worth = paired(variant.rows, "adversarial", "random_search")
+            difference = "-" if worth is None else _text(worth.interval, 3)
+            means = [number(variant.aucs.mean(name, variant.vehicles)) for name in ("baseline", "adversarial")]
+            lines.append([f"{curve.title}, {shown}", *_shapes(variant.rows), *means, *ratios, difference])
+    header = ["search, percentile", "natural", "cm", "baseline", "adversarial", "of baseline, random draws",
+              "of baseline", "less random draws"]  # fmt: skip
+    title = "AUC against the budget of naturalness; cm: median distance to the nearest known vehicle"
+    return Table(title, header, lines) if lines else None
+
+
+def _shapes(rows: pd.DataFrame) -> list[str]:
+    """How many adversarial shapes are natural, and their median surface distance in cm."""
+    own = rows[rows["method"] == "adversarial"].drop_duplicates("task_id")
+    judged = own[own["natural"].notna()] if "natural" in own else own.iloc[:0]
+    natural = f"{int(judged['natural'].eq(True).sum())} of {len(judged)}" if len(judged) else "-"
+    apart = float(own["surface_distance_cm"].median()) if "surface_distance_cm" in own else math.nan
+    return [natural, "-" if math.isnan(apart) else f"{apart:.1f}"]
+
+
+def _text(found: Interval | None, digits: int = 2) -> str:
+    if found is None:
+        return "-"
+    between = f" [{found.low:.{digits}f}, {found.high:.{digits}f}]" if found.high < float("inf") else ""
+    return f"{found.mean:.{digits}f}{between}"

@@ -1,0 +1,220 @@
+"""What a gate found: scores before and after on the same objects, what is worse, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from shift3d.analysis.statistics.intervals import Interval, mean_interval
+from shift3d.analysis.statistics.loss import detectable_loss, flip_p_values, objects_needed, scene_sums
+from shift3d.analysis.statistics.releases import MEASURES, Rates, Rule, measured_differences, stopped_releases
+from shift3d.analysis.tables.table import Table
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = [
+    "Comparison",
+    "Measure",
+    "compare",
+    "measures_table",
+    "power_table",
+    "simulated_rates",
+    "simulation_table",
+    "worst_table",
+]
+
+_ROLES = {"hard": "hard objects", "control": "controls"}
+_LOSS = 0.02
+_POWERS = (0.8, 0.9)
+_CHURNS = (0.0, 0.005, 0.01, 0.02, 0.05)
+_NOISES = (0.05, 0.1, 0.2, 0.4)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One measure of one role's objects. change: after less before, with its interval over scenes. p_value: one-sided,
+    of a loss, corrected for the number of measures. worse: whether it stops the release."""
+
+    role: str
+    name: str
+    before: float
+    after: float
+    change: Interval
+    p_value: float
+    worse: bool
+
+    @property
+    def title(self) -> str:
+        """For the reader."""
+        return f"{self.name} of {_ROLES[self.role]}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two releases on the same objects.
+
+    rows: the table of ``gate.parquet``, worst first: objects that are no longer detected, then by their change of
+    score.
+    """
+
+    rows: pd.DataFrame
+    measures: tuple[Measure, ...]
+    rule: Rule
+
+    @property
+    def worse(self) -> bool:
+        """Whether a measure stops the release."""
+        return any(measure.worse for measure in self.measures)
+
+    def lost(self, role: str) -> int:
+        """Objects of a role that were detected before and are not now."""
+        return int((self._of(role)["detected_before"] & ~self._of(role)["detected"]).sum())
+
+    def gained(self, role: str) -> int:
+        """Objects of a role that are detected now and were not before."""
+        return int((~self._of(role)["detected_before"] & self._of(role)["detected"]).sum())
+
+    def number(self, role: str) -> int:
+        """Objects of a role."""
+        return len(self._of(role))
+
+    def _of(self, role: str) -> pd.DataFrame:
+        return self.rows[self.rows["role"] == role]
+
+    @property
+    def detectable(self) -> float | None:
+        """The smallest loss of recall of hard objects that this suite shows in 90 % of releases with as much churn."""
+        number = self.number("hard")
+        return detectable_loss(number, self.gained("hard") / number, _POWERS[1], self.rule.level / len(self.measures))
+
+    def sentence(self, against: str) -> str:
+        """The verdict. against: the release that it is compared with."""
+        counts = f"{self.lost('hard')} hard objects lost, {self.gained('hard')} newly detected"
+        if self.worse:
+            worst = min((m for m in self.measures if m.worse), key=lambda measure: measure.p_value)
+            return (
+                f"Worse than {against}: {worst.title} {worst.before:.3f} → {worst.after:.3f} "
+                f"(p = {worst.p_value:.4f}); {counts}."
+            )
+        number, least = self.number("hard"), self.detectable
+        shown = (
+            f"a loss of {100 * least:.1f} points of recall is found in 90 % of releases"
+            if least is not None
+            else "no loss is found in 90 % of releases"
+        )
+        return f"No loss found against {against}: {counts}. With {counted(number, 'hard object')}, {shown}."
+
+
+def compare(objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[str, float], rule: Rule) -> Comparison:
+    """Compare scores by object_id.
+
+    objects: of the suite.
+    """
+    rows = objects[["object_id", "role", "task_id", "method", "vehicle", "scene", "dataset", "mode"]].copy()
+    rows["range_m"] = np.hypot(objects["x_m"], objects["y_m"])
+    rows["object_points"] = objects["object_points"]
+    rows["score_before"], rows["score"] = (rows["object_id"].map(dict(scores)) for scores in (before, after))
+    rows["change"] = rows["score"] - rows["score_before"]
+    rows["detected_before"], rows["detected"] = (
+        rows[name] > rule.score_threshold for name in ("score_before", "score")
+    )
+    places = list(rows["dataset"] + "/" + rows["scene"])
+    roles = [role for role in _ROLES if (rows["role"] == role).any()]
+    groups = [(rows["role"] == role).to_numpy() for role in roles]
+    scores = rows["score_before"].to_numpy(), rows["score"].to_numpy()
+    differences = measured_differences(*scores, groups, rule.score_threshold)
+    p_values = flip_p_values(scene_sums(differences, places))
+    measures = []
+    for column, (role, name) in enumerate((role, name) for role in roles for name in MEASURES):
+        own = groups[column // len(MEASURES)]
+        values = [part > rule.score_threshold if name == MEASURES[0] else part for part in scores]
+        change = mean_interval(differences[own, column], [place for place, taken in zip(places, own) if taken])
+        means = [float(part[own].mean()) for part in values]
+        p_value = p_values[column]
+        stops = bool(rule.stops(np.array(change.mean), p_value))
+        measures.append(Measure(role, name, means[0], means[1], change, float(p_value), stops))
+    rows["lost"] = rows["detected_before"] & ~rows["detected"]
+    ordered = rows.sort_values(["lost", "change", "object_id"], ascending=[False, True, True], kind="stable")
+    return Comparison(ordered.drop(columns="lost").reset_index(drop=True), tuple(measures), rule)
+
+
+def measures_table(found: Comparison) -> Table:
+    """What was tested."""
+    lines = [
+        [
+            measure.title,
+            f"{measure.before:.3f}",
+            f"{measure.after:.3f}",
+            f"{measure.change.mean:+.3f} ({measure.change.low:+.3f} to {measure.change.high:+.3f})",
+            f"{measure.p_value:.4f}",
+            "worse" if measure.worse else "",
+        ]
+        for measure in found.measures
+    ]
+    header = ["measure", "before", "after", "change (95 % interval)", "p of a loss", ""]
+    title = (
+        f"Scores above {found.rule.score_threshold:g} are detections; p-values are corrected for there being several"
+    )
+    return Table(title, header, lines, ["worst" if line[-1] else "" for line in lines])
+
+
+def worst_table(found: Comparison, most: int = 40) -> Table:
+    """The objects that got worse, worst first."""
+    rows = found.rows[found.rows["change"] < 0]
+    lines = [
+        [
+            str(rank),
+            row["role"],
+            f"{row['vehicle']}, {row['mode']}",
+            row["scene"],
+            f"{row['range_m']:.1f}",
+            str(row["object_points"]),
+            f"{row['score_before']:.3f}",
+            f"{row['score']:.3f}",
+            "lost" if row["detected_before"] and not row["detected"] else "",
+            str(row["object_id"])[:12],
+        ]
+        for rank, row in enumerate(rows.head(most).to_dict("records"), start=1)
+    ]
+    more = f"; the {most} worst are shown, the rest is in gate.parquet" if len(rows) > most else ""
+    header = ["", "role", "vehicle", "scene", "range, m", "points", "before", "after", "", "object"]
+    return Table(f"{counted(len(rows), 'object')} with a lower score{more}", header, lines)
+
+
+def power_table(measures: int, level: float, loss: float = _LOSS) -> Table:
+    """How many hard objects show a loss of recall, by how many change sides without a loss."""
+    lines = []
+    for churn in _CHURNS:
+        needed = [objects_needed(loss, churn, power, level / measures) for power in _POWERS]
+        lines.append([f"{100 * churn:g} %", *("more than a million" if n is None else f"{n:,}" for n in needed)])
+    header = ["lost and gained without a loss, each", *(f"{power:.0%} power" for power in _POWERS)]
+    return Table(f"Hard objects that show a loss of {100 * loss:g} points of recall, at most", header, lines)
+
+
+def simulated_rates(found: Comparison, loss: float = _LOSS) -> list[Rates]:
+    """How often this gate stops releases simulated around the scores before."""
+    rows = found.rows.sort_values("object_id", kind="stable")
+    hard, places = (rows["role"] == "hard").to_numpy(), list(rows["dataset"] + "/" + rows["scene"])
+    scores = rows["score_before"].to_numpy()
+    return [stopped_releases(scores, hard, places, noise, loss, found.rule) for noise in _NOISES]
+
+
+def simulation_table(rates: list[Rates], loss: float = _LOSS) -> Table:
+    """Of `simulated_rates`."""
+    lines = [
+        [
+            f"{rate.churn:g}",
+            f"{rate.lost:.1%}",
+            f"{rate.false_alarms:.1%}",
+            "too few are detected" if rate.found is None else f"{rate.found:.1%}",
+        ]
+        for rate in rates
+    ]
+    header = ["noise of the logits", "hard objects lost without a loss", "stopped without a loss", "stopped with it"]
+    title = f"200 simulated releases of these objects, without a loss and with {100 * loss:g} points of recall"
+    return Table(title, header, lines)

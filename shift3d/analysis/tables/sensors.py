@@ -1,0 +1,82 @@
+"""The same vehicle at the same place under the beams of several sensors: is a miss the sensor's or the detector's?"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from shift3d.analysis.statistics.intervals import mean_interval
+from shift3d.analysis.tables.table import Table, number
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["MISSED_BELOW", "paired_scores", "sensor_table"]
+
+MISSED_BELOW = 0.1
+"""A vehicle with a lower score is missed. Source: the score that the public Waymo config shows boxes from."""
+_BEAMS = r"-beams_([a-z0-9_]+)"
+_GROUP = ["mode", "method", "detector", "scored_by", "search"]
+_PAIR = ["street", "vehicle", "lambda", "alpha", "accuracy", "replicate"]
+_METHODS = ("baseline", "adversarial")
+
+
+def paired_scores(scores: pd.DataFrame) -> dict[tuple[str, ...], tuple[pd.DataFrame, pd.DataFrame]]:
+    """Scores and points of objects by sensor: (mode, method, detector, scored_by, search) to two tables.
+
+    scores: of ``final/``. A line of a table is one object of one street, a column a sensor's beams, in the order in
+    which they were planned. Baselines are one object; an adversarial one was searched under its own beams.
+    """
+    rows = scores[scores["score"].notna() & scores["method"].isin(_METHODS)]
+    rows = rows.assign(beams=rows["scene"].str.extract(_BEAMS, expand=False))
+    rows = rows[rows["beams"].notna()]
+    if rows["beams"].nunique() < 2:
+        return {}
+    order = list(dict.fromkeys(rows["beams"]))
+    street = rows["dataset"].str.replace(_BEAMS, "", regex=True) + rows["scene"].str.replace(_BEAMS, "", regex=True)
+    rows = rows.assign(street=street).fillna({"lambda": -1.0})
+    found = {}
+    for group, members in rows.groupby(_GROUP, sort=False):
+        tables = [members.pivot_table(index=_PAIR, columns="beams", values=name) for name in ("score", "object_points")]
+        wide = [table[[beams for beams in order if beams in table]] for table in tables]
+        if len(wide[0].columns) > 1:
+            found[tuple(map(str, group))] = (wide[0], wide[1])
+    return found
+
+
+def sensor_table(scores: pd.DataFrame) -> Table | None:
+    """A line an object's kind, a scoring detector and a sensor, paired with the first sensor of the plan.
+
+    Differences are object by object, intervals redraw whole streets. None where a sweep has one sensor's beams alone.
+    """
+    lines = []
+    for (mode, method, detector, scored_by, search), (score, points) in paired_scores(scores).items():
+        first = score.columns[0]
+        for beams in score.columns:
+            both = score[[first, beams]].dropna() if beams != first else score[[first]].dropna()
+            if both.empty:
+                continue
+            missed, missed_first = both[beams] < MISSED_BELOW, both[first] < MISSED_BELOW
+            said = "-" if beams == first else _difference(both, first, beams)
+            lines.append(
+                [
+                    f"{method}, {mode}, {search}, {detector}",
+                    scored_by,
+                    str(beams),
+                    str(len(both)),
+                    f"{points.loc[both.index, beams].median():.0f}",
+                    number(float(both[beams].mean())),
+                    said,
+                    f"{missed.mean():.0%}",
+                    "-" if beams == first else f"{int((missed & missed_first).sum())} of {int(missed_first.sum())}",
+                ]
+            )
+    header = ["", "scored by", "beams", "objects", "points", "score", "less first sensor's", "missed",
+              "of first's misses"]  # fmt: skip
+    title = f"The same vehicles at the same places under other beams; missed: a score below {MISSED_BELOW:g}"
+    return Table(title, header, lines) if lines else None
+
+
+def _difference(both: pd.DataFrame, first: str, beams: str) -> str:
+    found = mean_interval(both[beams] - both[first], list(both.index.get_level_values("street")))
+    between = f" [{found.low:+.3f}, {found.high:+.3f}]" if found.high < float("inf") else ""
+    return f"{found.mean:+.3f}{between}"

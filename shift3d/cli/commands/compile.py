@@ -1,0 +1,61 @@
+"""``shift3d compile``: a detector as an ONNX file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from shift3d.cli.command import Command, key_values
+from shift3d.cli.completion import overrides
+from shift3d.errors import InputError
+
+__all__ = ["COMMAND"]
+
+_KEYS = ("detector", "weights", "to")
+
+_DESCRIPTION = """\
+Writes a detector of shift3d as an ONNX file: points (N, 3), any N, to boxes (A, 7) and scores (A,), one a proposal,
+before suppression (docs/guides/detectors.md). Compares the scores of both on a street first, and writes nothing where
+they differ by more than 1e-3. pointpillars and centerpoint can be compiled. Needs: pip install 'shift3d[onnx]'."""
+
+_EPILOG = """\
+examples:
+  shift3d compile detector=pointpillars to=pointpillars.onnx
+  shift3d compile detector=pointpillars weights=FILE.safetensors to=mine.onnx
+  shift3d sweep smoke detector=onnx detector.file=pointpillars.onnx detector.original=pointpillars \\
+    attack.search=evolution"""
+
+
+def _words(prefix: str, **_: Any) -> list[str]:
+    key, equals, _value = prefix.partition("=")
+    if not equals:
+        return [f"{name}=" for name in _KEYS if name.startswith(prefix)]
+    return overrides(prefix) if key == "detector" else []
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    text = "detector=NAME to=FILE.onnx [weights=FILE]"
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = _words  # type: ignore[attr-defined]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    values = key_values(arguments.words, _KEYS, ("detector", "to"), "compile")
+    target = Path(values["to"]).expanduser()
+    if target.suffix != ".onnx":
+        raise InputError(f"to={values['to']} does not end in .onnx", "compile", "Give to=FILE.onnx")
+    from shift3d.store.atomic import check_writable, write_atomic
+
+    check_writable(target.parent)
+    from shift3d.processor import configure_runtime
+    from shift3d.settings.compiled import compiled_network
+
+    configure_runtime()
+    content, worst = compiled_network(values["detector"], values.get("weights"))
+    write_atomic(target, content)
+    print(f"{target}: {len(content) / 2**20:.0f} MiB, scores within {worst:.1g} of {values['detector']}'s")
+    return 0
+
+
+COMMAND = Command("compile", "write a detector as an ONNX file", _DESCRIPTION, _EPILOG, _add_arguments, _run)

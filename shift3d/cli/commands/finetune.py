@@ -1,0 +1,256 @@
+"""``shift3d finetune``: attack, fine-tune on what was found, and measure on what was not seen."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from shift3d.cli.command import Command, key_values, run_command
+from shift3d.cli.commands import evaluate, sweep, train, verify
+from shift3d.cli.completion import overrides
+from shift3d.detectors.names import DETECTOR_NAMES
+from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    from shift3d.finetuning.report import Tuned
+    from shift3d.settings.schema import Config
+
+__all__ = ["COMMAND", "FinetuneRequest", "read_request", "steps_of"]
+
+_DESCRIPTION = """\
+Does a detector get better by training on the objects that fool it? Attacks it on training streets (sweep finetune),
+verifies what was found, fine-tunes it on the stable objects with every seed, and measures it on held-out streets: on
+the same vehicles (finetune_held_out), on other body types (finetune_other_vehicles), each attacked before and anew, and
+on natural streets. Ends in finetune.parquet, report.html and MLflow.
+
+It is a list of the other commands, and prints each before it runs it. The same command again skips what is done."""
+
+_EPILOG = """\
+examples:
+  shift3d finetune size=small                  100 objects, 3 seeds: an evening on two cores
+  shift3d finetune                             the paper's size, 2,000 objects: days on two cores, or runner.address=
+  shift3d finetune --quick                     a few minutes: the same path; its numbers mean nothing
+  shift3d finetune size=small control=true     beside it a model tuned on the unchanged objects of the same scenes
+  shift3d finetune size=small rate=3e-6 adaptive=false    another rate: what was found before is used again, and
+                                               nothing is attacked anew
+  shift3d finetune size=small detector=sst streets=20 others=camper,trailer
+  shift3d finetune --steps size=small          print the commands and run none
+
+rate=   peak of the learning rate             streets= natural streets for AP (200; size=small: 50)
+seeds=  of the tunings: 0,1,2                 others=  vehicles of finetune_other_vehicles
+Other words are overrides of the three sweeps; held_out.KEY=VALUE is one of the two over held-out streets alone.
+Scenes that are both attacked for training and held out are refused before anything runs.
+
+  duckdb -c "select * from 'outputs/finetuning-*/finetune.parquet' where seed is null\""""
+
+_KEYS = ("out", "rate", "seeds", "streets", "others", "control", "adaptive")
+_FLAGS = {"control": "false", "adaptive": "true"}
+_STREETS = {"full": "200", "small": "50"}
+_QUICK = ["size=small", "scenes.count=2", "attack.steps=4", "vehicle=coupe,suv"]
+_QUICK_VALUES = {"others": "kei_car", "streets": "2", "seeds": "0"}
+_SWEEPS = ("finetune", "finetune_held_out", "finetune_other_vehicles")
+_HELD_OUT = "held_out."
+
+
+@dataclass(frozen=True)
+class FinetuneRequest:
+    """What the command line asks for. words: overrides of every sweep; held_out: of those over held-out streets."""
+
+    words: list[str]
+    held_out: list[str]
+    seeds: list[int]
+    streets: int
+    rate: str | None = None
+    others: str | None = None
+    control: bool = False
+    adaptive: bool = True
+    out: str | None = None
+
+    def overrides_of(self, sweep: str) -> list[str]:
+        """Of one of the three sweeps. Vehicles are named for the first two."""
+        if sweep == _SWEEPS[0]:
+            return self.words
+        both = [*self.words, *self.held_out]
+        if sweep == _SWEEPS[1]:
+            return both
+        others = [f"vehicle.name={self.others}"] if self.others else []
+        return [word for word in both if not word.startswith(("vehicle=", "vehicle."))] + others
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A command of the list."""
+
+    command: Command
+    words: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        return " ".join(shlex.quote(word) for word in ["shift3d", self.command.name, *self.words])
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help="keys below, and overrides of the sweeps")
+    words.completer = lambda prefix, **_: (  # type: ignore[attr-defined]
+        [f"{key}=" for key in _KEYS if key.startswith(prefix)] + overrides(prefix)
+    )
+    parser.add_argument("--quick", action="store_true", help="two streets, two vehicles, four steps, one seed")
+    parser.add_argument("--steps", action="store_true", help="print the commands and run none")
+
+
+def read_request(words: Sequence[str], quick: bool = False) -> FinetuneRequest:
+    """The words of a command line.
+
+    Raises: InputError for a key without a value, or a value that is none.
+    """
+    own = [word for word in words if word.partition("=")[0] in _KEYS]
+    held_out = [word.removeprefix(_HELD_OUT) for word in words if word.startswith(_HELD_OUT)]
+    rest = [word for word in words if word not in own and not word.startswith(_HELD_OUT)]
+    values = (_QUICK_VALUES if quick else {}) | key_values(own, _KEYS, (), "finetune")
+    rest = [*(_QUICK if quick else []), *rest]
+    size = "small" if "size=small" in rest else "full"
+    seeds, streets = values.get("seeds", "0,1,2"), values.get("streets", _STREETS[size])
+    if not all(part.isdecimal() for part in seeds.split(",")) or len(set(seeds.split(","))) < len(seeds.split(",")):
+        raise InputError(f"seeds={seeds!r} are no different whole numbers", "finetune", "Give seeds=0,1,2")
+    if not streets.isdecimal() or int(streets) < 1:
+        raise InputError(f"streets={streets!r} is not a whole number from 1", "finetune", "Give streets=50")
+    flags = {name: values.get(name, default) for name, default in _FLAGS.items()}
+    for name, text in flags.items():
+        if text not in ("true", "false"):
+            raise InputError(f"{name}={text!r} is neither true nor false", "finetune", f"Give {name}=true")
+    numbers = [int(part) for part in seeds.split(",")]
+    on = {name: text == "true" for name, text in flags.items()}
+    rate, others, out = (values.get(name) for name in ("rate", "others", "out"))
+    return FinetuneRequest(rest, held_out, numbers, int(streets), rate, others, **on, out=out)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.processor import configure_runtime
+
+    configure_runtime()
+    request = read_request(arguments.words, arguments.quick)
+    config, spec_hash = _checked(request)
+    folder = Path(request.out or f"outputs/finetuning-{spec_hash}").expanduser()
+    models = _models(folder, config.detector.name, request)
+    steps = list(steps_of(folder, config, request, models))
+    if arguments.steps:
+        print("\n".join(map(str, steps)))
+        return 0
+    incomplete = False
+    for step in steps:
+        print(f"\n$ {step}", flush=True)
+        code = run_command(step.command, step.words)
+        if code not in (ExitCode.DONE, ExitCode.INCOMPLETE):
+            print("the same command resumes", file=sys.stderr)
+            return code
+        incomplete |= code == ExitCode.INCOMPLETE
+        _score(folder, step, models)
+    _finish(folder, config, models, steps)
+    return int(ExitCode.INCOMPLETE if incomplete else ExitCode.DONE)
+
+
+def _checked(request: FinetuneRequest) -> tuple[Config, str]:
+    """The settings and the hash of what is attacked for training.
+
+    Raises: InputError naming scenes that are held out and trained on at once, more than one detector, or one that
+        cannot be trained.
+    """
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.settings.expand import expand
+    from shift3d.sweep.planning.kind import shift3d_kind
+    from shift3d.sweep.planning.plan import make_plan
+
+    catalogue, plans, config = shift3d_kind().catalogue, [], None
+    for name in _SWEEPS:
+        composed = compose_sweep(name, request.overrides_of(name))
+        if len({(c.detector.name, c.detector.weights) for c in expand(composed)}) > 1:
+            raise InputError("several detectors are attacked", where=f"sweep {name}", remedy="Give detector= one value")
+        if (detector := composed.base["detector"]["name"]) not in DETECTOR_NAMES:
+            remedy = f"Give one of {', '.join(DETECTOR_NAMES)}"
+            raise InputError(f"there is no training of {detector}", where=f"sweep {name}", remedy=remedy)
+        plan, own = make_plan(composed, catalogue)
+        plans.append(plan)
+        config = config or own
+    tuned, *held_out = ({task.spec.scene_hash: task.spec.scene for task in plan.tasks} for plan in plans)
+    for name, scenes in zip(_SWEEPS[1:], held_out, strict=True):
+        if both := sorted(tuned[key] for key in tuned.keys() & scenes.keys()):
+            what = f"fine-tuning and {name} share {', '.join(both[:5])}{' and others' if len(both) > 5 else ''}"
+            raise InputError(what, where="finetune", remedy="Hold out others: held_out.scenes.KEY=VALUE")
+    assert config is not None
+    return config, plans[0].spec_hash
+
+
+def _models(folder: Path, detector: str, request: FinetuneRequest) -> list[Tuned]:
+    from shift3d.finetuning.report import Tuned
+
+    names = ["finetuned", "control"] if request.control else ["finetuned"]
+    rate = f"-rate{request.rate}" if request.rate else ""
+    return [Tuned(name, seed, folder / f"{name}{rate}-{seed}", detector) for name in names for seed in request.seeds]
+
+
+def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Sequence[Tuned]) -> Iterator[_Step]:
+    """The commands, in order."""
+    from shift3d.finetuning.report import HELD_OUT, NATURAL
+    from shift3d.settings.schema import MlflowConfig, RayRunnerConfig
+
+    runner = config.runner
+    workers = (runner.workers or os.cpu_count() or 1) if isinstance(runner, RayRunnerConfig) else 1
+    mlflow = config.tracking.uri if isinstance(config.tracking, MlflowConfig) else "none"
+    detector, given = config.detector.name, config.detector.weights
+    attacked = folder / "attacked"
+
+    def swept(name: str, out: Path, *more: str) -> _Step:
+        return _Step(sweep.COMMAND, [name, *request.overrides_of(name), *more, f"out={out}"])
+
+    def measured(out: Path, weights: str | None) -> _Step:
+        words = [f"detector={detector}", f"count={request.streets}", f"workers={workers}"]
+        return _Step(evaluate.COMMAND, [*words, *([f"weights={weights}"] if weights else []), f"out={out}"])
+
+    yield swept(_SWEEPS[0], attacked)
+    yield _Step(verify.COMMAND, [str(attacked), *(word for word in request.words if word.startswith("runner"))])
+    for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
+        yield swept(name, folder / place)
+    yield measured(folder / "vanilla" / NATURAL, given)
+    for tuned in models:
+        method = "adversarial" if tuned.model == "finetuned" else "baseline"
+        rate = [f"recipe.peak_rate={request.rate}"] if request.rate else []
+        words = [f"model={detector}", f"finetune={attacked}", f"method={method}", f"start_from={given or 'shipped'}"]
+        # One thread: the weights do not depend on the number of workers.
+        words += [f"recipe.seed={tuned.seed}", *rate, "threads=1", f"mlflow={mlflow}", f"out={tuned.folder}"]
+        yield _Step(train.COMMAND, words)
+        yield measured(tuned.folder / NATURAL, str(tuned.weights))
+        for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
+            if tuned.model == "finetuned" and request.adaptive:
+                yield swept(name, tuned.folder / place, f"detector.weights={tuned.weights}")
+
+
+def _score(folder: Path, step: _Step, models: Sequence[Tuned]) -> None:
+    """After a training: what the tuned model makes of the objects that were found before."""
+    if step.command is train.COMMAND:
+        from shift3d.finetuning.report import score_held_out
+
+        score_held_out(folder, next(tuned for tuned in models if f"out={tuned.folder}" in step.words))
+
+
+def _finish(folder: Path, config: Config, models: Sequence[Tuned], steps: Sequence[_Step]) -> None:
+    from shift3d.finetuning.report import mirror, write_report
+    from shift3d.settings.schema import MlflowConfig
+
+    print(f"\n{write_report(folder, config.detector.name, models, [str(step) for step in steps])}")
+    if isinstance(config.tracking, MlflowConfig):
+        uri = config.tracking.uri
+        if problem := mirror(folder, models, uri, config.tracking.experiment):
+            print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
+        else:
+            print(f"in MLflow, {uri}: shift3d ui")
+
+
+COMMAND = Command(
+    "finetune", "train on the objects that a sweep found, and measure", _DESCRIPTION, _EPILOG, _add_arguments, _run
+)

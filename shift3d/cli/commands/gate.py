@@ -1,0 +1,94 @@
+"""``shift3d gate``: are new weights worse than the last release on a suite of hard objects?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from shift3d.cli.command import Command, key_values, writable_folder
+from shift3d.cli.completion import key_words
+from shift3d.cli.mesh_words import whole_number
+from shift3d.detectors.names import DETECTOR_NAMES, OWN
+from shift3d.errors import InputError
+
+__all__ = ["COMMAND", "KEYS"]
+
+KEYS = ("suite", "detector", "weights", "module", "against", "accept", "releases", "score_threshold", "level",
+         "tolerance", "workers", "root", "mlflow", "out")  # fmt: skip
+_VALUES = {"detector": (*DETECTOR_NAMES, OWN), "accept": ("true", "anyway", "false")}
+_STORE = "sqlite:///mlflow.db"
+
+_DESCRIPTION = """\
+Scores weights on every object of a suite and compares them, object by object, with the last release of the same
+detector: recall and mean score, of hard objects and of controls. Ends with a verdict and an exit code: 0 no loss
+found, 6 worse. Writes gate.html (what got worse, worst first, and what the suite can show), gate.parquet and
+verdict.json, and a run in MLflow (mlflow=none: none). A killed gate resumes with the same command."""
+
+_EPILOG = """\
+examples:
+  shift3d gate suite=suites/first detector=pointpillars                      the weights that ship
+  shift3d gate suite=suites/first detector=pointpillars weights=FILE accept=true workers=2
+  shift3d gate suite=s3://BUCKET/suite detector=own module=FILE.py weights=FILE
+
+The last release: the one that was last accepted (in SUITE/releases or releases=DIR), or the weights of the sweep that
+the suite is of. accept=true makes the weights the next release where nothing got worse, accept=anyway always.
+against=N compares with release N. A score above score_threshold=0.3 is a detection. Worse: a measure fell by
+tolerance=0.005 or more, and by what chance alone does in at most level=0.05 of releases that are no worse.
+root=PATH: where the data set of a suite with frames=referenced lies. jobs/gate_ci.yaml runs
+it in CI; docs/guides/gate.md says how many objects a suite needs."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    text = "suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [accept=true] [against=N] [releases=DIR] "
+    text += "[score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] [out=DIR]"
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = key_words(KEYS, _VALUES)  # type: ignore[attr-defined]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    values = key_values(arguments.words, KEYS, ("suite", "detector"), "gate")
+    for key, allowed in _VALUES.items():
+        if values.get(key, allowed[0]) not in allowed:
+            raise InputError(f"{key}={values[key]!r} is unknown", "gate", f"One of: {', '.join(allowed)}")
+    workers = whole_number(values, "workers", 1, "gate")
+    against = whole_number(values, "against", 1, "gate") if "against" in values else None
+    defaults = {"score_threshold": 0.3, "level": 0.05, "tolerance": 0.005}
+    shares = {key: _share(values, key, default) for key, default in defaults.items()}
+    from shift3d.processor import configure_runtime
+
+    configure_runtime()
+    from shift3d.analysis.gate import GateSettings, run_gate
+    from shift3d.analysis.mlflow.gate import mirror_gate
+    from shift3d.analysis.mlflow.store_uri import check_store
+    from shift3d.analysis.statistics.releases import Rule
+    from shift3d.store.resolve import as_location
+    from shift3d.suite.frozen import read_suite
+    from shift3d.suite.scoring import Scorer
+
+    uri = values.get("mlflow", _STORE)
+    if uri != "none":
+        check_store(uri, "mlflow")
+    suite = read_suite(values["suite"], values.get("root"))
+    scorer = Scorer(values["detector"], values.get("weights"), values.get("module"))
+    name = f"outputs/gate/{suite.digest[:8]}-{scorer.name}-{scorer.digest[:8]}"
+    out = writable_folder(values.get("out", name))
+    releases = as_location(values["releases"]) if "releases" in values else suite.folder / "releases"
+    settings = GateSettings(Rule(**shares), workers, against, values.get("accept", "false"))  # type: ignore[arg-type]
+    outcome = run_gate(suite, scorer, releases, as_location(out), settings)
+    print(outcome.text)
+    if outcome.compared and uri != "none" and (problem := mirror_gate(out, uri)):
+        print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
+    return int(outcome.exit_code)
+
+
+def _share(values: dict[str, str], key: str, default: float) -> float:
+    try:
+        value = float(values.get(key, default))
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1.0:
+        raise InputError(f"{key}={values[key]!r} is not in [0, 1)", "gate", f"Give {key}={default:g}")
+    return value
+
+
+COMMAND = Command("gate", "compare new weights with the last release", _DESCRIPTION, _EPILOG, _add_arguments, _run)

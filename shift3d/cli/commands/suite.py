@@ -1,0 +1,82 @@
+"""``shift3d suite``: freeze hard objects of a sweep, for gates."""
+
+from __future__ import annotations
+
+import argparse
+
+from shift3d.cli.command import Command, key_values
+from shift3d.cli.completion import folder_words, key_words
+from shift3d.cli.mesh_words import whole_number
+from shift3d.errors import InputError
+from shift3d.methods import METHODS
+from shift3d.wording import counted
+
+__all__ = ["COMMAND"]
+
+_KEYS = ("to", "method", "count", "choose", "seed", "controls", "frames")
+_VALUES = {
+    "method": tuple(METHODS),
+    "choose": ("random", "hardest"),
+    "controls": ("true", "false"),
+    "frames": ("copied", "referenced"),
+}
+
+_DESCRIPTION = """\
+Freezes hard objects of a finished sweep into a folder or bucket: each object's scene as detectors see it, its box,
+pose and latent code, and the scores that the sweep's detectors gave it; the unchanged vehicle of each task is its
+control. The manifest suite.json has a digest of every file. shift3d gate scores new weights on it; it needs neither
+the sweep nor its renderer any more."""
+
+_EPILOG = """\
+examples:
+  shift3d suite outputs/default-1a2b3c4d5e6f7a8b to=suites/first
+  shift3d suite outputs/kitti-1a2b3c4d5e6f7a8b to=s3://BUCKET/suite count=1000 frames=referenced
+
+method=adversarial, count=500, choose=random, seed=0, controls=true and frames=copied are the defaults. choose=hardest
+takes the lowest scores, some of which are low by chance and rise under any other weights. frames=referenced stores
+no scene: the gate reads the data set again (root=PATH where it lies elsewhere), or generates the streets again; for
+data whose licence forbids copies. Left out: unstable solutions (run shift3d verify before) and unnatural shapes."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    text = "to=DIR [method=M] [count=N] [choose=random|hardest] [seed=N] [controls=false] [frames=referenced]"
+    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
+    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    values = key_values(arguments.words, _KEYS, ("to",), "suite")
+    for key, allowed in _VALUES.items():
+        if values.get(key, allowed[0]) not in allowed:
+            raise InputError(f"{key}={values[key]!r} is unknown", "suite", f"One of: {', '.join(allowed)}")
+    seed = values.get("seed", "0")
+    if not seed.isdecimal():
+        raise InputError(f"seed={seed!r} is not a whole number", "suite", "Give seed=0")
+    count = whole_number(values, "count", 500, "suite")
+    from shift3d.processor import configure_runtime
+    from shift3d.suite.choosing import Choice
+    from shift3d.suite.freezing import freeze_suite
+
+    configure_runtime()
+    method, by = values.get("method", "adversarial"), values.get("choose", "random")
+    choice = Choice(method, count, by, int(seed), values.get("controls") != "false")  # type: ignore[arg-type]
+    frozen = freeze_suite(arguments.out, values["to"], choice, values.get("frames", "copied"))  # type: ignore[arg-type]
+    suite, manifest = frozen.suite, frozen.suite.manifest
+    size = sum((suite.folder / name).size() for name in manifest["files"]) / 1e6
+    hard, controls, scenes = (manifest[name] for name in ("hard_objects", "control_objects", "scenes"))
+    parts = [counted(hard, "hard object"), counted(controls, "control"), counted(scenes, "scene")]
+    print(f"{suite.folder}: {', '.join(parts)}, {size:.1f} MB, digest {suite.digest}")
+    for reason, number in frozen.left_out.items():
+        print(f"left out: {number} {reason}")
+    if frozen.unverified:
+        print(f"not verified: {frozen.unverified}; shift3d verify {arguments.out} tells which are stable")
+    if frozen.largest_difference is None:
+        print("the suite was there already")
+    else:
+        print(f"scored again: the sweep's scores to {frozen.largest_difference:.1e}")
+    return 0
+
+
+COMMAND = Command("suite", "freeze hard objects of a sweep, for gates", _DESCRIPTION, _EPILOG, _add_arguments, _run)

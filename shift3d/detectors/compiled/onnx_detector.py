@@ -1,0 +1,196 @@
+"""An ONNX file as a detector that gives scores and no gradient.
+
+One input, (N, 3) float32 points, N free, in the network frame (x forward, y left, z up from the ground below the
+sensor, metres); two outputs by name: ``boxes`` (A, 7) in that frame and ``scores`` (A,) in [0, 1], float32 or float64,
+before or after suppression; A may differ from call to call. The file is data: ONNX Runtime is given its bytes, no
+library of operators, and no folder to look for further files in.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from shift3d.detectors.base import BevWindow, Detections, Proposals
+from shift3d.detectors.compiled.packages import require_packages
+from shift3d.detectors.names import ONNX
+from shift3d.detectors.nms import suppress
+from shift3d.errors import InputError
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+__all__ = ["OnnxDetector", "load_onnx", "onnx_detector"]
+
+_GUIDE = "See docs/guides/detectors.md, An ONNX file"
+_PROBE_POINTS = 2000
+_SATURATED = 2.0**-24
+"""Scores are kept this far from 0 and 1, where a logit is infinite: the last float32 below 1."""
+
+
+class OnnxDetector:
+    """An ONNX session behind the `Detector` interface. It sees the whole scene in every call.
+
+    A window, in cells of one metre about the origin, chooses which of its boxes are proposals: those whose centres lie
+    in it. A file without suppression gives half a million, and the overlap with each of them is more work than the
+    network.
+
+    Args: session: of a file that `load_onnx` found to be a detector. where: named in errors.
+
+    Not differentiable. The same bytes for the same points: one thread, operators one after the other.
+    """
+
+    def __init__(self, session: onnxruntime.InferenceSession, where: str) -> None:
+        self.name = ONNX
+        self._session, self._where = session, where
+        self._input = session.get_inputs()[0].name
+
+    def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
+        """See `Detector`, by the boxes' centres."""
+        (x0, num_x), (y0, num_y) = (
+            (math.floor(centre - radius_m), math.ceil(centre + radius_m) - math.floor(centre - radius_m))
+            for centre in centre_xy
+        )
+        return BevWindow(x0, y0, num_x, num_y, x0, y0, num_x, num_y)
+
+    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
+        """See `Detector`; logits are float64, and carry no gradient.
+
+        Raises InputError: the file fails on these points, or its answer is no boxes and scores.
+        """
+        given = points.detach().to(torch.float32).numpy()
+        try:
+            boxes, scores = self._session.run(["boxes", "scores"], {self._input: np.ascontiguousarray(given)})
+        except Exception as error:  # ONNX Runtime's errors have no other base
+            raise InputError(f"it fails on {len(given)} points: {_line(error)}", self._where, _GUIDE) from error
+        _check_answer(boxes, scores, self._where)
+        kept = np.arange(len(scores)) if window is None else np.flatnonzero(_inside(boxes, window))
+        logits = torch.logit(torch.from_numpy(scores[kept]).double(), eps=_SATURATED)
+        return Proposals(torch.from_numpy(boxes[kept]).float(), logits, torch.from_numpy(kept))
+
+    def detect(
+        self,
+        points: Tensor,
+        window: BevWindow | None = None,
+        score_threshold: float = 0.1,
+        iou_threshold: float = 0.25,
+    ) -> Detections:
+        """See `Detector`."""
+        return suppress(self.proposals(points, window), score_threshold, iou_threshold)
+
+
+def load_onnx(path: Path) -> OnnxDetector:
+    """The detector of an ONNX file. Raises: InputError for a missing file, and as `onnx_detector` does."""
+    if not path.is_file():
+        raise InputError("no such file", str(path), "Give detector.file=FILE.onnx")
+    return onnx_detector(path.read_bytes(), str(path))
+
+
+def onnx_detector(content: bytes, where: str) -> OnnxDetector:
+    """The detector of an ONNX file's content, tried on random points.
+
+    Raises:
+        InputError: naming the file: it is no ONNX, has data in other files, operators that ONNX Runtime lacks,
+            other inputs or outputs than the module says, or answers that are no scores or differ between two calls;
+            the packages of the extra onnx are not installed.
+    """
+    require_packages("onnx", "onnxruntime")
+    import onnxruntime
+
+    _check_content(content, where)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4  # what is wrong is raised
+    try:
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # ONNX Runtime's errors have no other base
+        raise InputError(f"ONNX Runtime does not take it: {_line(error)}", where, _GUIDE) from error
+    _check_interface(session, where)
+    detector = OnnxDetector(session, where)
+    _try(detector, where)
+    return detector
+
+
+def _check_content(content: bytes, where: str) -> None:
+    import onnx
+    from google.protobuf.message import DecodeError
+    from onnx.external_data_helper import uses_external_data
+
+    try:
+        model = onnx.load_from_string(content)
+    except DecodeError as error:
+        raise InputError("it is no ONNX file", where, "Copy or export it again") from error
+    if not model.graph.node:
+        raise InputError("it is no ONNX file, or one without operators", where, "Copy or export it again")
+    if outside := [tensor for tensor in _tensors(model.graph) if uses_external_data(tensor)]:
+        what = f"{len(outside)} of its tensors are in another file, which neither travels nor is part of a task's id"
+        remedy = "Join them: onnx.save_model(onnx.load(FILE), NEW_FILE, save_as_external_data=False)"
+        raise InputError(what, where, remedy)
+
+
+def _tensors(graph: Any) -> list[Any]:
+    """Every constant of a graph and of the graphs inside its operators."""
+    found = list(graph.initializer)
+    for attribute in (attribute for node in graph.node for attribute in node.attribute):
+        found += [attribute.t, *attribute.tensors]
+        for inner in (attribute.g, *attribute.graphs):
+            found += _tensors(inner)
+    return found
+
+
+def _check_interface(session: onnxruntime.InferenceSession, where: str) -> None:
+    """Names, types and ranks as far as the file states them; what it leaves open is seen when it is tried."""
+    inputs = session.get_inputs()
+    if len(inputs) != 1:
+        raise InputError(f"it has the inputs {[part.name for part in inputs]}, not the points alone", where, _GUIDE)
+    points = inputs[0]
+    given = [size if isinstance(size, int) else None for size in points.shape]  # a name, or nothing: any size
+    if points.type != "tensor(float)" or given not in ([None, 3], [None, None]):
+        what = f"its input {points.name} is {points.type} {points.shape}, not tensor(float) (N, 3) with N free"
+        raise InputError(what, where, _GUIDE)
+    outputs = {part.name: part.type for part in session.get_outputs()}
+    for name in ("boxes", "scores"):
+        if outputs.get(name) not in ("tensor(float)", "tensor(double)"):
+            what = f"its outputs are {outputs}, not boxes (A, 7) and scores (A,) of float32 or float64"
+            raise InputError(what, where, _GUIDE)
+
+
+def _try(detector: OnnxDetector, where: str) -> None:
+    """On two numbers of points, and on the same points twice."""
+    reach, corner = torch.tensor([80.0, 80.0, 3.0]), torch.tensor([40.0, 40.0, 0.0])
+    points = torch.rand(_PROBE_POINTS, 3, generator=torch.Generator().manual_seed(0)) * reach - corner
+    first, second = detector.proposals(points), detector.proposals(points)
+    if not torch.equal(first.logits, second.logits) or not torch.equal(first.boxes, second.boxes):
+        raise InputError("two calls with the same points differ", where, "Leave random operators out")
+    detector.proposals(points[: _PROBE_POINTS // 2])
+
+
+def _inside(boxes: NDArray[Any], window: BevWindow) -> NDArray[np.bool_]:
+    """(A,) bool: the centre lies in the window's core."""
+    x, y = boxes[:, 0] - window.core_x0, boxes[:, 1] - window.core_y0
+    found: NDArray[np.bool_] = (x >= 0) & (x < window.core_num_x) & (y >= 0) & (y < window.core_num_y)
+    return found
+
+
+def _check_answer(boxes: NDArray[Any], scores: NDArray[Any], where: str) -> None:
+    if boxes.ndim != 2 or boxes.shape[1] != 7 or scores.shape != boxes.shape[:1]:
+        what = f"its answer is boxes {boxes.shape} and scores {scores.shape}, not (A, 7) and (A,)"
+        raise InputError(what, where, _GUIDE)
+    if not np.isfinite(boxes).all() or not np.isfinite(scores).all():
+        raise InputError("NaN or infinity in its answer", where, "Repair the model")
+    if len(scores) and not (scores.min() >= 0.0 and scores.max() <= 1.0):
+        what = f"its scores reach from {scores.min():g} to {scores.max():g}, not within [0, 1]"
+        raise InputError(what, where, "Put a Sigmoid before the output scores")
+    if (boxes[:, 3:6] <= 0).any():
+        raise InputError("boxes without a size in its answer", where, _GUIDE)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:300]

@@ -1,0 +1,1 @@
+"""Fine-tuning on the objects that a sweep found, and whether the detector is the better for it."""

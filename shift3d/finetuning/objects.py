@@ -1,0 +1,139 @@
+"""The objects of a finished sweep: which of them a detector is fine-tuned on, and what others score them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from shift3d.errors import InputError
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.tables import read_table
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.planning.plan import Plan
+from shift3d.task.assets import Assets, load_assets
+from shift3d.task.spec import TaskSpec
+
+__all__ = ["SweepObject", "SweepObjects", "scored_objects", "stable_objects"]
+
+
+@dataclass(frozen=True)
+class SweepObject:
+    """A row of ``solutions.parquet``. assets: of its task, an index of the plan's. score: by the attacked detector."""
+
+    spec: TaskSpec
+    assets: int
+    solution: dict[str, Any]
+    score: float
+    stable: bool | None
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """Task, method and replicate."""
+        return self.spec.task_id, self.solution["method"], int(self.solution["replicate"])
+
+    @property
+    def place(self) -> str:
+        """Its scene with the data set."""
+        return f"{self.spec.dataset}/{self.spec.scene}"
+
+    @property
+    def settings(self) -> str:
+        """What tells it from others of its vehicle, scene and method."""
+        spec = self.spec
+        effects = "+".join(spec.effects) or "none"
+        found = (spec.mode, spec.lambda_, spec.alpha, spec.search, spec.accuracy, effects, spec.replicate)
+        return " ".join(map(str, (*found, self.solution["replicate"])))
+
+
+@dataclass
+class SweepObjects:
+    """Objects of a sweep in plan order. left_out: how many are not among them, by the reason."""
+
+    folder: Location
+    plan: Plan
+    objects: tuple[SweepObject, ...]
+    left_out: dict[str, int] = field(default_factory=dict)
+    _assets: dict[int, Assets] = field(default_factory=dict)
+
+    def assets_of(self, found: SweepObject) -> Assets:
+        """What its task ran with, loaded on first use. Raises: InputError as `load_assets` does."""
+        if found.assets not in self._assets:
+            self._assets[found.assets] = load_assets(self.plan.assets[found.assets])
+        return self._assets[found.assets]
+
+    @property
+    def scenes(self) -> dict[str, str]:
+        """Content hash by the scene's name."""
+        return {found.spec.scene: found.spec.scene_hash for found in self.objects}
+
+
+def scored_objects(folder: LocationLike, detector: str, methods: tuple[str, ...]) -> SweepObjects:
+    """Every object of some methods that the attacked detector scored.
+
+    Raises:
+        InputError: the folder is no finished sweep's or damaged, another detector was attacked, or nothing was scored.
+    """
+    folder = as_location(folder)
+    plan = read_plan(folder)
+    if not (folder / "final" / "solutions.parquet").is_file():
+        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
+    scores = {}
+    for row in read_table(folder / "final" / "scores.parquet", "scores").to_pylist():
+        if row["method"] in methods and row["scored_by"] == row["detector"]:
+            scores[row["task_id"], row["method"], row["replicate"]] = row
+    solutions: dict[str, list[dict[str, Any]]] = {}
+    for row in read_table(folder / "final" / "solutions.parquet", "solutions").to_pylist():
+        if (row["task_id"], row["method"], row["replicate"]) in scores:
+            solutions.setdefault(row["task_id"], []).append(row)
+    found = list(_objects(plan, scores, solutions))
+    attacked = sorted({task.spec.detector for task in plan.tasks})
+    if attacked != [detector]:
+        what = f"attacked {', '.join(attacked)}, not {detector}"
+        raise InputError(what, where=str(folder), remedy=f"Give the folder of a sweep with detector={detector}")
+    if not found:
+        what = f"no task has a scored {' or '.join(methods)} object"
+        raise InputError(what, where=str(folder), remedy="See status in final/scores.parquet")
+    return SweepObjects(folder, plan, tuple(found), dict(Counter(
+        row["status"] for row in scores.values() if row["score"] is None
+    )))  # fmt: skip
+
+
+def _objects(
+    plan: Plan, scores: dict[Any, dict[str, Any]], solutions: dict[str, list[dict[str, Any]]]
+) -> Iterator[SweepObject]:
+    for task in plan.tasks:
+        for solution in solutions.get(task.spec.task_id, ()):
+            row = scores[task.spec.task_id, solution["method"], solution["replicate"]]
+            if row["score"] is not None:
+                yield SweepObject(task.spec, task.assets, solution, row["score"], row["stable"])
+
+
+def stable_objects(folder: LocationLike, detector: str, weights_hash: str, method: str) -> SweepObjects:
+    """The objects of a method that a detector may be fine-tuned on: those that are still hard at reference accuracy.
+
+    weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_hash`.
+    Raises:
+        InputError: as `scored_objects`; the sweep is not verified, has no stable object, attacked other weights, or ran
+            on streets of another split than train.
+    """
+    found = scored_objects(folder, detector, (method,))
+    where = str(found.folder)
+    if any(row.stable is None for row in found.objects):
+        remedy = f"shift3d verify {where}"
+        raise InputError("is not verified: which objects are stable is not known", where=where, remedy=remedy)
+    for row in found.objects:
+        if row.spec.detector_hashes.get(detector) != weights_hash:
+            what = f"attacked other weights of {detector} than the tuning starts from"
+            raise InputError(what, where=where, remedy="Give start_from= the weights that the sweep attacked")
+        made = row.spec.scene_arguments
+        if made.get("kind") == "street" and made.get("split") != "train":
+            what = f"holds {row.spec.scene}, a street of split {made.get('split')}, not train"
+            raise InputError(what, where=where, remedy="Run the sweep with scenes.split=train")
+    stable = tuple(row for row in found.objects if row.stable)
+    if not stable:
+        raise InputError(f"no {method} object is stable", where=where, remedy="See final/stability.html")
+    left_out = found.left_out | {"unstable": len(found.objects) - len(stable)}
+    return SweepObjects(found.folder, found.plan, stable, {why: number for why, number in left_out.items() if number})

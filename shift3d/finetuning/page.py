@@ -1,0 +1,168 @@
+"""The page of a fine-tuning: what it gained, threshold-recall curves of both models, and the paper's figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, Section, Terms
+from shift3d.analysis.html.document import document
+from shift3d.analysis.html.figure import LEGEND_BELOW, axis, band, line, plot, plotly_library
+from shift3d.analysis.html.sections.curves import thresholds
+from shift3d.analysis.statistics.intervals import recall_band
+from shift3d.analysis.tables.table import Cell, Table, number
+from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA
+from shift3d.wording import counted
+
+__all__ = ["finetune_page", "gains_table", "seeds_table"]
+
+OBJECTS = {
+    "baseline": "unchanged",
+    "adversarial": "found against vanilla",
+    ADAPTIVE: "found against the model itself",
+}
+SCENE_SETS = {
+    "held_out": "same vehicles, held-out streets",
+    "other_vehicles": "other body types, held-out streets",
+    "natural": "natural streets",
+}
+MODELS = {VANILLA: "vanilla", TUNED: "fine-tuned", "control": "control"}
+COLOURS = {VANILLA: "#7d7d7d", TUNED: "#d55e00", "control": "#2f8fc9"}
+PAPER = {"baseline": (0.751, 0.774), "adversarial": (0.482, 0.514)}
+"""AUC before and after. Source: SHIFT3D, table tab:fine_tune_auc."""
+PAPER_NATURAL = {"APH BEV": (0.810, 0.812), "AP BEV": (0.823, 0.826), "APH 3D": (0.603, 0.605), "AP 3D": (0.610, 0.612)}
+"""LEVEL_1, before and after, on the Waymo Open Dataset. Source: SHIFT3D, table tab:natural_metrics."""
+_MEANINGS = {
+    "vanilla": "the detector before.",
+    "fine-tuned": "after one epoch on the adversarial objects; the mean over its seeds.",
+    "control": "after the same epoch on the unchanged objects in the same scenes.",
+    "gain": "over vanilla, on the same objects or scenes; [95 %, scenes resampled].",
+    **{f"objects {name}": f"{text}." for name, text in zip(("unchanged", "found against"), ("as placed", "searched"))},
+}
+
+
+def gains_table(table: pd.DataFrame) -> Table:
+    """AUC and AP of vanilla and of every tuned model's mean over its seeds, gains, and the paper's figures beside.
+
+    table: of schema `finetuning.table.FINETUNE`.
+    """
+    lines: list[Sequence[Cell]] = []
+    kinds: list[str] = []
+    means = table[table["seed"].isna()]
+    for (scene_set, objects, metric), own in means.groupby(
+        ["scene_set", "objects", "metric"], sort=False, dropna=False
+    ):
+        before = own[own["model"] == VANILLA]["value"]
+        for row in own[own["model"] != VANILLA].itertuples():
+            lines.append(
+                [
+                    SCENE_SETS[scene_set],
+                    _what(objects, metric),
+                    MODELS[row.model],
+                    number(before.iloc[0] if len(before) else None),
+                    (number(row.value), _between(row.low, row.high)),
+                    (_signed(row.gain), _between(row.gain_low, row.gain_high)),
+                ]
+            )
+            kinds.append("ours")
+        paper = PAPER.get(str(objects)) if metric == "auc" else PAPER_NATURAL.get(metric)
+        if paper and scene_set in ("held_out", "natural"):
+            texts = [number(paper[0]), number(paper[1]), _signed(paper[1] - paper[0])]
+            lines.append([SCENE_SETS[scene_set], _what(objects, metric), "paper", *texts])
+            kinds.append("paper")
+    return Table("Before and after", ["scenes", "of", "model", "vanilla", "after", "gain"], lines, kinds)
+
+
+def seeds_table(table: pd.DataFrame) -> Table:
+    """Every seed's numbers."""
+    lines = [
+        [
+            SCENE_SETS[row.scene_set],
+            _what(row.objects, row.metric),
+            MODELS[row.model],
+            f"{row.seed:.0f}",
+            number(row.value),
+            _signed(row.gain),
+            str(row.number),
+        ]
+        for row in table[table["seed"].notna()].itertuples()
+    ]
+    return Table("Every seed", ["scenes", "of", "model", "seed", "after", "gain", "number"], lines)
+
+
+def finetune_page(
+    table: pd.DataFrame, scores: pd.DataFrame, provenance: Mapping[str, Any], commands: Sequence[str]
+) -> str:
+    """The page; the same content to the same text.
+
+    table: of schema `FINETUNE`. scores: a row an object, as `finetune_table` takes them. provenance: of one of the
+    tuned weights. commands: that made it, in order.
+    """
+    lead = (
+        "A detector is attacked on training streets, fine-tuned for one epoch on what was found there, and "
+        "measured on streets that neither training nor fine-tuning saw."
+    )
+    short: list[Block] = [gains_table(table), Terms(_MEANINGS), Fold("Every seed", [seeds_table(table)])]
+    made: list[Block] = [Terms(_facts(provenance)), *(Paragraph(command) for command in commands)]
+    sections = [
+        Section("gains", "Before and after", short),
+        Section("curves", "Threshold-recall curves", [Panels(_panels(scores))]),
+        Section("made", "How it was made", made),
+    ]
+    return document("Fine-tuning on adversarial objects", sections, lead, plotly_library())
+
+
+def _panels(scores: pd.DataFrame) -> list[Plot]:
+    return [
+        _panel(f"curve-{index}", str(scene_set), str(objects), own)
+        for index, ((scene_set, objects), own) in enumerate(scores.groupby(["scene_set", "objects"], sort=False))
+    ]
+
+
+def _panel(key: str, scene_set: str, objects: str, rows: pd.DataFrame) -> Plot:
+    traces: list[dict[str, Any]] = []
+    at, areas = thresholds().astype(np.float32), []
+    for model, own in rows.groupby("model", sort=False):
+        recall, low, high = recall_band(own["score"], list(own["place"]), thresholds())
+        name = f"{MODELS[str(model)]}, {own['score'].mean():.3f}"
+        style = {"shape": "hv", "color": COLOURS[str(model)], "width": 3 if model == TUNED else 2}
+        traces += band(at, low, high, COLOURS[str(model)], line={"shape": "hv"}, legendgroup=str(model))
+        traces.append(line(at, recall, MODELS[str(model)], style, legendgroup=str(model)) | {"name": name})
+        areas.append(name)
+    layout = {
+        "xaxis": axis("score threshold", range=[0, 1]),
+        "yaxis": axis("recall", range=[0, 1.02]),
+        "legend": LEGEND_BELOW,
+        "hovermode": "x unified",
+    }
+    about = f"{SCENE_SETS[scene_set]}, objects {OBJECTS[objects]}"
+    caption = f"{about}: {counted(rows['place'].nunique(), 'scene')}; seeds pooled"
+    return plot(key, traces, layout, f"Threshold-recall curves, {about}. Areas: {'; '.join(areas)}", caption, 340)
+
+
+def _what(objects: Any, metric: str) -> str:
+    return f"AUC, objects {OBJECTS[objects]}" if metric == "auc" else f"{metric}, LEVEL_1"
+
+
+def _signed(value: Any) -> str:
+    return "-" if pd.isna(value) else f"{value:+.3f}"
+
+
+def _between(low: Any, high: Any) -> str:
+    return "no interval" if pd.isna(low) or pd.isna(high) else f"[{low:.3f}, {high:.3f}]"
+
+
+def _facts(provenance: Mapping[str, Any]) -> dict[str, str]:
+    source = provenance["finetuned_on"]
+    vehicles = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in source["vehicles"].items())
+    left_out = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in source["left_out"].items()) or "none"
+    return {
+        "objects": f"{source['objects']} of {counted(len(source['scenes']), 'scene')}: {vehicles}",
+        "left out": left_out,
+        "sweep": f"{source['sweep']} {source['spec_hash']}",
+        "started from": f"{provenance['started_from']['file']}, BLAKE2b {provenance['started_from']['blake2b']}",
+        "rate": f"{provenance['rate']:g} at its peak, {counted(provenance['steps'], 'step')}",
+    }

@@ -1,0 +1,121 @@
+"""A fine-tuning's folder: from scores and evaluations to finetune.parquet, report.html and MLflow."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+import pyarrow.parquet as pq
+
+from shift3d.analysis.mlflow.measured import mirror_measured
+from shift3d.evaluation.breakdown import overall_areas
+from shift3d.finetuning.page import finetune_page, gains_table
+from shift3d.finetuning.rescoring import METHODS, object_scores, rescored
+from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA, finetune_table, natural_rows
+from shift3d.settings.catalogue import file_hash
+from shift3d.store.atomic import write_atomic
+from shift3d.store.tables import write_table
+from shift3d.training.detector.stored_answers import read_answer
+
+__all__ = ["HELD_OUT", "NATURAL", "Tuned", "mirror", "score_held_out", "write_report"]
+
+HELD_OUT = ("held_out", "other_vehicles")
+"""Folders of the sweeps over held-out streets: of vanilla in the fine-tuning's folder, of a tuned model in its own."""
+NATURAL = "natural"
+_TABLE, _PAGE = "finetune.parquet", "report.html"
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """One tuned model. folder: holds its weights, evaluation and, where it is attacked anew, its own sweeps."""
+
+    model: str
+    seed: int
+    folder: Path
+    detector: str
+
+    @property
+    def weights(self) -> Path:
+        """Its file."""
+        return self.folder / f"{self.detector}.safetensors"
+
+    def scores_file(self, sweep: str) -> Path:
+        """Where its scores of vanilla's objects lie: other weights have another file."""
+        return self.folder / f"scores-{sweep}-{file_hash(self.weights)[:12]}.parquet"
+
+
+def score_held_out(folder: Path, tuned: Tuned) -> None:
+    """Score vanilla's objects of every held-out sweep by a tuned model; what is there is not scored again.
+
+    Raises: InputError as `rescored`.
+    """
+    for sweep in HELD_OUT:
+        file = tuned.scores_file(sweep)
+        if not file.is_file():
+            write_table(file, rescored(folder / sweep, tuned.detector, tuned.weights))
+
+
+def write_report(folder: Path, detector: str, models: Sequence[Tuned], commands: Sequence[str]) -> str:
+    """Write finetune.parquet and report.html, each whole or not at all; returns the table that is printed.
+
+    commands: that made the folder, for the page. The same folder gives the same bytes.
+    Raises: InputError for a sweep, evaluation or provenance that is missing or damaged, or a full disk.
+    """
+    scores = pd.concat(list(_scores(folder, detector, models)), ignore_index=True)
+    folders: dict[tuple[str, int | None], Path] = {(VANILLA, None): folder / VANILLA / NATURAL}
+    folders |= {(tuned.model, tuned.seed): tuned.folder / NATURAL for tuned in models}
+    areas = {key: overall_areas([read_answer(file).frame for file in _answers(own)]) for key, own in folders.items()}
+    table = finetune_table(scores, natural_rows(areas))
+    frame = table.to_pandas()
+    write_table(folder / _TABLE, table)
+    first = next(tuned for tuned in models if tuned.model == TUNED)
+    provenance = json.loads(first.weights.with_suffix(".json").read_bytes())
+    write_atomic(folder / _PAGE, finetune_page(frame, scores, provenance, commands).encode())
+    return f"{gains_table(frame)}\n\n{folder / _TABLE}, {folder / _PAGE}"
+
+
+def mirror(folder: Path, models: Sequence[Tuned], uri: str, experiment: str) -> str | None:
+    """Write the run of a fine-tuning to MLflow. Returns None, or why it could not be written."""
+    metrics: dict[str, float] = {}
+    for row in pq.read_table(folder / _TABLE).to_pylist():
+        parts = [row["scene_set"], row["objects"], row["metric"], row["model"]]
+        parts += [] if row["seed"] is None else [f"seed {row['seed']}"]
+        name = "/".join(part for part in parts if part)
+        metrics |= {f"{name}/{column}": row[column] for column in ("value", "gain") if row[column] is not None}
+    facts = [json.loads(tuned.weights.with_suffix(".json").read_bytes()) for tuned in models]
+    params = {f"{tuned.model}-{tuned.seed}": _params(own) for tuned, own in zip(models, facts, strict=True)}
+    return mirror_measured("finetune", folder, (_TABLE, _PAGE), metrics, params, uri, experiment)
+
+
+def _params(facts: dict[str, object]) -> dict[str, object]:
+    source = facts["finetuned_on"]
+    assert isinstance(source, dict)
+    kept = {name: source[name] for name in ("spec_hash", "method", "objects")}
+    return {"rate": facts["rate"], "steps": facts["steps"], **kept}
+
+
+def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd.DataFrame]:
+    """Every model's scores; what vanilla's sweep found is at once what is found against it anew."""
+    for sweep in HELD_OUT:
+        before = object_scores(folder / sweep, detector).to_pandas()
+        yield _named(before, VANILLA, None, sweep)
+        found = before[before["method"] == "adversarial"]
+        yield _named(found.assign(method=ADAPTIVE), VANILLA, None, sweep)
+        for tuned in models:
+            yield _named(pd.read_parquet(tuned.scores_file(sweep)), tuned.model, tuned.seed, sweep)
+            if (tuned.folder / sweep / "final" / "solutions.parquet").is_file():
+                own = object_scores(tuned.folder / sweep, detector).to_pandas()
+                own = own[own["method"] == METHODS[1]]
+                yield _named(own.assign(method=ADAPTIVE), tuned.model, tuned.seed, sweep)
+
+
+def _named(scores: pd.DataFrame, model: str, seed: int | None, sweep: str) -> pd.DataFrame:
+    named = scores.rename(columns={"method": "objects"}).drop(columns="task_id")
+    return named.assign(model=model, seed=float("nan") if seed is None else float(seed), scene_set=sweep)
+
+
+def _answers(folder: Path) -> list[Path]:
+    return sorted((folder / "scenes").glob("*.npz"))

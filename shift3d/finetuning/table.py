@@ -1,0 +1,123 @@
+"""Whether fine-tuning made a detector better: AUC and AP of every model, and what each gained, as one table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from shift3d.analysis.statistics.intervals import mean_interval
+from shift3d.evaluation.breakdown import Area
+from shift3d.evaluation.intervals import interval
+
+__all__ = ["ADAPTIVE", "FINETUNE", "TUNED", "VANILLA", "finetune_table", "natural_rows", "seed_means"]
+
+VANILLA, TUNED = "vanilla", "finetuned"
+ADAPTIVE = "adversarial_adaptive"
+_KEY = ["vehicle", "place", "settings"]
+
+FINETUNE = pa.schema(
+    [
+        # vanilla, finetuned, or control: tuned on the unchanged objects of the same scenes.
+        pa.field("model", pa.string(), nullable=False),
+        pa.field("seed", pa.int64()),  # of the tuning; null: of no tuning, or the mean over its seeds
+        # baseline | adversarial (found against vanilla) | adversarial_adaptive (found against this model); null: labels
+        pa.field("objects", pa.string()),
+        pa.field("scene_set", pa.string(), nullable=False),  # held_out | other_vehicles | natural
+        pa.field("metric", pa.string(), nullable=False),  # auc | AP BEV | AP 3D | APH BEV | APH 3D
+        pa.field("value", pa.float64(), nullable=False),
+        pa.field("low", pa.float64()),  # 95 %, scenes resampled; null: a single scene
+        pa.field("high", pa.float64()),
+        pa.field("gain", pa.float64()),  # over vanilla, of the same objects; null: of vanilla itself
+        pa.field("gain_low", pa.float64()),
+        pa.field("gain_high", pa.float64()),
+        pa.field("number", pa.int64(), nullable=False),  # of objects, or of labelled vehicles
+        pa.field("scenes", pa.int64()),
+    ],
+    metadata={"shift3d.schema": "finetune", "shift3d.schema_version": "1"},
+)
+"""A row a model, seed, kind of objects, set of scenes and metric."""
+
+
+def finetune_table(scores: pd.DataFrame, natural: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """The table of every AUC and of the natural metrics.
+
+    scores: a row an object: model, seed (NaN: none), scene_set, objects, vehicle, place, settings, score. An AUC is the
+    mean score. A gain is of the objects that both models were scored on, paired, scenes resampled.
+    natural: of `natural_rows`.
+    """
+    rows = [*_aucs(scores), *natural]
+    return pa.Table.from_pylist([{name: row.get(name) for name in FINETUNE.names} for row in rows], schema=FINETUNE)
+
+
+def seed_means(scores: pd.DataFrame) -> pd.DataFrame:
+    """Scores of tuned models averaged over seeds, object by object, without a seed; objects that every seed has."""
+    tuned = scores[scores["seed"].notna()]
+    if tuned.empty:
+        return tuned
+    grouped = tuned.groupby(["model", "scene_set", "objects", *_KEY], sort=False)["score"]
+    seeds = tuned.groupby("model")["seed"].nunique()
+    means = grouped.agg(["mean", "size"]).reset_index()
+    whole = means["size"] == means["model"].map(seeds)
+    return means[whole].rename(columns={"mean": "score"}).drop(columns="size").assign(seed=np.nan)
+
+
+def _aucs(scores: pd.DataFrame) -> Iterator[dict[str, Any]]:
+    everything = pd.concat([scores, seed_means(scores)], ignore_index=True)
+    vanilla = scores[scores["model"] == VANILLA]
+    keys = ["model", "seed", "scene_set", "objects"]
+    for (model, seed, scene_set, objects), own in everything.groupby(keys, sort=False, dropna=False):
+        row = {"model": model, "seed": None if np.isnan(seed) else int(seed), "objects": objects}
+        row |= {"scene_set": scene_set, "metric": "auc", "number": len(own), "scenes": own["place"].nunique()}
+        row |= _interval("", own["score"], own["place"])
+        before = vanilla[(vanilla["scene_set"] == scene_set) & (vanilla["objects"] == objects)]
+        if model != VANILLA:
+            both = own.merge(before, on=_KEY, suffixes=("", "_before"))
+            row |= _interval("gain", both["score"] - both["score_before"], both["place"]) if len(both) else {}
+        yield row
+
+
+def _interval(name: str, values: pd.Series, places: pd.Series) -> dict[str, float | None]:
+    found = mean_interval(values, list(places))
+    low, high = (end if np.isfinite(end) else None for end in (found.low, found.high))
+    prefix = f"{name}_" if name else ""
+    return {name or "value": found.mean, f"{prefix}low": low, f"{prefix}high": high}
+
+
+def natural_rows(areas: Mapping[tuple[str, int | None], Mapping[tuple[str, str], Area]]) -> list[dict[str, Any]]:
+    """AP and APH of every model as rows of `FINETUNE`, gains paired over the same resampled scenes.
+
+    areas: `evaluation.breakdown.overall_areas` by model and seed, vanilla among them, of the same scenes. A metric that
+    some model has not, of scenes without a vehicle, is left out.
+    """
+    models = dict.fromkeys(model for model, seed in areas if seed is not None)
+    groups = {key: [key] for key in areas}
+    groups |= {(model, None): [key for key in areas if key[0] == model] for model in models}
+    rows = []
+    for (model, seed), keys in groups.items():
+        for measure, view in areas[VANILLA, None]:
+            own = [areas[key][measure, view] for key in keys]
+            before = areas[VANILLA, None][measure, view]
+            if any(area.value is None for area in (*own, before)):
+                continue
+            row: dict[str, Any] = {"model": model, "seed": seed, "scene_set": "natural", "metric": f"{measure} {view}"}
+            row |= {"number": before.number} | _mean_area("", own, None)
+            rows.append(row | (_mean_area("gain", own, before) if model != VANILLA else {}))
+    return rows
+
+
+def _mean_area(name: str, areas: Sequence[Area], before: Area | None) -> dict[str, float | None]:
+    """The mean of areas, less that of another model where it is given, and where it lies over resampled scenes."""
+    values = [float(area.value or 0.0) for area in areas]
+    value = sum(values) / len(values) - float((before.value if before else 0.0) or 0.0)
+    drawn = np.mean([_known(area) for area in areas], axis=0) - (_known(before) if before else 0.0)
+    low, high = interval(drawn[np.isfinite(drawn)])
+    prefix = f"{name}_" if name else ""
+    return {name or "value": value, f"{prefix}low": low, f"{prefix}high": high}
+
+
+def _known(area: Area) -> np.ndarray:
+    return np.array([np.nan if value is None else value for value in area.drawn], dtype=np.float64)

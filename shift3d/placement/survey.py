@@ -1,0 +1,78 @@
+"""Where in a scene vehicles could stand, and what keeps them from standing elsewhere."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from shift3d.placement.constraints import Constraints
+from shift3d.placement.sampling import PlacementLimits, Site, drawn_place, refusals, standing_pose
+from shift3d.render.beams import Beams
+from shift3d.render.culling import clip_to_box, object_rays
+from shift3d.scenes.ground_map import GroundMap
+
+__all__ = ["Survey", "survey"]
+
+CAR_SIZE_M = (4.5, 1.8, 1.5)
+FREE = "free"
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Places that were tried: xy_m (N, 2), scene frame, and of each "free" or a key of `sampling.REFUSALS`."""
+
+    xy_m: NDArray[np.float64]
+    outcomes: tuple[str, ...]
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """(N,) where a vehicle could stand."""
+        return np.array([outcome == FREE for outcome in self.outcomes])
+
+    def line(self) -> str:
+        """How many are free, and how often each reason refused one."""
+        counts = Counter(self.outcomes)
+        refused = refusals({name: count for name, count in counts.items() if name != FREE})
+        return f"{counts[FREE]} of {len(self.outcomes)} free" + (f"; {refused}" if refused else "")
+
+
+def survey(
+    beams: Beams,
+    ground_z_m: float,
+    limits: PlacementLimits,
+    constraints: Constraints,
+    others: Tensor | None = None,
+    ground_map: GroundMap | None = None,
+    size_m: tuple[float, float, float] = CAR_SIZE_M,
+) -> Survey:
+    """Try as many places as `limits` allow attempts, with the tests of `sampling.place` that need no rendering.
+
+    A free place may still be refused for a shape: it may touch nothing, reach into something, or return fewer points
+    than beams meet its box. Deterministic. Source: our choice.
+    """
+    size, whole = torch.tensor(size_m, dtype=torch.float64), replace(limits, attempts=1)
+    site = Site.of(beams, ground_z_m, others, ground_map)
+    rng, places, outcomes = np.random.default_rng(0), [], []
+    for _ in range(limits.attempts):
+        draw = drawn_place(rng, whole, 1)
+        places.append(draw[:2])
+        standing = standing_pose(draw, site, size, constraints)
+        outcome = standing if isinstance(standing, str) else FREE
+        if outcome == "points" and _aimed(site, draw, size) >= constraints.min_object_points:
+            outcome = "hidden"
+        outcomes.append(outcome)
+    return Survey(np.array(places), tuple(outcomes))
+
+
+def _aimed(site: Site, draw: tuple[float, float, float], size: Tensor) -> int:
+    """Number of beams that would meet a box there if nothing stood before it."""
+    x, y, yaw = draw
+    theta = torch.tensor([x, y, site.ground_at(x, y) + float(size[2]) / 2, yaw, 0.0, 0.0], dtype=torch.float64)
+    rays = object_rays(site.beams, torch.nonzero(site.beams.carries).squeeze(1), theta)
+    endless = replace(rays, far_m=torch.full_like(rays.far_m, float("inf")))
+    return len(clip_to_box(endless, -size / 2, size / 2))

@@ -1,0 +1,97 @@
+"""The map of a log: heights of the ground in a raster, drivable areas as outlines, both in the city's frame."""
+
+from __future__ import annotations
+
+import io
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.geometry.rigid import inverse, moved
+from shift3d.scenes.ground_map import GroundMap
+from shift3d.scenes.listing import names_in
+from shift3d.store.location import Location
+
+__all__ = ["map_files", "read_ground_map"]
+
+Float = NDArray[np.float64]
+
+_HEIGHTS, _RASTER, _OUTLINES = "_ground_height_surface____", "___img_Sim2_city.json", "log_map_archive_"
+_REACH_M = 90.0  # of the raster's part that is read: the corners of the scene's map
+_AGAIN = "Copy the log's map/ again, or remove the folder"
+
+
+def map_files(log: Location) -> list[Location]:
+    """The files of a log's map that scenes are made of, in order of their names; none where it has no map."""
+    known = [name for name in names_in(log / "map") if _HEIGHTS in name or _RASTER in name or _OUTLINES in name]
+    return [log / "map" / name for name in sorted(known)]
+
+
+def read_ground_map(log: Location, city_SE3_scene: Float) -> GroundMap | None:
+    """The ground around a scene; None where the log has no map. Heights, outlines, or both may be there.
+
+    city_SE3_scene: (4, 4), metres. Raises InputError: a file is damaged, or heights lack their raster's place.
+    """
+    files = map_files(log)
+    by_kind = {kind: [file for file in files if kind in file.name] for kind in (_HEIGHTS, _RASTER, _OUTLINES)}
+    ground, areas = np.zeros((0, 3)), None
+    if by_kind[_HEIGHTS]:
+        if not by_kind[_RASTER]:
+            raise InputError(f"no *{_RASTER}, which places the heights", str(log / "map"), _AGAIN)
+        ground = _heights(by_kind[_HEIGHTS][0], by_kind[_RASTER][0], city_SE3_scene[:2, 3])
+    if by_kind[_OUTLINES]:
+        areas = _outlines(by_kind[_OUTLINES][0])
+    if areas is None and not len(ground):
+        return None
+    scene_SE3_city = inverse(city_SE3_scene)
+    there = None if areas is None else [moved(outline, scene_SE3_city) for outline in areas]
+    return GroundMap.of(moved(ground, scene_SE3_city), there)
+
+
+def _heights(file: Location, placed_by: Location, centre_m: Float) -> Float:
+    """(N, 3) middles of the raster's cells near a place (x, y), city frame: raster = s (R city + t), truncated."""
+    try:
+        raster = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"not a readable array ({' '.join(str(error).split())[:80]})", str(file), _AGAIN) from error
+    values = _json(placed_by)
+    try:
+        rotation, shift, scale = np.reshape(values["R"], (2, 2)), np.reshape(values["t"], 2), float(values["s"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError("no R of 4 numbers, t of 2 and s", str(placed_by), _AGAIN) from error
+    if raster.ndim != 2 or not scale > 0.0:
+        raise InputError(f"an array of shape {raster.shape} at scale {scale}", str(file), _AGAIN)
+    column, row = scale * (rotation @ centre_m + shift)
+    reach = _REACH_M * scale
+    rows, columns = (
+        np.arange(max(0, int(middle - reach)), min(size, max(0, int(middle + reach))))
+        for middle, size in ((row, raster.shape[0]), (column, raster.shape[1]))
+    )
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) + 0.5
+    city = (pixels / scale - shift) @ rotation
+    return np.column_stack((city, raster[np.ix_(rows, columns)].reshape(-1).astype(np.float64)))
+
+
+def _outlines(file: Location) -> list[Float]:
+    """(V, 3) each, city frame."""
+    try:
+        areas = _json(file)["drivable_areas"].values()
+        found = [np.array([[point[axis] for axis in "xyz"] for point in area["area_boundary"]]) for area in areas]
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError("no drivable_areas of area_boundary points x, y, z", str(file), _AGAIN) from error
+    if any(outline.ndim != 2 or not np.isfinite(outline.astype(np.float64)).all() for outline in found):
+        raise InputError("an outline without finite points", str(file), _AGAIN)
+    return [outline.astype(np.float64) for outline in found]
+
+
+def _json(file: Location) -> dict[str, Any]:
+    try:
+        values = json.loads(file.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError("not a readable JSON file", str(file), _AGAIN) from error
+    if not isinstance(values, dict):
+        raise InputError("no JSON object", str(file), _AGAIN)
+    return values

@@ -1,0 +1,89 @@
+"""The ground around a sensor as a data set's map has it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+
+__all__ = ["GroundMap"]
+
+Float = NDArray[np.float64]
+
+CELL_M, CELLS = 0.5, 240  # 60 m each way: vehicles stand within 50 m
+
+
+@dataclass(frozen=True)
+class GroundMap:
+    """Cells of 0.5 m of a square around the scene's origin: [i, j] begins at x = i / 2 - 60, y = j / 2 - 60 metres.
+
+    Attributes:
+        height_m: (240, 240) float32, scene frame; NaN where the map has none.
+        drivable: (240, 240) bool, where vehicles drive or park; None: the map does not say.
+
+    Source: our choice.
+    """
+
+    height_m: NDArray[np.float32]
+    drivable: NDArray[np.bool_] | None = None
+
+    @staticmethod
+    def of(ground: Float, areas: Sequence[Float] | None) -> GroundMap:
+        """From points of the ground (N, 3) and outlines (V, 2 or 3) of drivable areas, scene frame, metres.
+
+        A cell's height is the mean of its points; it is drivable where its middle is inside an outline.
+        """
+        ground = ground[np.isfinite(ground).all(axis=1)]
+        at = np.floor(ground[:, :2] / CELL_M).astype(np.int64) + CELLS // 2
+        inside = ((at >= 0) & (at < CELLS)).all(axis=1)
+        cell = at[inside] @ (CELLS, 1)
+        counts = np.bincount(cell, minlength=CELLS**2)
+        sums = np.bincount(cell, ground[inside, 2], minlength=CELLS**2)
+        height = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).astype(np.float32)
+        drivable = None
+        if areas is not None:
+            drivable = np.zeros((CELLS, CELLS), dtype=np.bool_)
+            for outline in areas:
+                drivable |= _filled(outline[:, :2])
+        return GroundMap(height.reshape(CELLS, CELLS), drivable)
+
+    def height_at(self, x_m: float, y_m: float) -> float | None:
+        """Height of the ground, scene frame, metres; None where the map has none."""
+        row, column = _cell(x_m), _cell(y_m)
+        known = 0 <= row < CELLS and 0 <= column < CELLS and math.isfinite(self.height_m[row, column])
+        return float(self.height_m[row, column]) if known else None
+
+    def allows(self, x_m: float, y_m: float) -> bool:
+        """Whether a place is drivable as far as the map says."""
+        if self.drivable is None:
+            return True
+        row, column = _cell(x_m), _cell(y_m)
+        return 0 <= row < CELLS and 0 <= column < CELLS and bool(self.drivable[row, column])
+
+    def validate(self, where: str) -> None:
+        """Refuse grids of another shape or type. Raises InputError: naming the field."""
+        for name, values, dtype in (("height_m", self.height_m, np.float32), ("drivable", self.drivable, np.bool_)):
+            if values is not None and (values.shape != (CELLS, CELLS) or values.dtype != dtype):
+                what = f"{values.dtype} {values.shape}"
+                raise InputError(what, f"{where}, ground_map.{name}", f"Give {np.dtype(dtype).name} (240, 240)")
+
+
+def _cell(metres: float) -> int:
+    return math.floor(metres / CELL_M) + CELLS // 2
+
+
+def _filled(outline: Float) -> NDArray[np.bool_]:
+    """(240, 240) cells whose middle is inside a closed outline (V, 2), by the even-odd rule."""
+    inside = np.zeros((CELLS, CELLS), dtype=np.bool_)
+    middle = (np.arange(CELLS) + 0.5 - CELLS // 2) * CELL_M
+    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        rows = np.flatnonzero((middle < x0) != (middle < x1))
+        if len(rows):
+            crossing = y0 + (middle[rows] - x0) / (x1 - x0) * (y1 - y0)
+            inside[rows] ^= middle > crossing[:, None]
+    return inside

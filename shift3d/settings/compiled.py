@@ -1,0 +1,96 @@
+"""ONNX files, held against the detectors that they were made from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from shift3d.detectors.names import ONNX
+from shift3d.errors import InputError
+from shift3d.settings.foreign import detector_layouts
+from shift3d.settings.schema import Config, DetectorConfig
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from shift3d.scenes.sets import SceneSet
+
+__all__ = ["compare_with_original", "compiled_network", "require_score_only"]
+
+_COMPARED_SCENES = 3
+_done: dict[tuple[str, ...], str] = {}
+
+
+def require_score_only(config: Config) -> None:
+    """Raises InputError where an ONNX file is to be searched along a gradient, which it does not give."""
+    if config.detector.name == ONNX and (search := config.attack.search) not in ("evolution", "random"):
+        what = f"attack.search={search} follows a gradient, and an ONNX file gives none"
+        raise InputError(what, "detector=onnx", "Give attack.search=evolution, or random")
+
+
+def compare_with_original(config: DetectorConfig, scenes: SceneSet, names: Sequence[str]) -> str:
+    """What came of the comparison, in a line; it is made once for the same file, original and scenes.
+
+    names: of a sweep's scenes, the first three of which are looked at. Without an original, nothing is compared.
+
+    Raises: InputError where scores differ by more than 1e-3, see `agreement.require_agreement`; or the original cannot
+        be loaded.
+    """
+    if config.original is None:
+        return f"{config.file}: scores are compared with no original, as detector.original names none"
+    first = tuple(islice(names, _COMPARED_SCENES))
+    weights, layout = config.weights_by_name(), detector_layouts(config).get(config.original)
+    key = (
+        str(config.file),
+        config.original,
+        str(weights.get(config.original)),
+        str(config.module),
+        str(layout),
+        *first,
+    )
+    if key not in _done:
+        from shift3d.detectors.compiled.agreement import require_agreement
+        from shift3d.detectors.loading import detector_of
+
+        compiled = detector_of(ONNX, config.file, None, "float32")
+        original = detector_of(config.original, weights.get(config.original), config.module, "float32", layout)
+        worst = require_agreement(original, compiled, _clouds(scenes, first), str(config.file))
+        _done[key] = (
+            f"{config.file}: scores are those of {config.original} within {worst.difference:.1g} "
+            f"in {counted(len(first), 'scene')}"
+        )
+    return _done[key]
+
+
+def compiled_network(name: str, weights: str | None) -> tuple[bytes, float]:
+    """A detector of shift3d as the content of an ONNX file, and by how much its scores differ on two streets.
+
+    weights: a file, None: those that ship. Raises: InputError for weights that cannot be read, a network that has no
+        export, missing packages, or scores that differ by more than 1e-3.
+    """
+    from shift3d.detectors.compiled.agreement import require_agreement
+    from shift3d.detectors.compiled.onnx_detector import onnx_detector
+    from shift3d.detectors.compiled.onnx_export import onnx_bytes
+    from shift3d.detectors.loading import load_detector
+    from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
+    from shift3d.scenes.sets import StreetScenes
+
+    original = load_detector(name, weights)
+    content = onnx_bytes(load_network(Path(weights or WEIGHTS_FOLDER / f"{name}.safetensors"), name))
+    streets, where = StreetScenes("mixed", count=2), f"{name} as ONNX"
+    compiled = onnx_detector(content, where)
+    worst = require_agreement(original, compiled, _clouds(streets, streets.names()), where)
+    return content, worst.difference
+
+
+def _clouds(scenes: SceneSet, names: Sequence[str]) -> Iterator[tuple[str, Tensor]]:
+    import torch
+
+    from shift3d.attack.objective import to_network_frame
+
+    for name in names:
+        scene = scenes.load(name)
+        yield name, to_network_frame(torch.from_numpy(scene.points), scene.ground_z_m)

@@ -1,0 +1,107 @@
+"""Which solutions of a finished sweep a suite freezes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from shift3d.errors import InputError
+from shift3d.seeding import generator
+from shift3d.store.location import Location
+from shift3d.store.tables import read_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["CHOICES", "Choice", "Chosen", "choose_solutions"]
+
+CHOICES = ("random", "hardest")
+_KEY = ["task_id", "method", "replicate"]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What to freeze.
+
+    method: of the solutions. count: at most so many hard objects. by: "random" draws without bias; "hardest" takes the
+    lowest scores, which are in part low by chance and rise under any other weights. controls: the unchanged vehicle of
+    each task as well.
+    """
+
+    method: str = "adversarial"
+    count: int = 500
+    by: Literal["random", "hardest"] = "random"
+    seed: int = 0
+    controls: bool = True
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Rows of ``solutions.parquet`` and ``scores.parquet``.
+
+    hard, controls: solutions in plan order. scores: of both, a row an object and detector. left_out: why solutions were
+    not eligible, and how many. unverified: of hard, solutions that `shift3d verify` has not looked at.
+    """
+
+    hard: pd.DataFrame
+    controls: pd.DataFrame
+    scores: pd.DataFrame
+    left_out: dict[str, int]
+    unverified: int
+
+
+def choose_solutions(final: Location, choice: Choice) -> Chosen:
+    """The solutions of a finished sweep that are to be frozen; the same tables and choice to the same ones.
+
+    Left out: what has no score or breaks a constraint, what a verification found unstable, and shapes that are not
+    natural where that was measured.
+
+    Raises:
+        InputError: the sweep is not finished, has no such method, or nothing of it is eligible.
+    """
+    if not (final / "scores.parquet").is_file():
+        raise InputError("the sweep is not finished", str(final), "Run its command again: it resumes")
+    scores = read_table(final / "scores.parquet", "scores").to_pandas()
+    solutions = read_table(final / "solutions.parquet", "solutions").to_pandas()
+    rows = scores[scores["method"] == choice.method]
+    if rows.empty:
+        methods = ", ".join(sorted(scores["method"].unique()))
+        raise InputError(f"has no method {choice.method!r}", str(final / "scores.parquet"), f"One of: {methods}")
+    own = rows[rows["scored_by"] == rows["detector"]]
+    eligible, left_out = _eligible(own)
+    if eligible.empty:
+        why = ", ".join(f"{number} {reason}" for reason, number in left_out.items())
+        raise InputError(f"no {choice.method} object can be frozen: {why}", str(final / "scores.parquet"))
+    taken = _taken(eligible, choice)
+    hard = solutions.merge(taken[_KEY], on=_KEY)
+    controls = solutions[(solutions["method"] == "baseline") & solutions["task_id"].isin(hard["task_id"])]
+    controls = controls if choice.controls and choice.method != "baseline" else controls[:0]
+    return Chosen(hard, controls, scores[scores["score"].notna()], left_out, int(taken["stable"].isna().sum()))
+
+
+def _eligible(rows: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, int]]:
+    """Rows that may be frozen, and the number of the others by reason."""
+    left_out: dict[str, int] = {}
+    for reason, keeps in (
+        ("without a score", rows["score"].notna()),
+        ("of a search that found none", rows["status"].isin(["ok"]) | rows["score"].isna()),
+        ("left as they were", rows["best_step"].ne(0) | (rows["method"] == "baseline")),
+        ("in the way of other points", rows["overlap_ok"].ne(False)),  # null passes
+        ("off the ground", rows["contact_ok"].ne(False)),
+        ("unstable", rows["stable"].ne(False)),
+        ("unnatural", rows["natural"].ne(False)),
+    ):
+        keeps = keeps[rows.index]
+        if (~keeps).any():
+            left_out[reason] = int((~keeps).sum())
+        rows = rows[keeps]
+    return rows, left_out
+
+
+def _taken(rows: pd.DataFrame, choice: Choice) -> pd.DataFrame:
+    if len(rows) <= choice.count:
+        return rows
+    if choice.by == "hardest":
+        return rows.sort_values(["score", *_KEY], kind="stable").iloc[: choice.count].sort_index()
+    order = generator("suite", choice.seed, len(rows)).permutation(len(rows))[: choice.count]
+    return rows.iloc[sorted(order)]

@@ -1,0 +1,234 @@
+"""Freezes solutions of a finished sweep: each is rendered again, scored again, and stored with its scene."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import torch
+from numpy.typing import NDArray
+
+import shift3d
+from shift3d.attack.objective import object_box
+from shift3d.errors import InputError
+from shift3d.store.location import Location
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.suite.choosing import Choice, Chosen, choose_solutions
+from shift3d.suite.frozen import FrozenSuite, background_file, blake2b, manifest_bytes, read_manifest, read_suite
+from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, suite_table, suite_table_bytes
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.task.assets import Assets, load_assets, score_precision
+from shift3d.task.problem import build_problem
+from shift3d.task.scoring import score_box
+from shift3d.task.verify import SCORE_TOLERANCE
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from shift3d.scenes.scene import Scene
+    from shift3d.sweep.planning.plan import Plan
+    from shift3d.task.spec import TaskSpec
+
+__all__ = ["Frames", "Frozen", "freeze_suite"]
+
+Frames = Literal["copied", "referenced"]
+_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+_BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
+_UNFINISHED = {"objects.parquet", "scores.parquet", "backgrounds"}
+"""What a killed freezing leaves: it may be replaced."""
+
+
+@dataclass(frozen=True)
+class Frozen:
+    """What came of it. left_out: solutions by reason. unverified: hard objects that no verification has looked at.
+    largest_difference: between a score of the sweep and the same one of the frozen object; None: it was there already.
+    """
+
+    suite: FrozenSuite
+    left_out: Mapping[str, int]
+    unverified: int
+    largest_difference: float | None
+
+
+@dataclass
+class _Writing:
+    """A suite on its way into its folder. digests: of its files. sets: settings of scene sets, as they are met."""
+
+    to: Location
+    frames: Frames
+    digests: dict[str, str] = field(default_factory=dict)
+    sets: list[dict[str, Any]] = field(default_factory=list)
+
+    def write(self, name: str, content: bytes) -> None:
+        (self.to / name).write_atomic(content)
+        self.digests[name] = blake2b(content)
+
+    def background(self, points: NDArray[np.float32]) -> str:
+        """The digest of a scene's points, which are written where they are not there yet."""
+        name = blake2b(np.ascontiguousarray(points, dtype="<f4").tobytes())
+        if self.frames == "copied" and background_file(name) not in self.digests:
+            columns = [points[:, axis] for axis in range(3)]
+            table = pa.Table.from_arrays([pa.array(c) for c in columns], schema=SUITE_SCHEMAS["background"])
+            self.write(background_file(name), suite_table_bytes(table))
+        return name
+
+    def scene_set(self, settings: Mapping[str, Any]) -> int:
+        """Which of the scene sets these settings are. A suite with its own copies says nothing of where frames lie."""
+        if self.frames == "copied":
+            return 0
+        if dict(settings) not in self.sets:
+            self.sets.append(dict(settings))
+        return self.sets.index(dict(settings))
+
+
+def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: Frames = "copied") -> Frozen:
+    """Freeze hard objects of a finished sweep, and their controls, into a folder or bucket.
+
+    The same sweep and choice give the same bytes. ``suite.json`` is written last: a folder without it is no suite, and
+    the same call begins anew; with it, nothing is written again.
+
+    Args:
+        frames: "copied" puts the scenes' points into the suite. "referenced" puts in where they come from: the gate
+            then needs the data set, or generates the streets again, and the suite holds nothing of recorded frames but
+            the points that an object moved.
+
+    Raises:
+        InputError: see `choose_solutions`; another suite or something else in the folder; a scene, vehicle or detector
+            that is not the sweep's any more.
+    Source: our choice: the paper has no gate.
+    """
+    sweep, to = as_location(sweep), as_location(to)
+    plan = read_plan(sweep)
+    chosen = choose_solutions(sweep / "final", choice)
+    scores = blake2b((sweep / "final" / "scores.parquet").read_bytes())
+    made = {"sweep": plan.sweep, "spec_hash": plan.spec_hash, "scores": scores, **asdict(choice)}
+    if (to / "suite.json").is_file():
+        if read_manifest(to / "suite.json").get("made") != made or read_manifest(to / "suite.json")["frames"] != frames:
+            raise InputError("holds another suite", str(to), "Give another to=DIR")
+        return Frozen(read_suite(to), chosen.left_out, chosen.unverified, None)
+    if not set(to.names()) <= _UNFINISHED:
+        raise InputError("is no suite, and not empty", str(to), "Give another to=DIR")
+    to.check_writable()
+    writing = _Writing(to, frames)
+    objects, left_out, largest = _objects(plan, chosen, writing)
+    if not objects:
+        raise InputError("no object has the score that the sweep reports", str(sweep), "Run the sweep again")
+    writing.write("objects.parquet", suite_table_bytes(suite_table("objects", objects)))
+    writing.write("scores.parquet", suite_table_bytes(_sweep_scores(plan, chosen.scores, objects)))
+    manifest = {
+        "version": SUITE_VERSION,
+        "shift3d": shift3d.__version__,
+        "made": made,
+        "frames": frames,
+        "scene_sets": writing.sets,
+        "datasets": sorted({row["dataset"] for row in objects}),
+        "vehicles": sorted({row["vehicle"] for row in objects}),
+        "attacked": sorted({template.detector for template in plan.tasks.templates}),
+        **{f"{role}_objects": sum(row["role"] == role for row in objects) for role in ("hard", "control")},
+        "scenes": len({row["background"] for row in objects}),
+        "files": dict(sorted(writing.digests.items())),
+    }
+    (to / "suite.json").write_atomic(manifest_bytes(manifest))
+    return Frozen(read_suite(to), chosen.left_out | left_out, chosen.unverified, largest)
+
+
+def _objects(plan: Plan, chosen: Chosen, writing: _Writing) -> tuple[list[dict[str, Any]], dict[str, int], float]:
+    """Rows of ``objects.parquet``, scene by scene, a control before what was made of it; what was left out; the
+    largest difference of scores."""
+    known = chosen.scores[chosen.scores["scored_by"] == chosen.scores["detector"]]
+    keys = zip(known["task_id"], known["method"], known["replicate"], strict=True)
+    reported = dict(zip(keys, known["score"], strict=True))
+    controls = {row["task_id"]: row for row in chosen.controls.to_dict("records")}
+    held: dict[int, Assets] = {}
+    objects: dict[str, dict[str, Any]] = {}
+    left_out: Counter[str] = Counter()
+    largest = 0.0
+    for hard in _with_progress(chosen.hard):
+        (task,) = plan.tasks.starting_with(hard["task_id"])
+        if task.assets not in held:
+            held[task.assets] = load_assets(plan.assets[task.assets])
+        number, control = writing.scene_set(plan.assets[task.assets].scenes), None
+        for role, solution in (("control", controls.get(hard["task_id"])), ("hard", hard)):
+            if solution is None:
+                continue
+            row, score = _object(task.spec, solution, held[task.assets], writing)
+            off = abs(score - reported[solution["task_id"], solution["method"], solution["replicate"]])
+            if off > SCORE_TOLERANCE:
+                left_out["with another score than the sweep's"] += 1
+                continue
+            largest = max(largest, off)
+            objects.setdefault(row["object_id"], {**row, "role": role, "control": control, "frames": number})
+            control = row["object_id"]
+    return list(objects.values()), dict(left_out), largest
+
+
+def _with_progress(solutions: pd.DataFrame) -> Iterator[dict[str, Any]]:
+    """Solutions scene by scene, so that each scene is loaded once."""
+    from tqdm import tqdm
+
+    rows = solutions.sort_values(["dataset", "scene"], kind="stable").to_dict("records")
+    slow = {} if sys.stderr.isatty() else {"mininterval": 15.0}
+    yield from tqdm(rows, "freezing", unit="object", dynamic_ncols=True, **slow)
+
+
+def _object(
+    spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, writing: _Writing
+) -> tuple[dict[str, Any], float]:
+    """A solution's row without its role, and what the attacked detector makes of it."""
+    theta = torch.tensor([solution[name] for name in _POSE], dtype=torch.float64)
+    problem, scene = build_problem(spec, assets, theta), assets.scene(spec)[0]
+    code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
+    with torch.no_grad():
+        rendering = problem.insert(code, theta)
+    box, radius_m = object_box(theta, problem.vehicle.size_m, problem.ground_z_m), spec.attack.detection_radius_m
+    detectors = {spec.detector: problem.detector}
+    score = score_box(rendering.points, box, problem.ground_z_m, radius_m, detectors)[spec.detector].score
+    rows, new = _changes(scene, rendering.points.numpy())
+    hits = np.flatnonzero(rendering.hit_mask.numpy()).astype(np.int32)
+    background, place = writing.background(scene.points), object_box(theta, problem.vehicle.size_m, 0.0)
+    parts = (background.encode(), rows.tobytes(), new.tobytes(), box.tobytes(), np.float64(radius_m).tobytes())
+    row = {
+        "object_id": blake2b(b"".join(parts)),
+        "task_id": spec.task_id,
+        **{name: getattr(spec, name) for name in ("vehicle", "scene", "dataset", "mode")},
+        **{name: solution[name] for name in ("method", "replicate", "pitch_rad", "roll_rad")},
+        "background": background,
+        "scene_hash": scene.content_hash(),
+        "effects": list(spec.effects),
+        "ground_z_m": float(problem.ground_z_m),
+        **dict(zip(_BOX, place.tolist(), strict=True)),
+        "radius_m": float(radius_m),
+        "precision": score_precision(spec),
+        "object_points": len(hits),
+        "latent_code": np.asarray(solution["latent_code"], dtype=np.float32),
+        "rows": rows,
+        "points": new.ravel(),
+        "hits": hits,
+    }
+    return row, score
+
+
+def _changes(scene: Scene, points: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Rows (K,) of the scene's points that are others, to the bit; and new points (K + more, 3): theirs, and those that
+    follow the scene's."""
+    count = len(scene.points)
+    now, before = (np.ascontiguousarray(part).view(np.int32) for part in (points[:count], scene.points))
+    rows = np.flatnonzero((now != before).any(axis=1)).astype(np.int32)
+    return rows, np.concatenate((points[rows], points[count:])).astype(np.float32)
+
+
+def _sweep_scores(plan: Plan, scores: pd.DataFrame, objects: list[dict[str, Any]]) -> pa.Table:
+    """What every detector of the sweep made of the objects: the release that the first gate compares with."""
+    weights = {name: digest for spec in plan.tasks.templates for name, digest in spec.detector_hashes.items()}
+    by_key = dict(iter(scores.groupby(["task_id", "method", "replicate"])))
+    rows = [
+        {"object_id": row["object_id"], "detector": name, "weights": weights.get(name, ""), "score": score}
+        for row in objects
+        for name, score in by_key[row["task_id"], row["method"], row["replicate"]][["scored_by", "score"]].values
+    ]
+    return suite_table("scores", rows)

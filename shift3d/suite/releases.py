@@ -1,0 +1,94 @@
+"""What earlier weights scored on a suite: the sweep's own detectors, and every release that was accepted."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from shift3d.errors import InputError
+from shift3d.store.location import Location
+from shift3d.suite.frozen import FrozenSuite
+from shift3d.suite.scoring import Scorer
+from shift3d.suite.tables import SUITE_SCHEMAS, read_suite_table, suite_table, suite_table_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Release", "accept_release", "last_release"]
+
+_NAME = re.compile(r"(\d{8})\.parquet")
+
+
+@dataclass(frozen=True)
+class Release:
+    """Scores by object_id, and whose they are. number: of its file; 0: the sweep's own detectors."""
+
+    number: int
+    detector: str
+    weights: str
+    scores: Mapping[str, float]
+
+    @property
+    def name(self) -> str:
+        """For the reader."""
+        return f"release {self.number}" if self.number else "the weights of the sweep"
+
+
+def last_release(suite: FrozenSuite, folder: Location, detector: str, number: int | None = None) -> Release | None:
+    """The last accepted release of a detector, or the one of a number; else what the sweep's own weights scored; None:
+    the detector has never scored these objects.
+
+    Raises:
+        InputError: no release of that number and detector, or a file that is damaged or another suite's.
+    """
+    for name in sorted(filter(_NAME.fullmatch, folder.names()), reverse=True):
+        release = _read(suite, folder / name, int(name[:8]))
+        if release.detector == detector and number in (None, release.number):
+            return release
+    if number:
+        raise InputError(f"there is no release {number} of {detector}", str(folder), "Leave against= out for the last")
+    table = read_suite_table(suite.folder / "scores.parquet", "scores").to_pandas()
+    return _release(table[table["detector"] == detector], 0)
+
+
+def accept_release(
+    suite: FrozenSuite, folder: Location, scorer: Scorer, scores: Mapping[str, float], last: Release | None
+) -> int:
+    """Put scores into the history as the next release; its number. The last release once more is not put in again.
+
+    Raises:
+        InputError: another gate was quicker, or the folder cannot be written to.
+    """
+    if last is not None and last.number and (last.weights, last.scores) == (scorer.digest, scores):
+        return last.number
+    taken = [int(found[1]) for name in folder.names() if (found := _NAME.fullmatch(name))]
+    number = max(taken, default=0) + 1
+    rows = [
+        {"object_id": key, "detector": scorer.name, "weights": scorer.digest, "score": score}
+        for key, score in scores.items()
+    ]
+    metadata = {**SUITE_SCHEMAS["scores"].metadata, b"shift3d.suite": suite.digest.encode()}
+    content = suite_table_bytes(suite_table("scores", rows).replace_schema_metadata(metadata))
+    if not (folder / f"{number:08d}.parquet").put_if_absent(content):
+        raise InputError(f"release {number} was accepted by another gate", str(folder), "Run this one again")
+    return number
+
+
+def _read(suite: FrozenSuite, file: Location, number: int) -> Release:
+    table = read_suite_table(file, "scores")
+    if table.schema.metadata.get(b"shift3d.suite") != suite.digest.encode():
+        remedy = "Give releases=DIR of this suite, or the suite that it was accepted on"
+        raise InputError("was accepted on another suite", str(file), remedy)
+    release = _release(table.to_pandas(), number)
+    if release is None or list(release.scores) != list(suite.objects["object_id"]):
+        raise InputError("has not the suite's objects", str(file), "Restore it from a copy, or remove it")
+    return release
+
+
+def _release(table: pd.DataFrame, number: int) -> Release | None:
+    if table.empty:
+        return None
+    scores = dict(zip(table["object_id"], table["score"], strict=True))
+    return Release(number, str(table["detector"].iloc[0]), str(table["weights"].iloc[0]), scores)

@@ -1,0 +1,116 @@
+"""Scores a suite's objects with a detector: background by background, each one's answers kept in a file."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+
+import pandas as pd
+import torch
+
+from shift3d.detectors.base import Detector
+from shift3d.detectors.loading import detector_of
+from shift3d.settings.catalogue import detector_hash
+from shift3d.store.location import Location
+from shift3d.suite.frozen import FrozenSuite, box_of
+from shift3d.suite.tables import read_suite_table, suite_table, suite_table_bytes
+from shift3d.task.scoring import score_box
+
+__all__ = ["Scorer", "score_suite"]
+
+
+@dataclass
+class Scorer:
+    """A detector by name. weights: a file, None: those that ship. module: Python file of the user's own.
+
+    Raises: InputError, where it is asked for its weights or to score, for files that are missing or do not fit.
+    """
+
+    name: str
+    weights: str | None = None
+    module: str | None = None
+    _opened: dict[str, Detector] = field(default_factory=dict)
+
+    @property
+    def digest(self) -> str:
+        """128-bit BLAKE2b of its files, hex."""
+        return detector_hash(self.name, self.weights, self.module)
+
+    def at(self, precision: str) -> Detector:
+        """The detector with its arithmetic in a precision."""
+        if precision not in self._opened:
+            self._opened[precision] = detector_of(self.name, self.weights, self.module, precision)  # type: ignore[arg-type]
+        return self._opened[precision]
+
+
+def score_suite(suite: FrozenSuite, scorer: Scorer, folder: Location, workers: int = 1) -> Iterator[pd.DataFrame]:
+    """Score every object; a table of object_id and score for each background, in the suite's order.
+
+    What lies in ``folder`` is taken from there, the rest is scored and put there, so that a killed run goes on where it
+    stopped. The bytes are the same for any number of workers: each is a process on one thread.
+
+    Args:
+        folder: of this suite's and this detector's answers alone.
+        workers: processes.
+
+    Raises:
+        InputError: a scene or a file of answers that is missing or damaged, or the disk is full.
+    """
+    names = list(dict.fromkeys(suite.objects["background"]))
+    files = {name: folder / f"{name}.parquet" for name in names}
+    for torn in folder.leftovers():
+        torn.delete()
+    present = set(folder.names())
+    missing = [name for name in names if files[name].name not in present]
+    coming = _scored(suite, scorer, missing, workers)
+    for name in names:
+        if name in missing:
+            files[name].write_atomic(suite_table_bytes(suite_table("answers", next(coming))))
+        yield read_suite_table(files[name], "answers").to_pandas()
+
+
+def _scored(
+    suite: FrozenSuite, scorer: Scorer, names: list[str], workers: int
+) -> Iterator[list[dict[str, str | float]]]:
+    if min(workers, len(names)) <= 1:
+        for name in names:
+            yield _answers(suite, scorer, name)
+        return
+    # Spawned, not forked: a fork would copy the locks of this process's threads.
+    context = multiprocessing.get_context("spawn")
+    arguments = (suite, Scorer(scorer.name, scorer.weights, scorer.module))
+    with ProcessPoolExecutor(min(workers, len(names)), context, _open, arguments) as pool:
+        try:
+            yield from pool.map(_background_answers, names)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+_opened: tuple[FrozenSuite, Scorer] | None = None
+
+
+def _open(suite: FrozenSuite, scorer: Scorer) -> None:
+    global _opened
+    torch.set_num_threads(1)
+    _opened = (suite, scorer)
+
+
+def _background_answers(name: str) -> list[dict[str, str | float]]:
+    assert _opened is not None
+    return _answers(*_opened, name)
+
+
+def _answers(suite: FrozenSuite, scorer: Scorer, name: str) -> list[dict[str, str | float]]:
+    background = suite.background(name)
+    found: list[dict[str, str | float]] = []
+    for row in suite.objects[suite.objects["background"] == name].to_dict("records"):
+        points, detectors = (
+            torch.from_numpy(suite.points_of(row, background)),
+            {scorer.name: scorer.at(row["precision"])},
+        )
+        answer = score_box(points, box_of(row), row["ground_z_m"], row["radius_m"], detectors)[scorer.name]
+        found.append({"object_id": row["object_id"], "score": answer.score})
+    return found

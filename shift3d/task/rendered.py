@@ -1,0 +1,46 @@
+"""A row of ``solutions.parquet`` rendered again into its own scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from shift3d.attack.problem import AttackProblem
+from shift3d.render.rendering import Rendering
+from shift3d.task.assets import Assets
+from shift3d.task.problem import build_problem
+from shift3d.task.spec import TaskSpec
+
+__all__ = ["POSE", "RenderedSolution", "render_solution"]
+
+POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+"""Columns of a pose."""
+
+
+@dataclass(frozen=True)
+class RenderedSolution:
+    """code: (d,), dtype of the renderer. theta: (6,) float64."""
+
+    problem: AttackProblem
+    code: Tensor
+    theta: Tensor
+    rendering: Rendering
+
+
+def render_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets) -> RenderedSolution:
+    """Render a solution as its task did, afresh and without a gradient: the same points.
+
+    solution: latent_code (d,) and the six columns of `POSE`. assets: that the task ran with.
+    Raises: InputError for a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+    """
+    theta = torch.tensor([solution[name] for name in POSE], dtype=torch.float64)
+    problem = build_problem(spec, assets, theta)
+    code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
+    with torch.no_grad():
+        rendering = problem.insert(code, theta)
+    return RenderedSolution(problem, code, theta, rendering)

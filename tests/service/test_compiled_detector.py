@@ -1,0 +1,56 @@
+"""The shipped PointPillars as an ONNX file: its scores, and a sweep that two Ray workers run on them alone."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+
+from shift3d.detectors.compiled.onnx_detector import load_onnx
+from shift3d.detectors.loading import load_detector
+from shift3d.scenes.sets import StreetScenes
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def shift3d(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "shift3d", *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        timeout=900,
+    )
+
+
+@pytest.mark.slow
+def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(tmp_path: Path) -> None:
+    made = shift3d(tmp_path, "compile", "detector=pointpillars", "to=pp.onnx")
+    assert made.returncode == 0, made.stderr[-3000:]
+    original, compiled = load_detector("pointpillars"), load_onnx(tmp_path / "pp.onnx")
+    for sensor in ("hdl64", "waymo_top"):
+        scenes = StreetScenes(sensor, seed=5)
+        scene = scenes.load(scenes.names()[0])
+        points = torch.from_numpy(scene.points) - torch.tensor([0.0, 0.0, scene.ground_z_m])
+        one, two = original.proposals(points), compiled.proposals(points)
+        assert float((torch.sigmoid(one.logits) - torch.sigmoid(two.logits)).abs().max()) < 1e-4
+    words = ["detector=onnx", "detector.file=pp.onnx", "detector.original=pointpillars", "attack.random_search=1"]
+    words += ["vehicle=coupe", "runner=ray", "runner.workers=2", "tracking=none", "out=mine", "naturalness=none"]
+    refused = shift3d(tmp_path, "sweep", "smoke", *words)
+    assert refused.returncode == 2 and "attack.search=evolution" in refused.stderr
+    done = shift3d(tmp_path, "sweep", "smoke", *words, "attack.search=evolution")
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert (
+        "pp.onnx: scores are those of pointpillars within" in done.stdout and "2 workers" in done.stdout + done.stderr
+    )
+    scores = pd.read_parquet(tmp_path / "mine" / "final" / "scores.parquet")
+    assert set(scores["detector"]) == {"onnx"} and set(scores["scored_by"]) == {"onnx", "pointpillars"}
+    assert set(scores["method"]) >= {"baseline", "random_search", "adversarial"}
+    twins = scores.pivot_table(index=["task_id", "method", "replicate"], columns="scored_by", values="score")
+    assert (twins["onnx"] - twins["pointpillars"]).abs().max() < 1e-3 and twins["onnx"].max() > 0.1

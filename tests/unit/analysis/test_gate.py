@@ -1,0 +1,118 @@
+"""A gate ends with a verdict: the same weights pass, worse ones are stopped, and the history of releases is kept."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from suites_by_hand import PER_SCENE, SCENES, write_detector, write_suite
+
+from shift3d.analysis.gate import Acceptance, GateSettings, Outcome, run_gate
+from shift3d.analysis.statistics.releases import Rule
+from shift3d.analysis.tables.gate import compare
+from shift3d.errors import InputError
+from shift3d.exit_codes import ExitCode
+from shift3d.store.resolve import as_location
+from shift3d.suite.frozen import read_suite
+from shift3d.suite.scoring import Scorer
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_suite(tmp_path / "suite")
+    return tmp_path
+
+
+def gate(folder: Path, bias: float, accept: Acceptance = "false", **more: object) -> Outcome:
+    module, weights = write_detector(folder, bias)
+    suite, out = read_suite(folder / "suite"), as_location(folder / f"out{bias:g}")
+    settings = GateSettings(accept=accept, **more)  # type: ignore[arg-type]
+    return run_gate(suite, Scorer("own", weights, module), suite.folder / "releases", out, settings)
+
+
+def releases(folder: Path) -> list[str]:
+    return sorted(path.name for path in (folder / "suite" / "releases").glob("[!.]*"))
+
+
+def test_the_same_weights_pass_and_worse_ones_are_stopped(folder: Path) -> None:
+    assert "the first" in gate(folder, -2.0, "true").text and releases(folder) == ["00000001.parquet"]
+    same = gate(folder, -2.0, "true")
+    assert same.exit_code == ExitCode.DONE and "same weights" in same.text
+    assert releases(folder) == ["00000001.parquet"], "the last release is not put in again"
+    worse = gate(folder, -2.6, "true")
+    assert worse.exit_code == ExitCode.WORSE and "Worse than release 1: " in worse.text
+    assert "not accepted" in worse.text and releases(folder) == ["00000001.parquet"]
+    better = gate(folder, -1.5, "true")
+    assert better.exit_code == ExitCode.DONE and releases(folder) == ["00000001.parquet", "00000002.parquet"]
+    # What was better than the first release is the last one from then on; the first can still be named.
+    assert gate(folder, -2.0).exit_code == ExitCode.WORSE
+    assert gate(folder, -2.0, against=1).exit_code == ExitCode.DONE
+    assert gate(folder, -2.6, "anyway").exit_code == ExitCode.WORSE and len(releases(folder)) == 3
+    with pytest.raises(InputError, match="no release 9 of own"):
+        gate(folder, -2.0, against=9)
+
+
+def test_what_is_written_says_what_got_worse_worst_first(folder: Path) -> None:
+    gate(folder, -2.0, "true")
+    gate(folder, -2.6)
+    table = pq.read_table(folder / "out-2.6" / "gate.parquet").to_pandas()
+    assert len(table) == 2 * PER_SCENE * SCENES and (table["change"] < 0).all()
+    lost = table["detected_before"] & ~table["detected"]
+    assert 0 < lost.sum() < len(table) and lost[: lost.sum()].all(), "lost objects come first"
+    assert table["change"][: lost.sum()].is_monotonic_increasing
+    # A bias is a bias: every logit fell by it.
+    logit = np.log(table[["score_before", "score"]] / (1.0 - table[["score_before", "score"]]))
+    assert np.allclose(logit["score"] - logit["score_before"], -0.6, atol=1e-4)
+    verdict = json.loads((folder / "out-2.6" / "verdict.json").read_bytes())
+    assert verdict["worse"] and verdict["objects"]["hard"]["number"] == PER_SCENE * SCENES
+    assert verdict["objects"]["hard"]["lost"] + verdict["objects"]["control"]["lost"] == lost.sum()
+    page = (folder / "out-2.6" / "gate.html").read_text()
+    assert verdict["sentence"].split(";")[0].replace(">", "&gt;") in page
+    places = [page.index(str(key)[:12]) for key in table["object_id"][:8]]
+    assert places == sorted(places)
+    assert "http" not in page.split("<script>")[0].replace("http-equiv", "")
+
+
+def test_answers_of_other_weights_are_not_taken(folder: Path) -> None:
+    gate(folder, -2.0, "true")
+    (folder / "out-2").rename(folder / "out-2.6")
+    with pytest.raises(InputError, match="other weights"):
+        gate(folder, -2.6)
+
+
+def test_without_a_release_there_is_nothing_to_compare_with(folder: Path) -> None:
+    with pytest.raises(InputError, match="accept=true"):
+        gate(folder, -2.0)
+    write_suite(folder / "suite", scored_by="own")
+    assert gate(folder, 5.0).exit_code == ExitCode.DONE, "the sweep's own scores are the first release"
+
+
+def test_a_release_of_another_suite_is_refused(folder: Path) -> None:
+    gate(folder, -2.0, "true")
+    write_suite(folder / "suite", scenes=SCENES - 1)
+    with pytest.raises(InputError, match="another suite"):
+        gate(folder, -3.0)
+
+
+def test_a_suite_of_too_few_scenes_gives_no_verdict(tmp_path: Path) -> None:
+    write_suite(tmp_path / "suite", scenes=4, scored_by="own")
+    with pytest.raises(InputError, match="4 scenes: no loss would be significant"):
+        gate(tmp_path, -2.0)
+    write_suite(tmp_path / "suite", scenes=5, scored_by="own")
+    assert gate(tmp_path, -9.0).exit_code == ExitCode.WORSE
+
+
+def test_the_comparison_does_not_depend_on_the_objects_order(folder: Path) -> None:
+    objects = read_suite(folder / "suite").objects
+    rng = np.random.default_rng(0)
+    before, after = (dict(zip(objects["object_id"], rng.random(len(objects)))) for _ in range(2))
+    one, two = (compare(rows, before, after, Rule()) for rows in (objects, objects.sample(frac=1, random_state=1)))
+    assert one.rows.equals(two.rows)
+    assert [m.p_value for m in one.measures] == [m.p_value for m in two.measures]
+    recall = one.measures[0]
+    hard = objects[objects["role"] == "hard"]["object_id"]
+    assert recall.before == np.mean([before[key] > 0.3 for key in hard])
+    assert recall.change.mean == pytest.approx((one.gained("hard") - one.lost("hard")) / len(hard))

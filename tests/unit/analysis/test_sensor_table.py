@@ -1,0 +1,62 @@
+"""The paired table of sensors: objects are paired by street, and differences are those of the pairs."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from shift3d.analysis.tables.sensors import paired_scores, sensor_table
+
+LOSS = {"waymo_top": 0.0, "hdl32": 0.25}
+
+
+def scores(beams: tuple[str, ...] = ("waymo_top", "hdl32"), streets: int = 6) -> pd.DataFrame:
+    """An object a street with the score 0.5 + 0.05 s, under the other beams 0.25 less; one street was not placed."""
+    rows = [
+        {"dataset": f"street-waymo_top-beams_{name}", "scene": f"street-test-waymo_top-{street:06d}-beams_{name}"}
+        | {"vehicle": "suv", "mode": mode, "lambda": weight, "alpha": 0.01, "detector": "p", "scored_by": "p"}
+        | {"accuracy": "standard", "search": "descent", "method": method, "replicate": 0, "object_points": 400}
+        | {"score": None if name == "hdl32" and street == 5 else 0.5 + 0.05 * street - LOSS[name]}
+        for name in beams
+        for street in range(streets)
+        for method in ("baseline", "random", "adversarial")
+        for mode, weight in (("shape", 1.0), ("pose", float("nan")))
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_objects_are_paired_by_street() -> None:
+    found = paired_scores(scores())
+    assert {(mode, method) for mode, method, *_ in found} == {
+        (mode, method) for mode in ("shape", "pose") for method in ("baseline", "adversarial")
+    }
+    for score, points in found.values():
+        both = score.dropna()
+        assert list(score.columns) == ["waymo_top", "hdl32"] and len(both) == 5 and len(score) == 6
+        assert (both["waymo_top"] - both["hdl32"]).tolist() == pytest.approx([0.25] * 5)
+        assert (points.dropna() == 400).to_numpy().all()
+
+
+def test_the_table_says_the_difference_of_the_pairs_alone() -> None:
+    table = sensor_table(scores())
+    assert table is not None
+    (own, other) = [line for line in table.lines if str(line[0]).startswith("baseline, shape")]
+    assert own[2:6] == ["waymo_top", "6", "400", "0.625"] and own[6] == "-"
+    # Six objects under the first sensor, five of them under the other: 0.6 - 0.25.
+    assert other[2:6] == ["hdl32", "5", "400", "0.350"]
+    assert str(other[6]).startswith("-0.250 [-0.250, -0.250]")
+
+
+def test_misses_are_counted_where_both_miss() -> None:
+    rows = scores()
+    rows["score"] = rows["score"] - 0.53  # of the first sensor below 0.1: three streets; of the other: all of them
+    table = sensor_table(rows)
+    assert table is not None
+    (own, other) = [line for line in table.lines if str(line[0]).startswith("baseline, shape")]
+    assert own[7] == "50%" and other[7] == "100%" and other[8] == "3 of 3"
+
+
+def test_one_sensor_makes_no_table() -> None:
+    assert sensor_table(scores(("waymo_top",))) is None
+    plain = scores(("waymo_top",)).replace(r"-beams_waymo_top", "", regex=True)
+    assert sensor_table(plain) is None

@@ -1,0 +1,78 @@
+"""``shift3d finetune``: its words, the commands that it is made of, and scenes that it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from shift3d.cli.commands import finetune
+from shift3d.cli.commands.finetune import read_request
+from shift3d.cli.main import main
+from shift3d.errors import InputError
+
+LOCAL = ("runner=local", "tracking=none", "scenes.count=1", "scenes.sensor=hdl64", "scenes.traffic=family",
+         "vehicle=suv")  # fmt: skip
+
+
+def test_words_go_to_the_sweeps_that_they_are_for() -> None:
+    request = read_request(
+        ["size=small", "seeds=0,2", "rate=3e-5", "vehicle=suv", "held_out.scenes.count=4", "others=camper"]
+    )
+    assert (request.seeds, request.rate, request.streets, request.control) == ([0, 2], "3e-5", 50, False)
+    assert request.overrides_of("finetune") == ["size=small", "vehicle=suv"]
+    assert request.overrides_of("finetune_held_out") == ["size=small", "vehicle=suv", "scenes.count=4"]
+    assert request.overrides_of("finetune_other_vehicles") == ["size=small", "scenes.count=4", "vehicle.name=camper"]
+    plain = read_request([])
+    assert (plain.seeds, plain.streets, plain.adaptive) == ([0, 1, 2], 200, True)
+    assert not read_request(["adaptive=false"]).adaptive
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("seeds=0,0", "no different whole numbers"),
+        ("seeds=a", "no different whole numbers"),
+        ("streets=0", "not a whole number from 1"),
+        ("control=yes", "control='yes' is neither true nor false"),
+        ("adaptive=1", "adaptive='1' is neither true nor false"),
+        ("rate=", "rate= is empty"),
+    ],
+)
+def test_unusable_words_are_refused(word: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_request([word])
+
+
+def test_the_commands_in_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["finetune", "--steps", *LOCAL, "seeds=0,1", "control=true", f"out={tmp_path}"]) == 0
+    lines = capsys.readouterr().out.strip().splitlines()
+    assert all(line.startswith("shift3d ") for line in lines)
+    names = [line.split()[1] for line in lines]
+    vanilla = ["sweep", "verify", "sweep", "sweep", "evaluate"]
+    assert names == vanilla + 2 * ["train", "evaluate", "sweep", "sweep"] + 2 * ["train", "evaluate"]
+    trained = [line for line in lines if " train " in line]
+    assert ["method=baseline" in line for line in trained] == [False, False, True, True]
+    assert all(f"recipe.seed={seed} " in line for line, seed in zip(trained, (0, 1, 0, 1), strict=True))
+    anew = [line for line in lines if "detector.weights=" in line]
+    assert all(f"{tmp_path}/finetuned-{seed}/pointpillars.safetensors" in "".join(anew) for seed in (0, 1))
+    assert not list(tmp_path.iterdir()), "nothing runs"
+
+
+def test_scenes_that_are_trained_on_and_held_out_are_refused_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [*LOCAL, "scenes.split=val", f"out={tmp_path / 'out'}"]
+    assert main(["finetune", *words]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "street-val-hdl64-000000" in line and "finetune_held_out share" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_it_is_one_detector_that_is_tuned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["finetune", *LOCAL, "detector=pointpillars,sst_small", f"out={tmp_path / 'out'}"]) == 2
+    assert "several detectors are attacked" in capsys.readouterr().err
+    own = ["detector=own", "detector.module=mine.py", "detector.scored_by=[]"]
+    assert main(["finetune", *LOCAL, *own, f"out={tmp_path / 'out'}"]) == 2
+    assert "there is no training of own" in capsys.readouterr().err
+    assert finetune.COMMAND.name == "finetune"

@@ -1,0 +1,91 @@
+"""What a gate cannot use is one line on stderr and exit code 2; worse weights are 6."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from suites_by_hand import write_detector, write_suite
+
+from shift3d.cli.main import main
+from shift3d.detectors.models.weights import NETWORKS
+from shift3d.suite.frozen import manifest_bytes
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write_suite(tmp_path / "suite", scored_by="own")
+    return tmp_path
+
+
+def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(["gate", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("shift3d gate: ") and error.count("\n") == 1
+    assert not Path("outputs").exists(), "nothing is half-written"
+    return error
+
+
+def test_exit_codes(folder: Path) -> None:
+    module, weights = write_detector(folder, -9.0)
+    assert main(["gate", "suite=suite", "detector=own", f"module={module}", f"weights={weights}", "mlflow=none"]) == 6
+    module, weights = write_detector(folder, 9.0)
+    assert (
+        main(
+            [
+                "gate",
+                "suite=suite",
+                "detector=own",
+                f"module={module}",
+                f"weights={weights}",
+                "accept=true",
+                "mlflow=none",
+            ]
+        )
+        == 0
+    )
+    assert (folder / "suite/releases/00000001.parquet").is_file()
+    assert len(list((folder / "outputs/gate").iterdir())) == 2
+
+
+def test_weights_of_another_shape(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    state = {name: value.clone() for name, value in NETWORKS["pointpillars"]().state_dict().items()}
+    state["heads.classes.bias"] = torch.zeros(3)
+    save_file(state, folder / "other.safetensors")
+    error = refused(["suite=suite", "detector=pointpillars", "weights=other.safetensors"], capsys)
+    assert "other.safetensors: tensor heads.classes.bias has shape (3,), the network has" in error
+    assert "no weights" in refused(["suite=suite", "detector=pointpillars", "weights=gone.safetensors"], capsys)
+
+
+def test_a_changed_suite_and_a_missing_scene(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    module, _ = write_detector(folder)
+    words = ["suite=suite", "detector=own", f"module={module}"]
+    scene = next((folder / "suite" / "backgrounds").iterdir())
+    scene.write_bytes(scene.read_bytes()[:-4] + b"PAR2")
+    assert f"{scene.name}: was changed after the suite was frozen" in refused(words, capsys)
+    scene.unlink()
+    assert f"{scene.name}: is missing" in refused(words, capsys)
+    manifest = json.loads((folder / "suite" / "suite.json").read_bytes())
+    (folder / "suite" / "suite.json").write_bytes(manifest_bytes({**manifest, "version": 0}))
+    assert "version 0, this program reads 1" in refused(words, capsys)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["detector=own"], "suite= is missing"),
+        (["suite=suite"], "detector= is missing"),
+        (["suite=nowhere", "detector=own"], "there is no suite"),
+        (["suite=suite", "detector=yolo"], "detector='yolo' is unknown"),
+        (["suite=suite", "detector=own"], "your own detector needs a file"),
+        (["suite=suite", "detector=own", "level=2"], "level='2' is not in"),
+        (["suite=suite", "detector=own", "accept=yes"], "accept='yes' is unknown"),
+        (["suite=suite", "detector=own", "workers=0"], "workers='0'"),
+    ],
+)
+def test_bad_words(words: list[str], said: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert said in refused(words, capsys)

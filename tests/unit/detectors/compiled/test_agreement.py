@@ -1,0 +1,55 @@
+"""A compiled detector is held against its original wherever either finds something."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from onnx_files import BOXES, OWN_SOURCE, write_model
+
+from shift3d.detectors.compiled.agreement import TOLERANCE, largest_disagreement, require_agreement
+from shift3d.detectors.compiled.onnx_detector import OnnxDetector, load_onnx
+from shift3d.detectors.own import OwnDetector, load_own
+from shift3d.errors import InputError
+
+
+def pair(folder: Path, bias: float = 0.0, **parts: object) -> tuple[OwnDetector, OnnxDetector]:
+    (folder / "own.py").write_text(OWN_SOURCE)
+    return load_own(folder / "own.py", None), load_onnx(write_model(folder / "mine.onnx", bias, **parts))
+
+
+def clouds() -> list[tuple[str, torch.Tensor]]:
+    draw = torch.Generator().manual_seed(0)
+    return [(name, torch.rand(300, 3, generator=draw) * 20.0) for name in ("one", "two")]
+
+
+def test_the_same_function_agrees(tmp_path: Path) -> None:
+    assert require_agreement(*pair(tmp_path), clouds(), "mine.onnx").difference < 1e-6
+
+
+@pytest.mark.parametrize("bias", [3.9e-3, -3.9e-3])
+def test_less_than_the_tolerance_is_taken(tmp_path: Path, bias: float) -> None:
+    """Near one half, a score changes by a quarter of its logit."""
+    assert 0.9 * TOLERANCE < require_agreement(*pair(tmp_path, bias), clouds(), "mine.onnx").difference < TOLERANCE
+
+
+def test_more_is_refused_with_place_and_scores(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"differs from own's by 0\.0012.*0\.4\d+ against 0\.4\d+ in two at \(.*\) m"):
+        require_agreement(*pair(tmp_path, 5e-3), clouds(), "mine.onnx")
+
+
+def test_a_box_that_one_of_them_does_not_have_counts_whole(tmp_path: Path) -> None:
+    boxes = BOXES.copy()
+    boxes[1, :2] += 30.0
+    worst = largest_disagreement(*pair(tmp_path, boxes=boxes), clouds())
+    assert worst is not None and worst.difference == pytest.approx(0.5, abs=0.05)
+    assert min(worst.original, worst.compiled) == 0.0
+
+
+def test_nothing_found_compares_nothing(tmp_path: Path) -> None:
+    own, _ = pair(tmp_path)
+    blind = load_onnx(write_model(tmp_path / "mine.onnx", -9.0))
+    with pytest.raises(InputError, match="neither it nor onnx finds a box"):
+        require_agreement(blind, blind, clouds(), "mine.onnx")
+    assert own.name == "own"

@@ -1,0 +1,52 @@
+"""Networks on pillars as ONNX files: the same boxes and scores as in torch, for any number of points."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from random_networks import random_net, random_scene
+
+from shift3d.detectors.compiled.onnx_detector import OnnxDetector, onnx_detector
+from shift3d.detectors.compiled.onnx_export import onnx_bytes
+from shift3d.detectors.trained_detector import TrainedDetector
+from shift3d.errors import InputError
+
+NAMES = ("pointpillars", "centerpoint")
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def both(request: pytest.FixtureRequest) -> tuple[TrainedDetector, OnnxDetector, bytes]:
+    net = random_net(request.param)
+    content = onnx_bytes(net)
+    return TrainedDetector(net), onnx_detector(content, request.param), content
+
+
+def odd_scene() -> torch.Tensor:
+    """Many points in one cell, points twice, on edges of cells, out of reach in every direction, and not finite."""
+    heap = random_scene(3000)
+    heap[:1000, :2] = torch.tensor([10.1, -4.2]) + 0.2 * torch.rand(1000, 2, generator=torch.Generator().manual_seed(1))
+    heap[1000:1100, 0] = -74.88 + 0.32 * torch.arange(100)
+    far = torch.tensor([[200.0, 0, 1], [0, -200.0, 1], [5, 5, 90.0], [5, 5, -90.0], [74.88, 0, 1], [0, 74.88, 1]])
+    return torch.cat((heap, heap[:500], far, torch.full((2, 3), torch.nan), torch.full((1, 3), torch.inf)))
+
+
+@pytest.mark.parametrize("points", [random_scene(9000), random_scene(1), random_scene(0), odd_scene()])
+def test_scores_and_boxes_are_those_of_torch(
+    both: tuple[TrainedDetector, OnnxDetector, bytes], points: torch.Tensor
+) -> None:
+    original, compiled, _ = both
+    one, two = original.proposals(points), compiled.proposals(points)
+    torch.testing.assert_close(torch.sigmoid(one.logits.double()), torch.sigmoid(two.logits), atol=1e-4, rtol=0)
+    torch.testing.assert_close(one.boxes[:, :6], two.boxes[:, :6], atol=1e-2, rtol=1e-3)
+    # Where the two directions of a box score alike, rounding decides.
+    assert float((one.boxes[:, 6] - two.boxes[:, 6]).cos().sub(1).abs().gt(1e-3).float().mean()) < 1e-3
+
+
+def test_the_file_says_nothing_of_the_machine(both: tuple[TrainedDetector, OnnxDetector, bytes]) -> None:
+    for word in (b".py", b"site-packages", b"/shift3d/"):
+        assert word not in both[2]
+
+
+def test_tokens_have_no_export() -> None:
+    with pytest.raises(InputError, match=r"sst.* no ONNX export. Export pointpillars or centerpoint"):
+        onnx_bytes(random_net("sst"))

@@ -1,0 +1,146 @@
+"""Fine-tuning on a real, small sweep: the same bytes, stable objects alone, provenance, and a better score."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+from cheap_sweeps import CHEAP, set_stable
+from safetensors.torch import load_file
+
+from shift3d.cli.command import run_command
+from shift3d.cli.commands import evaluate, sweep, train
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
+from shift3d.errors import InputError
+from shift3d.finetuning.objects import stable_objects
+from shift3d.finetuning.rescoring import object_scores, rescored
+from shift3d.finetuning.scenes import object_scenes
+from shift3d.geometry.boxes import points_in_boxes
+from shift3d.settings.catalogue import file_hash
+from shift3d.training.detector_scenes import load_cached
+
+SHIPPED = WEIGHTS_FOLDER / "pointpillars.safetensors"
+FEW = ("threads=1", "device=cpu", "mlflow=none", "recipe.crop_cells=64", "recipe.jitter_m=4", "recipe.pasted=0")
+
+
+def tuned(attacked: Path, out: Path, *words: str) -> Path:
+    command = ["model=pointpillars", f"finetune={attacked}", *FEW, *words, f"out={out}"]
+    assert run_command(train.COMMAND, command) == 0
+    return out / "pointpillars.safetensors"
+
+
+@pytest.fixture(scope="module")
+def weights(_attacked: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of one epoch; tests only read them."""
+    out = tmp_path_factory.mktemp("tuned")
+    return tuned(_attacked, out, "recipe.peak_rate=2e-5", "recipe.seed=3")
+
+
+def test_the_same_command_gives_the_same_bytes(_attacked: Path, weights: Path, tmp_path: Path) -> None:
+    words = ("recipe.peak_rate=2e-5", "recipe.seed=3")
+    before = weights.read_bytes()
+    assert tuned(_attacked, tmp_path, *words).read_bytes() == before
+    assert tuned(_attacked, weights.parent, *words).read_bytes() == before, "what is finished is finished again"
+    with pytest.raises(InputError, match="another recipe"):
+        tuned(_attacked, weights.parent, "recipe.peak_rate=1e-3", "recipe.seed=3")
+
+
+def test_provenance_names_the_sweep_its_rows_and_what_was_left_out(_attacked: Path, weights: Path) -> None:
+    facts = json.loads(weights.with_suffix(".json").read_text())
+    rows = pq.read_table(_attacked / "final" / "solutions.parquet").to_pylist()
+    wanted = [[row["task_id"], 0] for row in rows if row["vehicle"] == "suv" and row["method"] == "adversarial"]
+    source = facts["finetuned_on"]
+    assert source["rows"] == wanted and source["vehicles"] == {"suv": 1} and source["left_out"] == {"unstable": 1}
+    assert (source["sweep"], source["method"], source["objects"]) == ("finetune", "adversarial", 1)
+    assert _attacked.joinpath("spec.yaml").read_text().count(source["spec_hash"]) == 1
+    assert (facts["rate"], facts["seed"], facts["steps"]) == (2e-5, 3, 1), "one object, half of the crops: one step"
+    assert facts["started_from"] == {"file": SHIPPED.name, "blake2b": file_hash(SHIPPED)}
+
+
+def test_at_next_to_no_rate_the_detector_stays_the_one_it_was(attacked: Path, tmp_path: Path) -> None:
+    """Batch statistics included: a difference that is measured is the objects' doing."""
+    found = load_file(tuned(attacked, tmp_path / "out", "steps=1", "recipe.peak_rate=1e-30"))
+    before = load_network(SHIPPED, "pointpillars").state_dict()
+    assert found.keys() == before.keys()
+    assert all(torch.allclose(found[name].double(), before[name].double(), rtol=0, atol=1e-20) for name in found)
+
+
+def test_some_steps_on_one_object_raise_its_score(attacked: Path, tmp_path: Path) -> None:
+    weights = tuned(attacked, tmp_path / "out", "steps=8", "recipe.peak_rate=1e-4", "recipe.inserted_share=1")
+    found = stable_objects(attacked, "pointpillars", file_hash(SHIPPED), "adversarial")
+    unseen = weights.with_name("no_provenance.safetensors")
+    unseen.write_bytes(weights.read_bytes())
+    scores = rescored(attacked, "pointpillars", unseen).to_pandas().set_index(["task_id", "method"])["score"]
+    assert scores[found.objects[0].key[:2]] > found.objects[0].score + 0.02
+
+
+def test_a_training_scene_holds_the_object_as_it_was_attacked(attacked: Path, tmp_path: Path) -> None:
+    found = stable_objects(attacked, "pointpillars", file_hash(SHIPPED), "adversarial")
+    (file,) = object_scenes(tmp_path, found)
+    scene, row = load_cached(file), found.objects[0]
+    before = found.assets_of(row).scene(row.spec)[0]
+    pose = [row.solution[name] for name in ("x_m", "y_m", "yaw_rad")]
+    assert scene.boxes[-1, [0, 1, 6]] == pytest.approx(pose, abs=1e-5)
+    assert len(scene.boxes) == len(before.labels.of_class("vehicle")) + 1
+    scores = pq.read_table(attacked / "final" / "scores.parquet").to_pandas().set_index(["task_id", "method"])
+    points = scores.loc[row.key[:2], "object_points"]
+    assert points_in_boxes(scene.points, scene.boxes[-1:], 0.3).sum() >= 0.95 * points
+    near = np.abs(before.points[before.has_beam][:, :2]).max(axis=1) < 80.0
+    assert abs(len(scene.points) - near.sum()) <= points, "beams move, none is added"
+
+
+def test_weights_of_the_sweep_give_its_own_scores(held_out: Path) -> None:
+    assert rescored(held_out, "pointpillars", SHIPPED).equals(object_scores(held_out, "pointpillars"))
+
+
+def test_scenes_that_were_tuned_on_are_refused_by_name(attacked: Path, weights: Path, tmp_path: Path) -> None:
+    name = "street-train-hdl64-000000"
+    with pytest.raises(InputError, match=f"was fine-tuned on {name}"):
+        rescored(attacked, "pointpillars", weights)
+    words = ["detector=pointpillars", "sensor=hdl64", "split=train", "count=1", f"weights={weights}"]
+    with pytest.raises(InputError, match=f"was fine-tuned on {name}"):
+        run_command(evaluate.COMMAND, [*words, f"out={tmp_path / 'natural'}"])
+    assert not (tmp_path / "natural").exists() or not any((tmp_path / "natural").iterdir())
+
+
+def test_unusable_sweeps_are_one_clear_line(attacked: Path, held_out: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    verified = Path(shutil.copytree(held_out, tmp_path / "verified"))
+    set_stable(verified, {"suv": True})
+    with pytest.raises(InputError, match="street of split test, not train"):
+        tuned(verified, out)
+    with pytest.raises(InputError, match=r"not verified.*shift3d verify"):
+        tuned(held_out, out)
+    with pytest.raises(InputError, match="attacked pointpillars, not sst"):
+        run_command(train.COMMAND, ["model=sst", f"finetune={attacked}", *FEW, f"out={out}"])
+    with pytest.raises(InputError, match="attacked other weights of pointpillars"):
+        other = tmp_path / "other.safetensors"
+        other.write_bytes(WEIGHTS_FOLDER.joinpath("sst_small.safetensors").read_bytes())
+        tuned(attacked, out, f"start_from={other}")
+    with pytest.raises(InputError, match=r"no such weights"):
+        tuned(attacked, out, f"start_from={tmp_path / 'none.safetensors'}")
+    with pytest.raises(InputError, match="inserted_share=0 leaves no object"):
+        tuned(attacked, out, "recipe.inserted_share=0")
+    with pytest.raises(InputError, match="means nothing with finetune="):
+        tuned(attacked, out, "scenes=kitti")
+    set_stable(attacked, {"suv": False, "coupe": False})
+    with pytest.raises(InputError, match="no adversarial object is stable"):
+        tuned(attacked, out)
+    (attacked / "final" / "solutions.parquet").unlink()
+    with pytest.raises(InputError, match="the sweep is not finished"):
+        tuned(attacked, out)
+    with pytest.raises(InputError, match=str(tmp_path / "empty")):
+        tuned(tmp_path / "empty", out)
+    assert not (out / "pointpillars.safetensors").exists()
+
+
+def test_a_sweep_in_which_nothing_found_a_place_is_refused(tmp_path: Path) -> None:
+    words = ["finetune", *CHEAP, "vehicle=suv", "attack.placement.min_object_points=100000"]
+    assert run_command(sweep.COMMAND, [*words, "attack.placement.attempts=3", f"out={tmp_path / 'sweep'}"]) == 3
+    with pytest.raises(InputError, match="no task has a scored adversarial object"):
+        tuned(tmp_path / "sweep", tmp_path / "out")

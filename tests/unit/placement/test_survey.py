@@ -1,0 +1,62 @@
+"""A survey of places says of each whether a car could stand there, and if not, for which reason."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import torch
+from analytic_fields import ground_scan
+from hills import slope_scan
+
+from shift3d.placement.constraints import Constraints
+from shift3d.placement.sampling import REFUSALS, PlacementLimits
+from shift3d.placement.survey import Survey, survey
+from shift3d.render import Beams
+
+LIMITS = PlacementLimits(9.0, 12.0, sector=(0.0, 0.4), attempts=25)
+
+
+def tried(points: np.ndarray, others: torch.Tensor | None = None, fewest: int = 150) -> Survey:
+    beams, rules = Beams.from_arrays(points.astype(np.float32), np.zeros(3)), Constraints(min_object_points=fewest)
+    return survey(beams, -1.73, LIMITS, rules, others)
+
+
+def counts(found: Survey) -> dict[str, int]:
+    return dict(Counter(found.outcomes))
+
+
+def plain() -> np.ndarray:
+    return ground_scan(rings=64, columns=900)[0]
+
+
+def fenced() -> np.ndarray:
+    """Of fifteen beams fourteen end at a fence 5 m ahead, one goes through."""
+    points = plain()
+    blocked = (np.arange(len(points)) % 15 != 0) & (points[:, 0] > 5.0)
+    points[blocked] *= 5.0 / points[blocked, :1]
+    return points
+
+
+def test_each_reason_is_found_where_it_holds() -> None:
+    assert counts(tried(plain())) == {"free": 25}
+    assert counts(tried(fenced())) == {"hidden": 25}
+    assert counts(tried(slope_scan(0.12, 0.0))) == {"slope": 25}
+    assert counts(tried(plain()[plain()[:, 2] > -1.7])) == {"ground": 25}
+    assert counts(tried(plain(), fewest=9000)) == {"points": 25}
+    post = np.column_stack((np.full(400, 10.5), np.zeros(400), np.linspace(-1.7, 1.0, 400)))
+    assert "occupied" in counts(tried(np.vstack((plain(), post))))
+    neighbour = torch.tensor([[10.5, 0.0]], dtype=torch.float64)
+    assert counts(tried(plain(), others=neighbour)) == {"neighbour": 25}
+
+
+def test_a_survey_is_repeated_and_counted_in_words() -> None:
+    post = np.column_stack((np.full(400, 10.5), np.zeros(400), np.linspace(-1.7, 1.0, 400)))
+    points = np.vstack((plain(), post))
+    found, again = tried(points), tried(points)
+    assert found.outcomes == again.outcomes and np.array_equal(found.xy_m, again.xy_m)
+    free = int(found.free.sum())
+    assert 0 < free < 25
+    assert found.line() == f"{free} of 25 free; {REFUSALS['occupied']} {25 - free}"
+    reach = np.hypot(*found.xy_m.T)
+    assert ((reach >= 9.0) & (reach <= 12.0)).all()

@@ -1,0 +1,97 @@
+"""An ONNX file among the settings: what is refused when a sweep is planned, and the comparison with its original."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import valid_settings
+from onnx_files import OWN_SOURCE, write_model
+
+from shift3d.errors import InputError
+from shift3d.scenes.sets import StreetScenes
+from shift3d.settings.catalogue import detector_hash, scoring_detectors
+from shift3d.settings.compiled import compare_with_original, require_score_only
+from shift3d.settings.compose import validate
+from shift3d.settings.schema import Config, DetectorConfig
+from shift3d.task.asset_files import named_files
+from shift3d.task.spec import AssetsSpec
+
+
+def asked(search: str = "evolution", **detector: Any) -> Config:
+    values = valid_settings.settings()
+    values["detector"] = {"name": "onnx", "scored_by": [], "other_weights": {}, "file": "mine.onnx", **detector}
+    values["attack"]["search"] = search
+    return validate(values, "sweep mine")
+
+
+@pytest.mark.parametrize("search", ["descent", "expectation"])
+def test_a_search_with_gradients_is_refused_with_the_remedy(search: str) -> None:
+    with pytest.raises(InputError, match=rf"search={search} follows a gradient.*attack\.search=evolution, or random"):
+        require_score_only(asked(search))
+
+
+@pytest.mark.parametrize("search", ["evolution", "random"])
+def test_a_search_by_scores_is_taken(search: str) -> None:
+    require_score_only(asked(search))
+    assert asked(search).detector.weights_by_name() == {"onnx": "mine.onnx"}
+
+
+def test_beside_another_detector_any_search_goes() -> None:
+    config = asked("descent", name="pointpillars", scored_by=["onnx"])
+    require_score_only(config)
+    assert config.detector.weights_by_name() == {"pointpillars": None, "onnx": "mine.onnx"}
+
+
+@pytest.mark.parametrize(
+    ("detector", "says"),
+    [
+        ({"file": None}, r"file is null.*detector\.file=FILE\.onnx"),
+        ({"weights": "a.safetensors"}, r"weights means nothing for detector=onnx"),
+        ({"original": "onnx"}, r"original is onnx"),
+        ({"original": "own"}, r"detector\.module=FILE\.py"),
+        ({"name": "pointpillars"}, r"file and original mean nothing without detector=onnx"),
+    ],
+)
+def test_settings_that_do_not_go_together(detector: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        asked(**detector)
+
+
+def compiled(folder: Path, bias: float, **more: Any) -> DetectorConfig:
+    (folder / "own.py").write_text(OWN_SOURCE)
+    file = write_model(folder / f"mine{bias}.onnx", bias)
+    values: dict[str, Any] = {"name": "onnx", "scored_by": [], "other_weights": {}, "file": str(file), **more}
+    return DetectorConfig(**values)
+
+
+def test_the_files_bytes_are_what_a_task_is_known_by(tmp_path: Path) -> None:
+    first, second = compiled(tmp_path, 0.0), compiled(tmp_path, 0.5)
+    hashes = [detector_hash("onnx", path, None) for path in (first.file, second.file)]
+    assert hashes[0] != hashes[1] == detector_hash("onnx", second.file, None)
+    assert scoring_detectors(first) == {"onnx": first.file}
+    Path(str(first.file)).write_bytes(b"nothing")
+    with pytest.raises(InputError, match="it is no ONNX file"):
+        scoring_detectors(first)
+    Path(str(first.file)).unlink()
+    with pytest.raises(InputError, match=r"mine0\.0\.onnx: no such file. Check detector\.file"):
+        scoring_detectors(first)
+
+
+def test_the_file_travels_to_workers(tmp_path: Path) -> None:
+    file = str(compiled(tmp_path, 0.0).file)
+    (found,) = named_files(AssetsSpec(scenes={}, detectors={"onnx": file}))
+    assert Path(found.folder, *found.names) == Path(file)
+
+
+def test_scores_are_held_against_the_original(tmp_path: Path) -> None:
+    streets = StreetScenes("hdl64", count=2)
+    original = {"original": "own", "module": str(tmp_path / "own.py")}
+    said = compare_with_original(compiled(tmp_path, 0.0, **original), streets, streets.names())
+    assert "scores are those of own within" in said and "in 2 scenes" in said
+    with pytest.raises(
+        InputError, match=r"mine0\.1\.onnx: its score differs from own's by 0\.02.* in street-test-hdl64"
+    ):
+        compare_with_original(compiled(tmp_path, 0.1, **original), streets, streets.names())
+    assert "compared with no original" in compare_with_original(compiled(tmp_path, 0.1), streets, streets.names())

@@ -1,0 +1,131 @@
+"""A frozen object is scored as the sweep scored it, to the bit, from its own bytes or from the frames again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from shift3d.errors import InputError
+from shift3d.settings.catalogue import read_catalogue
+from shift3d.settings.compose import compose_sweep
+from shift3d.store.resolve import as_location
+from shift3d.store.tables import read_table, table_from_rows, write_table
+from shift3d.suite.choosing import Choice, choose_solutions
+from shift3d.suite.freezing import Frozen, freeze_suite
+from shift3d.suite.frozen import manifest_bytes, read_suite
+from shift3d.suite.scoring import Scorer, score_suite
+from shift3d.sweep.execution.worker import completed_rows
+from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.plan import make_plan
+from shift3d.task.run import load_assets, run_task
+
+WORDS = ["vehicle=suv", "mode=shape,pose", "attack.steps=1", "attack.noise_replicates=1", "naturalness=none"]
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A real sweep of a shape and a pose task with shipped weights; as its final tables hold it."""
+    folder = tmp_path_factory.mktemp("sweep")
+    plan = make_plan(compose_sweep("smoke", WORDS), read_catalogue)[0]
+    open_folder(folder, plan)
+    assets = load_assets(plan.assets[0])
+    found = [completed_rows(task.spec, plan.sweep, run_task(task.spec, assets)) for task in plan.tasks]
+    for name in ("scores", "solutions"):
+        table = table_from_rows(name, [row for rows in found for row in rows[name]])
+        write_table(folder / "final" / f"{name}.parquet", table)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def frozen(sweep: Path, tmp_path_factory: pytest.TempPathFactory) -> Frozen:
+    return freeze_suite(sweep, tmp_path_factory.mktemp("suite"), Choice())
+
+
+def test_frozen_objects_are_scored_as_the_sweep_scored_them(frozen: Frozen, sweep: Path, tmp_path: Path) -> None:
+    suite = frozen.suite
+    assert suite.objects["role"].tolist() == ["control", "hard", "hard"], "both tasks have one baseline"
+    assert set(suite.objects["control"].dropna()) == {suite.objects["object_id"].iloc[0]}
+    assert suite.manifest["scenes"] == 1 and suite.manifest["scene_sets"] == []
+    answers = pd.concat(score_suite(suite, Scorer("pointpillars"), as_location(tmp_path)))
+    again = dict(zip(answers["object_id"], answers["score"], strict=True))
+    scores = read_table(sweep / "final" / "scores.parquet", "scores").to_pandas()
+    for row in suite.objects.to_dict("records"):
+        same = (scores["task_id"] == row["task_id"]) & (scores["method"] == row["method"])
+        assert again[row["object_id"]] == scores[same]["score"].item()  # bit for bit
+        assert scores[same]["object_points"].item() == len(row["hits"]) == row["object_points"]
+    assert frozen.largest_difference == 0.0 and frozen.unverified == 2
+
+
+def test_the_same_call_writes_nothing_again_and_another_one_is_refused(frozen: Frozen, sweep: Path) -> None:
+    to = Path(str(frozen.suite.folder))
+    before = {path: path.stat().st_mtime_ns for path in to.rglob("*")}
+    known = freeze_suite(sweep, to, Choice())
+    assert known.largest_difference is None and known.suite.digest == frozen.suite.digest
+    assert {path: path.stat().st_mtime_ns for path in to.rglob("*")} == before
+    with pytest.raises(InputError, match="holds another suite"):
+        freeze_suite(sweep, to, Choice(count=1))
+    with pytest.raises(InputError, match="not empty"):
+        freeze_suite(sweep, sweep, Choice())
+
+
+def test_referenced_frames_are_made_again_and_must_be_the_same(frozen: Frozen, sweep: Path, tmp_path: Path) -> None:
+    suite = freeze_suite(sweep, tmp_path, Choice(), "referenced").suite
+    assert not (tmp_path / "backgrounds").exists()
+    name = suite.objects["background"].iloc[0]
+    assert np.array_equal(suite.background(name), frozen.suite.background(name))
+    assert suite.objects["object_id"].tolist() == frozen.suite.objects["object_id"].tolist()
+    manifest = json.loads((tmp_path / "suite.json").read_bytes())
+    other = {**manifest["scene_sets"][0], "seed": 1}
+    (tmp_path / "suite.json").write_bytes(manifest_bytes({**manifest, "scene_sets": [other]}))
+    with pytest.raises(InputError, match="unknown scene"):
+        read_suite(tmp_path).background(name)
+    suite.objects["scene_hash"] = "of other points"
+    with pytest.raises(InputError, match="another frame"):
+        suite.background(name)
+    kitti = {"kind": "kitti", "root": str(tmp_path), "count": None, "names": None}
+    (tmp_path / "suite.json").write_bytes(manifest_bytes({**manifest, "scene_sets": [kitti]}))
+    with pytest.raises(InputError, match=str(tmp_path / "elsewhere")):
+        read_suite(tmp_path, root=str(tmp_path / "elsewhere")).background(name)
+
+
+def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> None:
+    scores = read_table(sweep / "final" / "scores.parquet", "scores").to_pandas()
+    one = scores[scores["method"] == "adversarial"].iloc[0].to_dict()
+    faults = [
+        {"stable": False}, {"natural": False}, {"overlap_ok": False}, {"contact_ok": False}, {"best_step": 0},
+        {"status": "no_valid_step"}, {"score": None},
+    ]  # fmt: skip
+    fine = [{"score": 0.01 * number, "stable": True} for number in range(20)]
+    rows = [{**one, **change, "task_id": f"{number:032x}"} for number, change in enumerate([*fine, *faults])]
+    rows = [{key: _plain(value) for key, value in row.items()} for row in rows]
+    write_table(tmp_path / "scores.parquet", table_from_rows("scores", rows))
+    known = read_table(sweep / "final" / "solutions.parquet", "solutions").to_pylist()
+    solutions = [
+        {**known[0], "task_id": row["task_id"], "method": method}
+        for row in rows
+        for method in ("baseline", "adversarial")
+    ]
+    write_table(tmp_path / "solutions.parquet", table_from_rows("solutions", solutions))
+    chosen = choose_solutions(as_location(tmp_path), Choice())
+    assert len(chosen.hard) == len(chosen.controls) == 20 and chosen.unverified == 0
+    assert sum(chosen.left_out.values()) == len(faults) == len(chosen.left_out)
+    hardest = choose_solutions(as_location(tmp_path), Choice(count=5, by="hardest"))
+    assert hardest.hard["task_id"].tolist() == [f"{number:032x}" for number in range(5)]
+    drawn = [choose_solutions(as_location(tmp_path), Choice(count=5, seed=seed)).hard["task_id"] for seed in (0, 0, 1)]
+    assert drawn[0].tolist() == drawn[1].tolist() != drawn[2].tolist()
+    assert choose_solutions(as_location(tmp_path), Choice(controls=False)).controls.empty
+    with pytest.raises(InputError, match="has no method 'random'"):
+        choose_solutions(as_location(tmp_path), Choice(method="random"))
+    write_table(tmp_path / "scores.parquet", table_from_rows("scores", rows[-1:]))
+    with pytest.raises(InputError, match="no adversarial object can be frozen: 1 without a score"):
+        choose_solutions(as_location(tmp_path), Choice())
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return None if value is None or value is pd.NA or value != value else value
