@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from shift3d.cli.completion import plan_words
-from shift3d.errors import InputError
-from shift3d.errors import empty_error
+from shift3d.errors import InputError, empty_error
 
 if TYPE_CHECKING:
     from shift3d.cli.job_spec import JobSpec
