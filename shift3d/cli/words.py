@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from shift3d.cli.completion import plan_words
-from shift3d.errors import empty_error
+from shift3d.errors import InputError, empty_error
 
 if TYPE_CHECKING:
     from shift3d.cli.job_spec import JobSpec
+    from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
     from shift3d.store.location import Location
 
-__all__ = ["Request", "add_words", "read_words", "split_words", "take_folders"]
+__all__ = ["Request", "add_words", "read_words", "runner_of", "split_words", "take_folders"]
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,22 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
     if not all(folder.strip() for folder in named):
         raise empty_error(key)
     return [as_location(folder) for folder in named], [word for word in words if not word.startswith(f"{key}=")]
+
+
+def runner_of(words: Sequence[str], command: str) -> RayRunnerConfig | LocalRunnerConfig:
+    """The runner that overrides describe, from what conf/ has, for a command on what a sweep has found.
+
+    Raises:
+        InputError: another setting than the runner's; what was searched is taken as it is.
+    """
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.settings.expand import expand
+
+    for word in words:
+        if word.partition("=")[0].split(".")[0] != "runner":
+            remedy = "Only the runner can be set: runner=local, runner.KEY="
+            raise InputError(f"cannot read {word!r}", where=command, remedy=remedy)
+    return next(iter(expand(compose_sweep("default", words)))).runner
 
 
 def _words_of_folder(words: list[str]) -> list[str]:
