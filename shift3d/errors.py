@@ -32,6 +32,12 @@ class InputError(Exception):
         return (InputError, (self.what, self.where, self.remedy))
 
 
+def empty_error(key: str, where: str = "") -> InputError:
+    """The error for ``key=`` with nothing after it: what an unset variable of the shell leaves of a word."""
+    remedy = f"Give {key}=..., or no {key}= at all; is a variable of the shell unset?"
+    return InputError(f"{key}= is empty", where=where, remedy=remedy)
+
+
 def _one_line(text: str) -> str:
     """The text without what breaks a line or a terminal: readers quote what they found in a damaged file."""
     return "".join(letter if letter.isprintable() else " " for letter in text)

@@ -19,6 +19,7 @@ from shift3d.analysis.cases.rendered import POSE
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.errors import InputError
 from shift3d.methods import METHODS
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -301,7 +302,9 @@ def main(arguments: list[str]) -> None:
     shown = given.get("task") or _hardest_natural(tables["scores"])
     found = [(plan, task) for plan in map(read_plan, outs) for task in plan.tasks.starting_with(shown)]
     if len(found) != 1:
-        raise InputError(f"{len(found)} tasks have an id that begins with {shown}", "task=", "Give one of final/scores")
+        raise InputError(
+            f"{counted(len(found), 'task')} with an id that begins with {shown}", "task=", "Give one of final/scores"
+        )
     plan, task = found[0]
     own = {name: tables[name][tables[name]["task_id"] == task.spec.task_id] for name in ("solutions", "scores")}
     draw_case(load_assets(plan.assets[task.assets]), task.spec, own["solutions"], own["scores"], folder / "case.png")

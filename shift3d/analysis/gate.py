@@ -60,14 +60,7 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
             folder, a damaged suite.
     Source: our choice: the paper has no gate.
     """
-    scenes = len((suite.objects["dataset"] + "/" + suite.objects["scene"]).unique())
-    if 0.5**scenes > settings.rule.level:
-        what = (
-            f"has objects of {counted(scenes, 'scene')}: no loss would be significant at level={settings.rule.level:g}"
-        )
-        raise InputError(what, str(suite.folder), "Freeze a suite of a sweep over more scenes: scenes.count=")
-    for precision in suite.objects["precision"].unique():
-        scorer.at(precision)  # what is wrong with the weights is said before anything is scored
+    _check(suite, scorer, settings.rule)
     last = last_release(suite, releases, scorer.name, settings.against)
     if last is None and settings.accept == "false":
         what = f"{scorer.name} has no release to compare with, and did not score the sweep"
@@ -78,12 +71,23 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     after = {key: after[key] for key in suite.objects["object_id"]}
     if last is None:
         number = accept_release(suite, releases, scorer, after, None)
-        return Outcome(
-            ExitCode.DONE, f"{counted(len(after), 'object')} scored; accepted as release {number}, the first"
-        )
+        text = f"{counted(len(after), 'object')} scored; accepted as release {number}, the first"
+        return Outcome(ExitCode.DONE, text, compared=False)
     if missing := set(after) - set(last.scores):
         raise InputError(f"has no score of {counted(len(missing), 'object')}", f"{last.name} of {last.detector}")
     found = compare(suite.objects, last.scores, after, settings.rule)
+    said = _write(out, suite, scorer, found, last, settings)
+    if settings.accept == "anyway" or (settings.accept == "true" and not found.worse):
+        said.append(f"accepted as release {accept_release(suite, releases, scorer, after, last)}")
+    elif settings.accept == "true":
+        said.append("not accepted: accept=anyway accepts a release that is worse")
+    return Outcome(ExitCode.WORSE if found.worse else ExitCode.DONE, "\n\n".join(filter(None, said)))
+
+
+def _write(
+    out: Location, suite: FrozenSuite, scorer: Scorer, found: Comparison, last: Release, settings: GateSettings
+) -> list[str]:
+    """Write table, verdict and page; what is printed of them."""
     sentence, caution = found.sentence(last.name), _caution(suite, last, scorer)
     (out / "gate.parquet").write_atomic(suite_table_bytes(suite_table("gate", found.rows.to_dict("records"))))
     facts = _facts(suite, scorer, last, settings)
@@ -93,12 +97,17 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     views = {key: view_of(suite, by_id.loc[key].to_dict(), scorer) for key in worst}
     page = GatePage(found, sentence, caution, views, simulated_rates(found), facts)
     (out / "gate.html").write_atomic(gate_html(page).encode())
-    said = [str(measures_table(found)), str(worst_table(found, 10)), sentence, caution, f"{out / 'gate.html'} written"]
-    if settings.accept == "anyway" or (settings.accept == "true" and not found.worse):
-        said.append(f"accepted as release {accept_release(suite, releases, scorer, after, last)}")
-    elif settings.accept == "true":
-        said.append("not accepted: accept=anyway accepts a release that is worse")
-    return Outcome(ExitCode.WORSE if found.worse else ExitCode.DONE, "\n\n".join(filter(None, said)))
+    return [str(measures_table(found)), str(worst_table(found, 10)), sentence, caution, f"{out / 'gate.html'} written"]
+
+
+def _check(suite: FrozenSuite, scorer: Scorer, rule: Rule) -> None:
+    """Refuse what can give no verdict, before anything is scored."""
+    scenes = len((suite.objects["dataset"] + "/" + suite.objects["scene"]).unique())
+    if 0.5**scenes > rule.level:
+        what = f"has objects of {counted(scenes, 'scene')}: no loss would be significant at level={rule.level:g}"
+        raise InputError(what, str(suite.folder), "Freeze a suite of a sweep over more scenes: scenes.count=")
+    for precision in suite.objects["precision"].unique():
+        scorer.at(precision)
 
 
 def _claim(out: Location, suite: FrozenSuite, scorer: Scorer) -> None:

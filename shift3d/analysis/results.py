@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 __all__ = ["Sweep", "natural_by_task", "read_sweep", "sweep_of"]
 
 _TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
-_LATER = ("trajectories", "transfers", "bev_transfer", "choices", "shapes")
+_LATER = (
+    "trajectories", "transfers", "bev_transfer", "choices", "shapes", "vehicle_pool", "retrieved", "patterns",
+)  # fmt: skip
 """Tables that folders of older versions do not have."""
 
 
@@ -29,7 +31,8 @@ class Sweep:
     """A sweep's plan and tables.
 
     environment: what ran it (``env.json``). The others: tables of ``final/``; verification is None where the sweep was
-    not verified; trajectories, transfers, bev_transfer, choices and shapes are empty where it has none.
+    not verified; trajectories, transfers, bev_transfer, choices, shapes, vehicle_pool, retrieved and
+    patterns are empty where it has none.
     """
 
     plan: Plan
@@ -45,6 +48,9 @@ class Sweep:
     bev_transfer: pd.DataFrame
     choices: pd.DataFrame
     shapes: pd.DataFrame
+    vehicle_pool: pd.DataFrame
+    retrieved: pd.DataFrame
+    patterns: pd.DataFrame
     verification: pd.DataFrame | None = None
 
     @property

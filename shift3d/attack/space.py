@@ -14,6 +14,7 @@ from torch import Tensor
 
 from shift3d.attack.baselines import random_code
 from shift3d.errors import InputError
+from shift3d.sdf.principal_components import principal_components
 from shift3d.vehicles.parameter_box import BoxOfParameters
 
 __all__ = ["SPACES", "CodeSpace", "edited_code", "free_space", "parameter_space", "pca_space", "within_budget"]
@@ -58,16 +59,9 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
     Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
     Source: SHIFT3D's supplement takes 10 principal components to reconstruct vehicles; the ellipsoid is our choice.
     """
-    if len(codes) < components + 2:
-        what = f"{len(codes)} codes are too few for {components} components"
-        raise InputError(what, where, f"Give attack.components of at most {max(len(codes) - 2, 1)}, or more vehicles")
-    mean = codes.astype(np.float64).mean(axis=0)
-    _, spread, axes = np.linalg.svd(codes - mean, full_matrices=False)
-    spread = spread[:components] / np.sqrt(len(codes) - 1)
-    if not spread[-1] > 1e-6 * spread[0]:
-        raise InputError(f"the codes do not spread along {components} directions", where, "Give fewer components")
-    basis = torch.from_numpy(spread[:, None] * axes[:components])
-    start = torch.from_numpy(((code0.detach().double().numpy() - mean) @ axes[:components].T) / spread)
+    mean, spread, axes = principal_components(codes, components, where)
+    basis = torch.from_numpy(spread[:, None] * axes)
+    start = torch.from_numpy(((code0.detach().double().numpy() - mean) @ axes.T) / spread)
     radius = max(float(np.sqrt(chi2.ppf(BALL, components))), float(start.norm()))
 
     def code(u: Tensor) -> Tensor:

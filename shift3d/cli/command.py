@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from shift3d.errors import InputError
+from shift3d.errors import InputError, empty_error
 
 __all__ = ["Command", "key_values", "run_command", "writable_folder"]
 
@@ -50,9 +50,8 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
             raise InputError(f"cannot read {word!r}", where=where, remedy=f"One of: {keys}")
         if key in values:
             raise InputError(f"{key}= is given twice", where=where, remedy="Give it once")
-        if not value:
-            # An unset variable of the shell leaves nothing; out= would be the current folder.
-            raise InputError(f"{key}= is empty", where=where, remedy=f"Give {key}=..., or leave it out")
+        if not value.strip():
+            raise empty_error(key, where)
         values[key] = value
     for key in required:
         if key not in values:
@@ -60,8 +59,8 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
     return values
 
 
-def writable_folder(text: str) -> Path:
-    """The folder that a command writes to, found to be writable before the work begins.
+def writable_folder(text: str, key: str = "out") -> Path:
+    """The folder that a command writes to, found to be writable before the work begins. key: of the word that names it.
 
     Raises:
         InputError: it cannot be written to, or made.
@@ -69,5 +68,5 @@ def writable_folder(text: str) -> Path:
     from shift3d.store.atomic import check_writable
 
     folder = Path(text).expanduser()
-    check_writable(folder)
+    check_writable(folder, f"{key}=DIR")
     return folder

@@ -9,7 +9,7 @@ from typing import Any, Literal, Self
 import yaml  # type: ignore[import-untyped]
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from shift3d.errors import InputError
+from shift3d.errors import InputError, empty_error
 from shift3d.settings.folders import files, find, looked_in
 
 __all__ = ["JobSpec", "read_job", "take_job"]
@@ -57,6 +57,8 @@ def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
     """
     named = [word.removeprefix("job=") for word in words if word.startswith("job=")]
     rest = [word for word in words if not word.startswith("job=")]
+    if not all(name.strip() for name in named):
+        raise empty_error("job")
     return read_job(named[-1]) if named else None, rest
 
 

@@ -23,8 +23,10 @@ from shift3d.cli.commands import (
     gate,
     gc,
     jobs,
+    patterns,
     plan,
     report,
+    retrieve,
     rules,
     scenes,
     suite,
@@ -44,6 +46,8 @@ COMMANDS: tuple[Command, ...] = (
     verify.COMMAND,
     report.COMMAND,
     rules.COMMAND,
+    patterns.COMMAND,
+    retrieve.COMMAND,
     scenes.COMMAND,
     effects.COMMAND,
     export.COMMAND,
@@ -134,6 +138,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of our output (head, less) has left; there is nobody to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return int(ExitCode.NO_READER)
+    except OSError as error:
+        from shift3d.store.atomic import disk_error
+
+        if (problem := disk_error(error)) is None:
+            raise
+        print(f"shift3d {parsed.command}: {problem}", file=sys.stderr)
+        return int(problem.exit_code)
 
 
 if __name__ == "__main__":

@@ -39,6 +39,6 @@ def mesh_frame(values: dict[str, str], where: str) -> MeshFrame:
 def whole_number(values: dict[str, str], key: str, default: int, where: str) -> int:
     """The positive whole number behind a key. Raises: InputError for anything else."""
     text = values.get(key, str(default))
-    if not text.isdigit() or int(text) < 1:
+    if not text.isdecimal() or int(text) < 1:
         raise InputError(f"{key}={text!r} is not a number of {key}", where=where, remedy=f"Give {key}={default}")
     return int(text)

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from shift3d.cli.completion import plan_words
-from shift3d.errors import InputError
+from shift3d.errors import InputError, empty_error
 
 if TYPE_CHECKING:
     from shift3d.cli.job_spec import JobSpec
+    from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
     from shift3d.store.location import Location
 
-__all__ = ["Request", "add_words", "read_words", "split_words", "take_folders"]
+__all__ = ["Request", "add_words", "read_words", "runner_of", "split_words", "take_folders"]
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,11 @@ def read_words(words: Sequence[str]) -> Request:
         InputError: a folder that cannot be used, a job that there is not, or a sweep's folder that is damaged.
     """
     from shift3d.cli.job_spec import take_job
+    from shift3d.sweep.planning.spec_file import read_spec
 
     reuse, rest = take_folders("reuse", words)
+    for folder in reuse:
+        read_spec(folder)  # before scenes are looked at, which may take minutes
     job, typed = take_job(rest)
     name, overrides, out = split_words(_words_of_folder(typed))
     if job:
@@ -83,12 +87,25 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
     from shift3d.store.resolve import as_location
 
     named = [word.removeprefix(f"{key}=") for word in words if word.startswith(f"{key}=")]
-    if not all(named):
-        # An unset variable of the shell leaves nothing; a path of no parts would be the current folder.
-        raise InputError(
-            f"{key}= is empty", remedy=f"Give {key}=FOLDER, or no {key}= at all; is a variable of the shell unset?"
-        )
+    if not all(folder.strip() for folder in named):
+        raise empty_error(key)
     return [as_location(folder) for folder in named], [word for word in words if not word.startswith(f"{key}=")]
+
+
+def runner_of(words: Sequence[str], command: str) -> RayRunnerConfig | LocalRunnerConfig:
+    """The runner that overrides describe, from what conf/ has, for a command on what a sweep has found.
+
+    Raises:
+        InputError: another setting than the runner's; what was searched is taken as it is.
+    """
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.settings.expand import expand
+
+    for word in words:
+        if word.partition("=")[0].split(".")[0] != "runner":
+            remedy = "Only the runner can be set: runner=local, runner.KEY="
+            raise InputError(f"cannot read {word!r}", where=command, remedy=remedy)
+    return next(iter(expand(compose_sweep("default", words)))).runner
 
 
 def _words_of_folder(words: list[str]) -> list[str]:

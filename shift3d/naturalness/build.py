@@ -21,6 +21,7 @@ from shift3d.naturalness.sizes import published_ranges
 from shift3d.naturalness.sources import Build, ReferenceSource, source_hash
 from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.store.user_cache import user_cache
+from shift3d.wording import counted
 
 __all__ = ["build_reference", "load_reference", "reference_file"]
 
@@ -79,7 +80,7 @@ def build_reference(source: ReferenceSource, where: str) -> tuple[list[Member], 
     """
     builds = source.members()
     if len(builds) < FEWEST:
-        what = f"{len(builds)} members, and a percentile of members left out needs {FEWEST}"
+        what = f"{counted(len(builds), 'member')}, and a percentile of members left out needs {FEWEST}"
         raise InputError(what, where, remedy=f"Give {FEWEST} vehicles or more")
     members = list(tqdm(_built(builds), total=len(builds), desc="building the reference set", mininterval=2.0))
     _check_sizes(members, where)

@@ -18,23 +18,35 @@ if TYPE_CHECKING:
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
     from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["decoded_mesh"]
+__all__ = ["decoded_mesh", "decoded_surface"]
 
 RESOLUTION, COARSEST, MARGINS = 49, 12, (1.0, 0.6)
 """Nodes along the unit sphere's cube, 10 cm apart on a car, and cells of the first grid."""
 _SURVEYED = 1024
 
 
-def decoded_mesh(vehicle: Vehicle, decoder: Decoder | DeepSdfNetwork, code: ArrayLike | Tensor) -> trimesh.Trimesh:
+def decoded_mesh(
+    vehicle: Vehicle, decoder: Decoder | DeepSdfNetwork, code: ArrayLike | Tensor, resolution: int = RESOLUTION
+) -> trimesh.Trimesh:
     """What a vehicle looks like under a code (d,): object frame, metres.
 
+    resolution: see `decoded_surface`.
     Raises: InputError when the code decodes to no surface. Differentiable w.r.t.: nothing.
     Source: our choice.
     """
     field = decoder.field(torch.as_tensor(code, dtype=torch.float32).detach())
-    mesh = zero_surface(*field_on_grid(_in_the_ball(field), RESOLUTION, COARSEST, MARGINS))
+    mesh = decoded_surface(field, resolution)
     mesh.vertices = vehicle.to_object(mesh.vertices)
     return mesh
+
+
+def decoded_surface(field: PointField, resolution: int = RESOLUTION) -> trimesh.Trimesh:
+    """The zero surface of a decoder's field: sdf frame.
+
+    resolution: nodes along the unit sphere's cube, one more than `COARSEST` doubled some times.
+    Raises: InputError where there is none.
+    """
+    return zero_surface(*field_on_grid(_in_the_ball(field), resolution, COARSEST, MARGINS))
 
 
 def _in_the_ball(field: PointField) -> PointField:

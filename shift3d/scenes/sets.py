@@ -14,6 +14,7 @@ from shift3d.scenes.street.options import PLAIN, StreetOptions, check_traffic
 
 if TYPE_CHECKING:
     from shift3d.scenes.facts import SceneFacts
+    from shift3d.scenes.street.world import PlacedVehicle
 
 STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
 STREET_SPLITS = ("train", "val", "test")
@@ -108,14 +109,23 @@ class StreetScenes:
         """The scene of a name: the same bytes every time."""
         from shift3d.scenes.street.assemble import street_scene
 
+        scene = street_scene(*self._arguments(name))
+        scene.validate()
+        return scene
+
+    def vehicles(self, name: str) -> tuple[PlacedVehicle, ...]:
+        """The vehicles of the scene of a name with their meshes."""
+        from shift3d.scenes.street.assemble import street_vehicles
+
+        return street_vehicles(*self._arguments(name))
+
+    def _arguments(self, name: str) -> tuple[str, int, int, str, StreetOptions]:
         match = re.fullmatch(r"street-[a-z]+-[a-z0-9_]+-(\d{6,})(?:-[a-z0-9._-]+)?", name)
         index = int(match[1]) if match else -1
         if not self.start <= index < self.start + self.count or name != self._name(index):
             first, last = self._name(self.start), self._name(self.start + self.count - 1)
             raise InputError(f"unknown scene {name!r}", "street scenes", f"Choose from {first} to {last}.")
-        scene = street_scene(self.split, self.seed, index, self._sensor_of(index), self.options)
-        scene.validate()
-        return scene
+        return self.split, self.seed, index, self._sensor_of(index), self.options
 
     def seen_by_own(self, name: str) -> tuple[StreetScenes, str] | None:
         """The same street seen by its own sensor: set and name; None where it is so already."""

@@ -19,6 +19,7 @@ from torch.nn.utils import parametrizations
 from shift3d.errors import InputError
 from shift3d.sdf.field import Field
 from shift3d.sdf.tensors import check_magnitude, checked_tensors, without_subnormals
+from shift3d.store.atomic import write_atomic
 
 CODE_LENGTH = 256
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "weights" / "sdf.safetensors"
@@ -163,8 +164,8 @@ class Decoder(nn.Module):
 
 
 def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None = None) -> None:
-    """Write the decoder's folded float32 weights to a safetensors file, atomically."""
-    from safetensors.torch import save_file
+    """Write the decoder's folded float32 weights to a safetensors file. Raises: InputError, see `write_atomic`."""
+    from safetensors.torch import save
 
     tensors = {}
     for index, layer in enumerate(decoder.layers):
@@ -172,10 +173,7 @@ def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None =
         tensors[f"layers.{index}.weight"] = without_subnormals(weight.detach().float()).contiguous()
         tensors[f"layers.{index}.bias"] = bias.detach().float().contiguous()
     architecture = json.dumps(vars(decoder.architecture), sort_keys=True)
-    partial = path.with_name(path.name + ".partial")
-    save_file(tensors, partial, metadata={"architecture": architecture, **(metadata or {})})
-    partial.chmod(0o644)
-    partial.replace(path)
+    write_atomic(path, save(tensors, metadata={"architecture": architecture, **(metadata or {})}))
 
 
 def load_decoder(path: Path | str | None = None) -> Decoder:
@@ -188,7 +186,8 @@ def load_decoder(path: Path | str | None = None) -> Decoder:
 
     source = Path(path) if path is not None else DEFAULT_WEIGHTS
     if not source.is_file():
-        raise InputError("no such file", where=str(source), remedy='train it: make train ARGS="model=sdf"')
+        remedy = "Check the path" if path is not None else 'Train it: make train ARGS="model=sdf"'
+        raise InputError("no such file", where=str(source), remedy=remedy)
     try:
         with safe_open(str(source), framework="pt") as file:
             metadata = file.metadata() or {}

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, ONNX, OWN
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
@@ -126,7 +126,7 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     layouts = detector_layouts(config)
     for name in names:
         detector_hash(name, weights.get(name), config.module, layouts.get(name))
-    for name in [name for name in (OWN, ONNX, *FOREIGN) if name in names]:  # what is wrong is said before anything runs
+    for name in [name for name in names if name == OWN or weights.get(name)]:  # said before anything runs
         from shift3d.detectors.loading import detector_of
 
         detector_of(name, weights.get(name), config.module, "float32", layouts.get(name))
@@ -293,15 +293,9 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
 
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
-    """See `scene_entries`; the error for a frame that cannot be read says how to do without it."""
-    frames = config.scenes if isinstance(config.scenes, FramesConfig) else None
-    try:
-        return scene_entries(scenes, preview, skip_bad=frames is not None and frames.skip_bad)
-    except InputError as error:
-        if frames is None or frames.skip_bad:
-            raise
-        remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
-        raise InputError(error.what, where=error.where, remedy=remedy) from error
+    """See `scene_entries`."""
+    skip_bad = config.scenes.skip_bad if isinstance(config.scenes, FramesConfig) else None
+    return scene_entries(scenes, preview, skip_bad)
 
 
 class _VehicleHashes(Mapping[str, str]):

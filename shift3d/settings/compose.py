@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from shift3d.errors import InputError
+from shift3d.errors import InputError, empty_error
 from shift3d.settings import messages
 from shift3d.settings.folders import files, find, looked_in, places, shipped, shown
 from shift3d.settings.names import quoted, text_settings
@@ -64,13 +64,16 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     the sweep's file lists under ``small``; those that are given come after them.
 
     Raises:
-        InputError: unknown sweep, group, option or setting; an unreadable override; a continuous axis; a small size
-            of a sweep that has none.
+        InputError: unknown sweep, group, option or setting; an unreadable or empty override; a continuous axis; a small
+            size of a sweep that has none.
     """
     where = f"sweep {name}"
     file = find("sweeps", name)
     if file is None:
         raise messages.choice_error("sweep", name, sweep_names(), "sweeps/", looked_in("sweeps"))
+    for key, equals, value in (override.partition("=") for override in overrides):
+        if equals and not value.strip():
+            raise empty_error(key, where)  # a setting that is a text would take it
     compose, parse = _hydra(file, where)
     stated = compose([])
     params = stated["hydra"]["sweeper"]["params"] or {}
@@ -139,10 +142,14 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
             raise messages.from_hydra(error, where, known, _Groups().get_group_options) from error
 
     def parse(texts: Sequence[str]) -> Any:
-        try:
-            return OverridesParser.create(config_loader=_Groups()).parse_overrides(list(texts))  # type: ignore[arg-type]
-        except Exception as error:
-            raise messages.unreadable(error, where) from error
+        parser = OverridesParser.create(config_loader=_Groups())  # type: ignore[arg-type]
+        parsed = []
+        for text in texts:  # one at a time: the error names it
+            try:
+                parsed += parser.parse_overrides([text])
+            except Exception as error:
+                raise messages.unreadable(text, where) from error
+        return parsed
 
     return run, parse
 

@@ -92,11 +92,10 @@ def from_hydra(
     return InputError(" ".join(text.split())[:300], where=where, remedy=remedy)
 
 
-def unreadable(error: Exception, where: str) -> InputError:
+def unreadable(override: str, where: str) -> InputError:
     """The error for an override that is not of Hydra's grammar."""
-    shown = str(error).splitlines()[0].split(": ", 1)[-1]
     return InputError(
-        f"cannot read the override {shown!r}",
+        f"cannot read the override {override!r}",
         where=where,
         remedy="Write key=value, and quote values with spaces or brackets: 'key=\"a b\"'",
     )

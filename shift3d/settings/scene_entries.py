@@ -23,13 +23,13 @@ _FEW = 8
 
 
 def scene_entries(
-    scenes: SceneSet, preview: bool = False, skip_bad: bool = False
+    scenes: SceneSet, preview: bool = False, skip_bad: bool | None = None
 ) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
     """An entry a scene, in order. A bar on stderr shows how many of those that have to be looked at are left.
 
     Args:
         preview: leave ``content_hash`` empty where many scenes would have to be made for it alone.
-        skip_bad: leave out scenes that cannot be read.
+        skip_bad: leave out scenes that cannot be read. None: no setting of these scenes.
 
     Returns:
         the entries, and of each scene that is left out why.
@@ -60,7 +60,7 @@ def _known(scenes: SceneSet, name: str) -> SceneEntry | None:
     return SceneEntry(name, dataset, kept.content_hash if kept else "", facts)
 
 
-def _look(scenes: SceneSet, names: Sequence[str], skip_bad: bool) -> list[SceneEntry | InputError]:
+def _look(scenes: SceneSet, names: Sequence[str], skip_bad: bool | None) -> list[SceneEntry | InputError]:
     """Load scenes, by a thread a core: most of it is arithmetic that lets other threads run.
 
     skip_bad: the error of one that cannot be read stands in its place.
@@ -87,14 +87,17 @@ def _look(scenes: SceneSet, names: Sequence[str], skip_bad: bool) -> list[SceneE
             raise
 
 
-def _look_at(scenes: SceneSet, name: str, skip_bad: bool) -> SceneEntry | InputError:
+def _look_at(scenes: SceneSet, name: str, skip_bad: bool | None) -> SceneEntry | InputError:
     source = scenes.source(name)  # before the files are read: one that changes meanwhile is looked at again
     try:
         scene = scenes.load(name)
     except InputError as error:
-        if not skip_bad:
+        if skip_bad:
+            return error
+        if skip_bad is None:
             raise
-        return error
+        remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
+        raise InputError(error.what, error.where, remedy) from error
     entry = SceneEntry(name, scene.dataset, scene.content_hash(), SceneFacts.of(scene))
     keep_entry(source, entry)
     configured = scenes.configured(name)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["UncertainError", "check_writable", "leftovers", "put_if_absent", "write_atomic"]
+__all__ = ["UncertainError", "check_writable", "disk_error", "leftovers", "put_if_absent", "write_atomic"]
 
 _TEMPORARY = ".tmp-"
 # .tmp-<process>-<machine><one use>-<final name>; earlier programs left the middle part out.
@@ -73,13 +73,15 @@ def put_if_absent(path: Path, content: bytes) -> bool:
             temporary.unlink(missing_ok=True)
 
 
-def check_writable(folder: Path) -> None:
+def check_writable(folder: Path, word: str = "out=DIR") -> None:
     """Make sure that a folder can be written to, or made. It is tried in the nearest folder that there is.
+
+    word: what names another folder, for the message.
 
     Raises:
         InputError: it cannot; the message says what to do.
     """
-    with _clear_disk_errors(folder):
+    with _clear_disk_errors(folder, word):
         nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
         Path(tempfile.mkdtemp(prefix=_TEMPORARY, dir=nearest)).rmdir()
 
@@ -135,6 +137,7 @@ def _removed_on_failure(path: Path) -> Iterator[None]:
         raise
 
 
+_ELSEWHERE = "Choose another folder with {}"
 _REMEDIES = {
     errno.ENOSPC: ("the disk is full", "Free some space and run the same command again: it resumes"),
     errno.EDQUOT: ("the disk quota is used up", "Free some space and run the same command again: it resumes"),
@@ -142,17 +145,25 @@ _REMEDIES = {
         "the file would pass the size limit",
         "Raise the limit (ulimit -f) and run the same command again",
     ),
-    errno.EROFS: ("the file system is read-only", "Choose another folder with out=DIR"),
-    errno.EACCES: ("no permission to write here", "Choose another folder with out=DIR"),
-    errno.ENOTDIR: ("part of this path is a file, not a folder", "Choose another folder with out=DIR"),
+    errno.EROFS: ("the file system is read-only", _ELSEWHERE),
+    errno.EACCES: ("no permission to write here", _ELSEWHERE),
+    errno.ENOTDIR: ("part of this path is a file, not a folder", _ELSEWHERE),
 }
 
 
 @contextlib.contextmanager
-def _clear_disk_errors(path: Path) -> Iterator[None]:
+def _clear_disk_errors(path: Path, word: str = "out=DIR") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        unknown = f"nothing can be written here ({error.strerror or error})", "Choose another folder with out=DIR"
+        unknown = f"nothing can be written here ({error.strerror or error})", _ELSEWHERE
         what, remedy = _REMEDIES.get(error.errno or 0, unknown)
-        raise InputError(what, where=str(path), remedy=remedy) from error
+        raise InputError(what, where=str(path), remedy=remedy.format(word)) from error
+
+
+def disk_error(error: OSError) -> InputError | None:
+    """The line for what a disk refuses a library that writes by itself; None for other errors."""
+    if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG):
+        return None
+    what, remedy = _REMEDIES[error.errno]
+    return InputError(what, where=str(error.filename or ""), remedy=remedy.format("out=DIR"))

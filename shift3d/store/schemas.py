@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-__all__ = ["AGGREGATES", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
+__all__ = ["AGGREGATES", "FOLLOW_UPS", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
 # A new one needs a step in store/migrations.py and a folder of the former one in tests/reference.
 SCHEMA_VERSION = 9
@@ -224,6 +224,90 @@ _SHAPES = _schema(
     },
 )  # fmt: skip
 
+# The labelled vehicles of scenes, and the shapes that were fitted to what is seen of them, see retrieval/.
+_VEHICLE_POOL = _schema(
+    "vehicle_pool",
+    [
+        ("task_id", pa.string()),
+        ("scene", pa.string()),
+        ("dataset", pa.string()),
+        ("label", pa.int32()),  # row among the scene's labels
+        ("kind", pa.string()),  # the data set's own name for it
+        ("x_m", pa.float64()),  # of the label's box
+        ("y_m", pa.float64()),
+        ("z_m", pa.float64()),
+        ("length_m", pa.float64()),
+        ("width_m", pa.float64()),
+        ("height_m", pa.float64()),
+        ("yaw_rad", pa.float64()),
+        ("range_m", pa.float64()),
+        ("points", pa.int32()),
+        ("sides", pa.list_(pa.string())),
+        ("detector", pa.string()),
+        ("score", pa.float64()),  # of the detector where it stands
+        ("status", pa.string()),  # fitted | few_points | box_size
+        ("flags", pa.list_(pa.string())),  # what speaks against it, see retrieval.reconstruction.FLAGS
+        ("latent_code", pa.list_(pa.float32())),
+        ("scale_m", pa.float64()),
+        ("coordinates", pa.list_(pa.float64())),
+        ("uncertainty", pa.list_(pa.float64())),
+        ("residual_cm", pa.float64()),
+        ("outliers", pa.float64()),
+        ("shape_error_cm", pa.float64()),
+        ("mean_shape_error_cm", pa.float64()),
+    ],
+    # Null where a vehicle could not be fitted, and where nobody knows the truth.
+    nullable={
+        "latent_code", "scale_m", "coordinates", "uncertainty", "residual_cm", "outliers", "shape_error_cm",
+        "mean_shape_error_cm",
+    },
+)  # fmt: skip
+
+# Vehicles of a pool put in the place of a solution, see task/retrieval.py.
+_RETRIEVED = _schema(
+    "retrieved",
+    [
+        *_SPEC_FIELDS,
+        ("scored_by", pa.string()),
+        ("role", pa.string()),  # retrieved | control
+        ("replicate", pa.int32()),
+        ("pool_dataset", pa.string()),
+        ("pool_scene", pa.string()),
+        ("pool_label", pa.int32()),
+        ("pool_score", pa.float64()),  # of the attacked detector where it stands
+        ("pool_range_m", pa.float64()),
+        ("pool_points", pa.int32()),
+        ("latent_distance", pa.float64()),  # from the solution
+        ("excluded", pa.bool_()),  # by the paper's rule: the nearest lies farther than the solution's code is long
+        ("score_baseline", pa.float64()),
+        ("score_solution", pa.float64()),
+        ("score", pa.float64()),
+        ("object_points", pa.int32()),
+        ("overlap_ok", pa.bool_()),
+        ("contact_ok", pa.bool_()),
+    ],
+    nullable=_NULLABLE,
+)
+
+_MEASURES = (
+    "length_cm", "width_cm", "height_cm", "clearance_cm", "nose_cm", "tail_cm", "bonnet_cm", "windshield_deg",
+    "rear_window_deg", "front_overhang_cm", "wheelbase_cm", "rear_overhang_cm", "volume_m3",
+)  # fmt: skip
+
+# The meshes of solutions, measured, see vehicles/mesh_measures.py: a row a method of a shape task.
+_PATTERNS = _schema(
+    "patterns",
+    [
+        *_SPEC_FIELDS,
+        ("method", pa.string()),
+        ("replicate", pa.int32()),
+        *((name, pa.float64()) for name in _MEASURES),
+        ("pieces", pa.int32()),
+    ],
+    # Null where the mesh does not have it.
+    nullable={*_NULLABLE, *_MEASURES, "pieces"},
+)
+
 _ATTEMPTS = _schema(
     "attempts",
     [
@@ -326,7 +410,12 @@ _CHOICES = _schema(
 
 # Written by commits, task by task. A table that a folder does not have is empty: those that came later than the first
 # ones need no new version, and folders without them stay readable.
-SEGMENTS = ("scores", "solutions", "timings", "verification", "trajectories", "transfers", "shapes", "attempts")
+SEGMENTS = (
+    "scores", "solutions", "timings", "verification", "trajectories", "transfers", "shapes", "vehicle_pool",
+    "retrieved", "patterns", "attempts",
+)  # fmt: skip
+FOLLOW_UPS = ("verification", "vehicle_pool", "retrieved", "patterns")
+"""Those that commands of their own make of a sweep that has finished."""
 # Computed from the scores when a sweep has finished.
 AGGREGATES = ("curves", "auc", "bev", "bev_transfer", "choices")
 SCHEMAS: dict[str, pa.Schema] = {
@@ -337,6 +426,9 @@ SCHEMAS: dict[str, pa.Schema] = {
     "trajectories": _TRAJECTORIES,
     "transfers": _TRANSFERS,
     "shapes": _SHAPES,
+    "vehicle_pool": _VEHICLE_POOL,
+    "retrieved": _RETRIEVED,
+    "patterns": _PATTERNS,
     "attempts": _ATTEMPTS,
     "curves": _CURVES,
     "auc": _AUC,

@@ -120,11 +120,18 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
         raise InputError("no object has the score that the sweep reports", str(sweep), "Run the sweep again")
     writing.write("objects.parquet", suite_table_bytes(suite_table("objects", objects)))
     writing.write("scores.parquet", suite_table_bytes(_sweep_scores(plan, chosen.scores, objects)))
-    manifest = {
+    manifest = _manifest(plan, made, objects, writing)
+    (to / "suite.json").write_atomic(manifest_bytes(manifest))
+    return Frozen(read_suite(to), chosen.left_out | left_out, chosen.unverified, largest)
+
+
+def _manifest(plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]], writing: _Writing) -> dict[str, Any]:
+    """suite.json without its digest."""
+    return {
         "version": SUITE_VERSION,
         "shift3d": shift3d.__version__,
-        "made": made,
-        "frames": frames,
+        "made": dict(made),
+        "frames": writing.frames,
         "scene_sets": writing.sets,
         "datasets": sorted({row["dataset"] for row in objects}),
         "vehicles": sorted({row["vehicle"] for row in objects}),
@@ -133,8 +140,6 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
         "scenes": len({row["background"] for row in objects}),
         "files": dict(sorted(writing.digests.items())),
     }
-    (to / "suite.json").write_atomic(manifest_bytes(manifest))
-    return Frozen(read_suite(to), chosen.left_out | left_out, chosen.unverified, largest)
 
 
 def _objects(plan: Plan, chosen: Chosen, writing: _Writing) -> tuple[list[dict[str, Any]], dict[str, int], float]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from typing import Any
 
 import pandas as pd
 import torch
@@ -23,7 +24,8 @@ __all__ = ["Scorer", "score_suite"]
 
 @dataclass
 class Scorer:
-    """A detector by name. weights: a file, None: those that ship. module: Python file of the user's own.
+    """A detector by name. weights: a file, None: those that ship. module: Python file of the user's own. layout: of one
+    of another codebase, see `detectors.foreign.layout`.
 
     Raises: InputError, where it is asked for its weights or to score, for files that are missing or do not fit.
     """
@@ -31,17 +33,19 @@ class Scorer:
     name: str
     weights: str | None = None
     module: str | None = None
+    layout: Mapping[str, Any] | None = None
     _opened: dict[str, Detector] = field(default_factory=dict)
 
     @property
     def digest(self) -> str:
         """128-bit BLAKE2b of its files, hex."""
-        return detector_hash(self.name, self.weights, self.module)
+        return detector_hash(self.name, self.weights, self.module, self.layout)
 
     def at(self, precision: str) -> Detector:
         """The detector with its arithmetic in a precision."""
         if precision not in self._opened:
-            self._opened[precision] = detector_of(self.name, self.weights, self.module, precision)  # type: ignore[arg-type]
+            made_of = self.weights, self.module, precision, self.layout
+            self._opened[precision] = detector_of(self.name, *made_of)  # type: ignore[arg-type]
         return self._opened[precision]
 
 
@@ -80,7 +84,7 @@ def _scored(
         return
     # Spawned, not forked: a fork would copy the locks of this process's threads.
     context = multiprocessing.get_context("spawn")
-    arguments = (suite, Scorer(scorer.name, scorer.weights, scorer.module))
+    arguments = (suite, Scorer(scorer.name, scorer.weights, scorer.module, scorer.layout))
     with ProcessPoolExecutor(min(workers, len(names)), context, _open, arguments) as pool:
         try:
             yield from pool.map(_background_answers, names)

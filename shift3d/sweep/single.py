@@ -8,6 +8,7 @@ from shift3d.store.tables import table_from_rows
 from shift3d.sweep.execution.worker import completed_rows
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
+from shift3d.wording import counted
 
 __all__ = ["run_single"]
 
@@ -21,7 +22,7 @@ def run_single(plan: Plan, kind: TaskKind, task_id: str) -> str:
     found = plan.tasks.starting_with(task_id)
     if len(found) != 1:
         raise InputError(
-            f"{len(found)} tasks have an id that begins with {task_id!r}",
+            f"{counted(len(found), 'task')} with an id that begins with {task_id!r}",
             where=f"sweep {plan.sweep}",
             remedy="shift3d plan lists the ids",
         )

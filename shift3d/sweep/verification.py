@@ -46,6 +46,7 @@ def verification_plan(folder: LocationLike) -> Plan:
     path = folder / "final" / "solutions.parquet"
     if not path.is_file():
         raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
+    read_table(folder / "final" / "scores.parquet", "scores")  # damaged, it would fail every task
     solved = pc.unique(read_table(path, "solutions")["task_id"])
     tasks = plan.tasks.select(np.flatnonzero(pc.is_in(plan.tasks.ids, value_set=solved).to_numpy(zero_copy_only=False)))
     if not len(tasks):

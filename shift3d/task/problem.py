@@ -19,6 +19,7 @@ from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
     from shift3d.effects.chain import EffectChain
+    from shift3d.vehicles.vehicle import Vehicle
 
 __all__ = ["build_problem", "place_vehicle"]
 
@@ -42,15 +43,17 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     )
 
 
-def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProblem:
+def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicle | None = None) -> AttackProblem:
     """The task's vehicle, placed at ``theta`` (6,), before the detector that scores it.
 
+    vehicle: another one of the same decoder in its place.
     Raises:
         InputError: a scene or vehicle that cannot be loaded.
     """
     scene, beams = assets.scene(spec)
-    vehicle = assets.vehicle(spec)
     settings = render_settings(spec)
+    space = assets.space_of(spec, settings) if vehicle is None else None
+    vehicle = vehicle or assets.vehicle(spec)
     return AttackProblem(
         beams=beams,
         ground_z_m=scene.ground_z_m,
@@ -63,12 +66,12 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor) -> AttackProble
         settings=settings,
         travel_m=spec.attack.max_shift_m,
         others=other_vehicles(scene),
-        space=assets.space_of(spec, settings),
-        effects=_effects(spec, assets),
+        space=space,
+        effects=_effects(spec, assets, vehicle),
     )
 
 
-def _effects(spec: TaskSpec, assets: Assets) -> EffectChain | None:
+def _effects(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> EffectChain | None:
     """The task's effects; none of their code is imported where there are none.
 
     Their randomness is that of the placement: shape and pose attacks of one placement have one baseline.
@@ -77,7 +80,7 @@ def _effects(spec: TaskSpec, assets: Assets) -> EffectChain | None:
         return None
     from shift3d.effects.chain import EffectChain
 
-    scene, vehicle, settings = assets.scene(spec)[0], assets.vehicle(spec), EffectSettings(**spec.effect_settings)
+    scene, settings = assets.scene(spec)[0], EffectSettings(**spec.effect_settings)
     heading_rad = _driving_heading_rad(spec, assets) if settings.object_speed_m_s else 0.0
     seed = derive_seed("effects", spec.placement_seed)
     return EffectChain.of(spec.effects, scene, vehicle, seed, settings, heading_rad)

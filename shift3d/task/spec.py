@@ -280,6 +280,8 @@ class TaskResult:
     already determine (the columns of ``store.schemas.SPEC_COLUMNS`` are filled in by the sweep).
     verification: likewise, of a task that verifies another one's solutions. trajectories: likewise, a row a step.
     transfers: likewise, a row a scene that a solution was put into and a detector. shapes: likewise, a row a shape.
+    vehicle_pool: a row a labelled vehicle of the task's scene. retrieved: a row a vehicle of a pool and a detector.
+    patterns: a row a mesh that was measured.
     """
 
     scores: list[Row]
@@ -289,6 +291,9 @@ class TaskResult:
     trajectories: list[Row] = field(default_factory=list)
     transfers: list[Row] = field(default_factory=list)
     shapes: list[Row] = field(default_factory=list)
+    vehicle_pool: list[Row] = field(default_factory=list)
+    retrieved: list[Row] = field(default_factory=list)
+    patterns: list[Row] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

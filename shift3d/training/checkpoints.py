@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -10,17 +10,14 @@ from typing import Any
 import torch
 
 from shift3d.errors import InputError
+from shift3d.store.atomic import write_atomic
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Save nested dicts, lists, numbers, strings and tensors to `path`: a temporary file, fsync, then a rename."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
-        torch.save(state, file)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
+    """Save nested dicts, lists, numbers, strings and tensors to `path`. Raises: InputError, see `write_atomic`."""
+    content = io.BytesIO()
+    torch.save(state, content)
+    write_atomic(path, content.getvalue())
 
 
 def read_checkpoint(path: Path) -> dict[str, Any] | None:

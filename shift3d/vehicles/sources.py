@@ -130,7 +130,8 @@ class VehicleSet:
         """See `VehicleSource`."""
         path = self._folder / "sdf.safetensors"
         if not path.is_file():
-            raise InputError("no such file", where=str(path), remedy='train it: make train ARGS="model=sdf"')
+            remedy = "Give a folder that shift3d fit or shift3d train model=sdf wrote"
+            raise InputError("no such file", where=str(path), remedy=remedy)
         return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
 
 

@@ -71,7 +71,8 @@ def read_tensors(path: Path | str | None) -> tuple[dict[str, NDArray[np.generic]
 
     source = Path(path) if path is not None else DEFAULT_VEHICLES
     if not source.is_file():
-        raise InputError("no such file", where=str(source), remedy='train it: make train ARGS="model=sdf"')
+        remedy = "Check the path" if path is not None else 'Train it: make train ARGS="model=sdf"'
+        raise InputError("no such file", where=str(source), remedy=remedy)
     try:
         with safe_open(str(source), framework="np") as file:
             return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}, source  # noqa: SIM118

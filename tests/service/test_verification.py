@@ -88,5 +88,12 @@ def test_what_cannot_be_verified_is_said(out: Path, tmp_path: Path, capsys: pyte
     shutil.rmtree(copy / "final")
     assert main(["verify", str(copy)]) == 2
     assert "the sweep is not finished" in capsys.readouterr().err
+    damaged = tmp_path / "damaged"
+    shutil.copytree(out, damaged)
+    for name in ("scores", "solutions"):
+        (damaged / "final" / f"{name}.parquet").write_bytes(b"PAR1 torn")
+        assert main(["verify", str(damaged)]) == 2
+        assert f"{name}.parquet: cannot be read as Parquet" in capsys.readouterr().err
+        shutil.copy(out / "final" / f"{name}.parquet", damaged / "final")
     assert main(["verify", str(out), "attack.steps=3"]) == 2
     assert "Only the runner can be set" in capsys.readouterr().err

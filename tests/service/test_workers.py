@@ -24,7 +24,7 @@ def test_one_task_of_a_plan_is_shown_and_nothing_is_written(drivers: Drivers, un
     assert "adversarial_noise" in output and "milliseconds" in output
     assert not (drivers.folder / "out").exists()
     code, _, errors = drivers.run("out", "runner=local", "--task", "nothing")
-    assert code == 2 and "0 tasks have an id that begins with 'nothing'" in errors
+    assert code == 2 and "0 tasks with an id that begins with 'nothing'" in errors
     code, _, errors = drivers.run("out", "--task", task, SHIFT3D_TEST_FAILS="coupe/street_000/shape")
     assert code == 1 and "ArithmeticError" in errors, "a defect shows its traceback"
 

@@ -19,6 +19,8 @@ from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import in_short
 from shift3d.analysis.html.sections.overview import overview
 from shift3d.analysis.html.sections.paths import paths
+from shift3d.analysis.html.sections.patterns import patterns
+from shift3d.analysis.html.sections.retrieval import retrieval
 from shift3d.analysis.html.sections.rules import rules
 from shift3d.analysis.html.sections.sensors import sensors
 from shift3d.analysis.html.sections.stability import stability
@@ -47,7 +49,9 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
         bev(sweep, found),
         transfer_grid(sweep, found),
         paths(sweep, found),
+        patterns(sweep),
         rules(sweep),
+        retrieval(sweep, loaded),
         differences(found),
         choices(sweep),
         stability(sweep),

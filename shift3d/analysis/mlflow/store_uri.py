@@ -36,13 +36,14 @@ def check_store(uri: str, where: str = "tracking.uri") -> None:
     parts = urlsplit(uri)
     scheme = parts.scheme.partition("+")[0]  # mysql+pymysql: the database and its driver
     if not scheme:
-        check_writable(Path(uri))
+        check_writable(Path(uri), f"{where}=...")
         return
     plugins = importlib.metadata.entry_points(group=_PLUGINS)
     known = [*_SCHEMES, *(point.name for point in plugins if point.name not in _SCHEMES)]
     if scheme not in known:
         raise choice_error("scheme", scheme, known, f"{where} {uri}")
     if scheme == "file":
-        check_writable(Path(parts.path))
+        check_writable(Path(parts.path), f"{where}=...")
     elif scheme == "sqlite" and len(parts.path) > 1:
-        check_writable(Path(parts.path.removeprefix("/")).parent)  # sqlite:///here.db, sqlite:////root/there.db
+        file = Path(parts.path.removeprefix("/"))  # sqlite:///here.db, sqlite:////root/there.db
+        check_writable(file.parent, f"{where}=...")

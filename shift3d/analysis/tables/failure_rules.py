@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.analysis.statistics.intervals import Interval, difference_interval
-from shift3d.analysis.tables.table import Table, number
+from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.errors import InputError
 from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg, find_rules
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +67,7 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
     """
     scenes, vehicles = (sorted(objects[name].unique()) for name in ("place", "vehicle"))
     if len(scenes) < 4:
-        what = f"{len(scenes)} scenes with scored objects are too few to find rules on and to try them"
+        what = f"{counted(len(scenes), 'scene')} with scored objects: too few to find rules on and to try them"
         raise InputError(what, "failure rules", "Give scenes.count=4 or more")
     here = objects["place"].isin(scenes[::2])
     ours = objects["vehicle"].isin(vehicles[::2])
@@ -122,9 +123,9 @@ def rules_table(rules: list[TriedRule]) -> Table:
     groups = list(dict.fromkeys(name for rule in rules for name in rule.tried))
     lines = []
     for tried in rules:
-        cells = [_difference(tried.tried[name]) if name in tried.tried else "-" for name in groups]
+        cells = [interval_text(tried.tried[name], 2) if name in tried.tried else "-" for name in groups]
         verdict = "yes" if tried.confirmed and len(tried.tried) == len(groups) else "no"
-        lines.append([rule_text(tried.rule), str(tried.objects), _difference(tried.found), *cells, verdict])
+        lines.append([rule_text(tried.rule), str(tried.objects), interval_text(tried.found, 2), *cells, verdict])
     header = ["", "objects", "AUC against the others", *groups, "holds"]
     return Table("Failure rules: what the objects that are missed share", header, lines)
 
@@ -140,9 +141,3 @@ def _condition_text(condition: Condition) -> str:
     if math.isinf(condition.low):
         return f"{what} at most {high}"
     return f"{what} over {low}" if math.isinf(condition.high) else f"{what} {low} to {high}"
-
-
-def _difference(interval: Interval) -> str:
-    if math.isinf(interval.high):
-        return f"{interval.mean:+.2f} (one scene)"
-    return f"{interval.mean:+.2f} [{number(interval.low, 2)}, {number(interval.high, 2)}]"

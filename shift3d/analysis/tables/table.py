@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-__all__ = ["Cell", "Table", "number"]
+if TYPE_CHECKING:
+    from shift3d.analysis.statistics.intervals import Interval
+
+__all__ = ["Cell", "Table", "interval_text", "number"]
 
 Cell = str | tuple[str, ...]
 """A text, or a text and the notes that a page shows below it."""
@@ -37,3 +42,10 @@ def _plain(cell: Cell) -> str:
 def number(value: float | None, digits: int = 3) -> str:
     """0.5 as "0.500", None as "-"."""
     return "-" if value is None else f"{value:.{digits}f}"
+
+
+def interval_text(interval: Interval, digits: int) -> str:
+    """A difference with its sign and its interval: "-0.12 [-0.20, -0.03]"."""
+    if math.isinf(interval.high):
+        return f"{interval.mean:+.{digits}f} (one scene)"
+    return f"{interval.mean:+.{digits}f} [{number(interval.low, digits)}, {number(interval.high, digits)}]"

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.completion import overrides
+from shift3d.cli.foreign_words import FOREIGN_KEYS, foreign_layout_of
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,9 +16,8 @@ if TYPE_CHECKING:
 __all__ = ["COMMAND", "evaluate_words"]
 
 _STREET_KEYS = ("sensor", "split", "traffic")
-_FOREIGN_KEYS = ("config", "vehicle_class", "sensor_height_m", "intensity")
 _KEYS = (
-    *("detector", "scenes", "count", *_STREET_KEYS, "root", "weights", *_FOREIGN_KEYS),
+    *("detector", "scenes", "count", *_STREET_KEYS, "root", "weights", *FOREIGN_KEYS),
     *("score_threshold", "workers", "out"),
 )
 _VALUES = {
@@ -87,7 +85,7 @@ def _run(arguments: argparse.Namespace) -> int:
     scenes = _scenes(values, count)
     name, tail = values["detector"], f"-{count}" if count else ""
     out = writable_folder(values.get("out", f"outputs/evaluate/{name}-{scenes.dataset}{tail}"))
-    layout = _layout(name, values)
+    layout = foreign_layout_of(name, values, "evaluate")
     print(evaluate_detector(name, scenes, out, values.get("weights"), workers, score_threshold, layout))
     return 0
 
@@ -108,35 +106,6 @@ def _scenes(values: dict[str, str], count: int | None) -> StreetChoice | KittiCh
     if not values.get("root"):
         raise InputError("root= is missing", "evaluate", "Give root=PATH, the folder that holds KITTI's training/")
     return KittiChoice(values["root"], count)
-
-
-def _layout(name: str, values: dict[str, str]) -> dict[str, Any] | None:
-    """What the config of a detector of another codebase says; None for one of shift3d."""
-    from shift3d.detectors.names import FOREIGN
-
-    if name not in FOREIGN:
-        for key in _FOREIGN_KEYS:
-            if key in values:
-                raise InputError(f"{key}= means nothing for detector={name}", "evaluate", f"Leave out {key}=")
-        return None
-    if not values.get("config"):
-        raise InputError("config= is missing", "evaluate", f"Give config=FILE, the model's config of {name}")
-    from shift3d.detectors.foreign.detector import foreign_layout
-    from shift3d.detectors.foreign.parts import Choices
-
-    choices = Choices(values.get("vehicle_class"), _number(values, "sensor_height_m"), _number(values, "intensity"))
-    return foreign_layout(name, Path(values["config"]).expanduser(), choices)
-
-
-def _number(values: dict[str, str], key: str) -> float | None:
-    text = values.get(key)
-    try:
-        value = None if text is None else float(text)
-    except ValueError:
-        value = math.nan
-    if value is not None and not math.isfinite(value):
-        raise InputError(f"{key}={text!r} is not a number", "evaluate", f"Give {key}=1.7")
-    return value
 
 
 def _whole_number(values: dict[str, str], key: str) -> int | None:

@@ -9,6 +9,7 @@ from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.completion import folder_words, key_words
 from shift3d.errors import InputError
 from shift3d.methods import METHODS
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.store.location import Location
@@ -44,7 +45,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     values = key_values(arguments.words, _KEYS, ("task", "method", "to"), "export")
     replicate = values.get("replicate", "0")
-    if not replicate.isdigit():
+    if not replicate.isdecimal():
         raise InputError(f"replicate={replicate!r} is not a number", where="export", remedy="Give replicate=0")
     overwrite = values.get("overwrite", "false")
     if overwrite not in ("true", "false"):
@@ -59,7 +60,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.task.export import check_no_export, export_solution
     from shift3d.task.run import load_assets
 
-    target = writable_folder(values["to"])
+    target = writable_folder(values["to"], "to")
     if overwrite == "false":
         check_no_export(target)
     export_solution(task.spec, row, load_assets(plan.assets[task.assets]), target)
@@ -70,7 +71,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def _one_task(tasks: Any, prefix: str, out: Location) -> Any:
     found = tasks.starting_with(prefix)
     if len(found) != 1:
-        what = f"{len(found)} tasks have an id that begins with {prefix!r}"
+        what = f"{counted(len(found), 'task')} with an id that begins with {prefix!r}"
         raise InputError(what, where=str(out), remedy="The ids are in final/scores.parquet")
     return found[0]
 

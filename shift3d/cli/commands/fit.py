@@ -71,7 +71,8 @@ def _doubts(fit: MeshFit, frame: MeshFrame) -> list[str]:
         doubts.append(f"fits better with {words}: {100 * chamfer_m:.1f} cm")
     if fit.far:
         usual = f"{100 * fit.usual_m:.1f} cm is usual for a car of this length"
-        doubts.append(f"far from its mesh ({usual}): the decoder cannot draw it; see {fit.picture}")
+        why = "perhaps for its orientation" if fit.better else "the decoder cannot draw it"
+        doubts.append(f"far from its mesh ({usual}), {why}: see {fit.picture}")
     return doubts
 
 

@@ -14,6 +14,7 @@ from shift3d.cli.completion import overrides
 from shift3d.cli.words import take_folders
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.accuracy_time.drive import FrontierPlan, SceneGroup
@@ -230,7 +231,8 @@ def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: boo
     groups = groups_of(config)
     cases = len(plan.cases) * len(groups)
     minutes = expected_minutes(plan, len(groups))
-    print(f"{len(plan.settings)} settings on {cases} cases, about {minutes} min on a quiet core without bfloat16")
+    what = f"{counted(len(plan.settings), 'setting')} on {counted(cases, 'case')}"
+    print(f"{what}, about {minutes} min on a quiet core without bfloat16")
     print(f"writing to {folder}", flush=True)
     with SecondsBar(plan.expected_seconds(len(groups))) as bar:
         measured = measure_frontier(groups, plan, folder, again, bar.tell)

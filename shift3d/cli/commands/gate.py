@@ -7,15 +7,18 @@ import sys
 
 from shift3d.cli.command import Command, key_values, writable_folder
 from shift3d.cli.completion import key_words
+from shift3d.cli.foreign_words import FOREIGN_KEYS, foreign_layout_of
 from shift3d.cli.mesh_words import whole_number
-from shift3d.detectors.names import DETECTOR_NAMES, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, OWN
 from shift3d.errors import InputError
 
 __all__ = ["COMMAND", "KEYS"]
 
-KEYS = ("suite", "detector", "weights", "module", "against", "accept", "releases", "score_threshold", "level",
-         "tolerance", "workers", "root", "mlflow", "out")  # fmt: skip
-_VALUES = {"detector": (*DETECTOR_NAMES, OWN), "accept": ("true", "anyway", "false")}
+KEYS = (
+    *("suite", "detector", "weights", "module", *FOREIGN_KEYS, "against", "accept", "releases"),
+    *("score_threshold", "level", "tolerance", "workers", "root", "mlflow", "out"),
+)
+_VALUES = {"detector": (*DETECTOR_NAMES, *FOREIGN, OWN), "accept": ("true", "anyway", "false")}
 _STORE = "sqlite:///mlflow.db"
 
 _DESCRIPTION = """\
@@ -29,6 +32,7 @@ examples:
   shift3d gate suite=suites/first detector=pointpillars                      the weights that ship
   shift3d gate suite=suites/first detector=pointpillars weights=FILE accept=true workers=2
   shift3d gate suite=s3://BUCKET/suite detector=own module=FILE.py weights=FILE
+  shift3d gate suite=suites/first detector=openpcdet weights=FILE.pth config=FILE.yaml
 
 The last release: the one that was last accepted (in SUITE/releases or releases=DIR), or the weights of the sweep that
 the suite is of. accept=true makes the weights the next release where nothing got worse, accept=anyway always.
@@ -39,8 +43,9 @@ it in CI; docs/guides/gate.md says how many objects a suite needs."""
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    text = "suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [accept=true] [against=N] [releases=DIR] "
-    text += "[score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] [out=DIR]"
+    text = "suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [config=FILE] [accept=true] [against=N] "
+    text += "[releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] "
+    text += "[out=DIR]"
     words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
     words.completer = key_words(KEYS, _VALUES)  # type: ignore[attr-defined]
 
@@ -69,7 +74,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if uri != "none":
         check_store(uri, "mlflow")
     suite = read_suite(values["suite"], values.get("root"))
-    scorer = Scorer(values["detector"], values.get("weights"), values.get("module"))
+    layout = foreign_layout_of(values["detector"], values, "gate")
+    scorer = Scorer(values["detector"], values.get("weights"), values.get("module"), layout)
     name = f"outputs/gate/{suite.digest[:8]}-{scorer.name}-{scorer.digest[:8]}"
     out = writable_folder(values.get("out", name))
     releases = as_location(values["releases"]) if "releases" in values else suite.folder / "releases"

@@ -69,8 +69,11 @@ def show(given: Sequence[str], kind: TaskKind, tasks: bool = False, places: bool
     from shift3d.sweep.planning.folder import check_folder, default_folder
     from shift3d.sweep.planning.plan import make_plan
     from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
+    from shift3d.sweep.planning.spec_file import read_spec
 
     timings, rest = words.take_folders("timings", given)
+    for other in timings:
+        read_spec(other)  # as read_words does with reuse=
     asked = words.read_words(rest)
     if asked.out:
         asked.out.check_writable()

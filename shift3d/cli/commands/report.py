@@ -32,7 +32,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _count(text: str) -> int:
     # A browser draws about 16 views in 3D at once; two are needed for a case.
-    if not text.isdigit() or not 1 <= int(text) <= 8:
+    if not text.isdecimal() or not 1 <= int(text) <= 8:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 8")
     return int(text)
 

@@ -108,7 +108,7 @@ def _show(config: Config, out: str | None) -> int:
     if path is not None:
         if path.suffix != ".png":
             raise InputError(f"out={out} is no name of a PNG", "scenes", "Give out=FILE.png")
-        check_writable(path.parent)
+        check_writable(path.parent, "out=FILE.png")
     scenes = scene_set(config.scenes)
     scene = scenes.load(config.scene or scenes.names()[0])
     print("\n".join(scene_lines(scene)))

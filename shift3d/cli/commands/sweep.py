@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
 from shift3d.cli.commands.plan import add_tasks, show, show_places
-from shift3d.cli.completion import sweep_words
+from shift3d.cli.completion import folder_words, sweep_words
 from shift3d.cli.words import Request, add_words, read_words
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
@@ -64,13 +64,9 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--retry-quarantined", action="store_true", help="run the tasks again that earlier runs gave up on"
     )
-    parser.add_argument(
-        "--reuse",
-        metavar="OUT",
-        action="append",
-        default=[],
-        help="take over what another sweep's folder has done of the same tasks; also reuse=OUT",
-    )
+    help_text = "take over what another sweep's folder has done of the same tasks; also reuse=OUT"
+    reuse = parser.add_argument("--reuse", metavar="OUT", action="append", default=[], help=help_text)
+    reuse.completer = folder_words  # type: ignore[attr-defined]
     parser.add_argument(
         "--task", metavar="ID", help="run this one task here, show its rows or its traceback, write nothing"
     )

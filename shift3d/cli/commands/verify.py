@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
 from shift3d.cli.completion import folder_words
-from shift3d.errors import InputError
+from shift3d.cli.words import runner_of
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
-
-if TYPE_CHECKING:
-    from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
 
 __all__ = ["COMMAND"]
 
@@ -51,7 +47,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     folder = as_location(arguments.out)
-    runner = _runner(arguments.words)
+    runner = runner_of(arguments.words, "verify")
     plan = verification_plan(folder)
     print(f"verifying {counted(len(plan.tasks), 'task')} of {folder}", flush=True)
     result = verify_sweep(folder, plan, runner)
@@ -69,23 +65,6 @@ def _run(arguments: argparse.Namespace) -> int:
         print(f"{counted(result.quarantined, 'task')} could not be verified: {attempts}", file=sys.stderr)
         return int(ExitCode.INCOMPLETE)
     return 0
-
-
-def _runner(words: list[str]) -> RayRunnerConfig | LocalRunnerConfig:
-    """The runner that overrides describe, from what conf/ has.
-
-    Raises:
-        InputError: another setting than the runner's; what was searched is verified as it is.
-    """
-    from shift3d.settings.compose import compose_sweep
-    from shift3d.settings.expand import expand
-
-    for word in words:
-        if not word.partition("=")[0].split(".")[0] == "runner":
-            raise InputError(
-                f"cannot read {word!r}", where="verify", remedy="Only the runner can be set: runner=local, runner.KEY="
-            )
-    return next(iter(expand(compose_sweep("default", words)))).runner
 
 
 COMMAND = Command(

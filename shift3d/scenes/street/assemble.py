@@ -20,7 +20,7 @@ from shift3d.scenes.street.pool import POOL_SIZES
 from shift3d.scenes.street.raycast import Sweep
 from shift3d.scenes.street.returns import Paint, finish, sensor_model
 from shift3d.scenes.street.sensors import BEAMS, SENSORS, Mount, Sensor, companions, side_sensors
-from shift3d.scenes.street.world import World
+from shift3d.scenes.street.world import PlacedVehicle, World
 from shift3d.seeding import generator
 
 
@@ -48,9 +48,7 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
     """
     sensor = _sensor(split, sensor_name)
     parts = ("street-scene", split, seed, index, sensor_name)
-    fleet = fleet_of(options.traffic, split)
-    layout = sample_layout(generator(*parts, "layout"), sensor.mount_height_m, fleet)
-    world = World.of(layout, fleet, driven_m=options.ego_speed_m_s * sensor.turn_s)
+    layout, world = _street(parts, sensor, options)
     seen_by = seeing(sensor, options)
     echoes, sweeps, second = _sense(world, layout, seen_by, options, parts)
     compensated = options.motion_compensated
@@ -69,6 +67,20 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
         sensor=sensor_model(seen_by) if options.sensor_model else None,
         no_return=no_return_beams(sweeps, compensated) if options.range_image else None,
     )
+
+
+def street_vehicles(
+    split: str, seed: int, index: int, sensor_name: str, options: StreetOptions = PLAIN
+) -> tuple[PlacedVehicle, ...]:
+    """The vehicles of `street_scene` with their meshes, those that no beam meets included: the truth behind labels."""
+    parts = ("street-scene", split, seed, index, sensor_name)
+    return _street(parts, _sensor(split, sensor_name), options)[1].vehicles
+
+
+def _street(parts: tuple[str | int, ...], sensor: Sensor, options: StreetOptions) -> tuple[Layout, World]:
+    fleet = fleet_of(options.traffic, str(parts[1]))
+    layout = sample_layout(generator(*parts, "layout"), sensor.mount_height_m, fleet)
+    return layout, World.of(layout, fleet, driven_m=options.ego_speed_m_s * sensor.turn_s)
 
 
 def seeing(sensor: Sensor, options: StreetOptions) -> Sensor:

@@ -19,11 +19,12 @@ LEAVES_COSINE = 0.7  # leaves face every way
 
 
 class Intersector:
-    """An embree tree over one mesh, in the mesh's own frame."""
+    """An embree tree over one mesh, in the mesh's own frame. vertices: (V, 3) float32. faces: (F, 3) int32."""
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
+        self.vertices, self.faces = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
         self._scene = EmbreeScene()
-        TriangleMesh(self._scene, np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32))
+        TriangleMesh(self._scene, self.vertices, self.faces)
 
     def first_hit(self, origins: Float32, directions: Float32) -> tuple[Float32, NDArray[np.int32], Float32]:
         """First hits of rays.

@@ -32,6 +32,7 @@ __all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows"]
 _DETERMINISTIC_TRIES = 2
 _IO_TRIES = 4
 _IO_PAUSE_S = (0.5, 2.0, 8.0)
+_OF_A_SCENE = ("task_id", "scene", "dataset")
 _GIVES_BACK_S = 1.0
 """After a batch this long memory is given back, which takes some hundredths of a second."""
 
@@ -218,6 +219,9 @@ def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, 
         "trajectories": [{**row, **known} for row in result.trajectories],
         "transfers": [{**row, **known} for row in result.transfers],
         "shapes": [{**row, **known} for row in result.shapes],
+        "vehicle_pool": [{**row, **{name: known[name] for name in _OF_A_SCENE}} for row in result.vehicle_pool],
+        "retrieved": [{**row, **known} for row in result.retrieved],
+        "patterns": [{**row, **known} for row in result.patterns],
     }
 
 

@@ -19,9 +19,9 @@ from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.methods import METHODS_OF_MODE
 from shift3d.store.log import Commit
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.schemas import GROUP_COLUMNS, SEGMENTS
+from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SEGMENTS
 from shift3d.store.segments import committed_rows
-from shift3d.store.tables import table_from_rows, write_table
+from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import TaskGroup
 from shift3d.sweep.results.bev_grids import bev_rows, groups, transfer_rows
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 __all__ = ["FinalTables", "committed_rows", "segments_in_plan_order", "write_final"]
 
-# A verification lies in a folder of its own.
-_KEPT = tuple(name for name in SEGMENTS if name != "verification")
+# The others come from commands of their own, and lie in folders of their own.
+_KEPT = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
 
 _PLAN_GROUP = GROUP_COLUMNS[:11]  # what a task alone determines, and the detector that scores it
 
@@ -78,6 +78,9 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
     for name, table in tables.items():
         write_table(folder / "final" / f"{name}.parquet", table)
+    for name in FOLLOW_UPS[1:]:
+        if (made := folder / "final" / f"{name}.parquet").is_file():
+            tables[name] = read_table(made, name)
     return FinalTables(tables)
 
 

@@ -15,14 +15,14 @@ import pyarrow.compute as pc
 from shift3d.errors import InputError
 from shift3d.store.log import CommitLog, read_log
 from shift3d.store.resolve import LocationLike
-from shift3d.store.schemas import SEGMENTS
+from shift3d.store.schemas import FOLLOW_UPS, SEGMENTS
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.sweep.results.final import committed_rows
 
 __all__ = ["take_finished"]
 
-_TABLES = tuple(name for name in SEGMENTS if name != "verification")  # which lies in a folder of its own
+_TABLES = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
 _TASKS_A_COMMIT = 100_000
 
 

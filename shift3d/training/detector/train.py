@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 from tqdm import tqdm
 
@@ -19,6 +19,7 @@ from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.fleet import fleet_of
 from shift3d.scenes.street.options import StreetOptions
 from shift3d.seeding import generator
+from shift3d.store.atomic import write_atomic
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute
 from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
@@ -130,12 +131,9 @@ def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = 
     halved: matrices and kernels are stored in float16, to 2^-11 of each value (our choice: half the bytes). Biases and
     batch statistics stay float32: variances go beyond what float16 holds.
     """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_name(file.name + ".partial")
     tensors = {name: _stored(tensor.detach().cpu(), halved).contiguous() for name, tensor in net.state_dict().items()}
     # One entry: safetensors writes several in another order each time.
-    save_file(tensors, partial, metadata={"recipe": repr(recipe)})
-    partial.replace(file)
+    write_atomic(file, save(tensors, metadata={"recipe": repr(recipe)}))
 
 
 def _stored(tensor: Tensor, halved: bool) -> Tensor:

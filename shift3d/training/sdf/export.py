@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder, save_decoder
 from shift3d.sdf.meshes import extract_mesh
+from shift3d.store.atomic import write_atomic
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.provenance import versions
 from shift3d.training.sdf_shapes import shape_scales, training_specs
@@ -78,7 +79,7 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
     Raises: InputError when the checkpoint is missing or unreadable.
     Source: SHIFT3D section "Experiments": five representative vehicles, scaled to realistic dimensions.
     """
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
     state = read_checkpoint(Path(checkpoint))
     if state is None:
@@ -115,12 +116,7 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
         "versions": versions(),
     }
     save_decoder(decoder, target / "sdf.safetensors", {"step": str(state["step"]), "recipe": json.dumps(recipe)})
-    partial = target / "vehicles.safetensors.partial"
     metadata = {"baselines": json.dumps(baselines), "family": json.dumps(family_facts), "step": str(state["step"])}
-    save_file(tensors, partial, metadata=metadata)
-    partial.chmod(0o644)
-    partial.replace(target / "vehicles.safetensors")
-    text = target / "sdf.json.partial"
-    text.write_text(json.dumps(provenance, indent=1) + "\n")
-    text.replace(target / "sdf.json")
+    write_atomic(target / "vehicles.safetensors", save(tensors, metadata=metadata))
+    write_atomic(target / "sdf.json", (json.dumps(provenance, indent=1) + "\n").encode())
     return provenance

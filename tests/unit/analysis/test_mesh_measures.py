@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from shift3d.analysis.cases.measures import change_lines, in_words, measure_mesh
+from shift3d.analysis.cases.measures import change_lines, in_words
 from shift3d.analysis.cases.rendered import simplified
+from shift3d.vehicles.mesh_measures import measure_mesh
 
 
 def test_a_box_is_measured_in_centimetres() -> None:
@@ -40,8 +41,25 @@ def test_windshield_nose_and_clearance_are_found_and_said(hood_m: float) -> None
     assert before.windshield_deg == pytest.approx(30.0, abs=1.5)
     assert after.windshield_deg == pytest.approx(50.0, abs=2.5)
     assert before.nose_cm == pytest.approx(100 * hood_m) and before.clearance_cm == pytest.approx(20.0)
+    assert before.bonnet_cm == pytest.approx(100.0, abs=3.0)
+    axles = (before.front_overhang_cm, before.wheelbase_cm, before.rear_overhang_cm)
+    assert axles == pytest.approx((40.0, 320.0, 40.0))
     said = in_words(before, after)
     assert "underside 6 cm farther from the ground" in said and "windshield 2" in said and "steeper" in said
+
+
+def test_the_tail_of_a_car_is_the_nose_of_the_car_turned_round() -> None:
+    car = profile(0.2, 0.9, 40.0)
+    back = car.copy()
+    back.vertices = back.vertices * (-1.0, -1.0, 1.0)
+    ahead, behind = measure_mesh(car), measure_mesh(back)
+    assert (behind.tail_cm, behind.rear_window_deg) == pytest.approx((ahead.nose_cm, ahead.windshield_deg), abs=0.5)
+    assert behind.rear_overhang_cm == pytest.approx(ahead.front_overhang_cm)
+
+
+def test_what_has_no_wheels_has_no_overhangs() -> None:
+    plank = measure_mesh(trimesh.creation.box((4.2, 1.8, 1.5)).subdivide().subdivide())
+    assert plank.wheelbase_cm is None and plank.rear_overhang_cm is None
 
 
 def test_a_large_mesh_is_made_small_enough_for_a_page() -> None:

@@ -55,6 +55,8 @@ def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
         (["export", "nowhere", "task=ID", "method=random"], "to= is missing"),
         (["export", "nowhere", "tusk=ID"], "cannot read 'tusk=ID'"),
         (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=a"], "is not a number"),
+        (["export", "nowhere", "task=ID", "method=random", "to=x", "replicate=²"], "is not a number"),
+        (["fit", "car.glb", "unit=m", "out=x", "steps=²"], "is not a number"),
         (["train"], "model= is missing"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -52,14 +52,27 @@ def test_a_folder_that_cannot_be_written_is_one_line(
 
 
 @pytest.mark.parametrize("command", RUNS, ids=" ".join)
-@pytest.mark.parametrize("key", ["out", "reuse"])
-def test_an_empty_folder_is_an_unset_variable(command: list[str], key: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert f"{key}= is empty" in refused([*command, "smoke", f"{key}="], capsys)
+@pytest.mark.parametrize("word", ["out=", "reuse=", "job=", "scenes.root=", "detector.weights=", "out= ", "scene= "])
+def test_an_empty_word_is_an_unset_variable(command: list[str], word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert f"{word.strip()} is empty" in refused([*command, "smoke", word], capsys)
 
 
 @pytest.mark.parametrize("command", ["verify", "report", "gc", "compact", "effects"])
-def test_an_empty_word_is_no_folder(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "is empty" in refused([command, ""], capsys)
+@pytest.mark.parametrize("word", ["", " "], ids=["empty", "blank"])
+def test_an_empty_word_is_no_folder(command: str, word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "is empty" in refused([command, word], capsys)
+
+
+@pytest.mark.parametrize("command", RUNS, ids=" ".join)
+@pytest.mark.parametrize("key", ["reuse", "timings"])
+def test_a_folder_of_another_sweep_is_looked_at_first(
+    command: list[str], key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if key == "timings" and command == ["sweep"]:
+        return  # a word of plans
+    assert main([*command, "smoke", *ONE, f"{key}={tmp_path}"]) == 2
+    said = capsys.readouterr()
+    assert "is not the output folder of a sweep" in said.err and not said.out
 
 
 def test_no_key_is_empty(capsys: pytest.CaptureFixture[str]) -> None:

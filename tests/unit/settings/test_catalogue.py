@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 import shift3d
+from shift3d.detectors.models.weights import NETWORKS
 from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS
 from shift3d.settings.catalogue import accuracy_settings, scene_set, scoring_detectors, weights_file
@@ -55,7 +58,7 @@ def attacked(name: str, scored_by: list[str] | None, **weights: str | None) -> D
 
 def test_the_attacked_detector_scores_first_and_always(tmp_path: Path) -> None:
     file = tmp_path / "sst.safetensors"
-    file.touch()
+    save_file(NETWORKS["sst"]().state_dict(), file)
     both = {"pointpillars": None, "sst": str(file)}
     assert list(scoring_detectors(attacked("pointpillars", None, sst=str(file))).items()) == list(both.items())
     assert list(scoring_detectors(attacked("sst", None, sst=str(file)))) == ["sst", "pointpillars"]
@@ -74,3 +77,11 @@ def test_a_detector_without_weights_is_left_out_unless_it_is_asked_for(tmp_path:
         scoring_detectors(attacked("pointpillars", ["sst"], sst=str(tmp_path / "absent")))
     with pytest.raises(InputError, match=r"absent: no weights of sst"):
         scoring_detectors(attacked("sst", None, sst=str(tmp_path / "absent")))
+
+
+def test_weights_that_are_none_are_refused_before_anything_runs(tmp_path: Path) -> None:
+    other = weights_file("pointpillars", None)
+    (tmp_path / "torn").write_bytes(other.read_bytes()[:1000])
+    for file in (tmp_path / "torn", other):
+        with pytest.raises(InputError, match=re.escape(str(file))):
+            scoring_detectors(attacked("pointpillars", ["sst_small"], sst_small=str(file)))

@@ -97,3 +97,16 @@ def test_a_scene_that_cannot_be_read_is_named(tmp_path: Path, real_data: Callabl
     (root / "training" / "velodyne" / "000002.bin").write_bytes(b"short")
     with pytest.raises(InputError, match=r"000002\.bin: 5 bytes"):
         scene_entries(KittiScenes(root, ["000001", "000002"]))
+
+
+def test_a_set_without_scenes_says_nothing_of_bad_ones(tmp_path: Path, real_data: Callable[[str], Path]) -> None:
+    root = tmp_path / "kitti"
+    shutil.copytree(real_data("kitti"), root)
+    (root / "training" / "velodyne" / "000002.bin").write_bytes(b"short")
+    with pytest.raises(InputError, match=r"leave such frames out: scenes\.skip_bad=true"):
+        entries_and_skipped(KittiScenes(root, ["000002"]), skip_bad=False)
+    with pytest.raises(InputError) as unknown:
+        entries_and_skipped(KittiScenes(root, ["no frame"]), skip_bad=False)
+    with pytest.raises(InputError) as setless:
+        entries_and_skipped(KittiScenes(root, ["000002"]))
+    assert "skip_bad" not in f"{unknown.value} {setless.value}"

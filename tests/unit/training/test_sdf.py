@@ -73,7 +73,7 @@ def test_checkpoint_that_is_no_checkpoint_names_the_file(tmp_path: Path) -> None
     with pytest.raises(InputError, match=r"bad\.pt"):
         read_checkpoint(tmp_path / "bad.pt")
     write_checkpoint(tmp_path / "good.pt", {"step": 3, "x": torch.ones(2)})
-    assert not list(tmp_path.glob("*.partial"))
+    assert not list(tmp_path.glob(".*"))
     again = read_checkpoint(tmp_path / "good.pt")
     assert again is not None
     assert again["step"] == 3

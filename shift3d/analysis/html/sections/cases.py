@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from shift3d.analysis.cases.chosen import Case, hardest
-from shift3d.analysis.cases.measures import DEFINITIONS, change_lines, in_words, measure_mesh
+from shift3d.analysis.cases.measures import change_lines, in_words
 from shift3d.analysis.cases.rendered import Loaded, Rendered, render_again
 from shift3d.analysis.html.blocks import Article, Block, Command, Fold, Paragraph, Section, Terms
 from shift3d.analysis.html.sections.case_figures import from_above, turnable
@@ -17,6 +17,7 @@ from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.table import Table
 from shift3d.errors import InputError
 from shift3d.geometry.se3 import wrap_angle
+from shift3d.vehicles.mesh_measures import DEFINITIONS, measure_mesh
 from shift3d.wording import counted
 
 if TYPE_CHECKING:

@@ -54,8 +54,9 @@ def test_a_store_that_may_be(uri: str, tmp_path: Path) -> None:
     ],
 )
 def test_a_store_that_cannot_be(uri: str, why: str) -> None:
-    with pytest.raises(InputError, match=why):
+    with pytest.raises(InputError, match=why) as refused:
         check_store(uri)
+    assert "out=DIR" not in str(refused.value), "another word names it"
 
 
 @pytest.mark.parametrize(

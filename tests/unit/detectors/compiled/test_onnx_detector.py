@@ -62,6 +62,15 @@ def test_after_suppression_there_may_be_no_box(tmp_path: Path) -> None:
     assert len(detector.detect(points()).scores) == 0
 
 
+def test_a_window_holds_the_boxes_whose_centres_lie_in_it(tmp_path: Path) -> None:
+    detector = load_onnx(write_model(tmp_path / "mine.onnx"))
+    for (x, y), expected in ((BOXES[0, :2], [0]), (BOXES[1, :2], [1]), ((0.0, 0.0), [])):
+        found = detector.proposals(points(), detector.window_for((float(x), float(y)), 5.0))
+        assert found.anchor_index.tolist() == expected
+        np.testing.assert_array_equal(found.boxes.numpy(), BOXES[expected])
+    assert len(detector.proposals(points(), detector.window_for((0.0, 0.0), 25.0)).logits) == 2
+
+
 def custom() -> list[object]:
     return [*graph_nodes()[:-2], helper.make_node("Magic", ["logits"], ["scores"], domain="mine"), graph_nodes()[-1]]
 

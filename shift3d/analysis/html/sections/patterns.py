@@ -1,0 +1,63 @@
+"""Section: what attacks change as a rule, in centimetres and degrees."""
+
+from __future__ import annotations
+
+from shift3d.analysis.figures.picture import COLOURS
+from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Plot, Section, Terms, folded
+from shift3d.analysis.html.figure import axis, plot
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.patterns import Pattern, pattern_groups, patterns_table
+from shift3d.vehicles.mesh_measures import DEFINITIONS
+
+__all__ = ["patterns"]
+
+_TITLE = "What attacks change"
+_LEAD = (
+    "Measured on the mesh of every baseline and of what was found from it, whatever became of its score. Change: mean "
+    "over all solutions, with its 95 % interval, whole scenes redrawn; less and more: shares of the solutions whose "
+    "measure changes by 1 cm, 1° or 1 % of a cubic metre."
+)
+_MISSING = "The shapes were not measured: shift3d patterns OUT measures them (OUT is this page's folder)."
+
+
+def patterns(sweep: Sweep) -> Section:
+    """The section: a table and a figure a search; poses need no command of their own."""
+    parts: list[tuple[str, list[Block]]] = []
+    for number, (label, found) in enumerate(pattern_groups(sweep.patterns, sweep.scores)):
+        table = patterns_table(f"Changes: {label}", found)
+        parts.append((f"Changes: {label}", [table, *_figures(f"patterns-{number}", label, found)]))
+    missing = (
+        [Paragraph(_MISSING, "missing")] if sweep.patterns.empty and (sweep.scores["mode"] != "pose").any() else []
+    )
+    if not parts:
+        return Section("patterns", _TITLE, missing or [Paragraph("No task has a solution.", "missing")])
+    meanings = Fold("How the meshes are measured", [Terms(DEFINITIONS)])
+    return Section("patterns", _TITLE, [Paragraph(_LEAD), *missing, *folded(parts, shown=2), meanings])
+
+
+def _figures(key: str, label: str, found: list[Pattern]) -> list[Plot]:
+    """Changes with their intervals, a figure a unit that has several measures."""
+    figures = []
+    for name, unit in (("centimetres", "cm"), ("degrees", "°")):
+        shown = [pattern for pattern in found if pattern.unit == unit]
+        if len(shown) < 2:
+            continue
+        means = [pattern.change.mean for pattern in shown]
+        known = [pattern.change.high < float("inf") for pattern in shown]
+        ends = {
+            "array": [p.change.high - p.change.mean if k else 0.0 for p, k in zip(shown, known)],
+            "arrayminus": [p.change.mean - p.change.low if k else 0.0 for p, k in zip(shown, known)],
+        }
+        trace = {
+            "type": "scatter",
+            "mode": "markers",
+            "x": means,
+            "y": [pattern.name for pattern in shown],
+            "error_x": {"type": "data", "symmetric": False, **ends},
+            "marker": {"size": 9, "color": COLOURS["adversarial"]},
+        }
+        layout = {"xaxis": axis(f"change, {unit}", zeroline=True), "yaxis": axis("", autorange="reversed")}
+        said = ", ".join(f"{pattern.name} {pattern.change.mean:+.1f}" for pattern in shown)
+        caption = f"Mean change in {name}, {label}"
+        figures.append(plot(f"{key}-{name}", [trace], layout, f"{caption}: {said}", caption, 60 + 34 * len(shown)))
+    return figures

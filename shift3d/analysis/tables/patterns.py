@@ -1,0 +1,150 @@
+"""What attacks change as a rule: measures of meshes and poses, in centimetres and degrees, over all solutions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from shift3d.analysis.statistics.intervals import Interval, mean_interval
+from shift3d.analysis.tables.table import Table, interval_text, number
+from shift3d.evaluation.failure_rules import aspect_deg
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["NAMES", "Pattern", "pattern_groups", "patterns_table"]
+
+_GROUP = ["mode", "search", "lambda", "alpha", "detector"]
+_KEY = ["task_id"]
+NAMES = {
+    "length_cm": ("length", "cm", 0),
+    "width_cm": ("width", "cm", 0),
+    "height_cm": ("height", "cm", 0),
+    "clearance_cm": ("ground clearance", "cm", 1),
+    "nose_cm": ("nose height", "cm", 0),
+    "tail_cm": ("tail height", "cm", 0),
+    "bonnet_cm": ("bonnet", "cm", 0),
+    "windshield_deg": ("windshield", "°", 0),
+    "rear_window_deg": ("rear window", "°", 0),
+    "front_overhang_cm": ("front overhang", "cm", 0),
+    "wheelbase_cm": ("wheelbase", "cm", 0),
+    "rear_overhang_cm": ("rear overhang", "cm", 0),
+    "volume_m3": ("volume", "m³", 2),
+    "pieces": ("pieces", "", 0),
+}
+"""Wording, unit and digits of what is measured on a mesh."""
+_POSE = {
+    "forward_cm": ("forward", "cm", 0),
+    "left_cm": ("to the left", "cm", 0),
+    "yaw_deg": ("turned to the left", "°", 0),
+    "pitch_deg": ("nose down", "°", 1),
+    "roll_deg": ("left side up", "°", 1),
+    "aspect_deg": ("angle to the line of sight", "°", 0),
+    "range_m": ("range", "m", 1),
+}
+_WORTH = {"cm": 1.0, "°": 1.0, "m³": 0.01, "m": 0.01, "": 0.5}
+"""A change is counted from here on, by its unit."""
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """How a measure changes over solutions. before: the baselines' mean. change: mean, with scenes redrawn.
+
+    size: mean absolute change. fell, rose: shares of the solutions.
+    """
+
+    name: str
+    unit: str
+    digits: int
+    before: float
+    change: Interval
+    size: float
+    fell: float
+    rose: float
+    solutions: int
+
+    @property
+    def clear(self) -> bool:
+        """Whether the interval leaves out zero."""
+        return self.change.low > 0.0 or self.change.high < 0.0
+
+
+def pattern_groups(patterns: pd.DataFrame, scores: pd.DataFrame) -> list[tuple[str, list[Pattern]]]:
+    """Patterns by search, lambda, step size and detector, in the order of the tables.
+
+    patterns, scores: of ``final/``. Shapes are those of `patterns`; poses, which every sweep has, those of `scores`.
+    A measure that either mesh does not have leaves the solution out of its line.
+    """
+    own = scores[(scores["scored_by"] == scores["detector"]) & (scores["replicate"] == 0) & scores["score"].notna()]
+    found: dict[str, list[Pattern]] = {}
+    for rows, changes, names in (
+        (patterns, _shape_changes, NAMES),
+        (own[own["mode"] != "shape"], _pose_changes, _POSE),
+    ):
+        for key, group in rows.groupby(_GROUP, sort=False, dropna=False):
+            both = [group[group["method"] == method].set_index(_KEY) for method in ("baseline", "adversarial")]
+            before, after = (part.loc[both[0].index.intersection(both[1].index)] for part in both)
+            if len(before):
+                values = changes(before, after)
+                found.setdefault(_label(key), []).extend(_patterns(values, names, before["dataset"] + before["scene"]))
+    return list(found.items())
+
+
+def _label(key: tuple[str, str, float, float, str]) -> str:
+    mode, search, weight, alpha, detector = key
+    shown = "" if np.isnan(weight) else f", lambda {weight:g}"
+    return f"{mode.replace('_', ' and ')}, {search}{shown}, alpha {alpha:g}, {detector}"
+
+
+Changes = dict[str, tuple["pd.Series", "pd.Series"]]
+
+
+def _shape_changes(before: pd.DataFrame, after: pd.DataFrame) -> Changes:
+    return {name: (before[name].astype(float), (after[name] - before[name]).astype(float)) for name in NAMES}
+
+
+def _pose_changes(before: pd.DataFrame, after: pd.DataFrame) -> Changes:
+    dx, dy, yaw = after["x_m"] - before["x_m"], after["y_m"] - before["y_m"], before["yaw_rad"]
+    turn = (after["yaw_rad"] - yaw + np.pi) % (2 * np.pi) - np.pi
+    aspects = [aspect_deg(*(part[name].to_numpy() for name in ("x_m", "y_m", "yaw_rad"))) for part in (before, after)]
+    zero = 0.0 * dx
+    return {
+        "forward_cm": (zero, 100 * (dx * np.cos(yaw) + dy * np.sin(yaw))),
+        "left_cm": (zero, 100 * (dy * np.cos(yaw) - dx * np.sin(yaw))),
+        "yaw_deg": (zero, np.degrees(turn)),
+        **{
+            f"{name}_deg": (np.degrees(before[f"{name}_rad"]), np.degrees(after[f"{name}_rad"] - before[f"{name}_rad"]))
+            for name in ("pitch", "roll")
+        },
+        "aspect_deg": (zero + aspects[0], zero + aspects[1] - aspects[0]),
+        "range_m": (before["range_m"], after["range_m"] - before["range_m"]),
+    }
+
+
+def _patterns(changes: Changes, names: dict[str, tuple[str, str, int]], places: pd.Series) -> list[Pattern]:
+    found = []
+    for field, (before, change) in changes.items():
+        known = change.notna()
+        if known.any():
+            name, unit, digits = names[field]
+            values = change[known]
+            fell, rose = (float((sign * values >= _WORTH[unit]).mean()) for sign in (-1, 1))
+            interval = mean_interval(values, list(places[known]))
+            size = float(values.abs().mean())
+            mean = float(before[known].mean())
+            found.append(Pattern(name, unit, digits, mean, interval, size, fell, rose, int(known.sum())))
+    return found
+
+
+def patterns_table(title: str, patterns: list[Pattern]) -> Table:
+    """A line a measure: baselines' mean, change with its interval, its size, and shares that fell and rose."""
+    lines = []
+    for found in patterns:
+        change = interval_text(found.change, found.digits + 1)
+        texts = [f"{found.name}, {found.unit}".strip(", "), str(found.solutions), number(found.before, found.digits)]
+        texts += [change, number(found.size, found.digits + 1), f"{found.fell:.0%}", f"{found.rose:.0%}"]
+        lines.append([*texts, "yes" if found.clear else "no"])
+    header = ["", "solutions", "baseline", "change", "size of change", "less", "more", "clear of 0"]
+    return Table(title, header, lines)

@@ -1,0 +1,96 @@
+"""Vehicles fitted to what scenes show of them, and what those do that are like a sweep's shapes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from shift3d.analysis.statistics.intervals import mean_interval
+from shift3d.analysis.tables.table import Table, interval_text, number
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["kept", "pool_table", "retrieval_table"]
+
+_POINTS = ((10, 30), (30, 100), (100, 300), (300, 1000), (1000, None))
+_GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
+_KEY = ["task_id", "scored_by"]
+
+
+def pool_table(pool: pd.DataFrame) -> Table:
+    """A line a number of points: how many were fitted and flagged, how far points and truth lie from the shapes.
+
+    pool: of ``final/``. Errors are over everything that was fitted, flagged or not; medians.
+    """
+    fitted = pool[pool["status"] == "fitted"]
+    lines = [_pool_line("all", fitted)]
+    lines += [
+        _pool_line(f"{low} to {high - 1} points" if high else f"{low} points and more", rows)
+        for low, high in _POINTS
+        if len(rows := fitted[(fitted["points"] >= low) & ((fitted["points"] < high) if high else True)])
+    ]
+    for flag in sorted({name for flags in fitted["flags"] for name in flags}):
+        lines.append(_pool_line(f"flagged {flag}", fitted[[flag in flags for flags in fitted["flags"]]]))
+    refused = pool["status"][pool["status"] != "fitted"].value_counts().sort_index()
+    left_out = ", ".join(f"{name} {count}" for name, count in refused.items()) or "none"
+    title = f"Labelled vehicles of {pool['scene'].nunique()} scenes: {len(fitted)} fitted, {len(pool) - len(fitted)} "
+    title += f"refused ({left_out})"
+    header = ["", "fitted", "usable", "residual, cm", "shape error, cm", "90 %", "mean vehicle's, cm", "score"]
+    return Table(title, header, lines)
+
+
+def _pool_line(name: str, rows: pd.DataFrame) -> list[str]:
+    usable = sum(not len(flags) for flags in rows["flags"])
+    known = rows["shape_error_cm"].dropna()
+    errors = ["-", "-", "-"]
+    if len(known):
+        errors = [number(known.median(), 1), number(known.quantile(0.9), 1)]
+        errors.append(number(rows["mean_shape_error_cm"].median(), 1))
+    residual = number(rows["residual_cm"].median(), 1) if len(rows) else "-"
+    score = number(rows["score"].mean(), 2) if len(rows) else "-"
+    return [name, str(len(rows)), str(usable), residual, *errors, score]
+
+
+def kept(retrieved: pd.DataFrame) -> pd.DataFrame:
+    """A row a solution and detector that the paper's rule does not exclude, with `place` and the controls' means.
+
+    retrieved: of ``final/``. control, control_in_log: mean scores of the controls, where there are some.
+    """
+    rows = retrieved[~retrieved["excluded"].astype(bool)]
+    controls = rows[rows["role"] == "control"].groupby(_KEY)[["score", "pool_score"]].mean()
+    controls = controls.rename(columns={"score": "control", "pool_score": "control_in_log"})
+    found = rows[rows["role"] == "retrieved"].merge(controls.reset_index(), on=_KEY, how="left")
+    return found.assign(place=found["dataset"] + "/" + found["scene"])
+
+
+def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
+    """A line a search and scoring detector: mean scores, and differences with their intervals, whole scenes redrawn.
+
+    Differences are taken solution by solution. "in the log": before the attacked detector where the vehicles stand,
+    scenes of the pool redrawn. None where nothing was retrieved.
+    """
+    if retrieved.empty:
+        return None
+    lines = []
+    solutions = retrieved[retrieved["role"] == "retrieved"]
+    for key, rows in kept(retrieved).groupby(_GROUP, sort=False, dropna=False):
+        mode, search, weight, alpha, detector, scored_by = key
+        of = solutions[(solutions[_GROUP].fillna(0.0) == rows[_GROUP].fillna(0.0).iloc[0]).all(axis=1)]
+        matched = rows[rows["control"].notna()]
+        means = [rows[name].mean() for name in ("score_baseline", "score_solution", "score")]
+        line = [f"{mode.replace('_', ' and ')}, {search}, lambda {weight:g}, alpha {alpha:g}, {detector}", scored_by]
+        line += [f"{len(rows)} of {len(of)}", *(number(mean, 3) for mean in (*means, matched["control"].mean()))]
+        line.append(_difference(rows["score"] - rows["score_baseline"], rows["place"]))
+        line.append(_difference(matched["score"] - matched["control"], matched["place"]))
+        in_log = matched.drop_duplicates(["pool_scene", "pool_label"])
+        line.append(_difference(in_log["pool_score"] - in_log["control_in_log"], in_log["pool_scene"]))
+        lines.append(line)
+    if not lines:
+        return Table("No vehicle of the pool is near enough to a shape", ["", "retrieved"], [["", "0"]])
+    header = ["", "scored by", "near enough", "baseline", "shape", "retrieved", "controls"]
+    header += ["retrieved less baseline", "retrieved less controls", "the same in the log"]
+    return Table("The shapes' natural kin, put in their place", header, lines)
+
+
+def _difference(values: pd.Series, places: pd.Series) -> str:
+    return interval_text(mean_interval(values, list(places)), 3) if len(values) else "-"

@@ -1,0 +1,55 @@
+"""``shift3d patterns``: what a sweep's attacks change, in centimetres and degrees."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
+from shift3d.cli.words import runner_of
+from shift3d.exit_codes import ExitCode
+from shift3d.wording import counted
+
+__all__ = ["COMMAND"]
+
+_DESCRIPTION = """\
+What do the shapes have in common that a detector misses? The mesh of every baseline and of every adversarial shape of a
+finished sweep is measured as a data sheet has it: length, width, height, clearance, bonnet, windshield, overhangs. The
+mean changes are printed with their intervals, and those of poses. The measures go to OUT/final/patterns.parquet; the
+report shows them. The same command again resumes."""
+
+_EPILOG = """\
+examples:
+  shift3d patterns outputs/default-1a2b3c4d5e6f7a8b                 on Ray, as the sweep
+  shift3d patterns outputs/default-1a2b3c4d5e6f7a8b runner=local    in this process
+
+A mesh takes about a second."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    parser.add_argument("words", nargs="*", metavar="runner=...", help="where it runs: settings of conf/runner")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.results import read_sweep
+    from shift3d.analysis.tables.patterns import pattern_groups, patterns_table
+    from shift3d.processor import configure_runtime
+    from shift3d.sweep.patterns import measure_patterns
+
+    configure_runtime()
+    result = measure_patterns(arguments.out, runner_of(arguments.words, "patterns"))
+    if result.final is None:
+        print(f"interrupted: {result.done} of {counted(result.planned, 'task')} measured", file=sys.stderr)
+        print("the same command resumes", file=sys.stderr)
+        return int(ExitCode.INTERRUPTED)
+    sweep = read_sweep(arguments.out)
+    for label, found in pattern_groups(sweep.patterns, sweep.scores):
+        print(f"\n{patterns_table(f'Changes: {label}', found)}")
+    print(f"\nwritten in {result.seconds:.0f} s; shift3d report {arguments.out} shows them")
+    return int(ExitCode.INCOMPLETE if result.quarantined else ExitCode.DONE)
+
+
+COMMAND = Command("patterns", "measure what a sweep's attacks change", _DESCRIPTION, _EPILOG, _add_arguments, _run)

@@ -1,0 +1,87 @@
+"""``shift3d retrieve``: the natural kin of a sweep's shapes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from shift3d.cli.command import Command
+from shift3d.cli.completion import folder_words
+from shift3d.cli.words import take_folders
+from shift3d.exit_codes import ExitCode
+from shift3d.wording import counted
+
+if TYPE_CHECKING:
+    from shift3d.sweep.drive import SweepResult
+
+__all__ = ["COMMAND"]
+
+_DESCRIPTION = """\
+Which vehicles in a log are like the shapes that a sweep found, and are they missed too? Every labelled vehicle of a set
+of scenes is cropped, and its shape is fitted to its points in the decoder's first 10 principal components. The vehicle
+nearest to each adversarial shape is put in its place and scored, as in the paper's supplement. So are three controls:
+vehicles that were seen from as far and by as many points. The pool goes to a folder of its own, which other sweeps may
+use; the result goes to OUT/final: vehicle_pool.parquet and retrieved.parquet. The report shows both. The same command
+again resumes."""
+
+_EPILOG = """\
+examples:
+  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b                       vehicles of procedural streets (split val)
+  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b scenes.count=500      of more of them
+  shift3d retrieve outputs/kitti-1a2b3c4d5e6f7a8b scenes=kitti scenes.root=PATH    labelled cars of KITTI frames
+  shift3d retrieve outputs/default-1a2b3c4d5e6f7a8b runner=local          in this process
+
+Settings are those of sweeps/retrieval.yaml: the pool's scenes, the decoder (vehicle=), the detector that scores the
+pool's vehicles where they stand, the runner. Without settings that change them, the same pool is used again.
+pool=DIR names the pool's folder. Vehicles with fewer than 10 points are refused; those seen from one side, and those
+that their box does not fit, are flagged and never retrieved."""
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
+    out.completer = folder_words  # type: ignore[attr-defined]
+    parser.add_argument("words", nargs="*", metavar="key=value", help="settings of sweeps/retrieval.yaml; pool=DIR")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
+    from shift3d.processor import configure_runtime
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.store.resolve import as_location
+    from shift3d.sweep.planning.folder import default_folder
+    from shift3d.sweep.planning.plan import make_plan
+    from shift3d.sweep.retrieval import build_pool, pool_kind, pool_plan, retrieve
+    from shift3d.sweep.verification import verification_plan
+
+    configure_runtime()
+    folder = as_location(arguments.out)
+    verification_plan(folder)  # whether it has finished, before anything is made
+    named, words = take_folders("pool", arguments.words)
+    made, config = make_plan(compose_sweep("retrieval", words), pool_kind().catalogue)
+    plan = pool_plan(made)
+    pool = named[-1] if named else default_folder(plan)
+    print(f"fitting the labelled vehicles of {counted(len(plan.tasks), 'scene')} into {pool}", flush=True)
+    fitted = build_pool(pool, plan, config.runner)
+    if fitted.final is None:
+        return _interrupted(fitted)
+    print(f"\n{pool_table(fitted.final.frame('vehicle_pool'))}\n", flush=True)
+    scored = retrieve(folder, pool, config.runner)
+    if scored.final is None:
+        return _interrupted(scored)
+    table = retrieval_table(scored.final.frame("retrieved"))
+    print(f"\n{table if table else 'no task searched a shape: nothing to retrieve'}\n")
+    print(f"{folder / 'final' / 'retrieved.parquet'} written in {fitted.seconds + scored.seconds:.0f} s")
+    print(f"pictures and curves: shift3d report {folder}")
+    return int(ExitCode.INCOMPLETE if fitted.quarantined or scored.quarantined else ExitCode.DONE)
+
+
+def _interrupted(result: SweepResult) -> int:
+    print(f"interrupted: {result.done} of {counted(result.planned, 'task')} done", file=sys.stderr)
+    print("the same command resumes", file=sys.stderr)
+    return int(ExitCode.INTERRUPTED)
+
+
+COMMAND = Command(
+    "retrieve", "find vehicles in scenes that are like a sweep's shapes", _DESCRIPTION, _EPILOG, _add_arguments, _run
+)

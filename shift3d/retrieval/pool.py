@@ -1,0 +1,69 @@
+"""Vehicles whose shapes were fitted to what scenes show of them: the nearest to a shape, and others seen alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+
+__all__ = ["Pool", "excluded"]
+
+Array = NDArray[np.float64]
+RANGE_RATIO, POINTS_RATIO = 1.25, 1.5
+"""How far range and number of points of a control may lie from the matched vehicle's, as factors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """N fitted vehicles, in a fixed order. codes: (N, d). range_m, points: (N,). rows: of the table, one each."""
+
+    codes: Array
+    range_m: Array
+    points: Array
+    rows: list[dict[str, Any]]
+
+    @staticmethod
+    def of(table: Mapping[str, list[Any]], where: str) -> Pool:
+        """The vehicles of a table that were fitted and are not flagged. table: columns of ``vehicle_pool``.
+
+        Raises: InputError where there is none.
+        """
+        rows = [dict(zip(table, values)) for values in zip(*table.values())]
+        rows = [row for row in rows if row["status"] == "fitted" and not row["flags"]]
+        if not rows:
+            raise InputError("no vehicle could be fitted", where, "Give scenes whose vehicles are labelled")
+        columns = [np.array([row[name] for row in rows], np.float64) for name in ("latent_code", "range_m", "points")]
+        return Pool(columns[0], columns[1], columns[2], rows)
+
+    def nearest(self, code: Array) -> tuple[int, float]:
+        """The vehicle whose code is nearest to a code (d,), and its distance. Of equal ones the first.
+
+        Source: SHIFT3D, supplement, 'Retrieving the Nearest Match'.
+        """
+        distance = np.linalg.norm(self.codes - code, axis=1)
+        index = int(np.argmin(distance))
+        return index, float(distance[index])
+
+    def controls(self, index: int, count: int) -> list[int]:
+        """Up to so many other vehicles that were seen from as far and by as many points as one, the best matched first.
+
+        Source: our choice: the paper compares with the baseline alone, which nobody saw in a scene.
+        """
+        far = np.abs(np.log(self.range_m / self.range_m[index])) / np.log(RANGE_RATIO)
+        fewer = np.abs(np.log(self.points / self.points[index])) / np.log(POINTS_RATIO)
+        matched = np.flatnonzero((np.maximum(far, fewer) <= 1.0) & (np.arange(len(self.points)) != index))
+        order = np.argsort((far + fewer)[matched], kind="stable")
+        return [int(found) for found in matched[order[:count]]]
+
+
+def excluded(code: Array, distance: float) -> bool:
+    """Whether the nearest vehicle is too far from a shape's code (d,) to be its kin: not nearer than the code is long.
+
+    Source: SHIFT3D, supplement: only objects with |z_natural - z| < |z| are considered.
+    """
+    return not distance < float(np.linalg.norm(code))

@@ -1,0 +1,30 @@
+"""The principal components of known codes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.wording import counted
+
+__all__ = ["principal_components"]
+
+Array = NDArray[np.float64]
+
+
+def principal_components(codes: NDArray[np.float32], components: int, where: str) -> tuple[Array, Array, Array]:
+    """Mean (d,), standard deviations (k,) along the first components, and these (k, d), unit vectors.
+
+    codes: (N, d). where: whose codes they are, for messages.
+    Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
+    """
+    if len(codes) < components + 2:
+        what = f"{counted(len(codes), 'code')}: too few for {counted(components, 'component')}"
+        raise InputError(what, where, f"Give at most {max(len(codes) - 2, 1)} components, or more vehicles")
+    mean = codes.astype(np.float64).mean(axis=0)
+    _, spread, axes = np.linalg.svd(codes - mean, full_matrices=False)
+    spread = spread[:components] / np.sqrt(len(codes) - 1)
+    if not spread[-1] > 1e-6 * spread[0]:
+        raise InputError(f"the codes do not spread along {components} directions", where, "Give fewer components")
+    return mean, spread, axes[:components]

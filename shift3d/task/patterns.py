@@ -1,0 +1,46 @@
+"""A task's meshes measured: the baseline's, and that of the adversarial shape."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shift3d.errors import InputError
+from shift3d.naturalness.decoded import decoded_mesh
+from shift3d.task.spec import Row, TaskResult, TaskSpec
+from shift3d.task.verify import VerifyAssets
+from shift3d.vehicles.mesh_measures import measure_mesh
+
+__all__ = ["patterns_task"]
+
+RESOLUTION = 97
+"""Nodes along the unit sphere's cube of the meshes: 5 cm apart on a car, which gives lengths to a centimetre."""
+
+
+def patterns_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
+    """Measure the two meshes of a task that searched a shape; nothing for a pose task. A code without a surface has no
+    measures.
+
+    Raises: InputError: tables or a vehicle that cannot be loaded or are not those of the sweep.
+    Source: our choice of measures; SHIFT3D names such patterns by eye (fig:z_figures).
+    """
+    start = time.perf_counter()
+    solutions = held.solutions(spec) if spec.mode != "pose" else []
+    rows = [
+        {"method": found.method, "replicate": found.replicate, **_measured(spec, held, found.code.numpy())}
+        for found in solutions
+        if found.method in ("baseline", "adversarial")
+    ]
+    spent: Row = {"method": "patterns", "stage": "measure", "milliseconds": 1e3 * (time.perf_counter() - start)}
+    return TaskResult([], [], [spent | {"calls": len(rows)}], patterns=rows)
+
+
+def _measured(spec: TaskSpec, held: VerifyAssets, code: NDArray[np.float32]) -> Row:
+    try:
+        mesh = decoded_mesh(held.assets.vehicle(spec), held.assets.decoder, code, RESOLUTION)
+    except InputError:  # a code without a surface
+        return {}
+    return asdict(measure_mesh(mesh))

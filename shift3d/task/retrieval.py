@@ -1,0 +1,107 @@
+"""The natural kin of a solution: the nearest vehicle of a pool, and others seen alike, scored in its place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from shift3d.attack.shape import SNAP_M, on_ground
+from shift3d.detectors.base import Detector
+from shift3d.retrieval.pool import Pool, excluded
+from shift3d.retrieval.reconstruction import Reconstructor
+from shift3d.store.resolve import as_location
+from shift3d.store.tables import read_table
+from shift3d.task.assets import score_precision
+from shift3d.task.problem import build_problem
+from shift3d.task.rescoring import Solution
+from shift3d.task.scoring import score_object
+from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
+from shift3d.task.vehicle_pool import reconstructor_of
+from shift3d.task.verify import VerifyAssets, load_verify_assets
+
+__all__ = ["CONTROLS", "RetrievalAssets", "load_retrieval_assets", "retrieval_task"]
+
+CONTROLS = 3
+"""Vehicles that are scored beside the retrieved one."""
+
+
+@dataclass(frozen=True)
+class RetrievalAssets:
+    """What a worker holds: the sweep's assets and solutions, the pool, and what makes vehicles of its codes."""
+
+    held: VerifyAssets
+    pool: Pool
+    reconstructor: Reconstructor
+
+
+def load_retrieval_assets(spec: AssetsSpec) -> RetrievalAssets:
+    """Load what the tasks share; the pool lies among the sweep's final tables.
+
+    Raises: InputError as `load_assets`, and for a pool that is missing, damaged or empty.
+    """
+    held = load_verify_assets(spec)
+    path = as_location(str(spec.results)) / "vehicle_pool.parquet"
+    pool = Pool.of(read_table(path, "vehicle_pool").to_pydict(), str(path))
+    return RetrievalAssets(held, pool, reconstructor_of(held.assets.vehicles))
+
+
+def retrieval_task(spec: TaskSpec, held: RetrievalAssets) -> TaskResult:
+    """The vehicle of the pool nearest to a task's adversarial shape and its controls: a row for each and each detector.
+
+    Nothing for a pose task, and where nothing could be placed.
+    Raises: InputError: tables, a scene or a vehicle that cannot be loaded or are not those of the sweep.
+    Source: SHIFT3D, supplement, 'Retrieving the Nearest Match'; controls are our choice.
+    """
+    solutions = {(found.method, found.replicate): found for found in held.held.solutions(spec)}
+    solution = solutions.get(("adversarial", 0))
+    if solution is None or spec.mode == "pose":
+        return TaskResult([], [], [])
+    before = solutions["baseline", 0].scores
+    code = solution.code.double().numpy()
+    nearest, distance = held.pool.nearest(code)
+    others = {name: held.held.assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
+    rows: list[Row] = []
+    chosen = [("retrieved", nearest), *(("control", index) for index in held.pool.controls(nearest, CONTROLS))]
+    for number, (role, index) in enumerate(chosen):
+        kin = held.pool.rows[index]
+        known = {
+            "role": role,
+            "replicate": max(number - 1, 0),
+            "pool_dataset": kin["dataset"],
+            "pool_scene": kin["scene"],
+            "pool_label": kin["label"],
+            "pool_score": kin["score"],
+            "pool_range_m": kin["range_m"],
+            "pool_points": kin["points"],
+            "latent_distance": float(np.linalg.norm(held.pool.codes[index] - code)),
+            "excluded": excluded(code, distance),
+        }
+        scored = _scored(spec, held, kin, solution, others)
+        rows += [
+            known | scored[name] | {"score_baseline": before[name], "score_solution": solution.scores[name]}
+            for name in spec.scored_by
+        ]
+    return TaskResult([], [], [], retrieved=rows)
+
+
+def _scored(
+    spec: TaskSpec, held: RetrievalAssets, kin: dict[str, Any], solution: Solution, others: dict[str, Detector]
+) -> dict[str, Row]:
+    """A vehicle of the pool at a solution's pose, on the ground, by the scoring detector's name."""
+    assets = held.held.assets
+    u = np.array(kin["coordinates"], np.float64)
+    vehicle = held.reconstructor.vehicle(f"{kin['scene']}/{kin['label']}", kin["kind"], u, kin["scale_m"])
+    theta = solution.theta.clone()
+    theta[2] += (vehicle.size_m[2] - assets.vehicle(spec).size_m[2]) / 2
+    problem = build_problem(spec, assets, theta, vehicle)
+    stands = on_ground(problem.code0, problem, SNAP_M)
+    found = score_object(problem, problem.code0, stands, spec.attack.detection_radius_m, others)
+    check = found.measurement.check
+    same = {
+        "object_points": found.measurement.rendering.object_points,
+        "overlap_ok": check.overlap_ok,
+        "contact_ok": check.contact_ok,
+    }
+    return {name: same | {"scored_by": name, "score": answer.score} for name, answer in found.answers.items()}

@@ -1,0 +1,152 @@
+"""One scene of a pool: its labelled vehicles cropped and fitted, and what the detector makes of them where they are."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+import trimesh
+
+from shift3d.attack.objective import SCORE_RADIUS_M, to_network_frame
+from shift3d.detectors.nms import suppress
+from shift3d.geometry.iou import iou_bev
+from shift3d.retrieval.crops import Crop, crop_vehicles
+from shift3d.retrieval.reconstruction import Reconstructor
+from shift3d.retrieval.subspace import Subspace
+from shift3d.scenes.scene import Scene
+from shift3d.scenes.sets import StreetScenes
+from shift3d.sdf.chamfer import symmetric_chamfer
+from shift3d.seeding import generator
+from shift3d.task.assets import Assets, load_assets
+from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
+from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
+
+if TYPE_CHECKING:
+    from shift3d.vehicles.sources import VehicleSource
+
+__all__ = ["PoolAssets", "load_pool_assets", "pool_task", "reconstructor_of"]
+
+OWN_IOU = 0.3
+"""Bird's-eye overlap with a label from which on a box is a detection of it: cars park nearer than 5 m."""
+_VEHICLES, _COMPARED = 5, 1000
+_BOX = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
+
+
+@dataclass(frozen=True)
+class PoolAssets:
+    """What a worker holds: scenes and detectors, and what fits shapes."""
+
+    assets: Assets
+    reconstructor: Reconstructor
+
+
+def load_pool_assets(spec: AssetsSpec) -> PoolAssets:
+    """Load what the scenes of a pool share. Raises: InputError as `load_assets`."""
+    assets = load_assets(spec)
+    return PoolAssets(assets, reconstructor_of(assets.vehicles))
+
+
+def reconstructor_of(vehicles: VehicleSource) -> Reconstructor:
+    """What fits shapes of a set's decoder: the principal components of its codes, the scale of its first vehicles.
+
+    Raises: InputError for fewer codes than components need.
+    """
+    known = [vehicles.vehicle(name) for name in vehicles.names()[:_VEHICLES]]
+    per_length = float(np.mean([vehicle.scale_m / vehicle.size_m[0] for vehicle in known]))
+    return Reconstructor(Subspace.of(vehicles.decoder(), vehicles.codes()), per_length, known[0].sdf_R_object)
+
+
+def pool_task(spec: TaskSpec, held: PoolAssets) -> TaskResult:
+    """Crop and fit every labelled vehicle of the task's scene: a row each, the refused ones with their reason.
+
+    A pure function of the spec's scene and the content that its hashes name, on one thread.
+    Raises: InputError: a scene that cannot be loaded or is not what the task was planned with.
+    Source: SHIFT3D, supplement, 'Retrieving the Nearest Match'.
+    """
+    scene, _ = held.assets.scene(spec)
+    spent = {}
+    start = time.perf_counter()
+    crops = crop_vehicles(scene)
+    spent["crop"] = time.perf_counter() - start
+    start = time.perf_counter()
+    scores = _scores(spec, held.assets, scene, crops)
+    spent["detector"] = time.perf_counter() - start
+    start = time.perf_counter()
+    truth = _true_meshes(held.assets, spec.scene, crops)
+    rows = [_row(held.reconstructor, crop, truth.get(crop.label)) | {"score": scores[crop.label]} for crop in crops]
+    rows = [row | {"detector": spec.detector} for row in rows]
+    spent["fit"] = time.perf_counter() - start
+    timings: list[Row] = [
+        {"method": "pool", "stage": stage, "milliseconds": 1e3 * seconds, "calls": len(crops)}
+        for stage, seconds in spent.items()
+    ]
+    return TaskResult([], [], timings, vehicle_pool=rows)
+
+
+def _row(reconstructor: Reconstructor, crop: Crop, truth: trimesh.Trimesh | None) -> Row:
+    row: Row = {
+        "label": crop.label,
+        "kind": crop.kind,
+        **dict(zip(_BOX, map(float, crop.box), strict=True)),
+        "range_m": crop.range_m,
+        "points": crop.points,
+        "sides": list(crop.sides),
+        "status": crop.refused or "fitted",
+        "flags": [],
+    }
+    if crop.refused:
+        return row
+    found = reconstructor.reconstruct(crop)
+    row |= {
+        "flags": list(found.flags),
+        "latent_code": reconstructor.subspace.code(found.fit.u).tolist(),
+        "scale_m": found.fit.scale_m,
+        "coordinates": found.fit.u.tolist(),
+        "uncertainty": found.fit.uncertainty.tolist(),
+        "residual_cm": 100.0 * found.fit.residual_m,
+        "outliers": found.fit.outliers,
+    }
+    if truth is not None and "no_surface" not in found.flags:
+        mean = reconstructor.mean_mesh(float(crop.box[3]))
+        row["shape_error_cm"] = _apart_cm(reconstructor.mesh(found.fit), truth)
+        row["mean_shape_error_cm"] = _apart_cm(mean, truth)
+    return row
+
+
+def _apart_cm(mesh: trimesh.Trimesh, truth: trimesh.Trimesh) -> float:
+    return 100.0 * symmetric_chamfer(mesh, truth, generator("shape error"), _COMPARED)
+
+
+def _true_meshes(assets: Assets, name: str, crops: list[Crop]) -> Mapping[int, trimesh.Trimesh]:
+    """The meshes behind a street's labels, object frame, by label; none where a scene was recorded."""
+    if not isinstance(assets.scenes, StreetScenes):
+        return {}
+    placed = assets.scenes.vehicles(name)
+    found = {}
+    for crop in crops:
+        near = min(placed, key=lambda other: float(np.linalg.norm(other.position - crop.box[:3])))
+        mesh = near.vehicle.intersector
+        found[crop.label] = trimesh.Trimesh(mesh.vertices.astype(np.float64), mesh.faces, process=False)
+    return found
+
+
+def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> dict[int, float]:
+    """Best score of a box that overlaps each vehicle where it stands, 0 without one, by label."""
+    if not crops:
+        return {}
+    boxes = np.stack([crop.box for crop in crops])
+    boxes[:, 2] -= scene.ground_z_m
+    middle = (boxes[:, :2].min(axis=0) + boxes[:, :2].max(axis=0)) / 2
+    reach = float(np.linalg.norm(boxes[:, :2] - middle, axis=1).max()) + SCORE_RADIUS_M
+    detector = assets.detector_of(spec.detector, "float32")
+    points = to_network_frame(torch.from_numpy(scene.points[scene.has_beam]), scene.ground_z_m)
+    with torch.no_grad():
+        proposals = detector.proposals(points, detector.window_for((float(middle[0]), float(middle[1])), reach))
+    found = suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU)
+    overlaps = iou_bev(boxes, found.boxes) >= OWN_IOU
+    best = (overlaps * found.scores).max(axis=1, initial=0.0)
+    return {crop.label: float(score) for crop, score in zip(crops, best)}

@@ -1,0 +1,163 @@
+"""A vehicle's measures on its mesh, in the words and units of a data sheet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = ["DEFINITIONS", "Measures", "measure_mesh"]
+
+FloatArray = NDArray[np.float64]
+_STEP_M, _STEPS = 0.01, 5
+_MIDDLE_M = 0.25
+_WINDSHIELD_FROM, _WINDSHIELD_RISE = (0.60, 0.75), 0.20
+_NOSE, _CONTACT_M = 0.1, 0.08
+DEFINITIONS = {
+    "length, width, height": "outer sizes of the mesh in the vehicle's own axes",
+    "ground clearance": "lowest surface over the middle third of the length, above the mesh's lowest point",
+    "windshield": "steepest climb of the upper outline, followed from the foremost point backwards, over a fifth of "
+    "its height that begins between 60 % and 75 % of it: angle to the horizontal of the line between the places where "
+    "it first reaches both; the outline is the highest surface within 25 cm of the middle",
+    "bonnet": "horizontal way from the foremost point to where the outline begins to climb half as steeply as there",
+    "rear window": "as the windshield, from the rearmost point forwards",
+    "nose height": "that outline's height a tenth of the length behind the foremost point",
+    "tail height": "that outline's height a tenth of the length before the rearmost point",
+    "overhangs, wheelbase": "from the foremost and to the rearmost point, and between them: the middles of what lies "
+    "within 8 cm of the ground in the front and the rear half; left out where either is over 1 m long, or none",
+    "volume": "enclosed by the mesh; left out where the mesh is not closed",
+    "pieces": "connected surfaces of the mesh; a car has one",
+}
+
+
+@dataclass(frozen=True)
+class Measures:
+    """What is measured on a mesh, see `DEFINITIONS`. None: the mesh does not have it."""
+
+    length_cm: float
+    width_cm: float
+    height_cm: float
+    clearance_cm: float | None
+    nose_cm: float | None
+    tail_cm: float | None
+    bonnet_cm: float | None
+    windshield_deg: float | None
+    rear_window_deg: float | None
+    front_overhang_cm: float | None
+    wheelbase_cm: float | None
+    rear_overhang_cm: float | None
+    volume_m3: float | None
+    pieces: int
+
+
+def measure_mesh(mesh: trimesh.Trimesh) -> Measures:
+    """Measure a vehicle's mesh.
+
+    Args:
+        mesh: object frame (x forward, y left, z up), metres, its lowest point on the ground.
+
+    Differentiable w.r.t. nothing. Source: our choice: definitions that also hold for a shape without wheels, which
+    ISO 612's ground clearance (`vehicles.dimensions`) needs.
+    """
+    low, high = np.asarray(mesh.bounds, dtype=np.float64)
+    length, width, height = (100.0 * (high - low)).tolist()
+    x, top = _outline(mesh, low, high)
+    windshield, rear_window = _slope(x, top), _slope(-x[::-1], top[::-1])
+    front, base, rear = _axles_cm(mesh, low, high)
+    return Measures(
+        length_cm=length,
+        width_cm=width,
+        height_cm=height,
+        clearance_cm=_clearance_cm(mesh, low, high),
+        nose_cm=_end_cm(x, top),
+        tail_cm=_end_cm(-x[::-1], top[::-1]),
+        bonnet_cm=None if windshield is None else 100.0 * (float(high[0]) - windshield[1]),
+        windshield_deg=None if windshield is None else windshield[0],
+        rear_window_deg=None if rear_window is None else rear_window[0],
+        front_overhang_cm=front,
+        wheelbase_cm=base,
+        rear_overhang_cm=rear,
+        volume_m3=float(mesh.volume) if mesh.is_watertight else None,
+        pieces=int(mesh.body_count),
+    )
+
+
+def _grid(low: float, high: float) -> FloatArray:
+    """Middles of cells of about a centimetre between two bounds: none lies on a bound, where a beam may slip by."""
+    count = max(1, round((high - low) / _STEP_M))
+    return low + (high - low) * (np.arange(count) + 0.5) / count
+
+
+def _surface(mesh: trimesh.Trimesh, x: FloatArray, y: FloatArray, start_z: float, upwards: bool) -> FloatArray:
+    """z of the first surface along vertical beams at every x and y (X, Y), NaN where there is none."""
+    at_x, at_y = np.meshgrid(x, y, indexing="ij")
+    origins = np.stack((at_x.ravel(), at_y.ravel(), np.full(at_x.size, start_z)), axis=1)
+    directions = np.broadcast_to((0.0, 0.0, 1.0 if upwards else -1.0), origins.shape)
+    points, beams, _ = mesh.ray.intersects_location(origins, directions, multiple_hits=False)
+    found = np.full(at_x.size, np.nan)
+    found[beams] = points[:, 2]
+    return found.reshape(at_x.shape)
+
+
+def _clearance_cm(mesh: trimesh.Trimesh, low: FloatArray, high: FloatArray) -> float | None:
+    third = (high[0] - low[0]) / 3.0
+    x, y = _grid(low[0] + third, high[0] - third), _grid(low[1], high[1])
+    under = _surface(mesh, x, y, low[2] - 1.0, upwards=True)
+    return None if np.isnan(under).all() else 100.0 * float(np.nanmin(under) - low[2])
+
+
+def _outline(mesh: trimesh.Trimesh, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """x (X,) from the foremost backwards, and the highest surface near the middle there (X,), above the ground."""
+    middle = (low[1] + high[1]) / 2.0
+    half = min(_MIDDLE_M, (high[1] - low[1]) / 2.0)
+    x, y = _grid(low[0], high[0])[::-1], _grid(middle - half, middle + half)
+    found = _surface(mesh, x, y, high[2] + 1.0, upwards=False)
+    held = ~np.isnan(found).all(axis=1)
+    return x[held], np.nanmax(found[held], axis=1) - low[2] if held.any() else np.empty(0)
+
+
+def _end_cm(x: FloatArray, top: FloatArray) -> float | None:
+    """Height of an outline a tenth of its length behind its first place; x descending."""
+    if not len(x):
+        return None
+    behind = np.flatnonzero(x <= x[0] - _NOSE * (x[0] - x[-1]))
+    return 100.0 * float(top[behind[0]])
+
+
+def _slope(x: FloatArray, top: FloatArray) -> tuple[float, float] | None:
+    """The steepest climb behind the first place of an outline, degrees, and the x where it begins; x descending."""
+    if not len(top):
+        return None
+    reached = np.maximum.accumulate(top) / top.max()
+    steepest, begins = 0.0, 0
+    for share in np.linspace(*_WINDSHIELD_FROM, 16):
+        foot, head = (int(np.argmax(reached >= level)) for level in (share, share + _WINDSHIELD_RISE))
+        # Reached within one centimetre of x: as steep as can be told.
+        angle = float(np.degrees(np.arctan2(top[head] - top[foot], x[foot] - x[head]))) if head > foot else 90.0
+        if angle > steepest:
+            steepest, begins = angle, foot
+    rise = np.tan(np.radians(min(steepest, 80.0))) / 2 * _STEPS * _STEP_M
+    # Down its line, as long as the outline climbs half as steeply.
+    while begins >= _STEPS and top[begins] - top[begins - _STEPS] > rise:
+        begins -= 1
+    return steepest, float(x[begins])
+
+
+def _axles_cm(
+    mesh: trimesh.Trimesh, low: FloatArray, high: FloatArray
+) -> tuple[float | None, float | None, float | None]:
+    """Front overhang, wheelbase and rear overhang."""
+    vertices = np.asarray(mesh.vertices)
+    x, middle = vertices[vertices[:, 2] < low[2] + _CONTACT_M, 0], (low[0] + high[0]) / 2.0
+    axles = [
+        (half.min() + half.max()) / 2 for half in (x[x > middle], x[x < middle]) if len(half) > 0 and np.ptp(half) < 1
+    ]
+    if len(axles) < 2:
+        return None, None, None
+    front, rear = axles
+    return 100.0 * float(high[0] - front), 100.0 * float(front - rear), 100.0 * float(rear - low[0])

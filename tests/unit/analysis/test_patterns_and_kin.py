@@ -1,0 +1,115 @@
+"""Aggregated changes and retrieved kin: means, intervals and what is left out, on tables by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from shift3d.analysis.tables.patterns import NAMES, pattern_groups, patterns_table
+from shift3d.analysis.tables.retrieval import kept, pool_table, retrieval_table
+
+KNOWN = {"search": "descent", "lambda": 1.0, "alpha": 0.01, "detector": "pointpillars", "scored_by": "pointpillars"}
+POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+
+
+def measured(changes: list[float], field: str = "height_cm") -> pd.DataFrame:
+    """A shape task a scene, whose only change is that of one measure."""
+    rows = []
+    for number, change in enumerate(changes):
+        same = KNOWN | {"mode": "shape", "task_id": f"t{number}", "dataset": "street", "scene": f"s{number}"}
+        usual = dict.fromkeys(NAMES, 150.0)
+        rows += [same | usual | {"method": "baseline"}, same | usual | {field: 150.0 + change, "method": "adversarial"}]
+    return pd.DataFrame(rows)
+
+
+def poses(after: dict[str, float], yaw: float) -> pd.DataFrame:
+    at = dict(zip(POSE, (20.0, 5.0, -1.0, yaw, 0.0, 0.0)))
+    same = KNOWN | {"mode": "pose", "task_id": "p", "dataset": "street", "scene": "s", "replicate": 0, "score": 0.5}
+    moved = {name: value + after.get(name, 0.0) for name, value in at.items()}
+    rows = [same | at | {"method": "baseline"}, same | moved | {"method": "adversarial"}]
+    return pd.DataFrame([row | {"range_m": float(np.hypot(row["x_m"], row["y_m"]))} for row in rows])
+
+
+def test_a_change_that_all_share_is_a_point_and_clear() -> None:
+    ((label, found),) = pattern_groups(measured([-8.0] * 5), poses({}, 0.0).iloc[:0])
+    assert label == "shape, descent, lambda 1, alpha 0.01, pointpillars"
+    by_name = {pattern.name: pattern for pattern in found}
+    height = by_name["height"]
+    assert (height.change.mean, height.change.low, height.change.high) == pytest.approx((-8.0, -8.0, -8.0))
+    assert (height.before, height.fell, height.rose, height.solutions, height.clear) == (150.0, 1.0, 0.0, 5, True)
+    assert not by_name["length"].clear and by_name["length"].size == 0.0
+
+
+def test_what_differs_from_scene_to_scene_has_an_interval_around_its_mean() -> None:
+    changes = [-9.0, 4.0, 2.0, -3.0, 7.0, 0.2, -1.2, 5.0]
+    ((_, found),) = pattern_groups(measured(changes), poses({}, 0.0).iloc[:0])
+    height = next(pattern for pattern in found if pattern.name == "height")
+    assert height.change.mean == pytest.approx(np.mean(changes))
+    assert height.change.low < height.change.mean < height.change.high
+    assert height.size == pytest.approx(np.abs(changes).mean()) and not height.clear
+    assert (height.fell, height.rose) == (3 / 8, 4 / 8)
+    assert "+0.6 [" in str(patterns_table("Changes", found))
+
+
+def test_a_measure_that_a_mesh_does_not_have_leaves_the_solution_out() -> None:
+    rows = measured([5.0, 5.0, 5.0], "wheelbase_cm")
+    rows.loc[1, "wheelbase_cm"] = np.nan
+    ((_, found),) = pattern_groups(rows, poses({}, 0.0).iloc[:0])
+    counts = {pattern.name: pattern.solutions for pattern in found}
+    assert counts["wheelbase"] == 2 and counts["height"] == 3
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])
+def test_a_pose_moves_in_the_vehicles_own_axes(yaw: float) -> None:
+    forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+    dx, dy = 1.2 * forward - 0.4 * left
+    scores = poses({"x_m": dx, "y_m": dy, "yaw_rad": 2 * np.pi - 0.1, "pitch_rad": 0.05}, yaw)
+    ((_, found),) = pattern_groups(measured([]).reindex(columns=[*KNOWN, "mode", "method"]), scores)
+    means = {pattern.name: pattern.change.mean for pattern in found}
+    assert means["forward"] == pytest.approx(120.0) and means["to the left"] == pytest.approx(-40.0)
+    assert means["turned to the left"] == pytest.approx(-np.degrees(0.1))
+    assert means["nose down"] == pytest.approx(np.degrees(0.05)) and means["left side up"] == 0.0
+
+
+def retrieved(scene: str, role: str, score: float, excluded: bool = False, replicate: int = 0) -> dict[str, Any]:
+    place = {"mode": "shape", "task_id": f"t-{scene}", "dataset": "street", "scene": scene, "vehicle": "suv"}
+    pool = {"pool_scene": f"pool-{scene}", "pool_label": replicate, "pool_score": score / 2}
+    scores = {"score": score, "score_baseline": 0.8, "score_solution": 0.2}
+    return KNOWN | place | pool | scores | {"role": role, "excluded": excluded, "replicate": replicate}
+
+
+def test_kin_are_compared_with_the_mean_of_their_controls_and_the_excluded_are_left_out() -> None:
+    rows = []
+    for number in range(6):
+        rows.append(retrieved(f"s{number}", "retrieved", 0.5))
+        rows += [retrieved(f"s{number}", "control", 0.6 + 0.2 * draw, replicate=draw + 1) for draw in range(2)]
+    rows.append(retrieved("far", "retrieved", 0.0, excluded=True))
+    found = kept(pd.DataFrame(rows))
+    assert len(found) == 6 and found["control"].tolist() == pytest.approx([0.7] * 6)
+    table = retrieval_table(pd.DataFrame(rows))
+    assert table is not None
+    (line,) = table.lines
+    cells = dict(zip(table.header, line))
+    assert cells["near enough"] == "6 of 7" and cells["retrieved"] == "0.500" and cells["controls"] == "0.700"
+    assert cells["retrieved less baseline"] == "-0.300 [-0.300, -0.300]"
+    assert cells["retrieved less controls"] == "-0.200 [-0.200, -0.200]"
+    assert cells["the same in the log"] == "-0.100 [-0.100, -0.100]"
+    assert retrieval_table(pd.DataFrame(rows).iloc[:0]) is None
+    nothing = retrieval_table(pd.DataFrame(rows).iloc[-1:])
+    assert nothing is not None and "No vehicle of the pool is near enough" in nothing.title
+
+
+def test_a_pool_says_how_many_were_fitted_flagged_and_refused() -> None:
+    usual = {"scene": "s", "status": "fitted", "flags": [], "points": 50, "residual_cm": 1.0, "score": 0.5}
+    errors = {"shape_error_cm": 2.0, "mean_shape_error_cm": 6.0}
+    rows = [usual | errors, usual | {"flags": ["one_side"], "shape_error_cm": 4.0, "mean_shape_error_cm": 6.0}]
+    rows.append(
+        usual | {"status": "few_points", "residual_cm": None, "shape_error_cm": None, "mean_shape_error_cm": None}
+    )
+    table = pool_table(pd.DataFrame(rows))
+    assert "2 fitted, 1 refused (few_points 1)" in table.title
+    lines = {line[0]: line[1:] for line in table.lines}
+    assert lines["all"][:4] == ["2", "1", "1.0", "3.0"] and lines["flagged one_side"][:2] == ["1", "0"]

@@ -1,0 +1,38 @@
+"""Words that describe a detector of another codebase: those that do not belong are refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from foreign_cases import CASES
+
+from shift3d.cli.foreign_words import foreign_layout_of
+from shift3d.errors import InputError
+from shift3d.suite.scoring import Scorer
+
+
+def test_words_become_a_scorer(tmp_path: Path) -> None:
+    config, weights = CASES["openpcdet-pointpillar"].saved(tmp_path)
+    layout = foreign_layout_of("openpcdet", {"config": str(config), "intensity": "0.5"}, "gate")
+    assert layout is not None and layout["inputs"]["constants"] == [0.5]
+    scorer = Scorer("openpcdet", str(weights), None, layout)
+    assert scorer.at("float32").name == "openpcdet"
+    other = foreign_layout_of("openpcdet", {"config": str(config)}, "gate")
+    assert scorer.digest != Scorer("openpcdet", str(weights), None, other).digest
+    assert foreign_layout_of("sst", {"weights": "x"}, "gate") is None
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "says"),
+    [
+        ("sst", {"config": "x"}, "config= means nothing for detector=sst"),
+        ("mmdet3d", {}, "config= is missing"),
+        ("mmdet3d", {"config": "absent.py", "intensity": "much"}, "intensity='much' is not a number"),
+        ("mmdet3d", {"config": "absent.py", "sensor_height_m": "nan"}, "is not a number"),
+        ("mmdet3d", {"config": "absent.py"}, "no such file"),
+    ],
+)
+def test_words_that_do_not_belong(name: str, values: dict[str, str], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        foreign_layout_of(name, values, "gate")
