@@ -59,11 +59,11 @@ def attacked(name: str, scored_by: list[str] | None, **weights: str | None) -> D
 def test_the_attacked_detector_scores_first_and_always(tmp_path: Path) -> None:
     file = tmp_path / "sst.safetensors"
     save_file(NETWORKS["sst"]().state_dict(), file)
-    both = {"pointpillars": None, "sst": str(file)}
-    assert list(scoring_detectors(attacked("pointpillars", None, sst=str(file))).items()) == list(both.items())
-    assert list(scoring_detectors(attacked("sst", None, sst=str(file)))) == ["sst", "pointpillars"]
+    every = {"pointpillars": None, "centerpoint": None, "sst": str(file)}
+    assert list(scoring_detectors(attacked("pointpillars", None, sst=str(file))).items()) == list(every.items())
+    assert list(scoring_detectors(attacked("sst", None, sst=str(file)))) == ["sst", "pointpillars", "centerpoint"]
     small = scoring_detectors(attacked("sst_small", None, sst=str(file)))
-    assert list(small) == ["sst_small", "pointpillars", "sst"], "attacked, it scores"
+    assert list(small) == ["sst_small", *every], "attacked, it scores"
     assert scoring_detectors(attacked("sst", [], sst=str(file))) == {"sst": str(file)}
     assert list(scoring_detectors(attacked("sst", ["pointpillars", "sst"], sst=str(file)))) == ["sst", "pointpillars"]
     assert list(scoring_detectors(attacked("pointpillars", ["sst"], sst=str(file)))) == ["pointpillars", "sst"]
@@ -71,7 +71,7 @@ def test_the_attacked_detector_scores_first_and_always(tmp_path: Path) -> None:
 
 def test_a_detector_without_weights_is_left_out_unless_it_is_asked_for(tmp_path: Path) -> None:
     folder = Path(shift3d.__file__).parent / "weights"
-    shipped = ["pointpillars", "sst" if (folder / "sst.safetensors").is_file() else "sst_small"]
+    shipped = [name for name in ("pointpillars", "centerpoint", "sst") if (folder / f"{name}.safetensors").is_file()]
     assert list(scoring_detectors(attacked("pointpillars", None, sst=None))) == shipped
     with pytest.raises(InputError, match=r"absent: no weights of sst"):
         scoring_detectors(attacked("pointpillars", ["sst"], sst=str(tmp_path / "absent")))
