@@ -47,7 +47,7 @@ def test_what_cannot_be_used_is_one_line(
 def test_completion() -> None:
     assert evaluate_words("scenes=") == ["scenes=street", "scenes=kitti"]
     assert "detector=pointpillars" in evaluate_words("detector=")
-    assert evaluate_words("s") == ["scenes=", "sensor=", "split=", "score_threshold="]
+    assert evaluate_words("s") == ["scenes=", "sensor=", "split=", "sensor_height_m=", "score_threshold="]
     assert evaluate_words("root=") == []
 
 
