@@ -39,11 +39,11 @@ def test_killed_in_its_training_and_resumed_it_gives_the_same_table(
 ) -> None:
     out = tmp_path / "out"
     killed_when(out / "finetuned-rate1e-3-0" / "checkpoint.pt", out)
-    log = sorted((out / "attacked" / "_log").iterdir())
+    segments = sorted((out / "attacked" / "data").iterdir())
     assert main([*WORDS, f"out={out}"]) == 0
     printed = capsys.readouterr().out
     assert "0.482" in printed and "0.751" in printed
-    assert sorted((out / "attacked" / "_log").iterdir()) == log, "no task runs twice"
+    assert sorted((out / "attacked" / "data").iterdir()) == segments, "no task runs twice"
     table = (out / "finetune.parquet").read_bytes()
     shutil.rmtree(out / "finetuned-rate1e-3-0")
     (out / "finetune.parquet").unlink()
