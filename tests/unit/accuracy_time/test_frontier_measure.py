@@ -48,6 +48,9 @@ class SoftAssets:
     def scene(self, spec: TaskSpec) -> tuple[Scene, Beams]:
         return self._scene, Beams.from_scene(self._scene)
 
+    def placing_scene(self, spec: TaskSpec) -> tuple[Scene, Beams, str]:
+        return *self.scene(spec), spec.scene_hash
+
     def vehicle(self, spec: TaskSpec) -> SoftVehicle:
         return SoftVehicle(**vars(FRAME))
 

@@ -105,6 +105,6 @@ def test_noisy_trainings_are_not_stopped_more_often(noise: float) -> None:
 
 def test_a_loss_below_the_tolerance_stops_nothing() -> None:
     rule = Rule(tolerance=0.005)
-    changes, p_values = np.array([-0.004, -0.005, -0.2, 0.1]), np.array([0.001, 0.001, 0.03, 0.001])
+    changes, p_values = np.array([-0.004, -0.005, -0.2, 0.1]), np.array([0.001, 0.001, 0.06, 0.001])
     assert rule.stops(changes, p_values).tolist() == [False, True, False, False]
     assert stopped_releases(*suite(20), 0.0, 0.9, rule).found is None, "too few are detected to lose nine of ten"
