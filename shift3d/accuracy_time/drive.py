@@ -99,10 +99,10 @@ def measure_frontier(
                 journal.forget()
             instrument = CaseInstrument(case, assets, truth, plan.reference, plan.warm_steps, plan.repeats.slow_s)
 
-            def told(name: str, seconds: float, known: bool, where: str = case.name) -> None:
+            def report(name: str, seconds: float, known: bool, where: str = case.name) -> None:
                 tell(f"{where}: {name}", seconds, known)
 
-            results = measure_case(plan.settings, instrument, journal, plan.repeats, told)
+            results = measure_case(plan.settings, instrument, journal, plan.repeats, report)
             undecided = sum(truth.unresolved.values())
             measured.append(MeasuredCase(group.name, case.beams, results, undecided))
     return measured

@@ -104,7 +104,7 @@ class CaseInstrument:
         if key not in self._prepared:
             problem = problem_of(self.case, self.assets, setting.accuracy, self.truth.codes[shape], setting.grid)
             before = None if setting.warm == "no" else self._approach(setting, problem)
-            incremental = problem.incremental_inference() if before is not None and setting.follow else None
+            incremental = problem.incremental_inference() if before is not None and setting.incremental else None
             self._prepared[key] = _Prepared(problem, before, incremental)
         return self._prepared[key]
 

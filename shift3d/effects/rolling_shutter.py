@@ -32,7 +32,7 @@ class RollingShutter:
 
     Leaves the returns that do not meet the object as they are; at velocity 0 everything, bit for bit. Differentiable
     through the hits; the velocity is constant, along the heading at which the object was placed: a pose that turns does
-    not turn it, and no turning of the sensor during the scan is known. Silent beams without firing times meet the
+    not turn it, and no turning of the sensor during the scan is known. No-return beams without firing times meet the
     object at its pose. Source: shared physics, x(t) = x0 + v (t - t_ref).
     """
 

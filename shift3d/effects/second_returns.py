@@ -1,4 +1,4 @@
-"""Later returns of a beam that an inserted surface now stops."""
+"""Later returns of a beam that an inserted surface stops."""
 
 from __future__ import annotations
 

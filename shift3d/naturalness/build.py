@@ -27,7 +27,7 @@ __all__ = ["build_reference", "load_reference", "reference_file"]
 
 CALIBRATED = 400
 """Members that are left out, one after the other, for the calibration: of more, these, spread over all."""
-_PROCESSES, _WORTH_PROCESSES = 2, 150
+_PROCESSES, _LEAST_FOR_PROCESSES = 2, 150
 _CODE = (
     "naturalness/build.py", "naturalness/decoded.py", "naturalness/fingerprint.py", "naturalness/reference.py",
     "naturalness/sources.py", "naturalness/surface.py", "sdf/decoder.py", "sdf/field.py", "sdf/meshes.py", "seeding.py",
@@ -88,7 +88,7 @@ def build_reference(source: ReferenceSource, where: str) -> tuple[list[Member], 
 
 
 def _built(builds: Sequence[Build]) -> Iterator[Member]:
-    if len(builds) < _WORTH_PROCESSES:
+    if len(builds) < _LEAST_FOR_PROCESSES:
         yield from map(_member, builds)
         return
     # Not forked: the caller may hold threads, and locks with them.

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from shift3d.sdf.affine import affine, in_round_batches
-from shift3d.sdf.pieces import Piece, linear_piece
+from shift3d.sdf.linear_regions import LinearRegion, linear_region
 from shift3d.sdf.tangent import Tangent, tangent
 
 _UNITS = 32
@@ -45,10 +45,10 @@ class Field:
                 hidden = torch.relu(hidden)
         return torch.tanh(hidden[: len(x_sdf), 0])
 
-    def piece(self, x_sdf: Tensor, direction: Tensor) -> Piece:
-        """The linear pieces on which lines (N, 3) + k (N, 3) start, sdf frame; see `pieces`. Not differentiable."""
+    def region(self, x_sdf: Tensor, direction: Tensor) -> LinearRegion:
+        """The linear regions on which lines (N, 3) + k (N, 3) start, sdf frame; see there. Not differentiable."""
         with torch.no_grad():
-            return linear_piece(
+            return linear_region(
                 self.weights, self.biases, self.skip_layer, x_sdf.to(self.dtype), direction.to(self.dtype)
             )
 

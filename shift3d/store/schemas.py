@@ -6,7 +6,7 @@ import pyarrow as pa
 
 __all__ = ["AGGREGATES", "FOLLOW_UPS", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
-# A new one needs a step in store/migrations.py and a folder of the former one in tests/reference.
+# A new one needs a step in store/migrations.py and a folder of the version before it in tests/reference.
 SCHEMA_VERSION = 9
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.

@@ -90,7 +90,7 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     """Freeze hard objects of a finished sweep, and their controls, into a folder or bucket.
 
     The same sweep and choice give the same bytes. ``suite.json`` is written last: a folder without it is no suite, and
-    the same call begins anew; with it, nothing is written again.
+    the same call starts from the beginning; with it, nothing is written again.
 
     Args:
         frames: "copied" puts the scenes' points into the suite. "referenced" puts in where they come from: the gate

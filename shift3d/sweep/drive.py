@@ -82,8 +82,8 @@ def run_sweep(
     open_folder(folder, plan)
     log = CommitLog(folder, plan.spec_hash)
     reused = sum(take_finished(log, plan, other) for other in reuse)
-    given_up = log.quarantined() if retry_quarantined else set()
-    left = plan.tasks.without(log.finished() - given_up)
+    again = log.quarantined() if retry_quarantined else set()
+    left = plan.tasks.without(log.finished() - again)
     status = StatusWriter(log, len(plan.tasks))
     status.write([], 0, "starting" if len(left) else "finished")
     if len(left):
@@ -91,7 +91,7 @@ def run_sweep(
             for assets in plan.assets:
                 kind.prepare(assets)
         with (
-            _runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up), status) as runner,
+            _runner(kind, plan, runner_config, len(left), _tried(log, plan, again), status) as runner,
             Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress,
         ):
             rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
@@ -120,14 +120,14 @@ def _runner(
         runner.close()
 
 
-def _tried(log: CommitLog, plan: Plan, given_up: set[str]) -> dict[int, int]:
+def _tried(log: CommitLog, plan: Plan, again: set[str]) -> dict[int, int]:
     """Attempts so far of the tasks that are tried again, by position: their numbers go on."""
-    if not given_up:
+    if not again:
         return {}
     attempts = segments_in_plan_order(log.folder, log.entries, "attempts", plan)
     last = dict(zip(attempts["task_id"].to_pylist(), attempts["attempt"].to_pylist()))  # in the order of attempts
-    found = pc.index_in(pa.array(sorted(given_up), type=pa.string()), value_set=plan.tasks.ids).to_pylist()
-    return {position: last.get(task, 0) for task, position in zip(sorted(given_up), found) if position is not None}
+    found = pc.index_in(pa.array(sorted(again), type=pa.string()), value_set=plan.tasks.ids).to_pylist()
+    return {position: last.get(task, 0) for task, position in zip(sorted(again), found) if position is not None}
 
 
 @dataclass(frozen=True)

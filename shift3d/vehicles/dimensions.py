@@ -45,19 +45,21 @@ def measure(mesh: trimesh.Trimesh) -> Dimensions:
     Source: our choice: definitions of ISO 612 (length, width, height, wheelbase, ground clearance).
     """
     low, high = np.asarray(mesh.bounds)
-    x, profile = _lowest_profile(mesh, low, high)
-    front, rear = (_wheel(x[half], profile[half]) for half in (x > (low[0] + high[0]) / 2, x < (low[0] + high[0]) / 2))
+    x, underside = _underside(mesh, low, high)
+    front, rear = (
+        _wheel(x[half], underside[half]) for half in (x > (low[0] + high[0]) / 2, x < (low[0] + high[0]) / 2)
+    )
     radius = (front[1] + rear[1]) / 2
     between = (x < front[0] - 1.25 * radius) & (x > rear[0] + 1.25 * radius)
-    if not between.any() or not np.isfinite(profile[between]).any():
+    if not between.any() or not np.isfinite(underside[between]).any():
         raise InputError("no body between the wheels", where="vehicle mesh", remedy="a mesh that stands on its wheels")
     length, width, height = high - low
     return Dimensions(
-        float(length), float(width), float(height), front[0] - rear[0], float(profile[between].min()), 2.0 * radius
+        float(length), float(width), float(height), front[0] - rear[0], float(underside[between].min()), 2.0 * radius
     )
 
 
-def _lowest_profile(mesh: trimesh.Trimesh, low: Array, high: Array) -> tuple[Array, Array]:
+def _underside(mesh: trimesh.Trimesh, low: Array, high: Array) -> tuple[Array, Array]:
     """x (A,), and the height above the ground of the lowest surface there at any y (A,), inf where there is none."""
     x = np.arange(low[0] + ALONG_M / 2, high[0], ALONG_M)
     y = np.arange(low[1] + ACROSS_M / 2, high[1], ACROSS_M)
@@ -70,17 +72,17 @@ def _lowest_profile(mesh: trimesh.Trimesh, low: Array, high: Array) -> tuple[Arr
     return x, heights.reshape(at_x.shape).min(axis=1)
 
 
-def _wheel(x: Array, profile: Array) -> tuple[float, float]:
+def _wheel(x: Array, underside: Array) -> tuple[float, float]:
     """Axle x and tyre radius from the lowest profile of one half: a circle on the ground, fitted to the tread.
 
     A circle of radius r that touches the ground under a: (x - a)^2 + z^2 = 2 r z, linear in (a, a^2, r).
     """
     refused = InputError("no wheel on the ground", where="vehicle mesh", remedy="a mesh that stands on its wheels")
-    tread = (profile < TREAD_M) & (profile > LEAST_M)
-    if tread.sum() < 4 or not (profile < CONTACT_M).any():
+    tread = (underside < TREAD_M) & (underside > LEAST_M)
+    if tread.sum() < 4 or not (underside < CONTACT_M).any():
         raise refused
-    centre = float(np.mean(x[profile < CONTACT_M]))
-    offset, z = x[tread] - centre, profile[tread]
+    centre = float(np.mean(x[underside < CONTACT_M]))
+    offset, z = x[tread] - centre, underside[tread]
     system = np.stack((2.0 * offset, 2.0 * z, -np.ones_like(z)), axis=1)
     (axle, radius, _), *_ = np.linalg.lstsq(system, offset**2 + z**2, rcond=None)
     if not RADIUS_M[0] < radius < RADIUS_M[1]:

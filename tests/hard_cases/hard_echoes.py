@@ -76,9 +76,9 @@ def finite(returns: Returns) -> None:
         assert part is None or torch.isfinite(part).all()
 
 
-def drawn(scene: Scene, names: list[str], theta: Tensor = BEHIND, **said: float) -> Rendering:
+def drawn(scene: Scene, names: list[str], theta: Tensor = BEHIND, **overrides: float) -> Rendering:
     """A ball in a scene as settings describe it."""
-    chain = EffectChain.of(names, scene, BALL, 3, EffectSettings(**said))
+    chain = EffectChain.of(names, scene, BALL, 3, EffectSettings(**overrides))
     rendering = chain.render(in_frame(sphere(1.0), BALL), theta, FAST)
     assert torch.isfinite(rendering.points).all() and torch.isfinite(rendering.range_m).all()
     return rendering

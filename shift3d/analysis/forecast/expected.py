@@ -151,14 +151,14 @@ def expected_lines(
     own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
     done = finished_in(plan.tasks, [*own, *others])
     left = plan.tasks.select(np.flatnonzero(~done))
-    said = f"{int(done.sum())} of {counted(len(plan.tasks), 'task')} are done already\n" if done.any() else ""
+    progress = f"{int(done.sum())} of {counted(len(plan.tasks), 'task')} are done already\n" if done.any() else ""
     if not len(left):
-        return f"{said}nothing is left to run"
+        return f"{progress}nothing is left to run"
     found = expected(left, [*timings, *own, *others])
     mean = found.seconds / found.tasks
     wall = found.seconds / min(workers, found.tasks)
     text = (
-        f"{said}expected: {counted(found.tasks, 'task')} of {_duration(mean)}: {_duration(wall)} with "
+        f"{progress}expected: {counted(found.tasks, 'task')} of {_duration(mean)}: {_duration(wall)} with "
         f"{counted(workers, 'worker')} (runner.workers=N), {found.seconds / 3600:.3g} core-hours\n"
         f"  by {found.source}"
     )

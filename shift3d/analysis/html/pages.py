@@ -55,7 +55,7 @@ def write_frontier_report(folder: Path) -> str:
         What is printed: the table and the advice.
 
     Raises:
-        InputError: no frontier there, or not one of this version; a disk that is full or not writable.
+        InputError: no frontier there, or one of another schema version; a disk that is full or not writable.
     """
     table = read_frontier(folder / "frontier.parquet")
     if not table.num_rows:

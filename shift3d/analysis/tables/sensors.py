@@ -56,7 +56,7 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
             if both.empty:
                 continue
             missed, missed_first = both[beams] < MISSED_BELOW, both[first] < MISSED_BELOW
-            said = "-" if beams == first else _difference(both, first, beams)
+            difference = "-" if beams == first else _difference(both, first, beams)
             lines.append(
                 [
                     f"{method}, {mode}, {search}, {detector}",
@@ -65,7 +65,7 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
                     str(len(both)),
                     f"{points.loc[both.index, beams].median():.0f}",
                     number(float(both[beams].mean())),
-                    said,
+                    difference,
                     f"{missed.mean():.0%}",
                     "-" if beams == first else f"{int((missed & missed_first).sum())} of {int(missed_first.sum())}",
                 ]

@@ -125,9 +125,9 @@ class Argoverse2Scenes:
         return chosen(found, self._wanted, str(self.root))
 
     def _sweeps(self) -> Iterator[str]:
-        asked = None if self._wanted is None else {name.rpartition("-")[0] for name in self._wanted}
+        requested = None if self._wanted is None else {name.rpartition("-")[0] for name in self._wanted}
         for log, place in self._logs.items():
-            if asked is None or log in asked:
+            if requested is None or log in requested:
                 yield from (f"{log}-{timestamp}" for timestamp in timestamps(place)[:: self.every])
 
     def _split(self, name: str) -> tuple[Location, int]:

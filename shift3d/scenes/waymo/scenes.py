@@ -131,8 +131,8 @@ class WaymoScenes:
     def _listed(self) -> list[str]:
         segments = self._segments()
         if self._wanted is not None:
-            asked = {name.rpartition("-")[0] or name for name in self._wanted}
-            known = list(self._frames([segment for segment in segments if segment in asked]))
+            requested = {name.rpartition("-")[0] or name for name in self._wanted}
+            known = list(self._frames([segment for segment in segments if segment in requested]))
             return chosen(known, self._wanted, str(self.root / "lidar"))
         found: list[str] = []
         for name in self._frames(segments):

@@ -147,15 +147,15 @@ def train_on_scenes(
             if run.done % CURVE_STEPS == 0 or run.done == end:
                 run.curve.append((run.done, _mean(recent)))
                 recent = []
-            if run.done % checkpoint_every == 0 or run.done == end or stop.asked:
+            if run.done % checkpoint_every == 0 or run.done == end or stop.requested:
                 run.save(report)
                 shown = "  ".join(
                     f"{name} {value:.3g}" for name, value in (run.curve[-1][1] if run.curve else {}).items()
                 )
                 tqdm.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
-            if stop.asked and run.done < recipe.all_steps:
+            if stop.requested and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
-    if run.done == recipe.steps == recipe.all_steps:  # no head settles: the statistics alone are taken
+    if run.done == recipe.steps == recipe.all_steps:  # no steps for the heads: only the statistics are taken
         _settle(run, crops.of_statistics())
     return run.net.eval().requires_grad_(True)
 

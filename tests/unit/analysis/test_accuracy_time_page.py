@@ -341,8 +341,10 @@ def test_a_report_is_written_from_the_table_alone_with_the_same_bytes(tmp_path: 
     a, b = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b"))
     assert a == b and set(a) == {"frontier.parquet", "report.html", "frontier.png", "advice.txt"}
     assert a["frontier.png"].startswith(b"\x89PNG")
-    told = a["advice.txt"].decode().rstrip("\n")
-    assert told == advice(pd.read_parquet(tmp_path / "a" / "frontier.parquet")) and printed.endswith(told)
+    shown_advice = a["advice.txt"].decode().rstrip("\n")
+    assert shown_advice == advice(pd.read_parquet(tmp_path / "a" / "frontier.parquet")) and printed.endswith(
+        shown_advice
+    )
     with pytest.raises(InputError, match="no measured frontier"):
         write_frontier_report(tmp_path / "c")
     write_table(tmp_path / "c" / "frontier.parquet", frontier_table([]))

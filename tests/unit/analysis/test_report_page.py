@@ -135,8 +135,8 @@ def test_a_folder_that_is_no_finished_sweep_is_refused(tmp_path: Path, capsys: p
     begun = tmp_path / "begun"
     valid_sweeps.write_sweep(begun)
     assert main(["report", str(begun)]) == 2
-    told = capsys.readouterr().err
-    assert f"{begun}: the sweep is not finished. Run its command again" in told
+    printed = capsys.readouterr().err
+    assert f"{begun}: the sweep is not finished. Run its command again" in printed
     assert not (begun / "report.html").exists()
     write_final(begun, read_plan(begun), read_log(begun))
     (begun / "env.json").write_text("[1")

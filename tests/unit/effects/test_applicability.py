@@ -83,7 +83,7 @@ def names(choices: list[Choice]) -> list[str]:
 
 
 @pytest.fixture(autouse=True)
-def worth_file(monkeypatch, tmp_path):
+def impact_file(monkeypatch, tmp_path):
     """No effect is measured but for what a test writes into this file."""
     file = tmp_path / "effects.json"
     monkeypatch.setattr(applicability, "MEASURED_IMPACT", file)
@@ -240,20 +240,20 @@ def test_a_speed_of_the_object_calls_for_rolling_shutter_where_times_are_known()
     assert names(called(scene, settings=EffectSettings(object_speed_m_s=15.0))) == ["rolling_shutter"]
 
 
-def test_an_effect_that_moves_no_score_is_left_out_with_the_reason(worth_file):
-    measured(worth_file, range_noise=0.9 * IMPACT_BOUND, divergence=IMPACT_BOUND)
+def test_an_effect_that_moves_no_score_is_left_out_with_the_reason(impact_file):
+    measured(impact_file, range_noise=0.9 * IMPACT_BOUND, divergence=IMPACT_BOUND)
     divergence, noise = called(with_data("range_noise", "divergence"))
     assert (divergence.effect, divergence.used, divergence.milliseconds) == ("divergence", True, 2.5)
     assert (noise.effect, noise.used, noise.milliseconds) == ("range_noise", False, 2.5)
     assert noise.reason.startswith("left out") and "20 mm" in noise.reason and "0.009" in noise.reason
 
 
-def test_what_was_measured_does_not_overrule_a_list(worth_file):
-    measured(worth_file, range_noise=0.0)
+def test_what_was_measured_does_not_overrule_a_list(impact_file):
+    measured(impact_file, range_noise=0.0)
     facts = SceneFacts.of(with_data("range_noise"))
     assert choose(["range_noise"], facts, Frame(), COORDINATES) == [Choice("range_noise", True, "asked for", 2.5)]
 
 
-def test_what_was_measured_calls_for_nothing_by_itself(worth_file):
-    measured(worth_file, **dict.fromkeys(NEEDS, 1.0))
+def test_what_was_measured_calls_for_nothing_by_itself(impact_file):
+    measured(impact_file, **dict.fromkeys(NEEDS, 1.0))
     assert called(dry_scene(), READER) == []

@@ -65,8 +65,8 @@ def test_a_plate_that_drives_across_covers_other_beams_and_keeps_its_depth() -> 
     front, clear = y.abs() < 1.5, y.abs() > 1.6
     assert bool(rendering.hit_mask[front].all()) and not bool(rendering.hit_mask[clear].any())
     assert float((rendering.range_m - depth)[front].abs().max()) < 1e-8
-    standing = chain_of(scene, 0.0).render(PLATE, THETA, SETTINGS).hit_mask
-    assert not torch.equal(standing, rendering.hit_mask)
+    placed = chain_of(scene, 0.0).render(PLATE, THETA, SETTINGS).hit_mask
+    assert not torch.equal(placed, rendering.hit_mask)
 
 
 def test_hits_lie_on_their_beams_and_the_other_rows_are_the_scenes_bit_for_bit() -> None:

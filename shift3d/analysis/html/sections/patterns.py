@@ -57,7 +57,7 @@ def _figures(key: str, label: str, found: list[Pattern]) -> list[Plot]:
             "marker": {"size": 9, "color": COLOURS["adversarial"]},
         }
         layout = {"xaxis": axis(f"change, {unit}", zeroline=True), "yaxis": axis("", autorange="reversed")}
-        said = ", ".join(f"{pattern.name} {pattern.change.mean:+.1f}" for pattern in shown)
+        changes = ", ".join(f"{pattern.name} {pattern.change.mean:+.1f}" for pattern in shown)
         caption = f"Mean change in {name}, {label}"
-        figures.append(plot(f"{key}-{name}", [trace], layout, f"{caption}: {said}", caption, 60 + 34 * len(shown)))
+        figures.append(plot(f"{key}-{name}", [trace], layout, f"{caption}: {changes}", caption, 60 + 34 * len(shown)))
     return figures

@@ -42,7 +42,7 @@ def test_at_both_ends_there_are_fewer_neighbours() -> None:
 
 
 @given(LOSSES, st.sets(st.integers(1, 7)), st.integers(0, 9))
-def test_whatever_the_losses_are_a_kept_step_is_valid_and_has_one(
+def test_whatever_the_losses_are_the_best_step_is_valid_and_has_one(
     losses: list[float], invalid: set[int], selection_window: int
 ) -> None:
     kept = best_step(path(losses, tuple(invalid)), selection_window)

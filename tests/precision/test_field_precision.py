@@ -47,21 +47,21 @@ def test_the_field(near_surface: Tensor) -> None:
     assert bool((change <= bound).all()) and float((change / bound).max()) > EMPTY
 
 
-def test_linear_pieces(near_surface: Tensor) -> None:
+def test_linear_regions(near_surface: Tensor) -> None:
     """Value and slope on a beam: the value as the field's own; the slope by the same sums over slopes in their place.
 
     No derivative is larger than the spectral norms' product, so the field's bound for the value, whose sums hold places
     and biases of order one, holds for the slope, whose sums hold unit directions, where no unit is about to switch.
     """
     direction = torch.nn.functional.normalize(torch.randn(400, 3, generator=torch.Generator().manual_seed(1)), dim=1)
-    one, exact = F32.piece(near_surface, direction.double()), F64.piece(near_surface, direction.double())
+    one, exact = F32.region(near_surface, direction.double()), F64.region(near_surface, direction.double())
     bound = rounding_m(near_surface)
     # tanh flattens: the value before it is off by more, by 1 / (1 - g^2).
     steeper = 1 / (1 - (F64(near_surface) / SUV.scale_m).square())
     assert bool(((one.value - exact.value).abs() <= bound * steeper + U32 * exact.value.abs()).all())
-    # A unit whose switch lies within the rounding of the place may belong to either piece.
-    settled = exact.length > 100 * bound
-    change = (one.slope - exact.slope).abs()[settled & (one.length > 100 * bound)]
+    # A unit whose switch lies within the rounding of the place may belong to either region.
+    configured = exact.length > 100 * bound
+    change = (one.slope - exact.slope).abs()[configured & (one.length > 100 * bound)]
     same = change <= float(bound.max()) / SUV.scale_m
     assert same.double().mean() > 0.9
     assert float(change.median()) > 0

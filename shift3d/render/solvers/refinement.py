@@ -3,7 +3,7 @@
 No field is steeper than a slope L. Between two samples g_a and g_b that are w apart nothing can hide where
 g_a + g_b >= L w (Piyavskii 1972; the spheres around the samples cover the ray). An interval that this leaves open is
 sampled where its lower bound is least, k = middle + (g_a - g_b) / 2 L; the open intervals of all rays are sampled in
-one call, until every ray is covered or enters the object. The rule is the same whether a sample was measured or is
+one call, until every ray is proven free or enters the object. The rule is the same whether a sample was measured or is
 predicted (from a grid, or from an earlier rendering): a predicted one counts less its error bound, and is measured
 where that is not enough.
 
@@ -55,11 +55,11 @@ class Brackets:
 
 
 @dataclass(frozen=True)
-class Coverage:
+class Refinement:
     """What came of covering M rays.
 
     samples: of all of them, nothing behind a crossing. brackets: crossings that came up. undecided: (M,) bool, where
-    the field is not finite. open: (M,) bool, rays that begin inside the object, or that no refinement covered.
+    the field is not finite. open: (M,) bool, rays that begin inside the object, or that no refinement closed.
     """
 
     samples: RaySamples
@@ -68,8 +68,8 @@ class Coverage:
     open: Tensor
 
 
-def cover(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, settings: RenderSettings) -> Coverage:
-    """Refine intervals until rays are covered up to their hit, or up to their end.
+def refine(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, settings: RenderSettings) -> Refinement:
+    """Refine intervals until rays are proven free up to their hit, or up to their end.
 
     Args:
         samples: measured and predicted ones; of some rays none.
@@ -100,13 +100,13 @@ def cover(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, se
         undecided[rows[~torch.isfinite(g)]] = True
         nodes = nodes.with_measured(at, g[: len(at)], len(rays)).with_nodes(replace(places, g=g[len(at) :]))
         nodes = nodes.select(~undecided[nodes.rows]).up_to_first_inside(len(rays))
-    not_covered = torch.zeros_like(undecided)
-    not_covered[nodes.rows] = True
+    unrefined = torch.zeros_like(undecided)
+    unrefined[nodes.rows] = True
     nodes = _Nodes.stacked(done)
     brackets, starts_inside = _entries(nodes, len(rays))
     kept = nodes.select(nodes.kind == _SAMPLE)
     left = RaySamples.none().joined(RaySamples(kept.rows, kept.k, kept.g, kept.error))
-    return Coverage(left, brackets, undecided, not_covered | starts_inside)
+    return Refinement(left, brackets, undecided, unrefined | starts_inside)
 
 
 def _is_plain(width_m: Tensor, g: Tensor, lower: Tensor, fall_before: Tensor, settings: RenderSettings) -> Tensor:
@@ -183,7 +183,7 @@ class _Nodes(RaySamples):
 
     @staticmethod
     def empty(rows: Tensor, k: Tensor, kind: Tensor) -> _Nodes:
-        """Nodes that cover nothing."""
+        """No nodes."""
         return _Nodes(rows, k, torch.zeros_like(k), torch.zeros_like(k), kind)
 
     def with_nodes(self, other: _Nodes) -> _Nodes:

@@ -1,4 +1,4 @@
-"""Coverage against plain twins: dense samples every millimetre, and one ray refined interval by interval."""
+"""Refinement against plain reference: dense samples every millimetre, and one ray refined interval by interval."""
 
 import itertools
 import math
@@ -22,8 +22,8 @@ from straight_rays import (
 
 from shift3d.render.culling import Rays
 from shift3d.render.settings import RenderSettings
-from shift3d.render.solvers.coverage import Coverage, cover
 from shift3d.render.solvers.ray_samples import RaySamples
+from shift3d.render.solvers.refinement import Refinement, refine
 
 NO_MINIMA = FLOAT64.with_(local_minima=False)
 RAYS = along_x(*(0.17 * n for n in range(-4, 5)))
@@ -35,8 +35,8 @@ BLOCK = st.builds(
 SHAPE = st.lists(st.one_of(BALL, BLOCK), min_size=1, max_size=4).map(lambda parts: union(*parts))
 
 
-def _from(samples: RaySamples, shape: Field, hit_m: torch.Tensor, chosen: RenderSettings = FLOAT64) -> Coverage:
-    found = cover(samples, RAYS, hit_m, field_of(shape), chosen)
+def _from(samples: RaySamples, shape: Field, hit_m: torch.Tensor, chosen: RenderSettings = FLOAT64) -> Refinement:
+    found = refine(samples, RAYS, hit_m, field_of(shape), chosen)
     assert not found.undecided.any() and not found.open.any()
     return found
 
@@ -71,7 +71,7 @@ def test_every_chord_of_five_centimetres_is_found_where_nothing_is_known(shape: 
 def test_and_where_samples_are_predicted_with_bounds_that_hold(
     shape: Field, spacing: float, error: float, seed: int
 ) -> None:
-    found = cover(_predicted(shape, RAYS, spacing, error, seed), RAYS, NOWHERE, field_of(shape), FLOAT64)
+    found = refine(_predicted(shape, RAYS, spacing, error, seed), RAYS, NOWHERE, field_of(shape), FLOAT64)
     # Many predictions of a place inside, or on a face that the ray runs along, are asked one after the other: such a
     # ray is left to a search.
     assert int(found.open.sum()) <= (3 if spacing == 0.02 else 0)

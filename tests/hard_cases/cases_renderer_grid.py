@@ -1,4 +1,4 @@
-"""Renderer: the map of empty space: what is thinner than its lattice, and what it does not know."""
+"""Renderer: the SDF grid: what is thinner than its cells, and what it does not know."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from shift3d.detectors.base import BevWindow, Detections, Detector, Proposals
 
 @dataclass(frozen=True)
 class _Unfollowed:
-    """A detector that offers no follower of its own: the plain twin."""
+    """A detector that offers no incremental inference of its own: the plain reference."""
 
     detector: Detector
     name: str
@@ -39,7 +39,7 @@ class _Unfollowed:
 
 
 @pytest.mark.parametrize("name", ["pointpillars", "sst"])
-def bench_followers(bench: Results, world: World, quick: bool, name: str) -> None:
+def bench_incremental_forks(bench: Results, world: World, quick: bool, name: str) -> None:
     standard = world.problem()
     precision = standard.detector.precision  # type: ignore[attr-defined]
     detector = world.assets.detector_of(name, precision)

@@ -12,25 +12,25 @@ from straight_rays import FLOAT64, along_x, check_against_dense, chords, cold, c
 from shift3d.render.culling import Box, Rays
 from shift3d.render.field.sdf_grid import ChangeGrid
 from shift3d.render.settings import RenderSettings
-from shift3d.render.solvers.coverage import Coverage, _Nodes, cover
 from shift3d.render.solvers.ray_samples import RaySamples
+from shift3d.render.solvers.refinement import Refinement, _Nodes, refine
 
 BOX = Box(torch.tensor([-3.0, -2.0, -2.0], dtype=torch.float64), torch.tensor([3.0, 2.0, 2.0], dtype=torch.float64))
 
 
-def covered(
+def refined(
     rays: Rays,
     before: Field,
     after: Field,
     hit_m: float = math.nan,
     settings: RenderSettings = FLOAT64,
-) -> Coverage:
+) -> Refinement:
     """Cover rays in a field, from what was seen of another; the evaluations that it took stand in `spent`."""
     grids = [ChangeGrid.of(metric, BOX) for metric in (before, after)]
     seen = cold(rays, before).samples
     samples = seen.predicted(rays, rays, torch.arange(len(rays)), *grids, 0.5)
     field = field_of(after)
-    found = cover(samples, rays, torch.full_like(rays.far_m, hit_m), field, settings)
+    found = refine(samples, rays, torch.full_like(rays.far_m, hit_m), field, settings)
     spent.append(field.count.evaluations)
     return found
 
@@ -41,24 +41,24 @@ PASSING = tuple(1.05 + 0.1 * n for n in range(8))
 
 def test_what_has_not_changed_is_hardly_looked_at() -> None:
     rays = along_x(*PASSING)
-    found = covered(rays, sphere(1.0), sphere(1.0))
+    found = refined(rays, sphere(1.0), sphere(1.0))
     assert not is_found(found).any() and not found.open.any()
     assert spent[-1] <= 2, "the one that passes at 5 cm or less, at its lowest place"
 
 
 def test_a_shape_that_moves_away_is_known_to_be_away() -> None:
-    found = covered(along_x(*PASSING), sphere(1.0), sphere(0.8))
+    found = refined(along_x(*PASSING), sphere(1.0), sphere(0.8))
     assert not is_found(found).any() and spent[-1] <= 4
 
 
 @pytest.mark.parametrize("radius", [1.1, 1.3, 1.6])
 def test_a_shape_that_grows_over_rays_that_passed_it(radius: float) -> None:
     rays = along_x(*PASSING)
-    found = covered(rays, sphere(1.0), sphere(radius))
+    found = refined(rays, sphere(1.0), sphere(radius))
     assert not found.open.any() and not found.undecided.any()
     check_against_dense(crossings(found, sphere(radius), rays), sphere(radius), rays)
     fresh = field_of(sphere(radius))
-    cover(RaySamples.none(), rays, torch.full_like(rays.far_m, math.nan), fresh, FLOAT64)
+    refine(RaySamples.none(), rays, torch.full_like(rays.far_m, math.nan), fresh, FLOAT64)
     assert spent[-1] < fresh.count.evaluations
 
 
@@ -67,41 +67,41 @@ def test_a_part_that_comes_up_far_from_where_the_ray_came_nearest() -> None:
         return union(sphere(0.4, (1.5, 0.5, 0.0)), sphere(left, (-1.5, 1.0, 0.0)))
 
     rays = along_x(0.0)
-    found = covered(rays, two(0.3), two(1.05))
+    found = refined(rays, two(0.3), two(1.05))
     assert abs(float(crossings(found, two(1.05), rays)) - (1.5 - math.sqrt(1.05**2 - 1.0))) < 2e-3
 
 
 def test_in_front_of_a_hit_that_is_known() -> None:
     wall = box((0.3, 1.0, 1.0), (2.0, 0.0, 0.0))
     rays, post = along_x(0.0), union(wall, box((0.1, 0.4, 1.0), (0.0, 0.0, 0.0)))
-    found = covered(rays, wall, post, hit_m=4.7)
+    found = refined(rays, wall, post, hit_m=4.7)
     assert abs(float(crossings(found, post, rays)) - 2.9) < 2e-3
-    assert not is_found(covered(rays, wall, wall, hit_m=4.7)).any()
-    assert not is_found(covered(rays, wall, box((0.3, 1.0, 1.0), (1.9, 0.0, 0.0)), hit_m=4.6)).any()
+    assert not is_found(refined(rays, wall, wall, hit_m=4.7)).any()
+    assert not is_found(refined(rays, wall, box((0.3, 1.0, 1.0), (1.9, 0.0, 0.0)), hit_m=4.6)).any()
     assert spent[-1] <= 4, "a wall that comes nearer is a hit that has moved"
 
 
 def test_between_a_plain_approach_and_its_hit_hardly_anything_is_asked() -> None:
     wall = box((0.3, 1.0, 1.0), (2.0, 0.0, 0.0))
     nearer = box((0.3, 1.0, 1.0), (1.98, 0.0, 0.0))
-    assert not is_found(covered(along_x(0.0), wall, nearer, hit_m=4.68)).any() and spent[-1] <= 1
+    assert not is_found(refined(along_x(0.0), wall, nearer, hit_m=4.68)).any() and spent[-1] <= 1
     # A wall that the beam nearly runs along is no plain approach.
     flat = box((2.0, 1.0, 1.0), (0.0, 1.02, 0.0))
-    assert is_found(covered(along_x(0.0), flat, box((2.0, 1.0, 1.0), (0.0, 0.99, 0.0)), hit_m=2.0)).all()
+    assert is_found(refined(along_x(0.0), flat, box((2.0, 1.0, 1.0), (0.0, 0.99, 0.0)), hit_m=2.0)).all()
 
 
 def test_behind_the_last_sample_of_a_hit_that_was_lost() -> None:
     wall = box((0.3, 1.0, 1.0), (2.0, 0.0, 0.0))
     away = box((0.3, 1.0, 1.0), (2.4, 0.0, 0.0))
-    found = covered(along_x(0.0), wall, away)
+    found = refined(along_x(0.0), wall, away)
     assert abs(float(crossings(found, away, along_x(0.0))) - 5.1) < 2e-3
 
 
 def test_what_is_no_number_is_undecided_and_what_starts_inside_stays_open() -> None:
     after = lambda x: torch.where(x[:, 1] > 1.2, math.nan, sphere(1.0)(x))  # noqa: E731
-    found = covered(along_x(0.0, 1.3), sphere(1.0), after)
+    found = refined(along_x(0.0, 1.3), sphere(1.0), after)
     assert found.undecided.tolist() == [False, True] and is_found(found).tolist() == [True, False]
-    around = covered(along_x(1.5), sphere(1.0), sphere(4.5))
+    around = refined(along_x(1.5), sphere(1.0), sphere(4.5))
     assert around.open.all() and not is_found(around).any()
 
 
@@ -122,7 +122,7 @@ def test_two_balls_of_which_one_moves_are_found_but_where_a_ray_grazes_them(
 
     rays = along_x(*(0.15 * n for n in range(-6, 7)))
     before, after = balls((0.0, 0.0, 0.0)), balls(moved)
-    found = covered(rays, before, after)
+    found = refined(rays, before, after)
     root = crossings(found, after, rays)
     for row, stretches in enumerate(chords(after, rays)):
         first_m = stretches[0][0] if stretches else math.inf
@@ -154,6 +154,6 @@ def test_what_is_lower_than_was_predicted_lowers_the_other_predictions_of_its_ra
     rays, after = along_x(0.0), _balls(0.4 + 0.15, 0.46 + 0.15)
     seen = samples_at(rays, _balls(0.4, 0.46), torch.arange(0.0, 6.01, 0.05))
     predicted = RaySamples(seen.rows, seen.k, seen.g, torch.full_like(seen.g, 0.01))
-    found = cover(predicted, rays, torch.full_like(rays.far_m, math.nan), field_of(after), FLOAT64)
+    found = refine(predicted, rays, torch.full_like(rays.far_m, math.nan), field_of(after), FLOAT64)
     left, right = (stretch[0] for stretch in chords(after, rays)[0])
     assert abs(float(crossings(found, after, rays)) - (left if lowers else right)) < 2e-3
