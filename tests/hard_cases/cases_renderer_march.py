@@ -51,7 +51,7 @@ def a_beam_that_keeps_its_distance_from_a_panel() -> None:
 
 @hard_case(
     area="renderer",
-    why="a decoder is piecewise linear: a minimum of a millimetre has a kink at its bottom, which no parabola points to",
+    why="a decoder is piecewise linear: a minimum of a millimetre has a kink, which no parabola points to",
     must="a chord of a millimetre is hit where the beam goes in",
     guard="a local minimum is refined as long as the surface may lie between its samples",
 )

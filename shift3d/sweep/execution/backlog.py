@@ -53,7 +53,7 @@ class Backlog:
         return taken
 
     def _stretch_of(self, worker: Hashable) -> tuple[int, int]:
-        """A worker's own stretch; where that has ended the later half of the longest, or all of one without an owner."""
+        """A worker's own stretch; where that has ended the later half of the longest, or all of an unowned one."""
         start, end = self._stretches.get(worker, (0, 0))
         if start < end:
             return start, end

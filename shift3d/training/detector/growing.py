@@ -117,7 +117,7 @@ def _token_duplicates(width: int) -> Tensor:
 
 
 def _head_duplicates(width: int, heads: int) -> Tensor:
-    """Duplicates of the channels of attention, whole heads beside each other, so that a head's products are the same."""
+    """Duplicates of the channels of attention, whole heads beside each other, so that its products are the same."""
     size = width // heads
     channel = torch.arange(2 * width)
     return channel // (2 * size) * size + channel % size

@@ -22,7 +22,7 @@ class UnansweringRay:
 def questioned(seconds_ago: float, positions: list[int]) -> Call:
     now = time.monotonic()
     return Call(
-        "call", PooledWorker(None), positions, 1, began=now - 60, question="question", questioned=now - seconds_ago
+        "call", PooledWorker(None), positions, 1, began=now - 60, question="question", questioned_at=now - seconds_ago
     )
 
 
