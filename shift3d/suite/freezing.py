@@ -100,13 +100,8 @@ class _Writing:
 def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: Frames = "copied") -> Frozen:
     """Freeze hard objects of a finished sweep, and their controls, into a folder or bucket.
 
-<<<<<<< HEAD
-    The same sweep and choice give the same bytes. ``suite.json`` is written last: a folder without it is no suite, and
-    the same call starts from the beginning; with it, nothing is written again.
-=======
     The same sweep and choice give the same bytes, killed and resumed. ``suite.json`` is written last: a folder without
     it is no suite, and the same call goes on scene by scene; with it, nothing is written again.
->>>>>>> main
 
     Args:
         frames: "copied" puts the scenes' points into the suite. "referenced" puts in where they come from: the gate

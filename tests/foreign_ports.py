@@ -27,7 +27,7 @@ _NO_NORM_HEAD = 1.0 - 1e-5
 
 
 @dataclass(frozen=True)
-class Twin:
+class Port:
     """codebase: "openpcdet" or "mmdet3d". shipped: the detector's name. height_m, intensity: as its data set has it."""
 
     codebase: str
@@ -53,10 +53,10 @@ class Twin:
         tensors = {**self._encoder(state), **self._backbone(state)}
         tensors |= self._anchors(state) if self.shipped == "pointpillars" else self._centres(state)
         tensors = {name: tensor.float() for name, tensor in tensors.items()}
-        torch.save({"model_state" if pcd else "state_dict": tensors}, folder / "twin.pth")
-        config = folder / ("twin.yaml" if pcd else "twin.py")
+        torch.save({"model_state" if pcd else "state_dict": tensors}, folder / "port.pth")
+        config = folder / ("port.yaml" if pcd else "port.py")
         config.write_text(self._config(anchor))
-        return config, folder / "twin.pth"
+        return config, folder / "port.pth"
 
     def _encoder(self, state: dict[str, Tensor]) -> dict[str, Tensor]:
         gain = state["pillar_net.norm.weight"] / torch.sqrt(state["pillar_net.norm.running_var"] + 1e-3)
@@ -132,14 +132,14 @@ class Twin:
         return template
 
 
-TWINS = {
-    str(twin): twin
+PORTS = {
+    str(port): port
     for codebase, data_set, height_m, intensity in (
         ("openpcdet", "WaymoDataset", 0.0, 1.0),
         ("mmdet3d", "KittiDataset", 1.73, 0.27),
     )
     for shipped in ("pointpillars", "centerpoint")
-    for twin in (Twin(codebase, shipped, data_set, height_m, intensity),)
+    for port in (Port(codebase, shipped, data_set, height_m, intensity),)
 }
 
 

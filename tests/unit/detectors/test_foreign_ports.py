@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from foreign_twins import TWINS
+from foreign_ports import PORTS
 
 from shift3d.detectors.foreign.detector import foreign_layout, load_foreign
 from shift3d.detectors.loading import load_detector
@@ -20,12 +20,12 @@ def points() -> torch.Tensor:
     return torch.from_numpy(scene.points[scene.has_beam]) - torch.tensor([0.0, 0.0, scene.ground_z_m])
 
 
-@pytest.mark.parametrize("name", TWINS)
+@pytest.mark.parametrize("name", PORTS)
 def test_it_sees_what_the_shipped_one_sees(name: str, points: torch.Tensor, tmp_path: Path) -> None:
-    twin = TWINS[name]
-    config, weights = twin.saved(tmp_path)
-    theirs = load_foreign(foreign_layout(twin.codebase, config, twin.choices), weights)
-    shipped = load_detector(twin.shipped)
+    port = PORTS[name]
+    config, weights = port.saved(tmp_path)
+    theirs = load_foreign(foreign_layout(port.codebase, config, port.choices), weights)
+    shipped = load_detector(port.shipped)
     answers = []
     for detector in (shipped, theirs):
         moved = points.clone().requires_grad_()
