@@ -1,4 +1,4 @@
-"""Arrow schemas of everything a sweep writes (design section 5), from ``tables.toml``; their metadata has the version."""
+"""Arrow schemas of what a sweep writes (design section 5), from ``tables.toml``; their metadata has the version."""
 
 from __future__ import annotations
 
