@@ -41,9 +41,6 @@ _COLUMNS = {
     # A gate's result, worst first.
     "gate": f"{_OBJECT} {_FROM} range_m object_points score_before score change detected_before:bool detected:bool",
 }
-_FLOATS = (
-    "ground_z_m x_m y_m z_m dx_m dy_m dz_m heading_rad pitch_rad roll_rad radius_m range_m score score_before change"
-)
 _FLOATS = f"{_BOX} ground_z_m radius_m range_m score score_before change".split()
 _TYPES = {**dict.fromkeys(_FLOATS, "float64"), "object_points": "int32"}
 SUITE_SCHEMAS: dict[str, pa.Schema] = {
