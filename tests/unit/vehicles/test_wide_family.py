@@ -13,8 +13,7 @@ from shift3d.seeding import generator
 from shift3d.vehicles.family import solid
 from shift3d.vehicles.family.attributes import ATTRIBUTES
 from shift3d.vehicles.family.bodies import Trailer
-from shift3d.vehicles.family.more_models import MORE_MODELS, TRAILERS
-from shift3d.vehicles.family.published import QUANTITIES, published_range
+from shift3d.vehicles.family.published import MORE_MODELS, QUANTITIES, TRAILERS, published_range
 from shift3d.vehicles.family.spec import VehicleSpec
 from shift3d.vehicles.family.split import SPLIT, WIDE_BODY_TYPES, FamilySplit
 from shift3d.vehicles.family.wide import (
