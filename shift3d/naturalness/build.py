@@ -20,7 +20,7 @@ from shift3d.naturalness.reference import Member, ReferenceSet, left_out_cm, rea
 from shift3d.naturalness.sizes import published_ranges
 from shift3d.naturalness.sources import Build, ReferenceSource, source_hash
 from shift3d.naturalness.surface import surface_of_mesh
-from shift3d.store.user_cache import user_cache
+from shift3d.store.user_cache import source_digest, user_cache
 from shift3d.wording import counted
 
 __all__ = ["build_reference", "load_reference", "reference_file"]
@@ -67,7 +67,7 @@ def _alone(lock: Path) -> Iterator[None]:
 
 def reference_file(source: ReferenceSource) -> Path:
     """Where a reference set is kept: its name changes with its source and with the code that makes it."""
-    digest = hashlib.blake2b((source_hash(source) + _program()).encode(), digest_size=16)
+    digest = hashlib.blake2b((source_hash(source) + source_digest(*_CODE)).encode(), digest_size=16)
     return user_cache() / "reference" / f"{digest.hexdigest()}.safetensors"
 
 
@@ -126,15 +126,3 @@ def _calibration(members: Sequence[Member]) -> Calibration:
 def _in_memory(members: Sequence[Member], calibration: Calibration | None) -> ReferenceSet:
     names, fingerprints = [member.name for member in members], np.stack([member.fingerprint for member in members])
     return ReferenceSet(names, fingerprints, lambda number: members[number].surface(), calibration)
-
-
-@functools.cache
-def _program() -> str:
-    """A hash of the code that makes members."""
-    package = Path(__file__).resolve().parents[1]
-    digest = hashlib.blake2b(digest_size=16)
-    for name in _CODE:
-        path = package / name
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
-    return digest.hexdigest()
