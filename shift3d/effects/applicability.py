@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts
 from shift3d.errors import InputError
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts

@@ -8,9 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import EffectContext, FootprintStep, Insertion, Kind, Returns
+from shift3d.effects.base import DetectorFacts, EffectContext, FootprintStep, Insertion, Kind, Returns
 from shift3d.effects.chain import SCENE_ALBEDO
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.physics.materials import albedo_of
 from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
 from shift3d.render.beams import Beams

@@ -7,9 +7,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import Cast, CastStep, EffectContext, Kind
+from shift3d.effects.base import Cast, CastStep, DetectorFacts, EffectContext, Kind
 from shift3d.effects.chain import NO_RETURN_M
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts

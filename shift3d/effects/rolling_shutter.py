@@ -10,8 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import Cast, CastStep, EffectContext, Kind
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import Cast, CastStep, DetectorFacts, EffectContext, Kind
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.labels import Conditions

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.facts import SceneFacts
-from shift3d.scenes.ground_height import search_ground_z
+from shift3d.scenes.ground_map import search_ground_z
 from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.scenes.scene import Labels, Scene

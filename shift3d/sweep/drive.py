@@ -20,19 +20,40 @@ from shift3d.store.location import Location
 from shift3d.store.log import Commit, CommitLog, TakenOverError
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.execution.abort import AbortRule
-from shift3d.sweep.execution.order import cheapest_first
 from shift3d.sweep.execution.progress import Progress
 from shift3d.sweep.execution.runner import Runner, make_runner
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import Tasks
 from shift3d.sweep.results.commit import Committer
 from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
 from shift3d.sweep.results.reuse import take_finished
 from shift3d.sweep.status import State, StatusWriter
 
-__all__ = ["SweepResult", "run_sweep"]
+__all__ = ["SweepResult", "cheapest_first", "run_sweep"]
+
+
+def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
+    """Positions in a plan, pose attacks before shape attacks wherever neighbours share a vehicle.
+
+    A pose attack takes about two thirds of a shape attack's time and makes no mesh, so a sweep's first result is there
+    sooner. Tasks of a vehicle stay together: a worker prepares each vehicle once. Otherwise in plan order.
+
+    Args:
+        positions: ascending.
+
+    Source: our choice.
+    """
+    templates = tasks.templates
+    names = list(dict.fromkeys(template.vehicle for template in templates))
+    vehicle = np.array([names.index(template.vehicle) for template in templates], dtype=np.int64)
+    is_shape = np.array([template.mode == "shape" for template in templates], dtype=np.int64)
+    template = tasks.template[positions]
+    runs = np.cumsum(np.diff(vehicle[template], prepend=-1) != 0)
+    return positions[np.argsort(2 * runs + is_shape[template], kind="stable")]
+
 
 RunnerConfig = RayRunnerConfig | LocalRunnerConfig
 Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]

@@ -12,9 +12,8 @@ from hard_scenes import FAST
 from torch import Tensor
 
 from shift3d.effects import fog, rain
-from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.chain import EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render import Beams
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings

@@ -154,8 +154,7 @@ def _status(words: list[str]) -> int:
 def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
     from shift3d.analysis.results import sweep_of
-    from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
-    from shift3d.analysis.tables.coverage import coverage_lines
+    from shift3d.analysis.tables.coverage import coverage_lines, nothing_placed, trial_caveat
     from shift3d.analysis.tables.report import sweep_report
     from shift3d.analysis.tables.stability import stability_lines
     from shift3d.sweep.planning.plan_view import skipped_lines
@@ -208,8 +207,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
 
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return
-    from shift3d.analysis.mlflow.follow_ups import follow_up_metrics
-    from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
+    from shift3d.analysis.mlflow.sweep import SweepRecord, follow_up_metrics, mirror
     from shift3d.analysis.results import natural_by_task
 
     counts: dict[str, float] = {

@@ -21,7 +21,7 @@ from shift3d.scenes.argoverse2.log import (
 )
 from shift3d.scenes.argoverse2.map_files import map_files, read_ground_map
 from shift3d.scenes.facts import SceneFacts
-from shift3d.scenes.ground_height import estimate_ground_z
+from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.scene import Scene

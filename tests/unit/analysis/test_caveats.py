@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import valid_sweeps
 
-from shift3d.analysis.tables.caveats import trial_caveat
+from shift3d.analysis.tables.coverage import trial_caveat
 from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.planning.plan import make_plan
 

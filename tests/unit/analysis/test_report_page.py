@@ -23,11 +23,11 @@ from shift3d.analysis.html.figure import DASHES, plot
 from shift3d.analysis.html.report import write_report
 from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
-from shift3d.analysis.html.sections.coverage import coverage
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.differences import differences
 from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import headline
+from shift3d.analysis.html.sections.overview import coverage
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.paired import paired

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from shift3d.analysis.tables.caveats import nothing_placed
+from shift3d.analysis.tables.coverage import nothing_placed
 from shift3d.cli.main import main
 from shift3d.exit_codes import ExitCode
 

@@ -11,7 +11,7 @@ from analytic_fields import Frame
 
 from shift3d.effects import applicability
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, Choice, choose
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts
 from shift3d.errors import InputError
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
@@ -109,7 +109,7 @@ def test_a_dry_scene_calls_for_nothing():
 _FRESH = """
 import sys
 from types import SimpleNamespace
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts
 from shift3d.effects.applicability import choose
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import SensorModel
@@ -129,7 +129,7 @@ def fresh(noise_m: float) -> tuple[list[str], list[str]]:
 
 
 def test_no_effect_is_imported_where_none_is_called_for():
-    own = ["shift3d.effects", "shift3d.effects.applicability", "shift3d.effects.detector_facts"]
+    own = ["shift3d.effects", "shift3d.effects.applicability", "shift3d.effects.base"]
     assert fresh(0.0) == ([], own)
 
 

@@ -8,9 +8,8 @@ import torch
 from analytic_fields import Field, Frame, box, in_frame, sphere
 from torch import Tensor
 
-from shift3d.effects.base import EffectContext, Insertion, Returns
+from shift3d.effects.base import DetectorFacts, EffectContext, Insertion, Returns
 from shift3d.effects.chain import SCENE_ALBEDO, EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.divergence import (
     EFFECT,
     LEAST_FOOTPRINT_M,

@@ -7,9 +7,8 @@ import pytest
 import torch
 from analytic_fields import Frame, in_frame, sphere
 
-from shift3d.effects.base import Cast, EffectContext
+from shift3d.effects.base import Cast, DetectorFacts, EffectContext
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.no_return_beams import EFFECT
 from shift3d.render import Beams, preset
 from shift3d.scenes.facts import EffectSettings, SceneFacts

@@ -9,8 +9,7 @@ import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
 
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.rain import DIVERGENCE_RAD, DROP_ALBEDO, EFFECT, EXIT_M, crossings, drops, extra_noise_m
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import SceneFacts

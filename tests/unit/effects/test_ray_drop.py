@@ -8,8 +8,7 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
 from shift3d.effects.physics.power import PowerLimit, echo_power
 from shift3d.effects.ray_drop import EFFECT, FAR_M, STEEP_RAD

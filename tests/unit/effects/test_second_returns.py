@@ -7,9 +7,8 @@ import pytest
 import torch
 from analytic_fields import Frame, box, in_frame
 
-from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.second_returns import EFFECT
 from shift3d.render import preset
 from shift3d.render.beams import Beams

@@ -10,8 +10,7 @@ from analytic_fields import Frame
 from scipy.integrate import quad
 
 from shift3d.effects.applicability import NEEDS, effect_named
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.fog import extinction_per_m
 from shift3d.effects.rain import DIVERGENCE_RAD, EXIT_M, drops
 from shift3d.effects.snow import EFFECT, FLAKE_ALBEDO, FLAKE_WIDTH, flakes

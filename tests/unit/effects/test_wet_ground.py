@@ -9,8 +9,7 @@ import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
 
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.physics.power import survival
 from shift3d.effects.wet_ground import EFFECT, GROUND_BAND_M, WATER_INDEX, reflected, trapped, wet_albedo
 from shift3d.render.beams import Beams

@@ -14,8 +14,8 @@ from vehicles_by_hand import Meshes, legged, legged_boxes, measures, on_legs, re
 
 from shift3d.errors import InputError
 from shift3d.naturalness.decoded import decoded_mesh
-from shift3d.naturalness.fingerprint import likely_nearest
 from shift3d.naturalness.measure import NO_SURFACE, Naturalness
+from shift3d.naturalness.reference import likely_nearest
 from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.vehicles.family.wide import build_wide_mesh, wide_vehicle
 from shift3d.vehicles.vehicle import Vehicle

@@ -9,7 +9,7 @@ from vehicles_by_hand import box
 
 from shift3d.errors import InputError
 from shift3d.naturalness.surface import POINTS, Surface, surface_of_mesh, surface_of_points
-from shift3d.sdf.chamfer import distance_to_surface
+from shift3d.sdf.meshes import distance_to_surface
 from shift3d.vehicles.family.wide import build_wide_mesh, wide_vehicle
 
 
