@@ -1,4 +1,4 @@
-"""MLflow runs of a training and of a gate; of a training: its recipe as params, its curves as metrics against the step."""
+"""MLflow runs of a training (its recipe as params, its curves as metrics against the step) and of a gate."""
 
 from __future__ import annotations
 
