@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from shift3d.sdf.chamfer import symmetric_chamfer
 
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import load_decoder
+from shift3d.sdf.meshes import symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.vehicles import vehicle_set
 from shift3d.vehicles.family import build_mesh, sample_spec
