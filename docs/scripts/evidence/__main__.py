@@ -57,7 +57,7 @@ def measure(entry: Entry, given: Mapping[str, str]) -> str | None:
     """Run an entry and write its file. What went wrong, or None."""
     if dirty := record.uncommitted(entry.depends):
         return f"commit first what it depends on: {', '.join(dirty[:5])}"
-    digest = record.digest(entry.depends)
+    commit, digest = record.git("rev-parse", "HEAD").strip(), record.digest(entry.depends)
     out = record.ROOT / "outputs" / "evidence" / f"{entry.name}-{digest[:12]}"
     out.mkdir(parents=True, exist_ok=True)
     print(f"{entry.name}: expected to take {entry.minutes:g} minutes", flush=True)
@@ -70,7 +70,7 @@ def measure(entry: Entry, given: Mapping[str, str]) -> str | None:
         output += text
     figures = read_figures(out, output, entry.read)
     stamp = {
-        "commit": record.git("rev-parse", "HEAD").strip(),
+        "commit": commit,
         "files": list(entry.depends),
         "digest": digest,
         "machine": record.machine(),
