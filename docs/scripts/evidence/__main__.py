@@ -84,7 +84,8 @@ def measure(entry: Entry, given: Mapping[str, str]) -> str | None:
 def _run(words: list[str], env: Mapping[str, str], out: Path) -> tuple[int, str]:
     """Exit code and output of a command, which is shown as it comes. Its seconds are added to the folder's."""
     print(f"$ {shlex.join(words)}", flush=True)
-    words[:1] = [sys.executable, *(["-m", "shift3d.cli.main"] if words[0] == "shift3d" else [])]
+    own = {"python": [sys.executable], "shift3d": [sys.executable, "-m", "shift3d.cli.main"]}
+    words[:1] = own.get(words[0], words[:1])
     paths = os.pathsep.join([str(record.ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     start, kept = time.monotonic(), []
     try:
