@@ -408,6 +408,13 @@ _CHOICES = _schema(
     nullable={"vehicle", "alpha"},
 )
 
+# Of the plan: scenes that cannot be read, where scenes.skip_bad leaves them out.
+_SKIPPED_SCENES = _schema(
+    "skipped_scenes",
+    [("sweep", pa.string()), ("scene", pa.string()), ("why", pa.string())],
+    nullable=set(),
+)
+
 # Written by commits, task by task. A table that a folder does not have is empty: those that came later than the first
 # ones need no new version, and folders without them stay readable.
 SEGMENTS = (
@@ -416,8 +423,8 @@ SEGMENTS = (
 )  # fmt: skip
 FOLLOW_UPS = ("verification", "vehicle_pool", "retrieved", "patterns")
 """Those that commands of their own make of a sweep that has finished."""
-# Computed from the scores when a sweep has finished.
-AGGREGATES = ("curves", "auc", "bev", "bev_transfer", "choices")
+# Computed from the plan and the scores when a sweep has finished.
+AGGREGATES = ("curves", "auc", "bev", "bev_transfer", "choices", "skipped_scenes")
 SCHEMAS: dict[str, pa.Schema] = {
     "scores": _SCORES,
     "solutions": _SOLUTIONS,
@@ -435,6 +442,7 @@ SCHEMAS: dict[str, pa.Schema] = {
     "bev": _BEV,
     "bev_transfer": _BEV_TRANSFER,
     "choices": _CHOICES,
+    "skipped_scenes": _SKIPPED_SCENES,
 }
 
 

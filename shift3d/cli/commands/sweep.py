@@ -208,10 +208,11 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
 
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return
+    from shift3d.analysis.mlflow.follow_ups import follow_up_metrics
     from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
     from shift3d.analysis.results import natural_by_task
 
-    counts = {
+    counts: dict[str, float] = {
         "tasks_done": result.done,
         "tasks_quarantined": result.quarantined,
         "tasks_planned": result.planned,
@@ -221,6 +222,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
         counts |= {"solutions_verified": len(stable), "solutions_unstable": int((~stable).sum())}
     if verdicts := natural_by_task(result.final.frame("scores")):
         counts |= {"shapes_measured": len(verdicts), "shapes_natural": sum(verdicts.values())}
+    counts |= follow_up_metrics({name: result.final.frame(name) for name in result.final.tables})
     settings = {"settings": plan.settings, "axes": plan.axes}
     auc, curves = result.final.frame("auc"), result.final.frame("curves")
     record = SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, auc, curves, counts)
