@@ -293,9 +293,12 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
 
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
-    """See `scene_entries`."""
-    skip_bad = config.scenes.skip_bad if isinstance(config.scenes, FramesConfig) else None
-    return scene_entries(scenes, preview, skip_bad)
+    """See `scene_entries`. Reasons name files below the data set's folder: the same wherever that is."""
+    if not isinstance(config.scenes, FramesConfig):
+        return scene_entries(scenes, preview)
+    entries, skipped = scene_entries(scenes, preview, config.scenes.skip_bad)
+    root = config.scenes.root.rstrip("/") + "/"
+    return entries, {name: why.replace(root, "") for name, why in skipped.items()}
 
 
 class _VehicleHashes(Mapping[str, str]):

@@ -66,8 +66,8 @@ SEGMENTS = (
 )
 FOLLOW_UPS = ("verification", "vehicle_pool", "retrieved", "patterns")
 """Those that commands of their own make of a sweep that has finished."""
-# Computed from the scores when a sweep has finished.
-AGGREGATES = ("curves", "auc", "bev", "bev_transfer", "choices")
+# Computed from the plan and the scores when a sweep has finished.
+AGGREGATES = tuple(name for name in _FILE["tables"] if name not in SEGMENTS)
 _TYPES = {name: kind for name, (kind, _, _) in _COLUMNS.items()}
 SCHEMAS: dict[str, pa.Schema] = {
     name: schema_of_columns(name, SCHEMA_VERSION, " ".join(_without_groups(_FILE["tables"][name]["columns"])), _TYPES)

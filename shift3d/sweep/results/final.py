@@ -76,6 +76,8 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     tables["choices"] = table_from_rows("choices", choice_rows(scored, plan.sweep, steps))
     transfers = _by_effects_requested(tables["transfers"].to_pandas(), plan)
     tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
+    skipped = [{"sweep": plan.sweep, "scene": name, "why": why} for name, why in plan.skipped.items()]
+    tables["skipped_scenes"] = table_from_rows("skipped_scenes", skipped)
     for name, table in tables.items():
         write_table(folder / "final" / f"{name}.parquet", table)
     for name in FOLLOW_UPS[1:]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import valid_frames
 
@@ -62,6 +63,9 @@ def test_bad_frames_are_left_out_and_listed(root: Path, capsys: pytest.CaptureFi
     assert all_listed(before) and all_listed(after)
     plan = read_plan("out")
     assert [name for _, name in plan.tasks.scenes()] == ["000007"] and plan.skipped.keys() == BAD.keys()
+    table = pd.read_parquet(root / "out" / "final" / "skipped_scenes.parquet")
+    assert set(table["sweep"]) == {"kitti"} and dict(zip(table["scene"], table["why"])) == dict(plan.skipped)
+    assert all(BAD[scene] in why and str(root) not in why for scene, why in plan.skipped.items())
     assert main(["report", "out"]) == 0
     page = (root / "out" / "report.html").read_text()
     assert all(name in page for name in BAD) and "4 scenes left out" in page

@@ -13,7 +13,8 @@ from short_tasks import SHORT, STREET, make_spec
 
 from shift3d.detectors.foreign.detector import foreign_layout
 from shift3d.errors import InputError
-from shift3d.settings.catalogue import detector_hash
+from shift3d.settings.catalogue import accuracy_settings, detector_hash
+from shift3d.settings.schema import AccuracyConfig
 from shift3d.task.asset_files import NamedFiles, named_files
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.run import run_task
@@ -44,7 +45,8 @@ def assets(sent: AssetsSpec) -> Assets:
 def attacked(detector: str, assets: Assets) -> dict[str, dict[str, Any]]:
     """The rows of a short attack, by method."""
     attack = dataclasses.replace(SHORT, noise_replicates=0, random_replicates=0)
-    task = make_spec(detector=detector, scored_by=(detector,), attack=attack)
+    accuracy = accuracy_settings(AccuracyConfig(name="standard", render={"sdf_grid": False}))
+    task = make_spec(detector=detector, scored_by=(detector,), attack=attack, accuracy_settings=accuracy)
     return {row["method"]: row for row in run_task(task, assets).scores}
 
 
