@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from scripts.evidence import record
-from scripts.evidence.__main__ import measure
+from scripts.evidence.__main__ import measure, read_by_hand
 from scripts.evidence.plan import Entry
 
 ENTRY = Entry(
@@ -66,3 +66,26 @@ def test_files_that_are_not_committed_are_not_measured(checkout: Path) -> None:
 def test_a_command_that_fails_writes_nothing(checkout: Path) -> None:
     commit(checkout, SCRIPT)
     assert "exit code 3" in str(measure(ENTRY, {"data": "other"})) and ENTRY.state() == "missing"
+
+
+def test_measuring_afresh_forgets_what_was_left(checkout: Path) -> None:
+    commit(checkout, SCRIPT)
+    assert measure(ENTRY, {"data": "given"}) is None
+    (left,) = (checkout / "outputs" / "evidence").iterdir()
+    (left / "of an earlier run").touch()
+    assert measure(ENTRY, {"data": "given"}, again=True) is None
+    assert {path.name for path in left.iterdir()} == {"more.json", "seconds"}
+
+
+def test_results_of_a_run_by_hand_are_of_the_commit_that_is_given(checkout: Path, tmp_path: Path) -> None:
+    earlier = commit(checkout, SCRIPT)
+    commit(checkout, SCRIPT + "# another\n")
+    (tmp_path / "more.json").write_text('{"word": 8}')
+    entry = Entry("answer", ["shift3d sweep x out={out}"], ["script.py"], 1, [{"json": "more.json"}])
+    assert read_by_hand(entry, tmp_path, earlier[:7]) is None
+    found = record.read("answer")
+    assert found["figures"] == {"word": {"value": 8}} and found["measured"]["commit"] == earlier
+    assert found["measured"]["digest"] == record.digest(["script.py"], earlier) and not found["measured"]["seconds"]
+    assert entry.state().startswith("stale: measured at")
+    (tmp_path / "more.json").unlink()
+    assert "cannot be read" in str(read_by_hand(entry, tmp_path, earlier))
