@@ -37,7 +37,7 @@ class Entry:
     def command(self) -> str:
         """As it is written down: without a path of this machine."""
         lines = [re.sub(r"{(\w+)}", lambda match: match[1].upper(), line) for line in self.run]
-        return "; ".join([" ".join(f"{key}={value}" for key, value in self.env.items()), *lines]).removeprefix("; ")
+        return " ".join([*(f"{key}={value}" for key, value in self.env.items()), "; ".join(lines)])
 
     def state(self) -> str:
         """missing, current, or what makes its figures stale."""

@@ -1,6 +1,7 @@
 """How figures are read from what a measurement left in its folder: JSON, Parquet, or what its commands printed.
 
-``json``: a file of {name: {value, ...}} or {name: number}; ``only`` is a regular expression for names.
+``json``: a file of {name: {value, ...}} or {name: number}; ``only`` is a regular expression for names,
+``of`` a part of the file, ``name`` what comes before the names of numbers.
 ``rows``: a Parquet file; each row that ``where`` selects gives a figure for each of ``values``: its name, and the
 columns, or expressions, of value, low, high and n. ``name`` is filled from the row.
 ``printed``: a regular expression over the output. Its groups are the figures; groups of ``name`` name them.
@@ -37,14 +38,15 @@ def read_figures(folder: Path, output: str, specs: Sequence[Mapping[str, Any]]) 
 
 
 def _json(folder: Path, output: str, spec: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    for name, one in json.loads((folder / spec["json"]).read_text(encoding="utf-8")).items():
+    found = json.loads((folder / spec["json"]).read_text(encoding="utf-8"))
+    for name, one in (found[spec["of"]] if "of" in spec else found).items():
         if not re.search(spec.get("only", ""), name):
             continue
         if isinstance(one, Mapping) and "value" in one:
             low, high = one.get("interval") or (one.get("low"), one.get("high"))
             yield name, figure(one["value"], one.get("unit", ""), low, high, one.get("n"))
         elif isinstance(one, int | float):
-            yield name, figure(one, spec.get("unit", ""))
+            yield spec.get("name", "") + name, figure(one, spec.get("unit", ""))
 
 
 def _rows(folder: Path, output: str, spec: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
