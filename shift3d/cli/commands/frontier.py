@@ -185,7 +185,8 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
     from shift3d.settings.catalogue import scene_set
     from shift3d.settings.foreign import detector_layouts
     from shift3d.settings.schema import KittiConfig
-    from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
+    from shift3d.task.exchange import AssetsSpec
+    from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 
     scenes = [config.scenes]
     if config.frontier.kitti is not None:

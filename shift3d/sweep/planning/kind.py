@@ -8,7 +8,8 @@ from typing import Any
 
 from shift3d.settings.catalogue import Catalogue
 from shift3d.settings.schema import Config
-from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
+from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.spec import TaskSpec
 
 __all__ = ["TaskKind", "shift3d_kind"]
 

@@ -20,7 +20,8 @@ from shift3d.sweep.planning.effect_choices import EffectChoices, EffectLine
 from shift3d.sweep.planning.layout import Layouts
 from shift3d.sweep.planning.tasks import PlannedTask, TaskGroup, Tasks
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
+from shift3d.task.exchange import AssetsSpec
+from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 
 __all__ = ["Plan", "PlannedTask", "TaskGroup", "Tasks", "make_plan"]
 

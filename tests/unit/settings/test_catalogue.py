@@ -13,7 +13,8 @@ import shift3d
 from shift3d.detectors.models.weights import NETWORKS
 from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS
-from shift3d.settings.catalogue import accuracy_settings, scene_set, scoring_detectors, weights_file
+from shift3d.settings.catalogue import accuracy_settings, scene_set
+from shift3d.settings.detector_files import scoring_detectors, weights_file
 from shift3d.settings.schema import AccuracyConfig, DetectorConfig, KittiConfig, StreetConfig
 
 

@@ -25,9 +25,9 @@ from shift3d.store.log import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 from shift3d.task.assets import Assets
+from shift3d.task.exchange import Row, TaskResult
 from shift3d.task.export import FRAME, check_no_export, export_solution
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
-from shift3d.task.spec import Row, TaskResult
 
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 SPEC = make_spec()

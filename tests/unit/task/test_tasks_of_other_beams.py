@@ -12,8 +12,9 @@ from shift3d.placement.sampling import Placement
 from shift3d.settings.scene_schema import StreetConfig
 from shift3d.settings.scene_sets import scene_set
 from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec
 from shift3d.task.problem import build_problem, place_vehicle
-from shift3d.task.spec import AssetsSpec, TaskSpec
+from shift3d.task.spec import TaskSpec
 
 NAMES = (None, "hdl32")
 
