@@ -9,8 +9,8 @@ from benchmarks.timing import Timing
 
 from shift3d.effects.applicability import NEEDS
 from shift3d.placement.sampling import NoPlacement
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.assets import load_assets
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.run import build_problem, place_vehicle

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue import Catalogue, SceneEntry, read_catalogue
-from shift3d.settings.schema import Config, StreetConfig
+from shift3d.settings.catalogue.reading import Catalogue, SceneEntry, read_catalogue
+from shift3d.settings.schema.config import Config, StreetConfig
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.run import load_assets, run_task

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from shift3d.scenes.facts import SceneFacts
 from shift3d.seeding import generator
-from shift3d.settings.catalogue import Catalogue, SceneEntry
-from shift3d.settings.schema import Config, StreetConfig
+from shift3d.settings.catalogue.reading import Catalogue, SceneEntry
+from shift3d.settings.schema.config import Config, StreetConfig
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.spec import TaskSpec

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.exchange import TaskResult
 from shift3d.task.spec import AttackSpec, TaskSpec
 

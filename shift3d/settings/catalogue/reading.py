@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING, Any
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
-from shift3d.settings.attack_schema import AttackConfig
-from shift3d.settings.compiled import compare_with_original, require_score_only
-from shift3d.settings.detector_files import detector_hash, scoring_detectors
-from shift3d.settings.foreign import detector_layouts, require_in_range
+from shift3d.settings.catalogue.compiled import compare_with_original, require_score_only
+from shift3d.settings.catalogue.detector_files import detector_hash, scoring_detectors
+from shift3d.settings.catalogue.foreign import detector_layouts, require_in_range
+from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import scene_entries
+from shift3d.settings.catalogue.scene_sets import scene_set
 from shift3d.settings.renamed import renamed_error
-from shift3d.settings.scene_cache import SceneEntry
-from shift3d.settings.scene_entries import scene_entries
-from shift3d.settings.scene_schema import FramesConfig
-from shift3d.settings.scene_sets import scene_set
-from shift3d.settings.schema import (
+from shift3d.settings.schema.attack import AttackConfig
+from shift3d.settings.schema.config import (
     AccuracyConfig,
     Config,
     NaturalnessConfig,
     VehicleConfig,
     VehicleSetConfig,
 )
+from shift3d.settings.schema.scenes import FramesConfig
 
 if TYPE_CHECKING:
     from shift3d.render.field.object_field import VehicleFrame

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from shift3d.detectors.names import DETECTOR_NAMES, ONNX, OWN
 from shift3d.errors import InputError
-from shift3d.settings.foreign import detector_layouts, layout_hash
-from shift3d.settings.schema import (
+from shift3d.settings.catalogue.foreign import detector_layouts, layout_hash
+from shift3d.settings.schema.config import (
     DetectorConfig,
 )
 
@@ -32,7 +32,7 @@ def weights_file(name: str, override: str | None) -> Path:
 def _weights_path(name: str, override: str | None) -> Path:
     if override:
         return Path(override).expanduser()
-    return Path(__file__).resolve().parents[1] / "weights" / f"{name}.safetensors"
+    return Path(__file__).resolve().parents[2] / "weights" / f"{name}.safetensors"
 
 
 def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
