@@ -143,16 +143,16 @@ def detector_hash(name: str, weights: str | None, module: str | None, layout: Ma
         InputError: a file is missing.
     """
     if name == ONNX:
-        return file_hash(_given_file(weights or "", "Check detector.file"))
+        return file_hash(_existing_file(weights or "", "Check detector.file"))
     if name != OWN:
         weights_hash = file_hash(weights_file(name, weights))
         return weights_hash if layout is None else layout_hash(layout, weights_hash)
     remedy = "Check detector.module and detector.weights"
-    parts = [_given_file(part, remedy) for part in (module, weights) if part]
+    parts = [_existing_file(part, remedy) for part in (module, weights) if part]
     return hashlib.blake2b("".join(map(file_hash, parts)).encode(), digest_size=16).hexdigest()
 
 
-def _given_file(text: str, remedy: str) -> Path:
+def _existing_file(text: str, remedy: str) -> Path:
     path = Path(text).expanduser()
     if not path.is_file():
         raise InputError("no such file", where=str(path), remedy=remedy)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from shift3d.analysis.mlflow.follow_ups import follow_up_metrics
+from shift3d.analysis.mlflow.sweep import follow_up_metrics
 from shift3d.analysis.tables.patterns import NAMES, pattern_groups, patterns_table
 from shift3d.analysis.tables.retrieval import kept, pool_table, retrieval_table
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from foreign_twins import TWINS
+from foreign_ports import PORTS
 from short_tasks import SHORT, STREET, make_spec
 
 from shift3d.detectors.foreign.detector import foreign_layout
@@ -28,9 +28,9 @@ def sent(tmp_path_factory: pytest.TempPathFactory) -> AssetsSpec:
     """What a worker is sent: PointPillars in both codebases' layouts, and as it ships."""
     files, layouts = {}, {}
     for codebase in CODEBASES:
-        twin = TWINS[f"{codebase}-pointpillars"]
-        config, weights = twin.saved(tmp_path_factory.mktemp(codebase))
-        layouts[codebase] = json.loads(json.dumps(foreign_layout(codebase, config, twin.choices)))
+        port = PORTS[f"{codebase}-pointpillars"]
+        config, weights = port.saved(tmp_path_factory.mktemp(codebase))
+        layouts[codebase] = json.loads(json.dumps(foreign_layout(codebase, config, port.choices)))
         config.unlink()  # a worker has none
         files[codebase] = str(weights)
     hashes = {name: detector_hash(name, files[name], None, layouts[name]) for name in CODEBASES}
@@ -69,7 +69,7 @@ def test_an_attack_on_it_is_the_attack_on_the_shipped_one(
 
 
 def test_checkpoints_travel_and_configs_do_not(sent: AssetsSpec) -> None:
-    wanted = {NamedFiles(str(Path(str(sent.detectors[name])).parent), ("twin.pth",)) for name in CODEBASES}
+    wanted = {NamedFiles(str(Path(str(sent.detectors[name])).parent), ("port.pth",)) for name in CODEBASES}
     assert set(named_files(sent)) == wanted
 
 
