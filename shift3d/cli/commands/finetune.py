@@ -257,5 +257,11 @@ def _finish(folder: Path, config: Config, models: Sequence[Tuned], steps: Sequen
 
 
 COMMAND = Command(
-    "finetune", "train on the objects that a sweep found, and measure", _DESCRIPTION, _EPILOG, _add_arguments, _run
+    "finetune",
+    "train on the objects that a sweep found, and measure",
+    _DESCRIPTION,
+    _EPILOG,
+    _add_arguments,
+    _run,
+    resumes=True,
 )

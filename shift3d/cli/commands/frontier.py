@@ -258,4 +258,6 @@ def _mirror(config: FrontierSweep, folder: Path) -> None:
         print(f"in MLflow, {uri}: shift3d ui")
 
 
-COMMAND = Command("frontier", "measure what accuracy costs in time", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "frontier", "measure what accuracy costs in time", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+)

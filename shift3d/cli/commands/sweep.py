@@ -232,4 +232,4 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
         print(f"MLflow run {plan.sweep}-{plan.spec_hash} in {uri}: shift3d ui")
 
 
-COMMAND = Command("sweep", "run a sweep, or resume it", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command("sweep", "run a sweep, or resume it", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True)
