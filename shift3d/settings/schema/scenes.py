@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from shift3d.scenes.sets import SceneSet
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, model_validator
 
 from shift3d.errors import InputError
 from shift3d.scenes.reflectance import MOST_RAW
-from shift3d.scenes.street.options import LIMITS, MOST_SENSORS, StreetOptions
+from shift3d.scenes.street.options import BEAM_NAMES, LIMITS, MOST_SENSORS, StreetOptions
 from shift3d.settings.names import Text
 from shift3d.settings.schema.records import Count, Record, Seed
+
+if TYPE_CHECKING:
+    from shift3d.scenes.sets import SceneSet
+
 
 __all__ = [
     "Argoverse2Config",
@@ -33,6 +33,11 @@ __all__ = [
 
 Metres = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
 
+if TYPE_CHECKING:
+    BeamName = str
+else:
+    BeamName = Literal[*BEAM_NAMES]
+
 
 class StreetOptionsConfig(Record):
     """What street scenes state and show beyond one return a beam, see `scenes.street.options`; all off by default."""
@@ -48,7 +53,7 @@ class StreetOptionsConfig(Record):
     ego_speed_m_s: Annotated[float, Field(ge=0, le=LIMITS["ego_speed_m_s"])] = 0.0
     motion_compensated: bool = False
     traffic: Literal["family", "wide", "held_out"] = "family"
-    beams: Literal["hdl64", "waymo_top", "hdl32", "av2_pair", "pandar64"] | None = None
+    beams: BeamName | None = None
 
     def options(self) -> StreetOptions:
         """The same for the generator. Raises InputError for settings that contradict each other."""
