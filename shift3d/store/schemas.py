@@ -7,7 +7,7 @@ import pyarrow as pa
 __all__ = ["AGGREGATES", "FOLLOW_UPS", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS", "schema_of"]
 
 # A new one needs a step in store/migrations.py and a folder of the former one in tests/reference.
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 
 # Columns that the spec of a task determines: filled in by the sweep, the same in every table that has them.
 _SPEC_FIELDS = [
@@ -98,10 +98,11 @@ _SOLUTIONS = _schema(
         ("effects", pa.list_(pa.string())),
         ("method", pa.string()),
         ("replicate", pa.int32()),
+        ("drawn_as", pa.string()),
         ("latent_code", pa.list_(pa.float32())),
         *_POSE,
     ],
-    nullable=_NULLABLE,
+    nullable={*_NULLABLE, "drawn_as"},  # null: as the task's own vehicle
 )
 
 _TIMINGS = _schema(
