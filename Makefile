@@ -11,7 +11,7 @@ WORDS = $(strip $(foreach name,$(filter-out $(OWN),$(.VARIABLES)),$(if $(filter 
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train finetune docs wheel pictures clean
+.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train finetune docs evidence wheel pictures clean
 
 help:  ## what there is to run
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-18s %s\n", $$1, $$2}'
@@ -78,6 +78,10 @@ finetune: .venv/.runtime  ## attack, fine-tune on what was found, measure: ARGS=
 
 docs: .venv/.runtime  ## write docs/reference from the code and the configuration
 	$(BIN)/python docs/scripts/reference_pages.py
+
+# What is current is skipped, so that nights add up: ONLY=gate, kitti=PATH, real=PATH; ARGS=--plan says how long each takes.
+evidence: .venv/.dev  ## measure what README and docs quote, draw their tables; ARGS=--plan, ONLY=NAME
+	$(BIN)/python docs/scripts/evidence $(ARGS) $(WORDS)
 
 # build/ goes first: setuptools would put what lies there and is gone from the tree into the wheel.
 wheel: .venv/.runtime  ## dist/: a wheel and its libraries' versions, for other machines (docs/guides/cluster.md)

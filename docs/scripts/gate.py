@@ -1,6 +1,6 @@
 """How often the gate stops simulated releases, by the number of hard objects and the noise between two trainings.
 
-``python docs/scripts/gate.py [json=FILE]`` prints a Markdown table. A suite is hard objects and as many controls, two
+``python docs/scripts/gate.py [json=FILE]`` prints and writes figures. A suite is hard objects and as many controls, two
 of each a scene; logits of the scores are normal, -0.5 +- 2 for hard objects and 2 +- 1.2 for controls. json: a file
 that the numbers are written to, with their commit and command.
 """
@@ -8,7 +8,6 @@ that the numbers are written to, with their commit and command.
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from shift3d.store.atomic import write_atomic
 
 LOSS = 0.02
 OBJECTS = (500, 1000, 2000, 4000)
+RELEASES = 200
 NOISES = (0.0, 0.05, 0.1, 0.2, 0.4)
 
 
@@ -33,27 +33,23 @@ def suite(objects: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], list[st
 
 
 def rates(objects: int, noise: float) -> Rates:
-    """Of 200 releases with the gate's own rule."""
-    return stopped_releases(*suite(objects), noise, LOSS, Rule())
+    """Of simulated releases with the gate's own rule."""
+    return stopped_releases(*suite(objects), noise, LOSS, Rule(), RELEASES)
 
 
 def main() -> int:
-    """Print the table."""
-    command = " ".join(["python docs/scripts/gate.py", *sys.argv[1:]])
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
-    numbers: dict[str, dict[str, object]] = {}
-    names = [f"{objects:,} hard objects" for objects in OBJECTS]
-    print(f"| noise of the logits | lost without a loss | {' | '.join(names)} |\n|---|---|{'---|' * len(names)}")
+    """Print the figures and write them."""
+    figures: dict[str, dict[str, object]] = {}
     for noise in NOISES:
-        found = [rates(objects, noise) for objects in OBJECTS]
-        cells = [f"{rate.found:.1%} / {rate.false_alarms:.1%}" for rate in found]
-        print(f"| {noise:g} | {found[-1].lost:.1%} | {' | '.join(cells)} |", flush=True)
-        for objects, rate in zip(OBJECTS, found, strict=True):
-            for name, value in (("found", rate.found), ("false_alarms", rate.false_alarms)):
-                key = f"{name}_{objects}_objects_noise_{noise:g}"
-                numbers[key] = {"value": value, "unit": "share", "interval": None, "commit": commit, "command": command}
+        found = {objects: rates(objects, noise) for objects in OBJECTS}
+        figures[f"{noise:g}/lost without a loss"] = {"value": found[OBJECTS[-1]].lost, "unit": "share"}
+        for objects, rate in found.items():
+            for what, value in (("found", rate.found), ("false alarms", rate.false_alarms)):
+                figures[f"{noise:g}/{objects} objects/{what}"] = {"value": value, "unit": "share", "n": RELEASES}
+    text = json.dumps(figures, indent=1) + "\n"
     for word in sys.argv[1:]:
-        write_atomic(Path(word.removeprefix("json=")), (json.dumps(numbers, indent=1) + "\n").encode())
+        write_atomic(Path(word.removeprefix("json=")), text.encode())
+    print(text, end="")
     return 0
 
 

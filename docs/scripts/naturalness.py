@@ -1,19 +1,20 @@
 """What naturalness comes to: the wide family, the shipped decoder, and what is given, against the wide family.
 
-``python docs/scripts/naturalness.py [real=FOLDER ...] [OUT ...] [members=2000] [json=FILE]`` prints a Markdown table.
+``python docs/scripts/naturalness.py [real=FOLDER ...] [OUT ...] [members=2000] [json=FILE]`` prints figures.
 real: folders of meshes in DeepSDF's axes, scaled to 4.5 m. OUT: folders of finished sweeps; their adversarial shapes
-are measured again from their codes. json: a file that the numbers are written to, with their commit and command.
+are measured again from their codes. json: a file that they are written to.
 """
 
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,9 +31,9 @@ from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.sources import VehicleSet
 from shift3d.vehicles.vehicle import family_vehicles
 
+Figures = Iterator[tuple[str, dict[str, Any]]]
 REAL = MeshFrame(forward="-z", up="+y", length_m=4.5)
-HEADER = ("shapes", "number", "median", "95th percentile", "99th percentile", "at most", "percentile", "within 95th",
-          "natural")  # fmt: skip
+COLUMNS = ("median", "95th percentile", "99th percentile", "at most")
 
 
 @dataclass(frozen=True)
@@ -43,14 +44,25 @@ class Group:
     found: list[NaturalnessMeasure]
     seconds: float
 
-    def row(self) -> list[str]:
-        """Cells of the table."""
+    def figures(self) -> Figures:
+        """Its numbers."""
         apart = [one.nearest.mean_cm for one in self.found if one.nearest]
-        within = sum(one.percentile <= NATURAL_PERCENTILE for one in self.found)
-        natural = sum(one.natural for one in self.found)
-        quantiles = [f"{value:.1f}" for value in np.quantile(apart, (0.5, 0.95, 0.99, 1.0))]
-        middle = f"{np.median([one.percentile for one in self.found]):.0f}"
-        return [self.name, str(len(self.found)), *quantiles, middle, str(within), str(natural)]
+        percentiles = [one.percentile for one in self.found]
+        yield from _of(self.name, apart, percentiles)
+        yield f"{self.name}/natural", {"value": sum(one.natural for one in self.found), "n": len(self.found)}
+        yield f"{self.name}/seconds a shape", {"value": self.seconds, "unit": "s"}
+        for name, count in Counter(name for one in self.found for name in one.out_of_range).items():
+            yield f"{self.name}/out of range {name}", {"value": count, "n": len(self.found)}
+
+
+def _of(name: str, apart: Sequence[float], percentiles: Sequence[float]) -> Figures:
+    number = len(percentiles)
+    yield f"{name}/number", {"value": number}
+    for column, value in zip(COLUMNS, np.quantile(apart, (0.5, 0.95, 0.99, 1.0))):
+        yield f"{name}/{column}", {"value": float(value), "unit": "cm", "n": number}
+    yield f"{name}/median percentile", {"value": float(np.median(percentiles)), "unit": "percentile"}
+    within = sum(value <= NATURAL_PERCENTILE for value in percentiles)
+    yield f"{name}/within the 95th", {"value": within, "n": number}
 
 
 def measured(name: str, shapes: Iterable[NaturalnessMeasure], total: int) -> Group:
@@ -103,39 +115,16 @@ def sweep_groups(measures: Naturalness, outs: Sequence[str]) -> list[Group]:
     return groups
 
 
-def left_out_row(measures: Naturalness) -> list[str]:
-    """The calibration itself as a row."""
-    apart = measures.reference.calibration.mean_cm
-    quantiles = [f"{value:.1f}" for value in np.quantile(apart, (0.5, 0.95, 0.99, 1.0))]
-    own = [
-        measures.reference.calibration.percentile(*pair) for pair in zip(apart, measures.reference.calibration.p95_cm)
-    ]
-    within = sum(value <= NATURAL_PERCENTILE for value in own)
-    return ["members left out", str(len(apart)), *quantiles, f"{np.median(own):.0f}", str(within), ""]
-
-
-def write_json(path: Path, measures: Naturalness, groups: Sequence[Group], command: str) -> None:
-    """Numbers with their unit, commit and command."""
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True)
-    stamp = {"commit": commit.stdout.strip(), "command": command}
-    values = {"members_left_out": measures.reference.calibration.mean_cm}
-    for group in groups:
-        apart = [one.nearest.mean_cm for one in group.found if one.nearest]
-        values[group.name.replace(",", "").replace(" ", "_")] = np.array(apart)
-    numbers = {
-        f"{name}_median": {
-            "value": round(float(np.median(apart)), 3),
-            "unit": "cm",
-            "interval": [round(float(low), 3) for low in np.quantile(apart, (0.05, 0.95))],
-            **stamp,
-        }
-        for name, apart in values.items()
-    }
-    write_atomic(path, (json.dumps(numbers, indent=1) + "\n").encode())
+def left_out(measures: Naturalness) -> Figures:
+    """The calibration itself."""
+    known = measures.reference.calibration
+    return _of(
+        "members left out", known.mean_cm, [known.percentile(*pair) for pair in zip(known.mean_cm, known.p95_cm)]
+    )
 
 
 def main(arguments: list[str]) -> None:
-    """Print the table."""
+    """Print the figures and write them."""
     torch.set_num_threads(1)
     given = [word.split("=", 1) for word in arguments if "=" in word]
     real = [value for name, value in given if name == "real"]
@@ -145,16 +134,13 @@ def main(arguments: list[str]) -> None:
     groups = decoder_groups(measures)
     groups += [real_group(measures, real)] if real else []
     groups += sweep_groups(measures, [word for word in arguments if "=" not in word])
-    rows = [HEADER, ["---"] * len(HEADER), left_out_row(measures), *(group.row() for group in groups)]
-    print("\n".join(f"| {' | '.join(row)} |" for row in rows))
+    figures = dict(left_out(measures))
     for group in groups:
-        odd = pd.Series([name for one in group.found for name in one.out_of_range]).value_counts().to_dict()
-        print(f"{group.name}: {group.seconds:.2f} s a shape; out of range: {odd or 'none'}")
+        figures |= dict(group.figures())
+    text = json.dumps(figures, indent=1) + "\n"
     if "json" in options:
-        # Not where the folders lie on this machine.
-        words = [f"{word.split('=')[0]}=FOLDER" if word.startswith("real=") else word for word in arguments]
-        words = [word if "=" in word else "OUT" for word in words if not word.startswith("json=")]
-        write_json(Path(options["json"]), measures, groups, " ".join(["python docs/scripts/naturalness.py", *words]))
+        write_atomic(Path(options["json"]), text.encode())
+    print(text, end="")
 
 
 if __name__ == "__main__":

@@ -14,12 +14,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pyarrow as pa
-import yaml
 
 from shift3d.cli.main import COMMANDS, make_parser
 from shift3d.exit_codes import EXIT_CODES
 from shift3d.render.settings import PRESETS, RenderSettings
-from shift3d.store.schemas import AGGREGATES, SCHEMA_VERSION, SCHEMAS, SEGMENTS
+from shift3d.store.schemas import ABOUT, AGGREGATES, MEANINGS, SCHEMA_VERSION, SCHEMAS, SEGMENTS
 
 DOCS = Path(__file__).resolve().parents[1]
 CONF = DOCS.parent / "conf"
@@ -166,7 +165,6 @@ def render_meanings() -> dict[str, str]:
 
 def tables_page() -> str:
     """Every table of a sweep's folder, column by column."""
-    known = yaml.safe_load((Path(__file__).parent / "columns.yaml").read_text(encoding="utf-8"))
     lines = [
         "# Tables",
         "",
@@ -174,11 +172,11 @@ def tables_page() -> str:
         "them as they are. Folders of older versions are read by every command.",
     ]
     for name in (*SEGMENTS, *AGGREGATES):
-        lines += ["", f"## {name}.parquet", "", f"{known['tables'][name][0].upper()}{known['tables'][name][1:]}.", ""]
+        lines += ["", f"## {name}.parquet", "", f"{ABOUT[name][0].upper()}{ABOUT[name][1:]}.", ""]
         lines += ["| column | type | null | meaning |", "|---|---|---|---|"]
         for field in SCHEMAS[name]:
             null = "yes" if field.nullable else ""
-            lines.append(f"| `{field.name}` | {_type(field.type)} | {null} | {_cell(known['columns'][field.name])} |")
+            lines.append(f"| `{field.name}` | {_type(field.type)} | {null} | {_cell(MEANINGS[field.name])} |")
     return "\n".join(lines) + "\n"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import hashlib
 import json
 import re
@@ -22,6 +21,7 @@ from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import machine
 from shift3d.accuracy_time.truth import Truth, make_truth, read_truth, write_truth
 from shift3d.settings.catalogue import detector_hash
+from shift3d.store.user_cache import source_digest
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.spec import AssetsSpec, TaskSpec
 from shift3d.vehicles.sources import vehicle_hash
@@ -33,7 +33,7 @@ Tell = Callable[[str, float, bool], None]
 
 _TRUTH_SECONDS = 25.0
 # What the numbers depend on, and what only presents them.
-_CODE = ("attack", "detectors", "frontier", "geometry", "render", "scenes", "sdf", "task", "vehicles")
+_CODE = ("accuracy_time", "attack", "detectors", "geometry", "render", "scenes", "sdf", "task", "vehicles")
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,10 @@ def measure_frontier(
                 journal.forget()
             instrument = CaseInstrument(case, assets, truth, plan.reference, plan.warm_steps, plan.repeats.slow_s)
 
-            def told(name: str, seconds: float, known: bool, where: str = case.name) -> None:
+            def report(name: str, seconds: float, known: bool, where: str = case.name) -> None:
                 tell(f"{where}: {name}", seconds, known)
 
-            results = measure_case(plan.settings, instrument, journal, plan.repeats, told)
+            results = measure_case(plan.settings, instrument, journal, plan.repeats, report)
             undecided = sum(truth.unresolved.values())
             measured.append(MeasuredCase(group.name, case.beams, results, undecided))
     return measured
@@ -139,16 +139,5 @@ def _identity(case: Case, plan: FrontierPlan, assets: Assets, group: SceneGroup)
     vehicle = vehicle_hash(assets.vehicle(case.spec))
     options = [plan.reference.step_key, plan.search.step_key, plan.descent_steps, plan.warm_steps]
     parts = [case.spec.canonical_json(), case.theta.tolist(), vehicle, assets.vehicles.decoder_hash(), detectors]
-    text = json.dumps([*parts, options, plan.repeats.slow_s, machine(), _code_hash(), torch.__version__])
+    text = json.dumps([*parts, options, plan.repeats.slow_s, machine(), source_digest(*_CODE), torch.__version__])
     return hashlib.blake2b(text.encode(), digest_size=6).hexdigest()
-
-
-@functools.cache
-def _code_hash() -> str:
-    """Of the source: a time or an error of another version is none of this one."""
-    digest = hashlib.blake2b(digest_size=8)
-    package = Path(__file__).resolve().parents[1]
-    for name in _CODE:
-        for path in sorted((package / name).rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()

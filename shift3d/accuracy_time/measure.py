@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from shift3d.accuracy_time.attacks import attack_scores
 from shift3d.accuracy_time.cases import Case, problem_of
 from shift3d.accuracy_time.errors import compare
 from shift3d.accuracy_time.gradient import AttackStep, attack_step, cosine, norm_ratio
@@ -17,7 +16,9 @@ from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import milliseconds
 from shift3d.accuracy_time.truth import Truth, score_of
 from shift3d.attack.objective import SCORE_RADIUS_M, to_network_frame, window_around
+from shift3d.attack.pose import PoseLimits, attack_pose
 from shift3d.attack.problem import AttackProblem
+from shift3d.attack.shape import attack_shape
 from shift3d.detectors.incremental.inference import IncrementalInference
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.culling import SPHERE_RADIUS_M, beams_near
@@ -25,8 +26,30 @@ from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
 from shift3d.render.solvers.search import WarmStart
 from shift3d.task.assets import Assets
+from shift3d.task.scoring import score_object
 
-__all__ = ["CaseInstrument", "Outcome"]
+__all__ = ["CaseInstrument", "Outcome", "attack_scores"]
+
+
+def attack_scores(case: Case, assets: Assets, setting: Setting) -> list[float]:
+    """Final scores of the best step of an attack on the shape and of one on the pose, `attack_steps` long each.
+
+    Both are the attacks of a task: its lambda, step size and limits, an SDF grid if the setting uses one, and the
+    detector in the precision of the search; what they find is scored in the precision of a task's scores.
+    """
+    spec, steps = case.spec, setting.attack_steps
+    problem = problem_of(case, assets, setting.accuracy, grid=True)
+    limits = PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
+    steady = spec.attack.selection_window
+    found = [
+        attack_shape(problem, spec.lambda_ or 0.0, spec.alpha, steps, selection_window=steady),
+        attack_pose(problem, spec.alpha, steps, limits, selection_window=steady),
+    ]
+    scoring = dataclasses.replace(problem, detector=assets.detector_of(spec.detector, setting.score_precision))
+    radius_m = spec.attack.detection_radius_m
+    scored = [score_object(scoring, best.latent_code, best.theta, radius_m) for best in found]
+    return [float(each.answers[scoring.detector.name].score) for each in scored]
+
 
 Outcome = dict[str, Any]
 """Plain values, ready for JSON."""
@@ -104,7 +127,7 @@ class CaseInstrument:
         if key not in self._prepared:
             problem = problem_of(self.case, self.assets, setting.accuracy, self.truth.codes[shape], setting.grid)
             before = None if setting.warm == "no" else self._approach(setting, problem)
-            incremental = problem.incremental_inference() if before is not None and setting.follow else None
+            incremental = problem.incremental_inference() if before is not None and setting.incremental else None
             self._prepared[key] = _Prepared(problem, before, incremental)
         return self._prepared[key]
 

@@ -54,7 +54,7 @@ class CaseResult:
 
 
 @dataclass(frozen=True)
-class _Piece:
+class _Measurement:
     """Something to measure under a name in the journal. seconds: about how long it takes, for the progress bar."""
 
     name: str
@@ -79,8 +79,8 @@ def measure_case(
     Returns:
         By the setting's name.
     """
-    for pieces in (_looks(settings, instrument), _more_steps(settings, instrument, journal, repeats)):
-        _work_off(pieces, journal, tell)
+    for measurements in (_looks(settings, instrument), _more_steps(settings, instrument, journal, repeats)):
+        _work_off(measurements, journal, tell)
     _work_off(_samples(settings, instrument, journal, repeats), journal, tell)
     results: dict[str, CaseResult] = {}
     for setting in settings:
@@ -96,47 +96,47 @@ def measure_case(
     return results
 
 
-def _work_off(pieces: Iterator[_Piece], journal: Journal, tell: Tell) -> None:
-    for piece in pieces:
-        known = piece.name in journal
-        tell(piece.setting.name, 0.0, known)
+def _work_off(measurements: Iterator[_Measurement], journal: Journal, tell: Tell) -> None:
+    for measurement in measurements:
+        known = measurement.name in journal
+        tell(measurement.setting.name, 0.0, known)
         if not known:
-            journal.put(piece.name, piece.make())
-        tell(piece.setting.name, piece.seconds, known)
+            journal.put(measurement.name, measurement.make())
+        tell(measurement.setting.name, measurement.seconds, known)
 
 
-def _looks(settings: Sequence[Setting], instrument: Instrument) -> Iterator[_Piece]:
+def _looks(settings: Sequence[Setting], instrument: Instrument) -> Iterator[_Measurement]:
     for setting in settings:
         once, window = _rendering_seconds(setting), _window_seconds(setting)
-        yield _Piece(f"look/{setting.step_key}", setting, once + 3 * window, partial(instrument.look, setting))
+        yield _Measurement(f"look/{setting.step_key}", setting, once + 3 * window, partial(instrument.look, setting))
         if setting.displaced:
             name = f"displaced/{setting.displaced_key}"
-            yield _Piece(name, setting, once + window, partial(instrument.displaced, setting))
+            yield _Measurement(name, setting, once + window, partial(instrument.displaced, setting))
         if setting.attack_steps:
             name = f"attack/{setting.attack_key}"
-            yield _Piece(name, setting, _attack_seconds(setting), partial(instrument.attack, setting))
+            yield _Measurement(name, setting, _attack_seconds(setting), partial(instrument.attack, setting))
 
 
 def _more_steps(
     settings: Sequence[Setting], instrument: Instrument, journal: Journal, repeats: Repeats
-) -> Iterator[_Piece]:
+) -> Iterator[_Measurement]:
     names = {s.name: (s, _step_names(s, journal, repeats)) for s in settings}
     for name, number in turns({name: len(found) for name, (_, found) in names.items() if found}):
         setting, found = names[name]
         seconds = _rendering_seconds(setting) + 2 * _window_seconds(setting)
-        yield _Piece(found[number], setting, seconds, partial(instrument.step, setting))
+        yield _Measurement(found[number], setting, seconds, partial(instrument.step, setting))
 
 
 def _samples(
     settings: Sequence[Setting], instrument: Instrument, journal: Journal, repeats: Repeats
-) -> Iterator[_Piece]:
+) -> Iterator[_Measurement]:
     by_key: dict[str, Setting] = {}
     for setting in settings:
         by_key.setdefault(setting.rendering_key, setting)
     counts = {key: _sample_count(setting, settings, journal, repeats) for key, setting in by_key.items()}
     for key, number in turns({key: count for key, count in counts.items() if count}):
         setting, seconds = by_key[key], _timing_seconds(by_key[key]) / counts[key]
-        yield _Piece(f"sample/{key}/{number}", setting, seconds, partial(instrument.sample, setting))
+        yield _Measurement(f"sample/{key}/{number}", setting, seconds, partial(instrument.sample, setting))
 
 
 def _step_names(setting: Setting, journal: Journal, repeats: Repeats) -> list[str]:

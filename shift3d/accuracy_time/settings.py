@@ -23,7 +23,7 @@ class Setting:
         warm: from which attack's previous rendering it starts, if any.
         gradient: of what a cold rendering prepares the gradient, if of anything.
         grid: whether an SDF grid of the shape is at hand, as tasks make one of each vehicle.
-        follow: whether, where it is warm, the detector reuses what it computed for the previous rendering.
+        incremental: whether, where it is warm, the detector reuses what it computed for the previous rendering.
         displaced: whether the displaced shape is rendered too.
         steps: how many attack steps are timed on a case.
         attack_steps: length of the attacks whose scores are looked at; 0: none is made.
@@ -39,7 +39,7 @@ class Setting:
     warm: Literal["no", "shape", "pose"] = "no"
     gradient: Literal["no", "shape", "pose"] = "no"
     grid: bool = False
-    follow: bool = True
+    incremental: bool = True
     displaced: bool = True
     steps: int = 1
     attack_steps: int = 0
@@ -77,7 +77,7 @@ class Setting:
     @property
     def step_key(self) -> str:
         """Settings with the same one take the same attack step."""
-        return _digest(self.rendering_key, dict(self.accuracy), self.crop_m, self.follow)
+        return _digest(self.rendering_key, dict(self.accuracy), self.crop_m, self.incremental)
 
     @property
     def attack_key(self) -> str:

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from shift3d.analysis.tables.table import number
+from shift3d.evaluation.metrics import RANGES_M, Metric
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,10 +23,13 @@ import numpy as np
 
 import shift3d
 from shift3d.analysis.figures.picture import png
-from shift3d.analysis.figures.precision_recall import precision_recall_figure
-from shift3d.analysis.tables.detector_groups import group_table, summary_table
-from shift3d.analysis.tables.detector_metrics import metric_table
-from shift3d.analysis.tables.detector_tables import breakdown_tables, evaluation_tables
+from shift3d.analysis.tables.detector_tables import (
+    breakdown_tables,
+    evaluation_tables,
+    group_table,
+    metric_table,
+    summary_table,
+)
 from shift3d.detectors.loading import detector_of
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
@@ -38,7 +49,36 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.detectors.base import Detector
 
-__all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "write_evaluation"]
+__all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "precision_recall_figure", "write_evaluation"]
+
+
+def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
+    """Waymo's precision-recall curves, 0-75 m: bird's-eye view and 3D, both levels, both IoU thresholds."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 3.8), dpi=110, layout="constrained")
+    axes = dict(zip(("BEV", "3D"), figure.subplots(1, 2, sharey=True)))
+    colours = {"LEVEL_1": "#c03030", "LEVEL_2": "#4878a8"}
+    for metric in metrics:
+        if metric.protocol != "waymo" or (metric.min_range_m, metric.max_range_m) != RANGES_M[0]:
+            continue
+        label = f"{metric.subset}, IoU {metric.iou_threshold:g}: {number(metric.curve.average_precision)}"
+        axes[metric.view].plot(
+            metric.curve.recall,
+            metric.curve.precision,
+            color=colours[metric.subset],
+            linestyle="-" if metric.iou_threshold == 0.7 else ":",
+            marker=".",
+            markersize=3,
+            linewidth=1.0,
+            label=label,
+        )
+    for view, panel in axes.items():
+        panel.set(title=view, xlabel="recall", xlim=(0, 1.02), ylim=(0, 1.02))
+        panel.legend(fontsize=7, loc="lower left", frameon=False)
+    axes["BEV"].set_ylabel("precision")
+    figure.suptitle(title, fontsize=9)
+    return figure
 
 
 @dataclass(frozen=True)

@@ -76,12 +76,12 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     if missing := set(after) - set(last.scores):
         raise InputError(f"has no score of {counted(len(missing), 'object')}", f"{last.name} of {last.detector}")
     found = compare(suite.objects, last.scores, after, settings.rule)
-    said = _write(out, suite, scorer, found, last, settings)
+    texts = _write(out, suite, scorer, found, last, settings)
     if settings.accept == "anyway" or (settings.accept == "true" and not found.worse):
-        said.append(f"accepted as release {accept_release(suite, releases, scorer, after, last)}")
+        texts.append(f"accepted as release {accept_release(suite, releases, scorer, after, last)}")
     elif settings.accept == "true":
-        said.append("not accepted: accept=anyway accepts a release that is worse")
-    return Outcome(ExitCode.WORSE if found.worse else ExitCode.DONE, "\n\n".join(filter(None, said)))
+        texts.append("not accepted: accept=anyway accepts a release that is worse")
+    return Outcome(ExitCode.WORSE if found.worse else ExitCode.DONE, "\n\n".join(filter(None, texts)))
 
 
 def _write(

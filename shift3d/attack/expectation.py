@@ -36,13 +36,14 @@ def descend_expectation(
 ) -> AttackResult:
     """Projected Adam on the mean loss over placements close by.
 
-    A loss has a dip wherever beams happen to fall; what is low on average over places is low because of the shape.
+    A loss has a local minimum wherever beams happen to fall; what is low on average over places is low because of the
+    shape.
 
     Args:
         evaluations: renderings in all, shared by starts and placements; the baseline's is not counted.
         rate: Adam's, in the variable's units, falling to a tenth.
         rng: of the placements and the further starts.
-        placements: that the mean is taken over, the object's own among them; drawn anew for every step.
+        placements: that the mean is taken over, the object's own among them; drawn for every step.
         starts: the baseline, then draws from the space, an evaluation each; the descent begins at the best of them.
         family: kinds that the draws are taken from in turn, none twice before each was drawn once; the descent is over
             the kind of the best. None: the draws are the search's own.

@@ -51,7 +51,7 @@ def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
     """The valid step after the start with the lowest loss, the first of several; 0 where none is valid.
 
     selection_window: a step counts with the highest loss of itself and so many steps before and after it, which passes
-    over a dip of one step. 0 is the paper's rule.
+    over a local minimum of one step. 0 is the paper's rule.
 
     Source: SHIFT3D, Algorithm 1; the neighbours are our choice. In 100 shape attacks of the small `table_shape` the
     steps that the paper's rule keeps score 0.409 and their neighbours 0.058 more; with one step either side 0.429 and

@@ -87,7 +87,7 @@ class AttackProblem:
         return replace(self.constraints, min_object_points=kept)
 
     def with_space(self) -> AttackProblem:
-        """The same problem with a map of code0's empty space, where the settings use one."""
+        """The same problem with an SDF grid of code0, where the settings use one."""
         if self.space is not None or not self.settings.sdf_grid:
             return self
         with torch.no_grad():
@@ -95,7 +95,7 @@ class AttackProblem:
             return replace(self, space=SdfGrid.of(sdf, self.vehicle, self.settings))
 
     def space_for(self, code: Tensor) -> SdfGrid | None:
-        """The map of empty space, if it belongs to this code."""
+        """The SDF grid, if it belongs to this code."""
         return self.space if torch.equal(code, self.code0) else None
 
     def incremental_inference(self) -> IncrementalInference:

@@ -78,12 +78,12 @@ def evolve(
     strategy = cma.CMAEvolutionStrategy(start, sigma, options)
     left = evaluations
     while left > 0:
-        asked = strategy.ask()
-        if len(asked) > left:
-            for vector in asked[:left]:
+        candidates = strategy.ask()
+        if len(candidates) > left:
+            for vector in candidates[:left]:
                 trials.evaluate(_projected(search, vector), False)
             break
-        tried = [_projected(search, vector) for vector in asked]
+        tried = [_projected(search, vector) for vector in candidates]
         for variable in tried:
             trials.evaluate(variable, False)
         strategy.tell([variable.double().numpy() for variable in tried], _ranked(trials.trace[-len(tried) :]))

@@ -37,9 +37,9 @@ class JobSpec(BaseModel):
             raise ValueError("address belongs to a ray_job, and to no other kind")
         return self
 
-    def overrides(self, given: Sequence[str]) -> list[str]:
+    def overrides(self, requested: Sequence[str]) -> list[str]:
         """The runner's settings as overrides that go before those given; none where these name a runner."""
-        if any(word.startswith("runner=") for word in given):
+        if any(word.startswith("runner=") for word in requested):
             return []
         rest = [f"runner.{key}={_text(value)}" for key, value in self.runner.items() if key != "kind"]
         return [f"runner={self.runner['kind']}", *rest]

@@ -26,14 +26,14 @@ def mesh_frame(values: dict[str, str], where: str) -> MeshFrame:
     """The orientation and scale in a command's words. Raises: InputError for one that cannot be."""
     from shift3d.vehicles.mesh_frame import MeshFrame
 
-    given: dict[str, str] = {key: values[key] for key in ("forward", "up", "unit") if key in values}
-    given = {key: value if key == "unit" or value[:1] in "+-" else f"+{value}" for key, value in given.items()}
+    frame: dict[str, str] = {key: values[key] for key in ("forward", "up", "unit") if key in values}
+    frame = {key: value if key == "unit" or value[:1] in "+-" else f"+{value}" for key, value in frame.items()}
     length = values.get("length_m")
     try:
         length_m = None if length is None else float(length)
     except ValueError as error:
         raise InputError(f"length_m={length!r} is not a length", where=where, remedy="Give length_m=4.5") from error
-    return MeshFrame(**given, length_m=length_m)
+    return MeshFrame(**frame, length_m=length_m)
 
 
 def whole_number(values: dict[str, str], key: str, default: int, where: str) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts
 from shift3d.errors import InputError
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
@@ -139,9 +139,9 @@ def choose(
             raise InputError(
                 f"scene {scene.scene_id} has no data for {name}: {NEEDS[name].lacking}", "effects", NEEDS[name].remedy
             )
-    worth = measured_impact()
+    impacts = measured_impact()
     return [
-        Choice(name, True, "asked for", worth[name].milliseconds if name in worth else None)
+        Choice(name, True, "asked for", impacts[name].milliseconds if name in impacts else None)
         for name in NEEDS
         if name in wanted
     ]
@@ -155,17 +155,19 @@ def _applicable(scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFact
         reason = effect_named(name).applicability(scene, vehicle, detector)
         if reason is None:
             continue
-        worth = measured_impact().get(name)
-        used = worth is None or worth.matters
+        impacts = measured_impact().get(name)
+        used = impacts is None or impacts.matters
         if not used:
-            assert worth is not None
-            reason = f"left out: {reason}, but it moves scores by {worth.score_change:.3f} (at most {worth.high:.3f})"
-        choices.append(Choice(name, used, reason, None if worth is None else worth.milliseconds))
+            assert impacts is not None
+            reason = (
+                f"left out: {reason}, but it moves scores by {impacts.score_change:.3f} (at most {impacts.high:.3f})"
+            )
+        choices.append(Choice(name, used, reason, None if impacts is None else impacts.milliseconds))
     return choices
 
 
 def effect_named(name: str) -> Effect:
-    """The effect of a name in `NEEDS`; its module is imported now."""
+    """The effect of a name in `NEEDS`; its module is imported here."""
     effect: Effect = importlib.import_module(f"shift3d.effects.{name}").EFFECT
     return effect
 

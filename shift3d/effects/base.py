@@ -18,7 +18,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.field.sdf_grid import SdfGrid
@@ -29,6 +28,15 @@ from shift3d.scenes.scene import Scene
 from shift3d.seeding import generator
 
 __all__ = ["Cast", "DetectorFacts", "Effect", "EffectContext", "Insertion", "Returns"]
+
+
+@dataclass(frozen=True)
+class DetectorFacts:
+    """What an effect asks about a detector. reads_reflectance: beside coordinates."""
+
+    name: str
+    reads_reflectance: bool = False
+
 
 Kind = Literal["cast", "footprint", "returns"]
 

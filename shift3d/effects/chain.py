@@ -28,7 +28,7 @@ __all__ = ["NO_RETURN_M", "SCENE_ALBEDO", "EffectChain"]
 
 NO_RETURN_M = 1e4
 """Where rows rest that bring nothing back, along their beam: beyond every detector's grid, so that the number and the
-order of rows never change (followers of a detector, and files, count on it)."""
+order of rows never change (incremental inference and files rely on it)."""
 SCENE_ALBEDO = 0.3
 """Of the scene's own points where it has no reflectance."""
 

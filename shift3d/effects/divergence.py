@@ -8,9 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import EffectContext, FootprintStep, Insertion, Kind, Returns
+from shift3d.effects.base import DetectorFacts, EffectContext, FootprintStep, Insertion, Kind, Returns
 from shift3d.effects.chain import SCENE_ALBEDO
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.physics.materials import albedo_of
 from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
 from shift3d.render.beams import Beams
@@ -37,7 +36,7 @@ class Divergence:
 
     The axis and a hexagon about it, of equal weight, are cast by the same renderer. Each echo has the power
     weight * albedo * cosine / range^2; a sub-ray past the object meets what the beam met before, at that range, head
-    on (that of a silent beam nothing). Echoes within `PULSE_M` of the next one merge; the group of most power is the
+    on (that of a no-return beam nothing). Echoes within `PULSE_M` of the next one merge; the group of most power is the
     return, at the mean range by power. Where at least half of that power is the object's, the point lies on the axis
     at that range; else the row is the scene's again, its own point. Where all seven merge on the object, the cone lies
     on one face, and the axis's hit stays.
@@ -141,7 +140,7 @@ class _Footprint:
         was_hit = insertion.rendering.hit_mask[rows]
         result = _moved(returns, rows, was_hit & verdict.object_wins & ~verdict.whole, verdict)
         known = rows < len(self.context.scene.points)
-        result = self._given_back(result, rows[was_hit & ~verdict.object_wins & known])
+        result = self._returned_to_scene(result, rows[was_hit & ~verdict.object_wins & known])
         return self._with_gained(result, rows, ~was_hit & verdict.object_wins, verdict, insertion)
 
     def _echoes(self, rows: Tensor, returns: Returns, insertion: Insertion) -> _Echoes:
@@ -161,7 +160,7 @@ class _Footprint:
         albedo[on_object] = albedo_of(points, insertion.theta.detach(), insertion.vehicle)
         return _Echoes(range_m, albedo * cosine / 7.0, cosine, on_object)
 
-    def _given_back(self, returns: Returns, rows: Tensor) -> Returns:
+    def _returned_to_scene(self, returns: Returns, rows: Tensor) -> Returns:
         """Rows that are the scene's again: their own points."""
         if len(rows) == 0:
             return returns
@@ -191,7 +190,7 @@ class _Footprint:
         return _together(returns, Returns(row, points, origins, directions, yes, yes, cosine, albedo, reflectance))
 
     def _scene_albedo(self, rows: Tensor) -> Tensor:
-        """(C,) albedo of what beams met before; 0 of silent ones."""
+        """(C,) albedo of what beams met before; 0 of no-return beams."""
         return torch.where(rows < len(self.context.scene.points), self._of_scene(rows, SCENE_ALBEDO), 0.0)
 
     def _of_scene(self, rows: Tensor, unknown: float) -> Tensor:

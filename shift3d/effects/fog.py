@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.physics.power import (
     LEAST_LOSS,
     OVERLAP_FROM_M,

@@ -1,4 +1,4 @@
-"""Beams that brought nothing back, and now may meet the object."""
+"""Beams without a return, which may meet the object."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import Cast, CastStep, EffectContext, Kind
+from shift3d.effects.base import Cast, CastStep, DetectorFacts, EffectContext, Kind
 from shift3d.effects.chain import NO_RETURN_M
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import NoReturnBeams
 
-__all__ = ["EFFECT", "SilentBeamsCast"]
+__all__ = ["EFFECT", "NoReturnCast"]
 
 
-class SilentBeamsCast:
+class NoReturnCast:
     """Rows after the scene's points, one for each beam without a return, in the order of `Scene.no_return`.
 
     They rest `NO_RETURN_M` out and return only where they meet the object. They start in their own places, unless the
@@ -72,4 +71,4 @@ def _with_rows(cast: Cast, no_return: NoReturnBeams, own: Tensor) -> Cast:
     return replace(cast, beams=rows, no_return=torch.cat((torch.zeros(len(beams), dtype=torch.bool), yes)))
 
 
-EFFECT = SilentBeamsCast()
+EFFECT = NoReturnCast()

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from shift3d.effects.base import CastStep, EffectContext, Kind
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import CastStep, DetectorFacts, EffectContext, Kind
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts

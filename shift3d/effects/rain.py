@@ -11,8 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.physics import power as law
 from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss, unchanged
 from shift3d.render.field.object_field import VehicleFrame

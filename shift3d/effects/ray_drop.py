@@ -7,8 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
 from shift3d.effects.physics.power import echo_power, least_power, survival, survival_draws
 from shift3d.render.field.object_field import VehicleFrame

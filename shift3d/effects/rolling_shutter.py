@@ -10,8 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import Cast, CastStep, EffectContext, Kind
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import Cast, CastStep, DetectorFacts, EffectContext, Kind
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.labels import Conditions
@@ -32,7 +31,7 @@ class RollingShutter:
 
     Leaves the returns that do not meet the object as they are; at velocity 0 everything, bit for bit. Differentiable
     through the hits; the velocity is constant, along the heading at which the object was placed: a pose that turns does
-    not turn it, and no turning of the sensor during the scan is known. Silent beams without firing times meet the
+    not turn it, and no turning of the sensor during the scan is known. No-return beams without firing times meet the
     object at its pose. Source: shared physics, x(t) = x0 + v (t - t_ref).
     """
 

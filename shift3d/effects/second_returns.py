@@ -1,4 +1,4 @@
-"""Later returns of a beam that an inserted surface now stops."""
+"""Later returns of a beam that an inserted surface stops."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Scene

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from shift3d.effects.base import EffectContext, Kind, ReturnsStep
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Kind, ReturnsStep
 from shift3d.effects.physics.power import LEAST_LOSS, loss, reach_m, unchanged
 from shift3d.effects.rain import Particles, Precipitation
 from shift3d.render.field.object_field import VehicleFrame

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import EffectContext, Kind, Returns, ReturnsStep
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
 from shift3d.effects.physics.power import PowerLimit, echo_power, unchanged
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts

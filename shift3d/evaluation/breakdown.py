@@ -101,9 +101,9 @@ def _areas(group: Group, view: str, assignments: Sequence[Assignment], weights: 
 def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Floats) -> dict[str, Area]:
     truths = [assignment.comparison.truth for assignment in assignments]
     inside = [group.members(truth.boxes, truth.num_points, truth.kinds) for truth in truths]
-    asked = [truth.counts & (truth.num_points >= LEVELS["LEVEL_1"]) for truth in truths]
-    total = sum(int(flags.sum()) for flags in asked)
-    share = sum(int((one & two).sum()) for one, two in zip(inside, asked)) / max(1, total)
+    eligible = [truth.counts & (truth.num_points >= LEVELS["LEVEL_1"]) for truth in truths]
+    total = sum(int(flags.sum()) for flags in eligible)
+    share = sum(int((one & two).sum()) for one, two in zip(inside, eligible)) / max(1, total)
     counts = []
     for assignment, among in zip(assignments, inside, strict=True):
         found = assignment.comparison.found
@@ -126,10 +126,10 @@ def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Float
 
 
 def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floats) -> Iterator[BreakdownRow]:
-    asked = group.members(rows.boxes, rows.num_points, rows.kind) & (rows.num_points >= LEVELS["LEVEL_1"])
+    eligible = group.members(rows.boxes, rows.num_points, rows.kind) & (rows.num_points >= LEVELS["LEVEL_1"])
     low, high = group.range_m
-    asked &= (rows.range_m >= low) & (rows.range_m < high)
-    found = asked & rows.matched
+    eligible &= (rows.range_m >= low) & (rows.range_m < high)
+    found = eligible & rows.matched
     of_frame = rows.frame
 
     def share(hit: Flags, of: Flags) -> Callable[[Floats], float | None]:
@@ -138,8 +138,10 @@ def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floa
         return lambda drawn: float(drawn @ above / (drawn @ below)) if drawn @ below > 0 else None
 
     for text, overlap in (("BEV 0.7", rows.iou_bev), ("3D 0.7", rows.iou_3d)):
-        yield _row(group, "recall", text, share(rows.matched & (overlap >= IOU), asked), weights, int(asked.sum()))
-    yield _row(group, "recall", "BEV 0.5", share(rows.matched, asked), weights, int(asked.sum()))
+        yield _row(
+            group, "recall", text, share(rows.matched & (overlap >= IOU), eligible), weights, int(eligible.sum())
+        )
+    yield _row(group, "recall", "BEV 0.5", share(rows.matched, eligible), weights, int(eligible.sum()))
     yield _row(group, "flips", "share", share(rows.flipped, found), weights, int(found.sum()))
     for column, name in enumerate(ERRORS):
         order = np.flatnonzero(found)[np.argsort(rows.errors[found, column], kind="stable")]

@@ -62,8 +62,10 @@ def find_rules(quantities: Mapping[str, FloatArray], scores: FloatArray, most: i
     names = list(quantities)
     table = np.column_stack([np.asarray(quantities[name], np.float64) for name in names])
     # What the smallest rule takes of the variance; a split that takes less makes none.
-    worth = LEAST_SHARE * (1 - LEAST_SHARE) * LEAST_DROP**2
-    model = DecisionTreeRegressor(max_depth=DEPTH, min_samples_leaf=least, min_impurity_decrease=worth, random_state=0)
+    least_decrease = LEAST_SHARE * (1 - LEAST_SHARE) * LEAST_DROP**2
+    model = DecisionTreeRegressor(
+        max_depth=DEPTH, min_samples_leaf=least, min_impurity_decrease=least_decrease, random_state=0
+    )
     tree = model.fit(table, scores).tree_
     found = []
     for conditions in _leaves(tree, names, 0, ()):

@@ -139,12 +139,12 @@ def cutoff_counts(
     """
     truth = assignment.comparison.truth
     among = np.ones(len(truth.counts), dtype=bool) if among is None else among
-    asked = truth.counts & (truth.num_points >= LEVELS[rules.level]) & among
-    rewarded = truth.counts & among if rules.credit_harder else asked
+    eligible = truth.counts & (truth.num_points >= LEVELS[rules.level]) & among
+    rewarded = truth.counts & among if rules.credit_harder else eligible
     share = np.ones(len(assignment.comparison.found.scores)) if share is None else share
-    counted = {number: _count(assignment, number, asked, rewarded, share) for number in assignment.matched}
+    counted = {number: _count(assignment, number, eligible, rewarded, share) for number in assignment.matched}
     table = np.array([counted[number] for number in assignment.num_found.tolist()], dtype=np.float64).T
-    return CutoffCounts(table, float(asked.sum()))
+    return CutoffCounts(table, float(eligible.sum()))
 
 
 def waymo_curve(assignments: Iterable[Assignment], rules: WaymoRules) -> PrecisionRecall:
@@ -177,18 +177,18 @@ def curve_of(counts: CutoffCounts) -> PrecisionRecall:
 
 
 def _count(
-    assignment: Assignment, number: int, asked: Flags, rewarded: Flags, share: Floats
+    assignment: Assignment, number: int, eligible: Flags, rewarded: Flags, share: Floats
 ) -> tuple[int, float, int, float]:
     """Right, wrong, missed, and the sum of the heading accuracies of the right ones."""
     matched = assignment.matched[number]
     rows = np.flatnonzero(matched >= 0)
     rows = rows[rewarded[matched[rows]]]
     false = (matched < 0) & assignment.comparison.found.labelled[:number]
-    unmatched = np.ones(len(asked), dtype=bool)
+    unmatched = np.ones(len(eligible), dtype=bool)
     unmatched[matched[matched >= 0]] = False
     # Sums in a fixed order, whatever the number of frames a worker had.
     heading = float(sum(assignment.comparison.heading_accuracy[rows, matched[rows]].tolist()))
-    return len(rows), float(sum(share[:number][false].tolist())), int((asked & unmatched).sum()), heading
+    return len(rows), float(sum(share[:number][false].tolist())), int((eligible & unmatched).sum()), heading
 
 
 def area_with_gaps(recall: Sequence[float] | Floats, precision: Sequence[float] | Floats) -> float:

@@ -30,7 +30,7 @@ _TABLE, _PAGE = "finetune.parquet", "report.html"
 
 @dataclass(frozen=True)
 class Tuned:
-    """One tuned model. folder: holds its weights, evaluation and, where it is attacked anew, its own sweeps."""
+    """One tuned model. folder: holds its weights, evaluation and, where it is attacked, its own sweeps."""
 
     model: str
     seed: int
@@ -98,7 +98,7 @@ def _params(facts: dict[str, object]) -> dict[str, object]:
 
 
 def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd.DataFrame]:
-    """Every model's scores; what vanilla's sweep found is at once what is found against it anew."""
+    """Every model's scores; what vanilla's sweep found is also what is found against it."""
     for sweep in HELD_OUT:
         before = object_scores(folder / sweep, detector).to_pandas()
         yield _named(before, VANILLA, None, sweep)

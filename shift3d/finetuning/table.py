@@ -12,6 +12,7 @@ import pyarrow as pa
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.evaluation.breakdown import Area
 from shift3d.evaluation.intervals import interval
+from shift3d.store.schemas import schema_of_columns
 
 __all__ = ["ADAPTIVE", "FINETUNE", "TUNED", "VANILLA", "finetune_table", "natural_rows", "seed_means"]
 
@@ -19,25 +20,16 @@ VANILLA, TUNED = "vanilla", "finetuned"
 ADAPTIVE = "adversarial_adaptive"
 _KEY = ["vehicle", "place", "settings"]
 
-FINETUNE = pa.schema(
-    [
-        # vanilla, finetuned, or control: tuned on the unchanged objects of the same scenes.
-        pa.field("model", pa.string(), nullable=False),
-        pa.field("seed", pa.int64()),  # of the tuning; null: of no tuning, or the mean over its seeds
-        # baseline | adversarial (found against vanilla) | adversarial_adaptive (found against this model); null: labels
-        pa.field("objects", pa.string()),
-        pa.field("scene_set", pa.string(), nullable=False),  # held_out | other_vehicles | natural
-        pa.field("metric", pa.string(), nullable=False),  # auc | AP BEV | AP 3D | APH BEV | APH 3D
-        pa.field("value", pa.float64(), nullable=False),
-        pa.field("low", pa.float64()),  # 95 %, scenes resampled; null: a single scene
-        pa.field("high", pa.float64()),
-        pa.field("gain", pa.float64()),  # over vanilla, of the same objects; null: of vanilla itself
-        pa.field("gain_low", pa.float64()),
-        pa.field("gain_high", pa.float64()),
-        pa.field("number", pa.int64(), nullable=False),  # of objects, or of labelled vehicles
-        pa.field("scenes", pa.int64()),
-    ],
-    metadata={"shift3d.schema": "finetune", "shift3d.schema_version": "1"},
+# model: vanilla, finetuned, or control: tuned on the unchanged objects of the same scenes. seed: of the tuning; null:
+# of no tuning, or the mean over its seeds. objects: baseline | adversarial (found against vanilla) |
+# adversarial_adaptive (found against this model); null: labels. scene_set: held_out | other_vehicles | natural. metric:
+# auc | AP BEV | AP 3D | APH BEV | APH 3D. low, high: 95 %, scenes resampled; null: a single scene. gain: over vanilla,
+# of the same objects; null: of vanilla itself. number: of objects, or of labelled vehicles.
+FINETUNE = schema_of_columns(
+    "finetune",
+    1,
+    "model seed:int64? objects? scene_set metric value:float64 low:float64? high:float64? gain:float64? "
+    "gain_low:float64? gain_high:float64? number:int64 scenes:int64?",
 )
 """A row a model, seed, kind of objects, set of scenes and metric."""
 

@@ -20,16 +20,16 @@ from shift3d.naturalness.reference import Member, ReferenceSet, left_out_cm, rea
 from shift3d.naturalness.sizes import published_ranges
 from shift3d.naturalness.sources import Build, ReferenceSource, source_hash
 from shift3d.naturalness.surface import surface_of_mesh
-from shift3d.store.user_cache import user_cache
+from shift3d.store.user_cache import source_digest, user_cache
 from shift3d.wording import counted
 
 __all__ = ["build_reference", "load_reference", "reference_file"]
 
 CALIBRATED = 400
 """Members that are left out, one after the other, for the calibration: of more, these, spread over all."""
-_PROCESSES, _WORTH_PROCESSES = 2, 150
+_PROCESSES, _LEAST_FOR_PROCESSES = 2, 150
 _CODE = (
-    "naturalness/build.py", "naturalness/decoded.py", "naturalness/fingerprint.py", "naturalness/reference.py",
+    "naturalness/build.py", "naturalness/decoded.py", "naturalness/reference.py", "naturalness/reference.py",
     "naturalness/sources.py", "naturalness/surface.py", "sdf/decoder.py", "sdf/field.py", "sdf/meshes.py", "seeding.py",
     "vehicles/family", "vehicles/mesh_files.py", "vehicles/mesh_frame.py",
 )  # fmt: skip
@@ -67,7 +67,7 @@ def _alone(lock: Path) -> Iterator[None]:
 
 def reference_file(source: ReferenceSource) -> Path:
     """Where a reference set is kept: its name changes with its source and with the code that makes it."""
-    digest = hashlib.blake2b((source_hash(source) + _program()).encode(), digest_size=16)
+    digest = hashlib.blake2b((source_hash(source) + source_digest(*_CODE)).encode(), digest_size=16)
     return user_cache() / "reference" / f"{digest.hexdigest()}.safetensors"
 
 
@@ -88,7 +88,7 @@ def build_reference(source: ReferenceSource, where: str) -> tuple[list[Member], 
 
 
 def _built(builds: Sequence[Build]) -> Iterator[Member]:
-    if len(builds) < _WORTH_PROCESSES:
+    if len(builds) < _LEAST_FOR_PROCESSES:
         yield from map(_member, builds)
         return
     # Not forked: the caller may hold threads, and locks with them.
@@ -126,15 +126,3 @@ def _calibration(members: Sequence[Member]) -> Calibration:
 def _in_memory(members: Sequence[Member], calibration: Calibration | None) -> ReferenceSet:
     names, fingerprints = [member.name for member in members], np.stack([member.fingerprint for member in members])
     return ReferenceSet(names, fingerprints, lambda number: members[number].surface(), calibration)
-
-
-@functools.cache
-def _program() -> str:
-    """A hash of the code that makes members."""
-    package = Path(__file__).resolve().parents[1]
-    digest = hashlib.blake2b(digest_size=16)
-    for name in _CODE:
-        path = package / name
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
-    return digest.hexdigest()

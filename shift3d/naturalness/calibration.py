@@ -37,8 +37,8 @@ class Calibration:
         NaN gives 100: what cannot be measured is farther than all.
         Source: our choice.
         """
-        standing = max(_rank(self._means, mean_cm), _rank(self._p95s, p95_cm))
-        return 100.0 * _rank(self._standings, standing)
+        rank = max(_rank(self._means, mean_cm), _rank(self._p95s, p95_cm))
+        return 100.0 * _rank(self._ranks, rank)
 
     @functools.cached_property
     def _means(self) -> NDArray[np.float64]:
@@ -49,7 +49,7 @@ class Calibration:
         return np.sort(self.p95_cm)
 
     @functools.cached_property
-    def _standings(self) -> NDArray[np.float64]:
+    def _ranks(self) -> NDArray[np.float64]:
         each = zip(self.mean_cm, self.p95_cm)
         return np.sort([max(_rank(self._means, mean), _rank(self._p95s, p95)) for mean, p95 in each])
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shift3d.naturalness.surface import Surface
-from shift3d.vehicles.family.more_models import TRAILERS
-from shift3d.vehicles.family.published import INCH_M, PUBLISHED
+from shift3d.vehicles.family.published import INCH_M, PUBLISHED, TRAILERS
 
 __all__ = ["Sizes", "published_ranges", "sizes_of"]
 

@@ -93,12 +93,12 @@ def surface_of_mesh(mesh: trimesh.Trimesh, count: int = POINTS) -> Surface:
     return Surface(points, crossed[face] / doubled[face, None], disc_m, _size(low, high))
 
 
-def surface_of_points(given: NDArray[np.floating]) -> Surface:
+def surface_of_points(unchecked: NDArray[np.floating]) -> Surface:
     """A surface from points (N, 3) spread over it about evenly, metres; normals are of planes through neighbours.
 
     Raises: InputError for fewer than 100 points, or coordinates that are not finite.
     """
-    points: Array = np.asarray(given, np.float64)
+    points: Array = np.asarray(unchecked, np.float64)
     if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 100 or not np.isfinite(points).all():
         what = f"points of shape {points.shape} are no surface, or not finite"
         raise InputError(what, "surface", "Give (N, 3) finite coordinates, 100 or more points")

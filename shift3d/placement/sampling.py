@@ -125,8 +125,8 @@ def place(
     Places where no ground was found are searched for it again, thoroughly, if no other one served: so a scene with room
     on plain ground has the places that it has without that search.
 
-    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of; `space` a map of this field. With a
-    `ground_map` the footprint's corners stand where it allows, and its heights take the place of ground_z_m.
+    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of; `space` an SDF grid of this field.
+    With a `ground_map` the footprint's corners stand where it allows, and its heights take the place of ground_z_m.
     Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
     metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
@@ -135,10 +135,10 @@ def place(
     rejected: Counter[str] = Counter()
 
     def stand(draw: tuple[float, float, float], thorough: bool) -> tuple[Tensor, ConstraintCheck, Rendering] | str:
-        standing = standing_pose(draw, site, size, constraints, thorough)
-        if isinstance(standing, str):
-            return standing
-        theta = snap_to_ground(metric, _near(beams, standing, size), standing, size, reach_m=0.06)
+        on_ground = pose_on_ground(draw, site, size, constraints, thorough)
+        if isinstance(on_ground, str):
+            return on_ground
+        theta = snap_to_ground(metric, _near(beams, on_ground, size), on_ground, size, reach_m=0.06)
         if theta is None:
             return "contact"
         with torch.no_grad():
@@ -201,7 +201,7 @@ class Site:
         return all(self.ground_map.allows(float(x), float(y)) for x, y in corners_bev(box)[0])
 
 
-def standing_pose(
+def pose_on_ground(
     draw: tuple[float, float, float], site: Site, size: Tensor, constraints: Constraints, thorough: bool = True
 ) -> Tensor | str:
     """The pose (6,) that a box of this size has on the ground at (x, y, yaw), or the key of `REFUSALS` why it has none.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import PlacementLimits, Site, drawn_place, refusals, standing_pose
+from shift3d.placement.sampling import PlacementLimits, Site, drawn_place, pose_on_ground, refusals
 from shift3d.render.beams import Beams
 from shift3d.render.culling import clip_to_box, object_rays
 from shift3d.scenes.ground_map import GroundMap
@@ -61,8 +61,8 @@ def survey(
     for _ in range(limits.attempts):
         draw = drawn_place(rng, whole, 1)
         places.append(draw[:2])
-        standing = standing_pose(draw, site, size, constraints)
-        outcome = standing if isinstance(standing, str) else FREE
+        on_ground = pose_on_ground(draw, site, size, constraints)
+        outcome = on_ground if isinstance(on_ground, str) else FREE
         if outcome == "points" and _aimed(site, draw, size) >= constraints.min_object_points:
             outcome = "hidden"
         outcomes.append(outcome)

@@ -49,7 +49,7 @@ class RenderSettings:
 
     Attributes:
         solver: `sphere_tracing` predicts, corrects and covers, see `search`. `plain_sphere_tracing` is its simple
-            twin, see `sphere_tracing.first_hits`. `paper` samples every beam through the 7 m sphere and bisects.
+            reference, see `sphere_tracing.first_hits`. `paper` samples every beam through the 7 m sphere and bisects.
             `piecewise_linear` traverses the linear regions of a ReLU decoder and misses no first crossing where
             `max_slope` holds (any other field goes to `sphere_tracing`).
         dtype: precision in which the field is evaluated. Beam geometry is float64 whatever this says.

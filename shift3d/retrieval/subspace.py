@@ -96,7 +96,7 @@ class Subspace:
     def linearized(self, u: NDArray[np.float64], x_sdf: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values (N,) at points (N, 3), sdf frame, and their derivatives by the point (N, 3) and by u (N, k).
 
-        Costs two evaluations, see `sdf.tangent`.
+        Costs two evaluations, see `sdf.field`.
         """
         layers = tuple(self.by_coordinate)
         found = self.field(u).tangent(x_sdf, layers)

@@ -73,7 +73,7 @@ def _labels(scene: Scene) -> str:
 
 def _conditions(scene: Scene) -> str:
     conditions = scene.conditions
-    said = [conditions.weather]
+    words = [conditions.weather]
     if conditions.ego_velocity_m_s is not None:
-        said.append(f"sensor at {math.hypot(*conditions.ego_velocity_m_s):.1f} m/s")
-    return ", ".join(said)
+        words.append(f"sensor at {math.hypot(*conditions.ego_velocity_m_s):.1f} m/s")
+    return ", ".join(words)

@@ -43,15 +43,15 @@ class EffectSettings:
         Raises:
             InputError: naming the setting and the remedy.
         """
-        for name, value in self.given().items():
+        for name, value in self.overrides().items():
             least, strictly = (-1e3, False) if name == "object_speed_m_s" else (0.0, name in _POSITIVE)
             if not np.isfinite(value) or value < least or (strictly and value == 0.0):
                 remedy = "Give a positive number" if strictly else f"Give a finite number of at least {least:g}"
                 raise InputError(f"{name} is {value}", "effects", remedy)
         # A scene has these bounds too, and nobody validates it again once settings describe it.
-        _sensor(SensorModel(), self.given()).validate("effects")
+        _sensor(SensorModel(), self.overrides()).validate("effects")
 
-    def given(self) -> dict[str, float]:
+    def overrides(self) -> dict[str, float]:
         """The settings that are not None, by name."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
@@ -62,23 +62,23 @@ _SENSOR = {part.name for part in fields(SensorModel)}
 
 def with_settings(scene: Scene, settings: EffectSettings) -> Scene:
     """The scene as the settings describe it; the scene itself where they say nothing about it."""
-    given = settings.given()
-    sensor = _sensor(scene.sensor or SensorModel(), given)
+    overrides = settings.overrides()
+    sensor = _sensor(scene.sensor or SensorModel(), overrides)
     if sensor != (scene.sensor or SensorModel()):
         scene = replace(scene, sensor=sensor)
-    conditions = _weather(scene.conditions, given)
+    conditions = _weather(scene.conditions, overrides)
     return scene if conditions == scene.conditions else replace(scene, conditions=conditions)
 
 
-def _sensor(sensor: SensorModel, given: dict[str, float]) -> SensorModel:
-    return replace(sensor, **{name: value for name, value in given.items() if name in _SENSOR})
+def _sensor(sensor: SensorModel, overrides: dict[str, float]) -> SensorModel:
+    return replace(sensor, **{name: value for name, value in overrides.items() if name in _SENSOR})
 
 
-NOTHING_SAID = EffectSettings()
+NO_OVERRIDES = EffectSettings()
 
 
-def _weather(conditions: Conditions, given: dict[str, float]) -> Conditions:
-    about: dict[str, Any] = {name: given[name] for name in _WEATHER.values() if name in given}
+def _weather(conditions: Conditions, overrides: dict[str, float]) -> Conditions:
+    about: dict[str, Any] = {name: overrides[name] for name in _WEATHER.values() if name in overrides}
     if not about:
         return conditions
     if conditions.weather_in_points and conditions.weather != "dry":
@@ -123,7 +123,7 @@ class SceneFacts:
     object_speed_m_s: float = 0.0
 
     @staticmethod
-    def of(scene: Scene, settings: EffectSettings = NOTHING_SAID) -> SceneFacts:
+    def of(scene: Scene, settings: EffectSettings = NO_OVERRIDES) -> SceneFacts:
         """The facts of a scene as settings describe it."""
         times = scene.time_s
         near_ground = np.abs(scene.points[:, 2] - scene.ground_z_m) < _GROUND_BAND_M
@@ -143,14 +143,14 @@ class SceneFacts:
 
     def described(self, settings: EffectSettings) -> SceneFacts:
         """These facts as settings describe the scene: `of` with them."""
-        given = settings.given()
-        if not given:
+        overrides = settings.overrides()
+        if not overrides:
             return self
         return replace(
             self,
-            sensor=_sensor(self.sensor, given),
-            conditions=_weather(self.conditions, given),
-            object_speed_m_s=given.get("object_speed_m_s", self.object_speed_m_s),
+            sensor=_sensor(self.sensor, overrides),
+            conditions=_weather(self.conditions, overrides),
+            object_speed_m_s=overrides.get("object_speed_m_s", self.object_speed_m_s),
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d, points_in_boxes
 from shift3d.scenes.facts import SceneFacts
-from shift3d.scenes.ground_height import estimate_ground_z
+from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.kitti_files import (
     CLASSES,
     GROUND,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.facts import SceneFacts
-from shift3d.scenes.ground_height import search_ground_z
+from shift3d.scenes.ground_map import search_ground_z
 from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.scenes.scene import Labels, Scene
@@ -121,8 +121,8 @@ class OpenPcdetScenes:
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """See `SceneSet`: the versions of the frame's files and what is said about them."""
         files = (self.root / "points" / f"{name}.npy", self.root / "labels" / f"{name}.txt")
-        said = (*self.sensor_m, self.ground_z_m, self.reflectance_max, self._has_labels)
-        return ("openpcdet", name, *said, *(f"{file.absolute()}: {file.version()}" for file in files))
+        settings = (*self.sensor_m, self.ground_z_m, self.reflectance_max, self._has_labels)
+        return ("openpcdet", name, *settings, *(f"{file.absolute()}: {file.version()}" for file in files))
 
     def _listed_in(self, split: str) -> list[str]:
         file = self.root / "ImageSets" / f"{split}.txt"

@@ -76,12 +76,14 @@ class NoReturnBeams:
             if values is None:
                 continue
             if values.shape != shape or values.dtype != np.float32:
-                raise InputError(f"{values.dtype} {values.shape}", f"{where}, silent.{name}", f"Give float32 {shape}.")
+                raise InputError(
+                    f"{values.dtype} {values.shape}", f"{where}, no_return.{name}", f"Give float32 {shape}."
+                )
             if not np.isfinite(values).all():
-                raise InputError("NaN or infinity", f"{where}, silent.{name}", "Repair or drop those rows.")
+                raise InputError("NaN or infinity", f"{where}, no_return.{name}", "Repair or drop those rows.")
         length = np.linalg.norm(self.directions.astype(np.float64), axis=1)
         if (np.abs(length - 1.0) > 1e-3).any():
             row = int(np.argmax(np.abs(length - 1.0) > 1e-3))
             raise InputError(
-                f"row {row} has length {length[row]:.4g}", f"{where}, silent.directions", "Give unit vectors."
+                f"row {row} has length {length[row]:.4g}", f"{where}, no_return.directions", "Give unit vectors."
             )

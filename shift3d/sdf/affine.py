@@ -27,8 +27,8 @@ def in_round_batches(x: Tensor, *parts: Tensor) -> Tensor:
 
     The same tensor where oneDNN is not asked, or a gradient of the point or the parts is wanted.
     """
-    asked = (x.dtype == torch.bfloat16 and has_fast_bfloat16()) or (x.dtype == torch.float32 and has_wide_float32())
-    if not asked or x.device.type != "cpu" or type(x) is not Tensor or _is_differentiated(x, *parts):
+    supported = (x.dtype == torch.bfloat16 and has_fast_bfloat16()) or (x.dtype == torch.float32 and has_wide_float32())
+    if not supported or x.device.type != "cpu" or type(x) is not Tensor or _is_differentiated(x, *parts):
         return x
     return torch.nn.functional.pad(x, (0, 0, 0, pad_to_bucket(len(x)) - len(x)))
 

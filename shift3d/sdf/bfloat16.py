@@ -59,7 +59,7 @@ class Bfloat16Field:
         return torch.tanh(torch.addmm(self.biases[-1], hidden.float(), self.last)[: len(x_sdf), 0])
 
 
-def bfloat16_twin(field: object, dtype: torch.dtype) -> Bfloat16Field | None:
+def bfloat16_copy(field: object, dtype: torch.dtype) -> Bfloat16Field | None:
     """The bfloat16 form of a float32 decoder's field; None for other fields and where bfloat16 would be slow."""
     if not isinstance(field, DecoderField) or dtype != torch.float32 or field.dtype != torch.float32:
         return None

@@ -177,7 +177,7 @@ def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None =
 
 
 def load_decoder(path: Path | str | None = None) -> Decoder:
-    """A decoder ready for use: eval mode, folded float32 weights, requires_grad False. `.double()` gives the twin.
+    """A decoder ready for use: eval mode, folded float32 weights, requires_grad False. `.double()`: in float64.
 
     Args: path: a safetensors file; default the shipped weights.
     Raises: InputError naming the file and the tensor when it is missing, unreadable or of another shape.

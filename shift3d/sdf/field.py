@@ -3,13 +3,63 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from shift3d.sdf.affine import affine, in_round_batches
-from shift3d.sdf.pieces import Piece, linear_piece
-from shift3d.sdf.tangent import Tangent, tangent
+from shift3d.sdf.linear_regions import LinearRegion, linear_region
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Value and derivatives at N points, sdf frame, in the network's dtype; constants.
+
+    value: (N,) after the tanh. at_point: (N, 3) by the point. at_bias: (N, width) by the bias of each layer asked for.
+    """
+
+    value: Tensor
+    at_point: Tensor
+    at_bias: tuple[Tensor, ...]
+
+
+@torch.no_grad()
+def tangent(
+    weights: Sequence[Tensor], biases: Sequence[Tensor], skip_layer: int, x: Tensor, layers: Sequence[int] = ()
+) -> Tangent:
+    """Evaluate, and go back once.
+
+    Args:
+        weights, biases: of the folded decoder, see `decoder.Field`. skip_layer: before which x is fed in again.
+        x: (N, 3) points, sdf frame. layers: those by whose bias the derivative is wanted.
+
+    A unit exactly at its switch counts as off, as in autograd. Costs two evaluations.
+    Source: our choice: the paper says what is needed, not how it is had.
+    """
+    count, x = len(x), in_round_batches(x)
+    last, hidden, units = len(weights) - 1, x, []
+    for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        if layer == skip_layer:
+            hidden = torch.cat((hidden, x), dim=1)
+        hidden = affine(hidden, weight, bias)
+        if layer < last:
+            hidden = hidden.relu_()
+            units.append(hidden)
+    value = torch.tanh(hidden[:, 0])
+    at_output = (1.0 - value * value)[:, None]
+    at_point, at_bias = torch.zeros_like(x), {}
+    for layer in range(last, -1, -1):
+        if layer < last:
+            at_output = torch.ops.aten.threshold_backward(at_output, units[layer], 0.0)  # 0 where the unit is off
+        at_bias[layer] = at_output
+        at_input = affine(at_output, weights[layer].T, None)
+        if layer == skip_layer:
+            at_input, at_point = at_input[:, :-3], at_point + at_input[:, -3:]
+        at_output = at_input
+    by_bias = tuple(at_bias[layer][:count] for layer in layers)
+    return Tangent(value[:count], (at_point + at_output)[:count], by_bias)
+
 
 _UNITS = 32
 
@@ -45,10 +95,10 @@ class Field:
                 hidden = torch.relu(hidden)
         return torch.tanh(hidden[: len(x_sdf), 0])
 
-    def piece(self, x_sdf: Tensor, direction: Tensor) -> Piece:
-        """The linear pieces on which lines (N, 3) + k (N, 3) start, sdf frame; see `pieces`. Not differentiable."""
+    def region(self, x_sdf: Tensor, direction: Tensor) -> LinearRegion:
+        """The linear regions on which lines (N, 3) + k (N, 3) start, sdf frame; see there. Not differentiable."""
         with torch.no_grad():
-            return linear_piece(
+            return linear_region(
                 self.weights, self.biases, self.skip_layer, x_sdf.to(self.dtype), direction.to(self.dtype)
             )
 

@@ -33,10 +33,10 @@ class MeasuredSetting(_Record):
     null: the preset's. crop_m: how far around the vehicle the detector looks at proposals; null: the whole scene.
     warm: start from the previous rendering of an attack on the shape or the pose; it is timed with all that the
     gradient of that attack needs. gradient: a cold one is timed with what the gradient of the shape or the pose needs.
-    grid: with an SDF grid of the shape, as tasks have one of each vehicle. follow: where it is warm, let the detector
-    reuse what it computed for the previous rendering. displaced: render the adversarially displaced shape too. steps:
-    attack steps that are timed on a case. attack_steps: length of attacks, one on the shape and one on the pose, whose
-    scores the table has; 0: none. bfloat16: left out where the processor has no instructions for it.
+    grid: with an SDF grid of the shape, as tasks have one of each vehicle. incremental: where it is warm, let the
+    detector reuse what it computed for the previous rendering. displaced: render the adversarially displaced shape too.
+    steps: attack steps that are timed on a case. attack_steps: length of attacks, one on the shape and one on the pose,
+    whose scores the table has; 0: none. bfloat16: left out where the processor has no instructions for it.
     """
 
     name: str
@@ -49,7 +49,7 @@ class MeasuredSetting(_Record):
     warm: Literal["no", "shape", "pose"] = "no"
     gradient: Literal["no", "shape", "pose"] = "no"
     grid: bool = False
-    follow: bool = True
+    incremental: bool = True
     displaced: bool = True
     steps: Count = 1
     attack_steps: Annotated[int, Field(ge=0)] = 0

@@ -143,16 +143,16 @@ def detector_hash(name: str, weights: str | None, module: str | None, layout: Ma
         InputError: a file is missing.
     """
     if name == ONNX:
-        return file_hash(_given_file(weights or "", "Check detector.file"))
+        return file_hash(_existing_file(weights or "", "Check detector.file"))
     if name != OWN:
         weights_hash = file_hash(weights_file(name, weights))
         return weights_hash if layout is None else layout_hash(layout, weights_hash)
     remedy = "Check detector.module and detector.weights"
-    parts = [_given_file(part, remedy) for part in (module, weights) if part]
+    parts = [_existing_file(part, remedy) for part in (module, weights) if part]
     return hashlib.blake2b("".join(map(file_hash, parts)).encode(), digest_size=16).hexdigest()
 
 
-def _given_file(text: str, remedy: str) -> Path:
+def _existing_file(text: str, remedy: str) -> Path:
     path = Path(text).expanduser()
     if not path.is_file():
         raise InputError("no such file", where=str(path), remedy=remedy)
@@ -293,9 +293,12 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
 
 
 def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[SceneEntry, ...], dict[str, str]]:
-    """See `scene_entries`."""
-    skip_bad = config.scenes.skip_bad if isinstance(config.scenes, FramesConfig) else None
-    return scene_entries(scenes, preview, skip_bad)
+    """See `scene_entries`. Reasons name files below the data set's folder: the same wherever that is."""
+    if not isinstance(config.scenes, FramesConfig):
+        return scene_entries(scenes, preview)
+    entries, skipped = scene_entries(scenes, preview, config.scenes.skip_bad)
+    root = config.scenes.root.rstrip("/") + "/"
+    return entries, {name: why.replace(root, "") for name, why in skipped.items()}
 
 
 class _VehicleHashes(Mapping[str, str]):

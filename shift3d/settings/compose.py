@@ -99,9 +99,9 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     return Composed(name, tuple(overrides), base, tuple(axes))
 
 
-def _small(listed: Any, given: Sequence[Any], where: str) -> list[str]:
+def _small(listed: Any, requested: Sequence[Any], where: str) -> list[str]:
     """The overrides that the small size of a sweep stands for; none where it is not asked for."""
-    sizes = [override for override in given if override.get_key_element() == "size"]
+    sizes = [override for override in requested if override.get_key_element() == "size"]
     if any(override.is_sweep_override() for override in sizes):
         raise InputError("size cannot be an axis", where=where, remedy="Give it one value")
     if not sizes or sizes[-1].get_value_element_as_str() != _SMALL:

@@ -1,4 +1,4 @@
-"""Settings that had another name or are gone: refused with the new name, read from older folders."""
+"""Older names of settings: refused with the valid name, read from older folders."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def renamed_error(key: str, value: Any = None) -> InputError | None:
 
 
 def current_settings(values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """A task's settings of the renderer, of this or an older program, by today's names.
+    """A task's settings of the renderer, of this or an older program, by the valid names.
 
     Raises:
         InputError: a solver that is gone.

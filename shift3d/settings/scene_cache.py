@@ -24,7 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.store.atomic import write_atomic
-from shift3d.store.user_cache import user_cache
+from shift3d.store.user_cache import source_digest, user_cache
 
 __all__ = ["SceneEntry", "keep_entry", "kept_entry"]
 
@@ -68,12 +68,5 @@ def _file(source: Sequence[object]) -> Path:
 @functools.cache
 def _program() -> str:
     """A hash of what makes scenes on this machine."""
-    package = Path(__file__).resolve().parents[1]
-    digest = hashlib.blake2b(platform.node().encode(), digest_size=16)
-    for library in _LIBRARIES:
-        digest.update(f"{library} {importlib.metadata.version(library)}\n".encode())
-    for name in _SOURCES:
-        path = package / name
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
-    return digest.hexdigest()
+    libraries = [f"{library} {importlib.metadata.version(library)}" for library in _LIBRARIES]
+    return "\n".join([platform.node(), *libraries, source_digest(*_SOURCES)])

@@ -47,8 +47,8 @@ def scene_set(config: SceneConfig) -> SceneSet:
     from shift3d.scenes.openpcdet import OpenPcdetScenes
 
     x, y, z = config.sensor_m
-    said = (config.ground_z_m, config.reflectance_max)
-    return OpenPcdetScenes(root, names, count, config.split, (x, y, z), *said, keep_bad)
+    constants = (config.ground_z_m, config.reflectance_max)
+    return OpenPcdetScenes(root, names, count, config.split, (x, y, z), *constants, keep_bad)
 
 
 def _kitti(config: KittiConfig) -> SceneSet:

@@ -57,7 +57,7 @@ class CommitLog:
         self.driver = f"{os.getpid()}-{secrets.token_hex(4)}"
         self.entries: list[Commit] = []
         self._done: set[str] = set()
-        self._given_up: set[str] = set()
+        self._quarantined: set[str] = set()
         for part in ("_log", "data", "final"):
             for left in (self.folder / part).leftovers():
                 left.delete()
@@ -109,8 +109,8 @@ class CommitLog:
         names = dict.fromkeys(name for entry in self.entries for name, _ in entry.segments)
         written = [self._write(name, segment(name)) for name in names]
         done = dict.fromkeys(task for entry in self.entries for task in entry.done)
-        given_up = dict.fromkeys(task for entry in self.entries for task in entry.quarantined)
-        left = tuple(task for task in given_up if task not in done)
+        listed = dict.fromkeys(task for entry in self.entries for task in entry.quarantined)
+        left = tuple(task for task in listed if task not in done)
         entry = self._append("compact", tuple(done), left, dict(written))
         self.entries = [entry]
         return entry
@@ -163,7 +163,7 @@ class CommitLog:
     def _take(self, entry: Commit) -> None:
         self.entries.append(entry)
         self._done.update(entry.done)
-        self._given_up.update(entry.quarantined)
+        self._quarantined.update(entry.quarantined)
 
     def _discard(self, segments: dict[str, tuple[str, int]]) -> None:
         for file_name, _ in segments.values():
@@ -174,12 +174,12 @@ class CommitLog:
         return self._done
 
     def quarantined(self) -> set[str]:
-        """Ids of the tasks that were given up on and have not succeeded since."""
-        return self._given_up - self._done
+        """Ids of the tasks that are quarantined and have not succeeded since."""
+        return self._quarantined - self._done
 
     def finished(self) -> set[str]:
-        """Ids of the tasks that are not to be run again: those that are done, and those that were given up on."""
-        return self._done | self._given_up
+        """Ids of the tasks that are not to be run again: those that are done or quarantined."""
+        return self._done | self._quarantined
 
 
 def _driver_of(path: Location) -> str:

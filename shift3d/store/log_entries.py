@@ -113,7 +113,7 @@ def entry_name(sequence: int) -> str:
 
 
 def entry_of(values: dict[str, Any], sequence: int) -> Commit:
-    """An entry of this version. Raises ValueError where a value cannot be what a driver writes."""
+    """An entry of the log's format. Raises ValueError where a value cannot be what a driver writes."""
     segments, rows = values["segments"], values["rows"]
     texts = [values["driver"], values["spec_hash"], values["done"], values["quarantined"], *segments.values()]
     wrong = (

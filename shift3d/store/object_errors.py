@@ -47,7 +47,7 @@ _MEANINGS = (
         "cannot be reached",
         "{check}",
     ),
-    (r"50[0234] |SlowDown|429 ", "the store does not answer now", "{check}"),
+    (r"50[0234] |SlowDown|429 ", "the store does not answer", "{check}"),
 )
 
 
@@ -58,7 +58,7 @@ def explained(error: Exception, url: str) -> InputError:
     for pattern, what, remedy in _MEANINGS:
         if re.search(pattern, text):
             # The store's own words where it is the network: they name the host that was asked.
-            request = f" ({_asked(text)})" if remedy == "{check}" else ""
+            request = f" ({_request(text)})" if remedy == "{check}" else ""
             return InputError(
                 what + request, url, remedy.format(credentials=_CREDENTIALS[scheme], check=_CHECK[scheme])
             )
@@ -66,7 +66,7 @@ def explained(error: Exception, url: str) -> InputError:
     return InputError(f"the store refuses ({first})", url, _CHECK[scheme])
 
 
-def _asked(text: str) -> str:
+def _request(text: str) -> str:
     host = re.search(r"https?://[^/\s]+", text)
     tries = re.search(r"after (\d+) retries", text)
     return (host[0] if host else "no answer") + (f", tried {int(tries[1]) + 1} times" if tries else "")

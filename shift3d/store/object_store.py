@@ -81,8 +81,8 @@ def _store(scheme: str, bucket: str) -> Any:
 @functools.lru_cache(maxsize=8)
 def _client(scheme: str, bucket: str, process: int, settings: tuple[tuple[str, str], ...]) -> Any:
     prefix, kind = ("AWS_", S3Store) if scheme == "s3" else ("GOOGLE_", GCSStore)
-    given = {name for name, _ in settings}
-    patience: Any = {name: value for name, value in _PATIENCE.items() if f"{prefix}{name.upper()}" not in given}
+    named = {name for name, _ in settings}
+    patience: Any = {name: value for name, value in _PATIENCE.items() if f"{prefix}{name.upper()}" not in named}
     with _clear_errors(f"{scheme}://{bucket}"):
         return kind(bucket, config=patience, retry_config=_RETRY)
 

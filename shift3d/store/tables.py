@@ -81,7 +81,7 @@ def table_bytes(table: pa.Table) -> bytes:
 def read_table(
     path: LocationLike, name: str, filters: list[tuple[str, str, Any]] | None = None, content: bytes | None = None
 ) -> pa.Table:
-    """Read a Parquet file and check that it holds the schema ``name`` of this version.
+    """Read a Parquet file and check that it holds the schema ``name`` of `SCHEMA_VERSION`.
 
     filters: (column, operator, value) that rows must satisfy, as pyarrow has them. content: the file's bytes, where
     the caller has them.

@@ -1,13 +1,27 @@
-"""The user's cache folder: what is kept there can be made again, so nobody depends on it."""
+"""The user's cache folder: what is kept there can be made again, by the program whose digest its name holds."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import os
 from pathlib import Path
 
-__all__ = ["user_cache"]
+__all__ = ["source_digest", "user_cache"]
 
 
 def user_cache() -> Path:
     """``shift3d`` in XDG_CACHE_HOME, or in ~/.cache; it may not be there yet."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shift3d"
+
+
+@functools.cache
+def source_digest(*parts: str) -> str:
+    """BLAKE2b of the source and the data tables of parts of the package, such as ``scenes`` or ``seeding.py``."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.blake2b(digest_size=16)
+    for part in map(package.joinpath, parts):
+        for file in sorted(part.rglob("*")) if part.is_dir() else [part]:
+            if file.suffix in (".py", ".csv", ".toml"):
+                digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
+    return digest.hexdigest()

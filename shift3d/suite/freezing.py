@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -20,7 +21,7 @@ from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.suite.choosing import Choice, Chosen, choose_solutions
 from shift3d.suite.frozen import FrozenSuite, background_file, blake2b, manifest_bytes, read_manifest, read_suite
-from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, suite_table, suite_table_bytes
+from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, read_suite_table, suite_table, suite_table_bytes
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.task.assets import Assets, load_assets, score_precision
 from shift3d.task.problem import build_problem
@@ -39,8 +40,12 @@ __all__ = ["Frames", "Frozen", "freeze_suite"]
 Frames = Literal["copied", "referenced"]
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
+_SCENE = "unfinished-"
+"""Begins the names of files that hold the objects of one scene until the suite is whole."""
 _UNFINISHED = {"objects.parquet", "scores.parquet", "backgrounds"}
-"""What a killed freezing leaves: it may be replaced."""
+"""What else a killed freezing leaves."""
+_LEFT_OUT = "left_out"
+"""Role of an object with another score than the sweep's, in files of single scenes alone."""
 
 
 @dataclass(frozen=True)
@@ -57,16 +62,22 @@ class Frozen:
 
 @dataclass
 class _Writing:
-    """A suite on its way into its folder. digests: of its files. sets: settings of scene sets, as they are met."""
+    """A suite on its way into its folder. key: of the sweep and the choice. digests: of its files. sets: settings of
+    scene sets, as they are met."""
 
     to: Location
     frames: Frames
+    key: str
     digests: dict[str, str] = field(default_factory=dict)
     sets: list[dict[str, Any]] = field(default_factory=list)
 
     def write(self, name: str, content: bytes) -> None:
         (self.to / name).write_atomic(content)
         self.digests[name] = blake2b(content)
+
+    def scene_file(self, name: str) -> Location:
+        """Where the objects of a scene lie until all are there."""
+        return self.to / f"{_SCENE}{blake2b(f'{self.key} {name}'.encode())}.parquet"
 
     def background(self, points: NDArray[np.float32]) -> str:
         """The digest of a scene's points, which are written where they are not there yet."""
@@ -89,8 +100,8 @@ class _Writing:
 def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: Frames = "copied") -> Frozen:
     """Freeze hard objects of a finished sweep, and their controls, into a folder or bucket.
 
-    The same sweep and choice give the same bytes. ``suite.json`` is written last: a folder without it is no suite, and
-    the same call begins anew; with it, nothing is written again.
+    The same sweep and choice give the same bytes, killed and resumed. ``suite.json`` is written last: a folder without
+    it is no suite, and the same call goes on scene by scene; with it, nothing is written again.
 
     Args:
         frames: "copied" puts the scenes' points into the suite. "referenced" puts in where they come from: the gate
@@ -110,11 +121,12 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     if (to / "suite.json").is_file():
         if read_manifest(to / "suite.json").get("made") != made or read_manifest(to / "suite.json")["frames"] != frames:
             raise InputError("holds another suite", str(to), "Give another to=DIR")
+        _forget_scenes(to)
         return Frozen(read_suite(to), chosen.left_out, chosen.unverified, None)
-    if not set(to.names()) <= _UNFINISHED:
+    if any(name not in _UNFINISHED and not name.startswith(_SCENE) for name in to.names()):
         raise InputError("is no suite, and not empty", str(to), "Give another to=DIR")
     to.check_writable()
-    writing = _Writing(to, frames)
+    writing = _Writing(to, frames, blake2b(json.dumps([made, frames], sort_keys=True).encode()))
     objects, left_out, largest = _objects(plan, chosen, writing)
     if not objects:
         raise InputError("no object has the score that the sweep reports", str(sweep), "Run the sweep again")
@@ -122,7 +134,14 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     writing.write("scores.parquet", suite_table_bytes(_sweep_scores(plan, chosen.scores, objects)))
     manifest = _manifest(plan, made, objects, writing)
     (to / "suite.json").write_atomic(manifest_bytes(manifest))
+    _forget_scenes(to)
     return Frozen(read_suite(to), chosen.left_out | left_out, chosen.unverified, largest)
+
+
+def _forget_scenes(to: Location) -> None:
+    for name in to.names():
+        if name.startswith(_SCENE):
+            (to / name).delete()
 
 
 def _manifest(plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]], writing: _Writing) -> dict[str, Any]:
@@ -142,43 +161,79 @@ def _manifest(plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]]
     }
 
 
-def _objects(plan: Plan, chosen: Chosen, writing: _Writing) -> tuple[list[dict[str, Any]], dict[str, int], float]:
+def _objects(
+    plan: Plan, chosen: Chosen, writing: _Writing
+) -> tuple[list[dict[str, Any]], dict[str, int], float | None]:
     """Rows of ``objects.parquet``, scene by scene, a control before what was made of it; what was left out; the
-    largest difference of scores."""
-    known = chosen.scores[chosen.scores["scored_by"] == chosen.scores["detector"]]
-    keys = zip(known["task_id"], known["method"], known["replicate"], strict=True)
-    reported = dict(zip(keys, known["score"], strict=True))
-    controls = {row["task_id"]: row for row in chosen.controls.to_dict("records")}
-    held: dict[int, Assets] = {}
-    objects: dict[str, dict[str, Any]] = {}
-    left_out: Counter[str] = Counter()
-    largest = 0.0
-    for hard in _with_progress(chosen.hard):
-        (task,) = plan.tasks.starting_with(hard["task_id"])
-        if task.assets not in held:
-            held[task.assets] = load_assets(plan.assets[task.assets])
-        number, control = writing.scene_set(plan.assets[task.assets].scenes), None
-        for role, solution in (("control", controls.get(hard["task_id"])), ("hard", hard)):
-            if solution is None:
-                continue
-            row, score = _object(task.spec, solution, held[task.assets], writing)
-            off = abs(score - reported[solution["task_id"], solution["method"], solution["replicate"]])
-            if off > SCORE_TOLERANCE:
-                left_out["with another score than the sweep's"] += 1
-                continue
-            largest = max(largest, off)
-            objects.setdefault(row["object_id"], {**row, "role": role, "control": control, "frames": number})
-            control = row["object_id"]
-    return list(objects.values()), dict(left_out), largest
-
-
-def _with_progress(solutions: pd.DataFrame) -> Iterator[dict[str, Any]]:
-    """Solutions scene by scene, so that each scene is loaded once."""
+    largest difference of scores, None where every scene was there already."""
     from tqdm import tqdm
 
-    rows = solutions.sort_values(["dataset", "scene"], kind="stable").to_dict("records")
+    known = chosen.scores[chosen.scores["scored_by"] == chosen.scores["detector"]]
+    keys = zip(known["task_id"], known["method"], known["replicate"], strict=True)
+    freezing = _Freezing(plan, writing, dict(zip(keys, known["score"], strict=True)), chosen.controls)
     slow = {} if sys.stderr.isatty() else {"mininterval": 15.0}
-    yield from tqdm(rows, "freezing", unit="object", dynamic_ncols=True, **slow)
+    objects: dict[str, dict[str, Any]] = {}
+    left_out: Counter[str] = Counter()
+    # Scene by scene, so that each is loaded once.
+    scenes = chosen.hard.groupby(["dataset", "scene"], sort=True)
+    with tqdm(total=len(chosen.hard), desc="freezing", unit="object", dynamic_ncols=True, **slow) as progress:
+        for (dataset, scene), hard in scenes:
+            for row in freezing.scene(f"{dataset}/{scene}", hard):
+                if row["role"] == _LEFT_OUT:
+                    left_out["with another score than the sweep's"] += 1
+                else:
+                    objects.setdefault(row["object_id"], row)
+            progress.update(len(hard))
+    return list(objects.values()), dict(left_out), freezing.largest
+
+
+@dataclass
+class _Freezing:
+    """Freezes scene after scene. reported: scores by task, method and replicate. largest: difference from these."""
+
+    plan: Plan
+    writing: _Writing
+    reported: Mapping[tuple[str, str, int], float]
+    controls: pd.DataFrame
+    largest: float | None = None
+    held: dict[int, Assets] = field(default_factory=dict)
+
+    def scene(self, name: str, hard: pd.DataFrame) -> list[dict[str, Any]]:
+        """Rows of the objects of one scene: from its file where there is one, which is written otherwise."""
+        file = self.writing.scene_file(name)
+        if file.is_file():
+            rows: list[dict[str, Any]] = read_suite_table(file, "objects").to_pylist()
+            for row in rows:
+                self._register(row)
+            return rows
+        rows = [row for solution in hard.to_dict("records") for row in self._pair(solution)]
+        file.write_atomic(suite_table_bytes(suite_table("objects", rows)))
+        return rows
+
+    def _register(self, row: Mapping[str, Any]) -> None:
+        """Note what a row of an earlier run refers to: its scene set and its background."""
+        (task,) = self.plan.tasks.starting_with(row["task_id"])
+        self.writing.scene_set(self.plan.assets[task.assets].scenes)
+        if self.writing.frames == "copied":
+            name = background_file(row["background"])
+            self.writing.digests[name] = blake2b((self.writing.to / name).read_bytes())
+
+    def _pair(self, hard: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """A solution's control and its own row."""
+        (task,) = self.plan.tasks.starting_with(hard["task_id"])
+        if task.assets not in self.held:
+            self.held[task.assets] = load_assets(self.plan.assets[task.assets])
+        number, control = self.writing.scene_set(self.plan.assets[task.assets].scenes), None
+        controls = self.controls[self.controls["task_id"] == hard["task_id"]].to_dict("records")
+        rows = []
+        for role, solution in (*(("control", row) for row in controls), ("hard", hard)):
+            row, score = _object(task.spec, solution, self.held[task.assets], self.writing)
+            off = abs(score - self.reported[solution["task_id"], solution["method"], solution["replicate"]])
+            same = off <= SCORE_TOLERANCE
+            rows.append({**row, "role": role if same else _LEFT_OUT, "control": control, "frames": number})
+            if same:
+                self.largest, control = max(self.largest or 0.0, off), row["object_id"]
+        return rows
 
 
 def _object(

@@ -138,7 +138,7 @@ def read_suite(folder: LocationLike, root: str | None = None) -> FrozenSuite:
 
 
 def read_manifest(path: Location) -> dict[str, Any]:
-    """suite.json. Raises InputError: there is none, or it is not one of this version."""
+    """suite.json. Raises InputError: there is none, or it has another format."""
     try:
         manifest = json.loads(path.read_bytes())
     except FileNotFoundError as error:

@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
 from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.schemas import schema_of_columns
 from shift3d.store.tables import check_table
 
 __all__ = ["SUITE_SCHEMAS", "SUITE_VERSION", "read_suite_table", "suite_table", "suite_table_bytes"]
@@ -17,71 +18,33 @@ __all__ = ["SUITE_SCHEMAS", "SUITE_VERSION", "read_suite_table", "suite_table", 
 SUITE_VERSION = 1
 """Of the suite's files. A suite of another version is refused."""
 
-_OBJECT = [
-    ("object_id", pa.string()),  # 128-bit BLAKE2b of what is scored
-    ("role", pa.string()),  # hard, or control: the unchanged vehicle of the same task
-]
-_FROM = [(name, pa.string()) for name in ("task_id", "method", "vehicle", "scene", "dataset", "mode")]
-_XYZ = [(name, pa.float32()) for name in "xyz"]
-
-
-def _schema(name: str, fields: list[tuple[str, pa.DataType]], nullable: set[str] | None = None) -> pa.Schema:
-    metadata = {"shift3d.schema": f"suite_{name}", "shift3d.schema_version": str(SUITE_VERSION)}
-    return pa.schema([pa.field(n, kind, nullable=n in (nullable or ())) for n, kind in fields], metadata=metadata)
-
-
-SUITE_SCHEMAS: dict[str, pa.Schema] = {
-    # A row an object. The scene as detectors see it: the background's points, those of ``rows`` replaced by the first
-    # of ``points`` (x, y, z after one another), the rest of these appended. hits: rows on the object. Box: scene frame,
-    # geometric centre.
-    "objects": _schema(
-        "objects",
-        [
-            *_OBJECT,
-            ("control", pa.string()),  # object_id of a hard object's control
-            *_FROM,
-            ("replicate", pa.int32()),
-            ("background", pa.string()),  # of the scene's points, see "background"
-            ("scene_hash", pa.string()),
-            ("frames", pa.int32()),  # which of the manifest's scene sets, where frames are referenced
-            ("effects", pa.list_(pa.string())),
-            ("ground_z_m", pa.float64()),
-            *((name, pa.float64()) for name in ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")),
-            ("pitch_rad", pa.float64()),
-            ("roll_rad", pa.float64()),
-            ("radius_m", pa.float64()),  # how near a box lies that detects it
-            ("precision", pa.string()),  # of the detector that scores
-            ("object_points", pa.int32()),
-            ("latent_code", pa.list_(pa.float32())),
-            ("rows", pa.list_(pa.int32())),
-            ("points", pa.list_(pa.float32())),
-            ("hits", pa.list_(pa.int32())),
-        ],
-        {"control"},
+# object_id: 128-bit BLAKE2b of what is scored. role: hard, or control: the unchanged vehicle of the same task.
+_OBJECT = "object_id role"
+_FROM = "task_id method vehicle scene dataset mode"
+_BOX = "x_m y_m z_m dx_m dy_m dz_m heading_rad pitch_rad roll_rad"
+_COLUMNS = {
+    # A row an object. control: object_id of a hard object's control. background: of the scene's points. frames: which
+    # of the manifest's scene sets, where frames are referenced. The scene as detectors see it: the background's points,
+    # those of ``rows`` replaced by the first of ``points`` (x, y, z after one another), the rest of these appended.
+    # hits: rows on the object. Box: scene frame, geometric centre. radius_m: how near a box lies that detects it.
+    # precision: of the detector that scores.
+    "objects": (
+        f"{_OBJECT} control? {_FROM} replicate:int32 background scene_hash frames:int32 effects:list-of-string "
+        f"ground_z_m {_BOX} radius_m precision object_points "
+        "latent_code:list-of-float32 rows:list-of-int32 points:list-of-float32 hits:list-of-int32"
     ),
-    "background": _schema("background", _XYZ),
+    "background": "x:float32 y:float32 z:float32",
     # Of the sweep, and of a release.
-    "scores": _schema(
-        "scores",
-        [("object_id", pa.string()), ("detector", pa.string()), ("weights", pa.string()), ("score", pa.float64())],
-    ),
+    "scores": "object_id detector weights score",
     # One background's objects scored by the weights of the gate.
-    "answers": _schema("answers", [("object_id", pa.string()), ("score", pa.float64())]),
+    "answers": "object_id score",
     # A gate's result, worst first.
-    "gate": _schema(
-        "gate",
-        [
-            *_OBJECT,
-            *_FROM,
-            ("range_m", pa.float64()),
-            ("object_points", pa.int32()),
-            ("score_before", pa.float64()),
-            ("score", pa.float64()),
-            ("change", pa.float64()),
-            ("detected_before", pa.bool_()),
-            ("detected", pa.bool_()),
-        ],
-    ),
+    "gate": f"{_OBJECT} {_FROM} range_m object_points score_before score change detected_before:bool detected:bool",
+}
+_FLOATS = f"{_BOX} ground_z_m radius_m range_m score score_before change".split()
+_TYPES = {**dict.fromkeys(_FLOATS, "float64"), "object_points": "int32"}
+SUITE_SCHEMAS: dict[str, pa.Schema] = {
+    name: schema_of_columns(f"suite_{name}", SUITE_VERSION, columns, _TYPES) for name, columns in _COLUMNS.items()
 }
 
 

@@ -20,19 +20,40 @@ from shift3d.store.location import Location
 from shift3d.store.log import Commit, CommitLog, TakenOverError
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.execution.abort import AbortRule
-from shift3d.sweep.execution.order import cheapest_first
 from shift3d.sweep.execution.progress import Progress
 from shift3d.sweep.execution.runner import Runner, make_runner
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import Tasks
 from shift3d.sweep.results.commit import Committer
 from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
 from shift3d.sweep.results.reuse import take_finished
 from shift3d.sweep.status import State, StatusWriter
 
-__all__ = ["SweepResult", "run_sweep"]
+__all__ = ["SweepResult", "cheapest_first", "run_sweep"]
+
+
+def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
+    """Positions in a plan, pose attacks before shape attacks wherever neighbours share a vehicle.
+
+    A pose attack takes about two thirds of a shape attack's time and makes no mesh, so a sweep's first result is there
+    sooner. Tasks of a vehicle stay together: a worker prepares each vehicle once. Otherwise in plan order.
+
+    Args:
+        positions: ascending.
+
+    Source: our choice.
+    """
+    templates = tasks.templates
+    names = list(dict.fromkeys(template.vehicle for template in templates))
+    vehicle = np.array([names.index(template.vehicle) for template in templates], dtype=np.int64)
+    is_shape = np.array([template.mode == "shape" for template in templates], dtype=np.int64)
+    template = tasks.template[positions]
+    runs = np.cumsum(np.diff(vehicle[template], prepend=-1) != 0)
+    return positions[np.argsort(2 * runs + is_shape[template], kind="stable")]
+
 
 RunnerConfig = RayRunnerConfig | LocalRunnerConfig
 Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
@@ -82,8 +103,8 @@ def run_sweep(
     open_folder(folder, plan)
     log = CommitLog(folder, plan.spec_hash)
     reused = sum(take_finished(log, plan, other) for other in reuse)
-    given_up = log.quarantined() if retry_quarantined else set()
-    left = plan.tasks.without(log.finished() - given_up)
+    again = log.quarantined() if retry_quarantined else set()
+    left = plan.tasks.without(log.finished() - again)
     status = StatusWriter(log, len(plan.tasks))
     status.write([], 0, "starting" if len(left) else "finished")
     if len(left):
@@ -91,7 +112,7 @@ def run_sweep(
             for assets in plan.assets:
                 kind.prepare(assets)
         with (
-            _runner(kind, plan, runner_config, len(left), _tried(log, plan, given_up), status) as runner,
+            _runner(kind, plan, runner_config, len(left), _tried(log, plan, again), status) as runner,
             Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress,
         ):
             rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
@@ -120,14 +141,14 @@ def _runner(
         runner.close()
 
 
-def _tried(log: CommitLog, plan: Plan, given_up: set[str]) -> dict[int, int]:
+def _tried(log: CommitLog, plan: Plan, again: set[str]) -> dict[int, int]:
     """Attempts so far of the tasks that are tried again, by position: their numbers go on."""
-    if not given_up:
+    if not again:
         return {}
     attempts = segments_in_plan_order(log.folder, log.entries, "attempts", plan)
     last = dict(zip(attempts["task_id"].to_pylist(), attempts["attempt"].to_pylist()))  # in the order of attempts
-    found = pc.index_in(pa.array(sorted(given_up), type=pa.string()), value_set=plan.tasks.ids).to_pylist()
-    return {position: last.get(task, 0) for task, position in zip(sorted(given_up), found) if position is not None}
+    found = pc.index_in(pa.array(sorted(again), type=pa.string()), value_set=plan.tasks.ids).to_pylist()
+    return {position: last.get(task, 0) for task, position in zip(sorted(again), found) if position is not None}
 
 
 @dataclass(frozen=True)

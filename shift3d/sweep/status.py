@@ -105,7 +105,7 @@ class SweepStatus:
 
     @property
     def left(self) -> int:
-        """Tasks that are neither done nor given up on."""
+        """Tasks that are neither done nor quarantined."""
         return self.planned - self.done - self.quarantined
 
 
@@ -119,12 +119,19 @@ def read_status(folder: LocationLike) -> SweepStatus:
     spec = read_spec(folder)
     entries = read_log(folder)
     done = {task for entry in entries for task in entry.done}
-    given_up = {task for entry in entries for task in entry.quarantined} - done
+    quarantined = {task for entry in entries for task in entry.quarantined} - done
     commits = sum(entry.kind == "commit" for entry in entries)
     compacted = any(entry.kind == "compact" for entry in entries)
     driver = entries[-1].driver if entries and entries[-1].kind != "compact" else None
     return SweepStatus(
-        spec["sweep"], int(spec["tasks"]), len(done), len(given_up), commits, compacted, driver, _read_progress(folder)
+        spec["sweep"],
+        int(spec["tasks"]),
+        len(done),
+        len(quarantined),
+        commits,
+        compacted,
+        driver,
+        _read_progress(folder),
     )
 
 

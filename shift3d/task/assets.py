@@ -35,7 +35,7 @@ from shift3d.vehicles.vehicle import Vehicle
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
 # Tasks come grouped by vehicle, so that the same scenes come round again; a scene with its beams is 15 MB.
 _SCENES_KEPT = 16
-# A map of a car is 1 MB and takes seconds.
+# An SDF grid of a car is 1 MB and takes seconds.
 _SPACES_KEPT = 64
 
 
@@ -45,8 +45,8 @@ class Assets:
 
     scenes, vehicles: the sets that names are looked up in. decoder: float32, as shipped. detectors: name to a file of
     weights (None: those that ship). modules: name to the Python file of a detector of the user's. layouts: name to the
-    layout of a foreign one. reference: settings of the reference set of naturalness, None: none. Precision twins,
-    scenes with their beams, maps of vehicles and the reference set are made on first use and kept.
+    layout of a foreign one. reference: settings of the reference set of naturalness, None: none. Copies in other
+    precisions, scenes with their beams, maps of vehicles and the reference set are made on first use and kept.
     """
 
     scenes: SceneSet
@@ -153,7 +153,7 @@ class Assets:
         return self.vehicles.vehicle(name) if isinstance(name, str) and name != own.name else own
 
     def space_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
-        """A map of the task's vehicle at these settings, None where they use none.
+        """An SDF grid of the task's vehicle at these settings, None where they use none.
 
         Made once a vehicle: it depends on its code alone. Whether there is one depends on the settings, never on what
         ran before, so that a task's bytes do not.

@@ -33,7 +33,7 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     scene, beams, scene_hash = assets.placing_scene(spec)
     vehicle = assets.vehicle(spec)
     # Always at the standard accuracy: a rounding that turns one draw down would put the vehicle elsewhere, and
-    # accuracies could no longer be compared object by object. Without a map of empty space, which takes longer to make
+    # accuracies could no longer be compared object by object. Without an SDF grid, which takes longer to make
     # than it saves here.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", replace(spec, scene_hash=scene_hash).placement_seed)

@@ -1,4 +1,4 @@
-"""What one task is asked to do, and what it hands back.
+"""The specification of one task, and its result.
 
 A :class:`TaskSpec` holds every value that can change a task's result and nothing else: two specs with the
 same id give the same bytes. Where a task runs, where files lie and how many workers there are is not in it.
@@ -256,7 +256,7 @@ class TaskSpec:
 
 
 def _current(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a spec of version 5 by today's names."""
+    """The fields of a spec of version 5 by the valid names."""
     attack = dict(values["attack"])
     del attack["sphere_m"]
     if "steady_steps" in attack:

@@ -19,7 +19,7 @@ from shift3d.retrieval.reconstruction import Reconstructor
 from shift3d.retrieval.subspace import Subspace
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
-from shift3d.sdf.chamfer import symmetric_chamfer
+from shift3d.sdf.meshes import symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU

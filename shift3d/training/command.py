@@ -50,8 +50,8 @@ class TrainOptions:
     @property
     def shipped(self) -> bool:
         """Whether this is the recipe of the shipped weights, on its scenes: only then are they written over."""
-        given = (self.count, self.steps, self.inserted, self.start_from)
-        return self.scenes == "street" and not self.recipe and all(value is None for value in given)
+        own = (self.count, self.steps, self.inserted, self.start_from)
+        return self.scenes == "street" and not self.recipe and all(value is None for value in own)
 
     def compute(self) -> Compute:
         """Device and threads. Raises: InputError for a device that is not there."""

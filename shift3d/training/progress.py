@@ -32,13 +32,13 @@ class StopRequest:
     """Whether a training has been asked to end. Asked twice, it ends at once, without a last checkpoint."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.requested = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """A signal handler."""
-        if self.asked:
+        if self.requested:
             raise KeyboardInterrupt
-        self.asked = True
+        self.requested = True
 
 
 @contextlib.contextmanager

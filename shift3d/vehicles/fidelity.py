@@ -1,6 +1,6 @@
 """How well the decoder knows the family: Chamfer distances on vehicles it was trained on and on unseen ones.
 
-`shift3d evaluate model=sdf` prints both medians; see `shift3d.sdf.chamfer` for the definition.
+`shift3d evaluate model=sdf` prints both medians; see `shift3d.sdf.meshes` for the definition.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from shift3d.sdf.autodecode import autodecode
-from shift3d.sdf.chamfer import symmetric_chamfer
 from shift3d.sdf.decoder import Decoder
-from shift3d.sdf.meshes import extract_mesh
+from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.sdf.samples import sample_sdf
 from shift3d.seeding import generator
 from shift3d.vehicles.family import VehicleSpec, build_mesh, family

@@ -62,7 +62,7 @@ def measure_mesh(mesh: trimesh.Trimesh) -> Measures:
         mesh: object frame (x forward, y left, z up), metres, its lowest point on the ground.
 
     Differentiable w.r.t. nothing. Source: our choice: definitions that also hold for a shape without wheels, which
-    ISO 612's ground clearance (`vehicles.dimensions`) needs.
+    ISO 612's ground clearance (tests/unit/vehicles/mesh_dimensions.py) needs.
     """
     low, high = np.asarray(mesh.bounds, dtype=np.float64)
     length, width, height = (100.0 * (high - low)).tolist()

@@ -64,7 +64,7 @@ class RepairReport:
         ]
         if self.wrapped:
             done.append(
-                f"wrapped anew (gaps up to {100 * self.seal_m:.0f} cm bridged; {100 * self.departure_m:.1f} cm from "
+                f"wrapped (gaps up to {100 * self.seal_m:.0f} cm bridged; {100 * self.departure_m:.1f} cm from "
                 f"the mesh on average, 99 % within {100 * self.departure_p99_m:.1f} cm)"
             )
         was = "closed" if self.watertight else f"not closed ({self.open_edges} open edges)"

@@ -17,9 +17,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.sdf.chamfer import symmetric_chamfer
 from shift3d.sdf.decoder import Decoder, save_decoder
-from shift3d.sdf.meshes import extract_mesh
+from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.store.atomic import write_atomic
 from shift3d.vehicles.parameter_box import BoxOfParameters, parameter_tensors
@@ -34,7 +33,7 @@ class FittedVehicle:
     """A code for a mesh, and how well it draws it.
 
     latent_code: (code,) float32. scale_m: metres per sdf unit. decoded: its surface, in the mesh's frame, metres.
-    chamfer_m: symmetric Chamfer distance between that and the mesh (`shift3d.sdf.chamfer`).
+    chamfer_m: symmetric Chamfer distance between that and the mesh (`shift3d.sdf.meshes`).
     """
 
     name: str

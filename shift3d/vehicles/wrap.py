@@ -14,7 +14,7 @@ from scipy.ndimage import binary_dilation, label
 from skimage.measure import marching_cubes
 
 from shift3d.errors import InputError
-from shift3d.sdf.chamfer import distance_to_surface
+from shift3d.sdf.meshes import distance_to_surface
 
 SEAL_M = (0.05, 0.10, 0.20)
 """Widths of gaps that are bridged: of these, the narrowest at which the inside does not flood."""

@@ -16,7 +16,7 @@ from benchmarks.world import World
 @pytest.fixture(scope="module")
 def published(world: World, loops: AttackLoops) -> dict[str, Timing]:
     """Stages of the published step. Attacks ran before it and run again after it: the machine's drift is in both."""
-    stages = published_step(world.problem(world.twin_scene, accuracy="paper"))
+    stages = published_step(world.problem(world.counterpart_scene, accuracy="paper"))
     loops.run()
     return {stage: Timing.of([value]) for stage, value in stages.items()}
 

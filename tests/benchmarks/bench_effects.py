@@ -18,7 +18,7 @@ from shift3d.task.spec import AssetsSpec, TaskSpec
 # What sweeps/effects.yaml runs on.
 STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 1, "sensor_model": True}
 STREET |= {"range_image": True, "returns": 2, "ego_speed_m_s": 15.0, "motion_compensated": True}
-SAID = {"visibility_m": 50.0, "rain_mm_h": 50.0, "snow_mm_h": 2.5, "object_speed_m_s": 10.0}
+STATED = {"visibility_m": 50.0, "rain_mm_h": 50.0, "snow_mm_h": 2.5, "object_speed_m_s": 10.0}
 
 
 def bench_effects(bench: Results, quick: bool) -> None:
@@ -30,7 +30,7 @@ def bench_effects(bench: Results, quick: bool) -> None:
     assert not isinstance(placement, NoPlacement)
     problems = {"": build_problem(plain, assets, placement.theta)}
     for effect in NEEDS:
-        spec = TaskSpec(**{**vars(plain), "effects": (effect,), "effect_settings": SAID})
+        spec = TaskSpec(**{**vars(plain), "effects": (effect,), "effect_settings": STATED})
         problems[effect] = build_problem(spec, assets, placement.theta)
     spent: dict[str, list[float]] = {effect: [] for effect in problems}
     hits = 0

@@ -14,7 +14,7 @@ from shift3d.naturalness.measure import Naturalness
 from shift3d.naturalness.reference import ReferenceSet
 from shift3d.naturalness.sources import WideReference
 from shift3d.naturalness.surface import surface_of_mesh
-from shift3d.sdf.chamfer import distance_to_surface
+from shift3d.sdf.meshes import distance_to_surface
 from shift3d.vehicles.sources import VehicleSet
 
 

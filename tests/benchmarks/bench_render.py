@@ -1,4 +1,4 @@
-"""The renderer against its plain twin, and what a rendering costs by range and by hits."""
+"""The renderer against its plain reference, and what a rendering costs by range and by hits."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ RANGES_M = (15, 20, 25, 30, 35, 40, 45, 50)
 
 
 def bench_render_cold(bench: Results, world: World, quick: bool) -> None:
-    standard = world.problem(world.twin_scene)
-    paper = world.problem(world.twin_scene, accuracy="paper")
+    standard = world.problem(world.counterpart_scene)
+    paper = world.problem(world.counterpart_scene, accuracy="paper")
     grid = world.sdf_grid(standard)
     found = cold_rendering(standard, grid)  # also the warm-up
-    twins = {
+    calls = {
         "mapped": (functools.partial(cold_rendering, standard, grid), 2 if quick else 10),
         "paper": (functools.partial(cold_rendering, paper), 1),
         "plain": (functools.partial(cold_rendering, standard), 2 if quick else 10),
     }
-    times = take_turns(twins, rounds=1 if quick else 2)
+    times = take_turns(calls, rounds=1 if quick else 2)
     where = f"{len(standard.beams)} beams, vehicle at {world.range_m:.1f} m"
     note = f"{where}, {found.object_points} hits, {found.evaluations} evaluations"
     of = "one rendering, nothing to start from, no gradients, same beams: paper ms / standard ms"

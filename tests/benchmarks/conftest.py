@@ -96,7 +96,7 @@ def loops(world: World, quick: bool) -> AttackLoops:
     """Attacks in the standard preset whose steps were timed once; benchmarks may run them again."""
     from benchmarks.steps import AttackLoops
 
-    attacks = AttackLoops(world.problem(world.twin_scene), steps=3 if quick else 7)
+    attacks = AttackLoops(world.problem(world.counterpart_scene), steps=3 if quick else 7)
     attacks.run()
     return attacks
 

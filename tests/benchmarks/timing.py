@@ -1,4 +1,4 @@
-"""Wall-clock times of calls in one process, and of twins that take turns."""
+"""Wall-clock times of calls in one process, and of calls that take turns."""
 
 from __future__ import annotations
 
@@ -63,18 +63,18 @@ def repeat(call: Callable[[], object], budget_s: float, least: int = 3, most: in
     return Timing.of(samples)
 
 
-def take_turns(twins: Mapping[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, Timing]:
+def take_turns(calls: Mapping[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, Timing]:
     """Time several ways of doing one thing against each other.
 
     Args:
-        twins: name to (call, how often in a row). Calls are not warmed up here: one of them may take minutes.
+        calls: name to (call, how often in a row). Calls are not warmed up here: one of them may take minutes.
         rounds: every second round runs them in reverse order, so that a machine that grows slower or faster while it
             is measured does so to all of them alike.
     """
-    samples: dict[str, list[float]] = {name: [] for name in twins}
+    samples: dict[str, list[float]] = {name: [] for name in calls}
     for turn in range(rounds):
-        order = list(twins) if turn % 2 == 0 else list(twins)[::-1]
+        order = list(calls) if turn % 2 == 0 else list(calls)[::-1]
         for name in order:
-            call, times = twins[name]
+            call, times = calls[name]
             samples[name] += [milliseconds(call) for _ in range(times)]
     return {name: Timing.of(values) for name, values in samples.items()}

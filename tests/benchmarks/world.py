@@ -106,15 +106,15 @@ def make_spec(scene: str, accuracy: str = "standard", **changes: object) -> Task
 class World:
     """The vehicle at one place of one scene.
 
-    theta: (6,) float64 pose. twin_scene: the scene that the paper's renderer is compared on; the same one, or one with
-    fewer beams where the run only tries things out.
+    theta: (6,) float64 pose. counterpart_scene: the scene that the paper's renderer is compared on; the same one, or
+    one with fewer beams where the run only tries things out.
     """
 
     assets: Assets
     scenes: HeldScenes
     scene: str
     theta: Tensor
-    twin_scene: str
+    counterpart_scene: str
 
     @property
     def range_m(self) -> float:
@@ -151,15 +151,15 @@ class World:
 def open_world(thin: int = 1) -> World:
     """The first of the streets that has room for the vehicle at 20 to 25 m.
 
-    thin: of the twin scene every so manieth beam is kept.
+    thin: of the counterpart scene every so manieth beam is kept.
     """
     scenes = streets()
     assets = open_assets(scenes)
     for name in scenes.streets.names():
         placement = place_vehicle(make_spec(name), assets)
         if isinstance(placement, Placement):
-            twin = name if thin == 1 else scenes.hold(_thinned(scenes.load(name), thin))
-            return World(assets, scenes, name, placement.theta, twin)
+            counterpart = name if thin == 1 else scenes.hold(_thinned(scenes.load(name), thin))
+            return World(assets, scenes, name, placement.theta, counterpart)
     raise RuntimeError("none of the streets has room for the vehicle: choose others")
 
 

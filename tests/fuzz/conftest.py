@@ -12,8 +12,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     terminalreporter.section("mutants")
     rows = [(name, r.counts(), len(r.outcomes), r.seconds) for name, r in REPORTS.items()]
     for name, counts, total, seconds in rows:
-        said = f"{counts['error']:5d} clear errors {counts['valid']:5d} valid {counts['failed']:4d} failed"
-        terminalreporter.line(f"{name:32s} {total:5d} mutants {said} {seconds:6.1f} s")
+        message = f"{counts['error']:5d} clear errors {counts['valid']:5d} valid {counts['failed']:4d} failed"
+        terminalreporter.line(f"{name:32s} {total:5d} mutants {message} {seconds:6.1f} s")
     errors, valid = (sum(counts[what] for _, counts, _, _ in rows) for what in ("error", "valid"))
     total = sum(count for _, _, count, _ in rows)
     seconds = sum(taken for *_, taken in rows)

@@ -140,7 +140,7 @@ def an_object_sunk_deeper_than_it_may_climb() -> None:
     area=AREA,
     why="there is nothing to stand on, or the field says nothing there",
     must="no pose, not a NaN one",
-    guard="settling ends where no scene point is in reach",
+    guard="snapping to the ground ends where no scene point is in reach",
 )
 def nothing_to_settle_on() -> None:
     size = torch.tensor([4.0, 1.8, 1.5], dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Hard cases of effects: what scenes and settings say, returns of one beam, silent beams, cones, far points."""
+"""Hard cases of effects: what scenes and settings say, returns of one beam, no-return beams, cones, far points."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def firing_times_that_are_all_the_same() -> None:
     must="the effect is kept",
     guard="an effect is left out where it was measured to lie below the bound, not where it does not exceed it",
 )
-def a_worth_that_is_not_a_number() -> None:
+def an_impact_that_is_not_a_number() -> None:
     assert (
         MeasuredImpact(math.nan, math.nan, math.nan, 1.0).matters and not MeasuredImpact(0.001, 0.0, 0.002, 1.0).matters
     )
@@ -142,7 +142,7 @@ def one_pixel_of_two_sensors() -> None:
     assert all(stopped(returns_of_pixels([(3, 7), (3, 7)], [0, 1], origins=origins)))
 
 
-def with_silent(directions: np.ndarray, **parts: Any) -> Scene:
+def with_no_return(directions: np.ndarray, **parts: Any) -> Scene:
     """One point 40 m ahead, and beams from the origin that brought nothing back."""
     unit = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     return scene_of([[40.0, 0.0, 0.0]], no_return=NoReturnBeams(np.zeros_like(unit), unit), **parts)
@@ -154,9 +154,9 @@ def with_silent(directions: np.ndarray, **parts: Any) -> Scene:
     must="no point of theirs lies in a pillar of any detector, and none is counted as a return",
     guard="beams without a return rest 10 km out",
 )
-def silent_beams_that_meet_nothing() -> None:
+def no_return_beams_that_meet_nothing() -> None:
     rendering = drawn(
-        with_silent(np.random.default_rng(1).standard_normal((50, 3)) * [1, 1, 0.05]), ["no_return_beams"]
+        with_no_return(np.random.default_rng(1).standard_normal((50, 3)) * [1, 1, 0.05]), ["no_return_beams"]
     )
     assert rendering.returned is not None and rendering.returned.tolist() == [True] + [False] * 50
     pillars = assign_pillars(rendering.points, WAYMO_GRID, full_window(WAYMO_GRID))
@@ -165,12 +165,12 @@ def silent_beams_that_meet_nothing() -> None:
 
 @hard_case(
     area=AREA,
-    why="fog outshines whatever lies 10 km away, and there lie the rows of silent beams",
-    must="they stay silent: fog in front of the sky is left out",
-    guard="silent beams bring nothing back before the weather acts",
+    why="fog outshines whatever lies 10 km away, and there lie the rows of no-return beams",
+    must="they stay without a return: fog in front of the sky is left out",
+    guard="no-return beams bring nothing back before the weather acts",
 )
-def silent_beams_in_fog() -> None:
-    scene = with_silent(np.random.default_rng(2).standard_normal((20, 3)))
+def no_return_beams_in_fog() -> None:
+    scene = with_no_return(np.random.default_rng(2).standard_normal((20, 3)))
     rendering = drawn(scene, ["no_return_beams", "fog"], visibility_m=30.0)
     assert rendering.returned is not None and not rendering.returned[1:].any()
     assert (rendering.range_m[1:] > 9e3).all()
@@ -179,13 +179,13 @@ def silent_beams_in_fog() -> None:
 @hard_case(
     area=AREA,
     why="all seven echoes have no power, and half of nothing is no less than nothing",
-    must="the beam stays silent: the object has to send something back",
+    must="the beam stays without a return: the object has to send something back",
     guard="what wins has power",
 )
 def a_cone_past_the_object_with_nothing_behind() -> None:
     edge = 1.0 / math.sqrt(399.0)
     aim = np.array([[1.0, (1.0 + gap) * edge, 0.0] for gap in (0.021, 0.022, 0.023, 0.024, 0.03)])
-    rendering = drawn(with_silent(aim), ["no_return_beams", "divergence"], AHEAD, divergence_rad=3e-3)
+    rendering = drawn(with_no_return(aim), ["no_return_beams", "divergence"], AHEAD, divergence_rad=3e-3)
     assert rendering.returned is not None and not rendering.returned[1:].any()
 
 

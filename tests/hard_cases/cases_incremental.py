@@ -25,9 +25,9 @@ def same_frames(*clouds: Tensor, name: str = "pointpillars", requires_grad: Tens
     logits, gradient = seen(clouds[-1], name)
     assert torch.allclose(found.logits, logits, rtol=0, atol=1e-12)
     if found.logits.requires_grad:
-        asked = slice(None) if requires_grad is None else requires_grad
+        requested = slice(None) if requires_grad is None else requires_grad
         answer = torch.autograd.grad(found.logits.sum(), leaf)[0]
-        assert torch.allclose(answer[asked], gradient[asked], rtol=0, atol=1e-12)
+        assert torch.allclose(answer[requested], gradient[requested], rtol=0, atol=1e-12)
     else:
         assert not gradient.any()
 

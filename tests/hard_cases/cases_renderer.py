@@ -28,7 +28,7 @@ from shift3d.render import Beams, SdfGrid
 @hard_case(
     area="renderer",
     why="a return at the sensor itself has no direction, and what a scan lost is written as such",
-    must="the row carries no beam, is not counted, and its twins and neighbours are hit as ever",
+    must="the row carries no beam, is not counted, and its copies and neighbours are hit as ever",
     guard="a row carries a beam only where its range is above zero",
 )
 def rows_without_a_return() -> None:
@@ -147,7 +147,7 @@ def beams_of_two_sensors() -> None:
 
 @hard_case(
     area="renderer",
-    why="the map of empty space samples as far as the longest of its rays, and there may be none",
+    why="the SDF grid samples as far as the longest of its rays, and there may be none",
     must="nothing moves, nothing is evaluated beyond the box itself, no hit has no residual",
     guard="no ray at all has length zero",
 )

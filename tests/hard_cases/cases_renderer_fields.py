@@ -92,7 +92,7 @@ def nan_ahead_of_the_last_few_beams() -> None:
     area="renderer",
     why="a NaN between the two ends of a bracket keeps a search for the root away from it: it ends beside the gap",
     must="the beam is unresolved, not a hit with whatever residual",
-    guard="a root that passed a value that is not finite is not settled",
+    guard="a root that passed a value that is not finite is not found",
 )
 def nan_at_the_surface() -> None:
     _lost(lambda x: torch.where(SURFACE(x).abs() < 0.002, math.nan, SURFACE(x)))
@@ -102,7 +102,7 @@ def nan_at_the_surface() -> None:
     area="renderer",
     why="the same, in the plain solvers",
     must="the beam is unresolved",
-    guard="a row on which g is not finite is given up",
+    guard="a row on which g is not finite counts as unresolved",
 )
 def nan_in_a_bracket_of_the_plain_solvers() -> None:
     _lost(lambda x: torch.where(SURFACE(x).abs() < 0.002, math.nan, SURFACE(x)), names=("plain", "paper"))
@@ -200,7 +200,7 @@ def a_saturated_field() -> None:
     area="renderer",
     why="a field that jumps from +1 to -1, flat on both sides, has no place with a small |g|",
     must="the hit is at the jump, and its residual says that |g| is a metre there",
-    guard="a bracket that has shrunk to rounding counts as settled, its residual is kept",
+    guard="a bracket that has shrunk to rounding counts as found, its residual is kept",
 )
 def a_field_that_jumps() -> None:
     for settings in PRESETS.values():

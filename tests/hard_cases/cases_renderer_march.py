@@ -51,9 +51,9 @@ def a_beam_that_keeps_its_distance_from_a_panel() -> None:
 
 @hard_case(
     area="renderer",
-    why="a decoder is made of pieces: a dip of a millimetre has a kink at its bottom, which no parabola points to",
+    why="a decoder is piecewise linear: a minimum of a millimetre has a kink, which no parabola points to",
     must="a chord of a millimetre is hit where the beam goes in",
-    guard="a dip is followed as long as the surface may lie between its samples",
+    guard="a local minimum is refined as long as the surface may lie between its samples",
 )
 def a_chord_of_a_millimetre_between_kinks() -> None:
     hits = 0
@@ -68,7 +68,7 @@ def a_chord_of_a_millimetre_between_kinks() -> None:
     area="renderer",
     why="a chord at the limb of a sphere is shorter than the steps of a march, down to half a millimetre",
     must="it is hit, where the beam goes in",
-    guard="dips are followed to their bottom",
+    guard="local minima are refined to their bottom",
 )
 def chords_shorter_than_a_step() -> None:
     beams, entry = _limb()
@@ -79,9 +79,9 @@ def chords_shorter_than_a_step() -> None:
 
 @hard_case(
     area="renderer",
-    why="a march that found a short chord in a dip has already stepped past it, towards the wall behind",
+    why="a march that found a short chord in a local minimum has already stepped past it, towards the wall behind",
     must="the chord is the first hit, not the wall",
-    guard="dips are looked into on rays with a crossing too",
+    guard="local minima are searched on rays with a crossing too",
 )
 def a_short_chord_in_front_of_a_wall() -> None:
     beams, entry = _limb()
@@ -92,7 +92,7 @@ def a_short_chord_in_front_of_a_wall() -> None:
 
 @hard_case(
     area="renderer",
-    why="the bottom of a dip can lie before its middle sample, which then is already behind a post",
+    why="the bottom of a local minimum can lie before its middle sample, which then is already behind a post",
     must="a post that is hit is hit where the beam goes in, never where it comes out",
     guard="the outer end of the bracket is the last sample before the bottom",
 )
@@ -121,7 +121,7 @@ def a_plate_across_a_beam_along_a_panel() -> None:
     area="renderer",
     why="the last rays of a march are sampled ahead as if g stayed what it is, and a plate lies between two samples",
     must="few rays hit what many hit",
-    guard="samples ahead count as far as the spheres around them cover the beam, and dips between them are followed",
+    guard="samples ahead count as far as the spheres around them cover the beam, and minima between them are refined",
 )
 def a_plate_before_the_last_few_beams() -> None:
     for at in PLACES:
@@ -172,8 +172,8 @@ def three_roots_in_one_bracket() -> None:
 
 @hard_case(
     area="renderer",
-    why="a beam that skims a panel dips into it by a quarter of a millimetre and again a centimetre on",
-    must="the first dip is the hit, not the second",
+    why="a beam that skims a panel enters it by a quarter of a millimetre and again a centimetre on",
+    must="the first crossing is the hit, not the second",
     guard="a bracket that is crossed at a flat angle is sampled every 3 mm",
 )
 def a_beam_that_skims_a_rippled_panel() -> None:

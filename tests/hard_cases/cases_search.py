@@ -200,7 +200,7 @@ def a_pose_attack_on_a_code_that_draws_nothing() -> None:
     area=AREA,
     why="the shape under attack has left the ground, or vanished: there is no height at which it touches",
     must="it keeps the start's pose, is not valid, and the search goes on",
-    guard="a shape that cannot be settled is left where it is",
+    guard="a shape that cannot be snapped to the ground is left where it is",
 )
 def a_shape_attack_from_a_code_that_draws_nothing() -> None:
     def field_of(code: Tensor) -> Field:

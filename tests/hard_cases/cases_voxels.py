@@ -66,7 +66,9 @@ def a_point_on_a_pillars_edge() -> None:
     places = [(Fraction(float(value)) + Fraction("74.88")) / Fraction("0.32") for value in x]
     sure = np.abs([float(place - round(place)) for place in places]) > 1e-12  # 1e-45 m is 0 to float64, too
     assert sure.sum() >= len(x) - 2
-    assert found[sure].tolist() == [place.numerator // place.denominator for place, told in zip(places, sure) if told]
+    assert found[sure].tolist() == [
+        place.numerator // place.denominator for place, checked in zip(places, sure) if checked
+    ]
 
 
 @hard_case(

@@ -113,7 +113,7 @@ def a_beam_that_enters_the_box() -> None:
 
 @hard_case(
     area="renderer",
-    why="a bump rises from a shelf that a beam skims on its way down to its hit: the field falls all the way, no dip",
+    why="a bump rises from a ledge that a beam skims on its way down to its hit: the field has no local minimum",
     must="the bump is hit, in the very step",
     guard="the lowest place in front of a hit is looked at, whatever is expected there",
 )

@@ -12,9 +12,8 @@ from hard_scenes import FAST
 from torch import Tensor
 
 from shift3d.effects import fog, rain
-from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.chain import EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.render import Beams
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings
@@ -76,9 +75,9 @@ def finite(returns: Returns) -> None:
         assert part is None or torch.isfinite(part).all()
 
 
-def drawn(scene: Scene, names: list[str], theta: Tensor = BEHIND, **said: float) -> Rendering:
+def drawn(scene: Scene, names: list[str], theta: Tensor = BEHIND, **overrides: float) -> Rendering:
     """A ball in a scene as settings describe it."""
-    chain = EffectChain.of(names, scene, BALL, 3, EffectSettings(**said))
+    chain = EffectChain.of(names, scene, BALL, 3, EffectSettings(**overrides))
     rendering = chain.render(in_frame(sphere(1.0), BALL), theta, FAST)
     assert torch.isfinite(rendering.points).all() and torch.isfinite(rendering.range_m).all()
     return rendering

@@ -12,7 +12,7 @@ from torch import Tensor
 from shift3d.render import Beams, Rendering, RenderSettings, SdfGrid, preset, render
 from shift3d.render.solvers.search import WarmStart
 from shift3d.sdf.field import Field as Network
-from shift3d.sdf.pieces import Piece
+from shift3d.sdf.linear_regions import LinearRegion
 
 FAST = preset("standard").with_(dtype=torch.float64)
 REFERENCE = preset("reference").with_(step_m=0.01)
@@ -92,10 +92,10 @@ def at_most(metric: Field, calls: int) -> Field:
     return g
 
 
-class Profile(Network):
+class BentLine(Network):
     """A ReLU network of x_sdf alone: tanh of a line that bends at each (where, by how much), and is `level` before.
 
-    Gives up after 500 calls: a walk that does not end would take 200,000.
+    Gives up after 500 calls: a traversal that does not end would take 200,000.
     """
 
     def __init__(self, level: float, bends: list[tuple[float, float]]) -> None:
@@ -110,11 +110,11 @@ class Profile(Network):
         self._count()
         return super().__call__(x_sdf)
 
-    def piece(self, x_sdf: Tensor, direction: Tensor) -> Piece:
+    def region(self, x_sdf: Tensor, direction: Tensor) -> LinearRegion:
         """As of any network, counted."""
         self._count()
-        return super().piece(x_sdf, direction)
+        return super().region(x_sdf, direction)
 
     def _count(self) -> None:
         self.calls += 1
-        assert self.calls <= 500, "a walk that does not end"
+        assert self.calls <= 500, "a traversal that does not end"

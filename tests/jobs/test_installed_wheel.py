@@ -76,9 +76,9 @@ def test_a_sweep_of_ones_own_in_an_empty_folder(python: Path, tmp_path: Path) ->
     assert Path(found.strip()).is_relative_to(python.parents[1])
     assert "sweep smoke: 4 tasks" in run(python, tmp_path, "sweep", "plan", "smoke")
     assert run(python, tmp_path, "jobs", "kuberay") == (REPOSITORY / "jobs" / "kuberay.yaml").read_text()
-    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": "shift3d sweep smoke vehicle=su", "_ARGCOMPLETE_IFS": "\n"}
-    asked |= {"COMP_POINT": "30", "_ARGCOMPLETE_COMP_WORDBREAKS": " ", "_ARGCOMPLETE_STDOUT_FILENAME": "answer"}
-    run(python, tmp_path, **asked)
+    completion = {"_ARGCOMPLETE": "1", "COMP_LINE": "shift3d sweep smoke vehicle=su", "_ARGCOMPLETE_IFS": "\n"}
+    completion |= {"COMP_POINT": "30", "_ARGCOMPLETE_COMP_WORDBREAKS": " ", "_ARGCOMPLETE_STDOUT_FILENAME": "answer"}
+    run(python, tmp_path, **completion)
     assert (tmp_path / "answer").read_text().strip() == "vehicle=suv"
 
     (tmp_path / "sweeps").mkdir()

@@ -12,7 +12,7 @@ from shift3d.detectors.models.box_coding import decode_boxes, direction_bins, en
 from shift3d.geometry.boxes import corners_3d, corners_bev, points_in_boxes
 from shift3d.geometry.iou import iou_3d, iou_bev
 from shift3d.geometry.se3 import object_from_scene, scene_from_object, scene_R_object
-from shift3d.sdf.chamfer import distance_to_surface
+from shift3d.sdf.meshes import distance_to_surface
 
 
 @pytest.fixture(scope="module")

@@ -46,9 +46,9 @@ def test_codes_up_to_twenty_times_the_priors_length(times: float, number: int, t
         assert torch.isfinite(code.grad).all() and torch.isfinite(pose.grad).all()
         on_surface = metric_of_suv(code.detach(), drawn.points.detach()[drawn.hit_mask], theta)
         # The last step is not evaluated: up to final_newton_m along the beam, times the change of slope on the way, 1.
-        told = settings.tolerance_m + settings.reachable_residual_m(SUV.scale_m)
-        assert float(on_surface.abs().max()) <= told + settings.final_newton_m
-        assert float(on_surface.abs().median()) <= told
+        bound_m = settings.tolerance_m + settings.reachable_residual_m(SUV.scale_m)
+        assert float(on_surface.abs().max()) <= bound_m + settings.final_newton_m
+        assert float(on_surface.abs().median()) <= bound_m
         assert bool((drawn.range_m[drawn.hit_mask] <= FEW_BEAMS.ranges_m[drawn.hit_mask]).all())
 
 

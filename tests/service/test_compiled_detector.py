@@ -52,5 +52,5 @@ def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(tmp_path: P
     scores = pd.read_parquet(tmp_path / "mine" / "final" / "scores.parquet")
     assert set(scores["detector"]) == {"onnx"} and set(scores["scored_by"]) == {"onnx", "pointpillars"}
     assert set(scores["method"]) >= {"baseline", "random_search", "adversarial"}
-    twins = scores.pivot_table(index=["task_id", "method", "replicate"], columns="scored_by", values="score")
-    assert (twins["onnx"] - twins["pointpillars"]).abs().max() < 1e-3 and twins["onnx"].max() > 0.1
+    both = scores.pivot_table(index=["task_id", "method", "replicate"], columns="scored_by", values="score")
+    assert (both["onnx"] - both["pointpillars"]).abs().max() < 1e-3 and both["onnx"].max() > 0.1

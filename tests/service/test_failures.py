@@ -1,4 +1,4 @@
-"""Tasks that fail are tried again, given up on with their traceback, and never hidden."""
+"""Tasks that fail are retried, quarantined with their traceback, and never hidden."""
 
 from __future__ import annotations
 
@@ -82,11 +82,11 @@ def test_a_row_that_breaks_its_schema_is_its_own_tasks_failure(drivers: Drivers)
 
 def test_a_task_that_hangs_is_ended_and_given_up_on_alone(attempts: pd.DataFrame) -> None:
     hung = attempts[attempts["outcome"] == "timeout"]
-    given_up = hung[hung["quarantined"]]
-    assert set(given_up["task"]) == {HANGS}
+    abandoned = hung[hung["quarantined"]]
+    assert set(abandoned["task"]) == {HANGS}
     assert set(hung["task"]) - set(attempts.loc[attempts["outcome"] == "done", "task"]) == {HANGS}
-    assert "time.sleep" in given_up["traceback"].item(), "where it hung is not shown"
-    assert f"--task {given_up['task_id'].item()}" in given_up["traceback"].item()
+    assert "time.sleep" in abandoned["traceback"].item(), "where it hung is not shown"
+    assert f"--task {abandoned['task_id'].item()}" in abandoned["traceback"].item()
 
 
 def test_without_its_faults_the_disturbed_sweep_ends_as_an_undisturbed_one(

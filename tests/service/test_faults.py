@@ -49,10 +49,10 @@ def test_a_disturbed_sweep_ends_as_an_undisturbed_one(
 
 def _what_was_given_up_on_is_one_task_and_says_why(here: Round) -> None:
     attempts = pd.read_parquet(here.out / "final" / "attempts.parquet")
-    given_up = attempts[attempts["quarantined"]]
-    assert given_up["task_id"].nunique() == 1
-    assert f"--task {given_up['task_id'].iloc[0]}" in given_up["traceback"].iloc[0]
-    assert set(attempts.loc[attempts["outcome"] == "done", "task_id"]).isdisjoint(given_up["task_id"])
+    abandoned = attempts[attempts["quarantined"]]
+    assert abandoned["task_id"].nunique() == 1
+    assert f"--task {abandoned['task_id'].iloc[0]}" in abandoned["traceback"].iloc[0]
+    assert set(attempts.loc[attempts["outcome"] == "done", "task_id"]).isdisjoint(abandoned["task_id"])
     committed = here.drivers.committed("out")
     assert len(committed) == len(set(committed)) == TASKS - 1
 

@@ -129,6 +129,6 @@ def test_unwritable_folder(drivers: Drivers) -> None:
 def test_a_trial_says_with_its_tables_that_they_mean_nothing(drivers: Drivers) -> None:
     code, output, errors = drivers.run("out", "runner=local", "attack.steps=5")
     assert code == 0, errors
-    said, table = output.index("these AUCs mean nothing"), output.index("AUC, adversarial")
-    assert said < table and "AUCs that do: make sweep" in output
+    message, table = output.index("these AUCs mean nothing"), output.index("AUC, adversarial")
+    assert message < table and "AUCs that do: make sweep" in output
     assert "mean nothing" not in drivers.run("whole", "runner=local")[1]

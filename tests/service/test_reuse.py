@@ -76,7 +76,7 @@ def test_of_an_unfinished_sweep_what_it_committed_and_nothing_that_failed(
     assert code == 0, errors
     assert len(ran(journal)) == GROWN - len(done) and not set(ran(journal)) & set(done)
     assert drivers.final("out") == fresh
-    assert rows_in(drivers.folder / "out", "attempts") == GROWN, "a task that was given up on was taken over"
+    assert rows_in(drivers.folder / "out", "attempts") == GROWN, "a quarantined task was taken over"
 
 
 def test_a_driver_that_is_run_again_takes_nothing_twice(

@@ -150,10 +150,10 @@ def _judge_hits(case: Case, drawn: Rendering, outcome: Outcome) -> None:
     reachable_m = settings.reachable_residual_m(case.frame.scale_m)
     # What a root was asked for, and what its dtype adds. A last secant step is not evaluated again: from up to
     # final_newton_m away it may end where another linear piece has begun, off by that length times the change of slope.
-    told_m = settings.tolerance_m + reachable_m
+    bound_m = settings.tolerance_m + reachable_m
     outcome.worst_residual_m = max(outcome.worst_residual_m, float(g.max()))
-    outcome.untold += int(((g > told_m) & (g <= told_m + settings.final_newton_m)).sum())
-    outcome.off_surface += int((g > told_m + settings.final_newton_m).sum())
+    outcome.untold += int(((g > bound_m) & (g <= bound_m + settings.final_newton_m)).sum())
+    outcome.off_surface += int((g > bound_m + settings.final_newton_m).sum())
     if float(distance_m(case, np.zeros((1, 3)))[0]) < -reachable_m:
         outcome.from_inside += int(hit.sum())
 

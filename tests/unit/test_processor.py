@@ -13,13 +13,13 @@ import pytest
 
 from shift3d.processor import has_wide_float32
 
-# Grows by what 700 products of different sizes leave behind, settled before or not, torch imported before or not.
+# Grows by what 700 products of different sizes leave behind, configured before or not, torch imported before or not.
 PRODUCTS = """
 import ctypes, json, os, sys
-early, settled = sys.argv[1] == "early", sys.argv[2] == "settled"
+early, configured = sys.argv[1] == "early", sys.argv[2] == "configured"
 if early:
     import torch
-if settled:
+if configured:
     from shift3d.processor import configure_runtime
     configure_runtime(1)
 import torch
@@ -68,22 +68,22 @@ def products(*how: str, **environment: str) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def without() -> dict[str, float]:
-    """Of a process that was not settled: when it imports torch makes no difference to it."""
+    """Of a process that was not configured: when it imports torch makes no difference to it."""
     return products("late", "as it is")
 
 
 @takes_onednn
 @pytest.mark.parametrize("torch_imported", ["early", "late"])
 def test_code_that_is_made_does_not_pile_up(torch_imported: str, without: dict[str, float]) -> None:
-    settled = products(torch_imported, "settled")
-    assert settled["grown_mb"] < 0.5 * without["grown_mb"], (settled, without)
-    assert settled["threads"] == 1
+    configured = products(torch_imported, "configured")
+    assert configured["grown_mb"] < 0.5 * without["grown_mb"], (configured, without)
+    assert configured["threads"] == 1
 
 
 @takes_onednn
 def test_what_the_environment_says_is_left_as_it_is(without: dict[str, float]) -> None:
-    said = {"ONEDNN_PRIMITIVE_CACHE_CAPACITY": "1024", "LRU_CACHE_CAPACITY": "1024"}
-    assert products("late", "settled", **said)["grown_mb"] > 0.8 * without["grown_mb"]
+    settings = {"ONEDNN_PRIMITIVE_CACHE_CAPACITY": "1024", "LRU_CACHE_CAPACITY": "1024"}
+    assert products("late", "configured", **settings)["grown_mb"] > 0.8 * without["grown_mb"]
 
 
 def large_pages_kb(torch_imported: str, **environment: str) -> int:

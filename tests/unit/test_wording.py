@@ -36,14 +36,16 @@ def test_a_plan_of_one_task_speaks_of_one(
     monkeypatch.chdir(tmp_path)
     one = ["smoke", "scenes.count=1", "vehicle=suv", "mode=shape", "attack.lambda=1", f"runner.workers={workers}"]
     assert main(["plan", *one]) == 0
-    said = capsys.readouterr().out
-    assert "1 task (1 shape) of 1 vehicle in 1 scene" in said and not re.search(r"\b1 (?!s\b)[a-z]+s\b", said), said
+    printed = capsys.readouterr().out
+    assert "1 task (1 shape) of 1 vehicle in 1 scene" in printed and not re.search(r"\b1 (?!s\b)[a-z]+s\b", printed), (
+        printed
+    )
 
 
 def test_exit_codes_are_one_list(capsys: pytest.CaptureFixture[str]) -> None:
     assert (AbortedError.exit_code, TakenOverError.exit_code, InputError.exit_code) == (5, 4, 2)
-    said = exit_codes()
-    assert [int(code) for code in re.findall(r"(?:^|[:;] )(\d+) ", said)] == [int(code) for code in ExitCode]
+    printed = exit_codes()
+    assert [int(code) for code in re.findall(r"(?:^|[:;] )(\d+) ", printed)] == [int(code) for code in ExitCode]
     with pytest.raises(SystemExit):
         main(["--help"])
-    assert said in words(capsys.readouterr().out)
+    assert printed in words(capsys.readouterr().out)

@@ -26,7 +26,7 @@ def change_lines(before: Measures, after: Measures) -> list[list[str]]:
     for field, (name, unit, digits) in NAMES.items():
         old, new = getattr(before, field), getattr(after, field)
         change = "-" if old is None or new is None else f"{_signed(new - old, digits)} {unit}".strip()
-        lines.append([name, *(_said(value, unit, digits) for value in (old, new)), change])
+        lines.append([name, *(_with_unit(value, unit, digits) for value in (old, new)), change])
     return lines
 
 
@@ -35,7 +35,7 @@ def _signed(value: float, digits: int) -> str:
     return text if float(text) else f"{0:.{digits}f}"
 
 
-def _said(value: float | None, unit: str, digits: int) -> str:
+def _with_unit(value: float | None, unit: str, digits: int) -> str:
     return "not measured" if value is None else f"{value:.{digits}f} {unit}".strip()
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from shift3d.accuracy_time.pareto import ZERO_BELOW, drawable, effective_error_m, misplaced
 from shift3d.analysis.figures.labels import place_labels
 from shift3d.analysis.figures.setting_marks import Style, joined, labels_of, mark_settings, same_as_presets, styles_of
-from shift3d.analysis.tables.numbers import length, milliseconds, share
+from shift3d.analysis.tables.table import length, milliseconds, share
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -24,7 +24,7 @@ _MEANING = {
     "control": "the unchanged vehicle of the same task, in the same scene",
     "score": "of the best box within the detection radius of the object's centre; 0 without one",
     "recall": "share of the objects whose score is above score_threshold",
-    "lost": "detected before, and not now",
+    "lost": "detected by the last release alone",
     "test": "before and after change places in random scenes, all measures together; p is the share of 10,000 such "
     "draws in which the largest of the measures' losses is as large as the one that was found",
 }

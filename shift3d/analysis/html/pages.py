@@ -12,10 +12,10 @@ from shift3d.analysis.html.blocks import Block, Paragraph, Picture, Section, Ter
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.sections.effects import impact_blocks
 from shift3d.analysis.html.sections.stability import stability_blocks
+from shift3d.analysis.tables.accuracy_cost import diagnostics
 from shift3d.analysis.tables.accuracy_time import RULE, frontier_lines, meanings, settings_tables
 from shift3d.analysis.tables.advice import advice
 from shift3d.analysis.tables.effects import EffectImpact
-from shift3d.analysis.tables.numerics import diagnostics
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 from shift3d.store.frontier_table import machine_of, read_frontier
@@ -55,7 +55,7 @@ def write_frontier_report(folder: Path) -> str:
         What is printed: the table and the advice.
 
     Raises:
-        InputError: no frontier there, or not one of this version; a disk that is full or not writable.
+        InputError: no frontier there, or one of another schema version; a disk that is full or not writable.
     """
     table = read_frontier(folder / "frontier.parquet")
     if not table.num_rows:

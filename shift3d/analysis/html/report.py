@@ -5,27 +5,22 @@ from __future__ import annotations
 from shift3d.analysis.cases.rendered import Loaded
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
-from shift3d.analysis.html.sections.accuracy import accuracy
-from shift3d.analysis.html.sections.auc import auc
+from shift3d.analysis.html.sections.auc import auc, sensors
 from shift3d.analysis.html.sections.bev import bev, transfer_grid
 from shift3d.analysis.html.sections.budgets import budgets
 from shift3d.analysis.html.sections.cases import hard_cases
-from shift3d.analysis.html.sections.choices import choices
-from shift3d.analysis.html.sections.coverage import coverage
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.differences import differences
 from shift3d.analysis.html.sections.effects import effects
 from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import in_short
-from shift3d.analysis.html.sections.overview import overview
+from shift3d.analysis.html.sections.overview import choices, coverage, overview
 from shift3d.analysis.html.sections.paths import paths
-from shift3d.analysis.html.sections.patterns import patterns
+from shift3d.analysis.html.sections.patterns import patterns, rules
 from shift3d.analysis.html.sections.retrieval import retrieval
-from shift3d.analysis.html.sections.rules import rules
-from shift3d.analysis.html.sections.sensors import sensors
-from shift3d.analysis.html.sections.stability import stability
+from shift3d.analysis.html.sections.stability import accuracy, stability
 from shift3d.analysis.results import Sweep, read_sweep
-from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
+from shift3d.analysis.tables.coverage import nothing_placed, trial_caveat
 from shift3d.analysis.variants import variants
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location

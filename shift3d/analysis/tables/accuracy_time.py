@@ -9,8 +9,7 @@ from typing import Any
 import pandas as pd
 
 from shift3d.accuracy_time.pareto import MISPLACED_M, effective_error_m
-from shift3d.analysis.tables.numbers import factor, length, milliseconds, share
-from shift3d.analysis.tables.table import Table
+from shift3d.analysis.tables.table import Table, factor, length, milliseconds, share
 
 __all__ = ["RULE", "frontier_lines", "meanings", "settings_table", "settings_tables"]
 

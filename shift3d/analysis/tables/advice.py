@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shift3d.accuracy_time.pareto import MISPLACED_M, dominators_of, effective_error_m, knee, misplaced, warm_starts
-from shift3d.analysis.tables.numbers import factor, length, milliseconds, share
+from shift3d.analysis.tables.table import factor, length, milliseconds, share
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -47,7 +47,7 @@ def budget_curves(found: Sequence[Variant]) -> list[BudgetCurve]:
     differing = [len(set(values)) > 1 for values in zip(*several)]
     differing[:2] = [True] * len(differing[:2])  # what is searched, and how, is always said
     return [
-        BudgetCurve(", ".join(text.replace("_", " ") for text, told in zip(key, differing) if told), group)
+        BudgetCurve(", ".join(text.replace("_", " ") for text, differs in zip(key, differing) if differs), group)
         for key, group in several.items()
     ]
 
@@ -59,8 +59,8 @@ def budget_table(found: Sequence[Variant]) -> Table | None:
         for budget, variant in curve.variants.items():
             shown = "any shape" if budget == ANY_SHAPE else f"{budget:g}"
             ratios = [_text(curve.ratio(budget, method)) for method in ("random_search", "adversarial")]
-            worth = paired(variant.rows, "adversarial", "random_search")
-            difference = "-" if worth is None else _text(worth.interval, 3)
+            gain = paired(variant.rows, "adversarial", "random_search")
+            difference = "-" if gain is None else _text(gain.interval, 3)
             means = [number(variant.aucs.mean(name, variant.vehicles)) for name in ("baseline", "adversarial")]
             lines.append([f"{curve.title}, {shown}", *_shapes(variant.rows), *means, *ratios, difference])
     header = ["search, percentile", "natural", "cm", "baseline", "adversarial", "of baseline, random draws",

@@ -1,10 +1,13 @@
-"""The Parquet tables of a detector's evaluation: metrics, groups, curves, vehicles, detections, ground truth, times."""
+"""A detector's evaluation as tables: those that are printed (metrics, groups of vehicles), and those of its folder."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from shift3d.analysis.tables.table import Table, number
+from shift3d.evaluation.breakdown import BreakdownRow
+from shift3d.evaluation.metrics import RANGES_M, Metric
 from shift3d.store.evaluation_tables import evaluation_table
 
 if TYPE_CHECKING:
@@ -19,7 +22,101 @@ if TYPE_CHECKING:
     from shift3d.evaluation.vehicles import VehicleRows
     from shift3d.training.detector.detect_scenes import Answer
 
-__all__ = ["breakdown_tables", "evaluation_tables"]
+__all__ = ["breakdown_tables", "evaluation_tables", "group_table", "metric_table", "summary_table"]
+
+_MEASURES = (
+    ("AP", "BEV", "BEV AP"),
+    ("APH", "BEV", "BEV APH"),
+    ("AP", "3D", "3D AP"),
+    ("APH", "3D", "3D APH"),
+    ("recall", "BEV 0.7", "recall, BEV"),
+    ("recall", "3D 0.7", "recall, 3D"),
+    ("flips", "share", "flipped"),
+)
+_ERRORS = {
+    "x_m": "along, m",
+    "y_m": "across, m",
+    "z_m": "height of centre, m",
+    "dx_m": "length, m",
+    "dy_m": "width, m",
+    "dz_m": "height, m",
+    "heading_rad": "heading, rad",
+}
+
+
+def summary_table(title: str, rows: Sequence[BreakdownRow]) -> Table:
+    """Over all vehicles of LEVEL_1 within 75 m, IoU 0.7: AP, APH, recall, flips, and errors, with 95 % intervals."""
+    known = {(row.measure, row.statistic): row for row in rows if row.by == "all"}
+    lines = []
+    for measure, statistic, name in _MEASURES:
+        row = known[measure, statistic]
+        lines.append([name, number(row.value), _interval(row), "", "", str(row.number)])
+    for error, name in _ERRORS.items():
+        mean, middle, spread = (known[f"error_{error}", statistic] for statistic in ("mean", "median", "std"))
+        others = [number(middle.value), number(spread.value), str(mean.number)]
+        lines.append([name, number(mean.value), _interval(mean), *others])
+    note = "LEVEL_1, 0-75 m, IoU 0.7; errors are means, found less true; intervals: 95 %, scenes resampled"
+    return Table(f"{title}\n{note}", ["", "value", "interval", "median", "std", "number"], lines)
+
+
+def group_table(rows: Sequence[BreakdownRow]) -> Table:
+    """A line a group: by range, heading, number of points, and kind of vehicle where labels carry one."""
+    known = {(row.by, row.group, row.measure, row.statistic): row for row in rows}
+    lines = []
+    for by, group in dict.fromkeys((row.by, row.group) for row in rows if row.by != "all"):
+        line = [f"{by}: {group}", str(known[by, group, "AP", "BEV"].number)]
+        for view in ("BEV", "3D"):
+            row = known[by, group, "AP", view]
+            line += [number(row.value), _interval(row)]
+        others = (("recall", "BEV 0.7"), ("flips", "share"), *((f"error_{e}", "mean") for e in ("z_m", "dx_m", "dz_m")))
+        lines.append([*line, *(number(known[by, group, *key].value) for key in others)])
+    header = ["", "number", "BEV AP", "interval", "3D AP", "interval", "recall", "flipped"]
+    return Table("By group, as above", [*header, "z m", "length m", "height m"], lines)
+
+
+def _interval(row: BreakdownRow) -> str:
+    return "-" if row.low is None or row.high is None else f"{row.low:.3f} to {row.high:.3f}"
+
+
+_PROTOCOLS = {
+    "waymo": "Waymo",
+    "waymo_strict": "Waymo, strict",
+    "kitti": "KITTI, 40 recalls",
+    "shift3d": "exact area",
+}
+
+
+def metric_table(title: str, metrics: Sequence[Metric]) -> Table:
+    """AP and APH in both views, a line a definition, IoU threshold, subset and range.
+
+    Left out, and in metrics.parquet: Waymo's range bins at IoU 0.5, and its strict counting but for 0-75 m.
+    """
+    lines: dict[tuple[object, ...], dict[str, Metric]] = {}
+    for metric in metrics:
+        key = (metric.protocol, metric.iou_threshold, metric.subset, metric.min_range_m, metric.max_range_m)
+        if not _left_out(metric):
+            lines.setdefault(key, {})[metric.view] = metric
+    # Definitions stay together, each with IoU 0.7 before 0.5.
+    ordered = sorted(lines.items(), key=lambda item: (list(_PROTOCOLS).index(str(item[0][0])), -float(str(item[0][1]))))
+    cells = []
+    for (protocol, iou_threshold, subset, low, high), views in ordered:
+        values = []
+        for view in ("BEV", "3D"):
+            curve = views[view].curve
+            values += [number(curve.average_precision), number(curve.average_precision_heading)]
+        region = "any" if high is None else f"{low:g}-{high:g}"
+        count = str(views["BEV"].curve.num_truth)
+        cells.append([_PROTOCOLS[str(protocol)], f"{iou_threshold:g}", str(subset), region, *values, count])
+    header = ["", "IoU", "objects", "range m", "BEV AP", "BEV APH", "3D AP", "3D APH", "number"]
+    return Table(title, header, cells)
+
+
+def _left_out(metric: Metric) -> bool:
+    region = (metric.min_range_m, metric.max_range_m)
+    if metric.protocol == "waymo":
+        return metric.iou_threshold != 0.7 and region not in RANGES_M[:2]
+    return metric.protocol == "waymo_strict" and region != RANGES_M[0]
+
 
 _WHICH = ("protocol", "view", "subset", "iou_threshold", "min_range_m", "max_range_m")
 _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")

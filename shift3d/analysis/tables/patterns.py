@@ -44,7 +44,7 @@ _POSE = {
     "aspect_deg": ("angle to the line of sight", "°", 0),
     "range_m": ("range", "m", 1),
 }
-_WORTH = {"cm": 1.0, "°": 1.0, "m³": 0.01, "m": 0.01, "": 0.5}
+_SHOWN_RATIO = {"cm": 1.0, "°": 1.0, "m³": 0.01, "m": 0.01, "": 0.5}
 """A change is counted from here on, by its unit."""
 
 
@@ -130,7 +130,7 @@ def _patterns(changes: Changes, names: dict[str, tuple[str, str, int]], places: 
         if known.any():
             name, unit, digits = names[field]
             values = change[known]
-            fell, rose = (float((sign * values >= _WORTH[unit]).mean()) for sign in (-1, 1))
+            fell, rose = (float((sign * values >= _SHOWN_RATIO[unit]).mean()) for sign in (-1, 1))
             interval = mean_interval(values, list(places[known]))
             size = float(values.abs().mean())
             mean = float(before[known].mean())

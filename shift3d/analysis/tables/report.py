@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.accuracy_cost import accuracy_cost, preset_table
-from shift3d.analysis.tables.auc import auc_table
+from shift3d.analysis.tables.accuracy_cost import accuracy_cost, diagnostics, preset_table
+from shift3d.analysis.tables.auc import auc_table, natural_table
 from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.coverage import coverage_lines, stage_times
-from shift3d.analysis.tables.numerics import diagnostics
-from shift3d.analysis.tables.sensors import sensor_table
-from shift3d.analysis.tables.shapes import natural_table
-from shift3d.analysis.tables.transfers import transfer_table
+from shift3d.analysis.tables.sensors import sensor_table, transfer_table
 from shift3d.analysis.variants import variants
 
 __all__ = ["sweep_report"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from shift3d.analysis.statistics.intervals import mean_interval
@@ -10,7 +11,7 @@ from shift3d.analysis.tables.table import Table, interval_text, number
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["kept", "pool_table", "retrieval_table"]
+__all__ = ["Kin", "kept", "pool_table", "retrieval_groups", "retrieval_table"]
 
 _POINTS = ((10, 30), (30, 100), (100, 300), (300, 1000), (1000, None))
 _GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
@@ -63,6 +64,40 @@ def kept(retrieved: pd.DataFrame) -> pd.DataFrame:
     return found.assign(place=found["dataset"] + "/" + found["scene"])
 
 
+@dataclass(frozen=True)
+class Kin:
+    """Natural kin of one search before one scoring detector: rows of `kept`, of so many solutions."""
+
+    label: str
+    scored_by: str
+    rows: pd.DataFrame
+    solutions: int
+
+    @property
+    def matched(self) -> pd.DataFrame:
+        """Rows that have controls."""
+        return self.rows[self.rows["control"].notna()]
+
+    @property
+    def means(self) -> dict[str, float]:
+        """Mean scores by what stands there; of controls NaN where there are none."""
+        columns = {"baseline": "score_baseline", "shape": "score_solution", "retrieved": "score"}
+        means = {name: float(self.rows[column].mean()) for name, column in columns.items()}
+        return means | {"controls": float(self.matched["control"].mean())}
+
+
+def retrieval_groups(retrieved: pd.DataFrame) -> list[Kin]:
+    """The kin that the paper's rule does not exclude, by search and scoring detector. retrieved: of ``final/``."""
+    solutions = retrieved[retrieved["role"] == "retrieved"]
+    counts = solutions.groupby(_GROUP, dropna=False).size()
+    found = []
+    for key, rows in kept(retrieved).groupby(_GROUP, sort=False, dropna=False):
+        mode, search, weight, alpha, detector, scored_by = key
+        label = f"{mode.replace('_', ' and ')}, {search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
+        found.append(Kin(label, scored_by, rows, int(counts.loc[key])))
+    return found
+
+
 def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
     """A line a search and scoring detector: mean scores, and differences with their intervals, whole scenes redrawn.
 
@@ -72,14 +107,10 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
     if retrieved.empty:
         return None
     lines = []
-    solutions = retrieved[retrieved["role"] == "retrieved"]
-    for key, rows in kept(retrieved).groupby(_GROUP, sort=False, dropna=False):
-        mode, search, weight, alpha, detector, scored_by = key
-        of = solutions[(solutions[_GROUP].fillna(0.0) == rows[_GROUP].fillna(0.0).iloc[0]).all(axis=1)]
-        matched = rows[rows["control"].notna()]
-        means = [rows[name].mean() for name in ("score_baseline", "score_solution", "score")]
-        line = [f"{mode.replace('_', ' and ')}, {search}, lambda {weight:g}, alpha {alpha:g}, {detector}", scored_by]
-        line += [f"{len(rows)} of {len(of)}", *(number(mean, 3) for mean in (*means, matched["control"].mean()))]
+    for group in retrieval_groups(retrieved):
+        rows, matched = group.rows, group.matched
+        line = [group.label, group.scored_by, f"{len(rows)} of {group.solutions}"]
+        line += [number(mean, 3) for mean in group.means.values()]
         line.append(_difference(rows["score"] - rows["score_baseline"], rows["place"]))
         line.append(_difference(matched["score"] - matched["control"], matched["place"]))
         in_log = matched.drop_duplicates(["pool_scene", "pool_label"])

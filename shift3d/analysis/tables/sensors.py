@@ -1,16 +1,47 @@
-"""The same vehicle at the same place under the beams of several sensors: is a miss the sensor's or the detector's?"""
+"""The same vehicles elsewhere: in scenes that they were not searched in, and under the beams of other sensors."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from shift3d.analysis.statistics.intervals import mean_interval
+from shift3d.analysis.statistics.intervals import mean_interval, ratio_interval
 from shift3d.analysis.tables.table import Table, number
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MISSED_BELOW", "paired_scores", "sensor_table"]
+__all__ = ["MISSED_BELOW", "paired_scores", "sensor_table", "transfer_table"]
+
+_TRANSFER_GROUP = ["search", "lambda", "alpha", "detector", "scored_by"]
+
+
+def transfer_table(transfers: pd.DataFrame) -> Table | None:
+    """A line a search and scoring detector: placements, AUC before and after, and their ratio with its interval.
+
+    transfers: of ``final/``. Means are those of the vehicles' means; intervals redraw whole scenes. A placement on
+    which the shape breaks a constraint counts as any other. None where nothing was put into another scene.
+    """
+    placed = transfers[transfers["score"].notna()]
+    if placed.empty:
+        return None
+    placed = placed.assign(place=placed["dataset"] + "/" + placed["other_scene"])
+    lines = []
+    for (search, weight, alpha, detector, scored_by), rows in placed.groupby(_TRANSFER_GROUP, sort=False, dropna=False):
+        before = rows.assign(score=rows["score_baseline"])
+        after, fell = _vehicle_mean(rows), mean_interval(rows["score"] < rows["score_baseline"], list(rows["place"]))
+        ratio = ratio_interval(rows, before)
+        interval = "-" if ratio is None else f"{ratio.mean:.2f} [{number(ratio.low, 2)}, {number(ratio.high, 2)}]"
+        name = f"{search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
+        counts = [str(len(rows)), str(rows["other_scene"].nunique())]
+        means = [number(_vehicle_mean(before)), number(after)]
+        lines.append([name, scored_by, *counts, *means, interval, f"{fell.mean:.0%}"])
+    header = ["", "scored by", "placements", "scenes", "baseline", "shape", "ratio", "lower in"]
+    return Table("The shapes in scenes that they were not searched in", header, lines)
+
+
+def _vehicle_mean(rows: pd.DataFrame) -> float:
+    return float(rows.groupby("vehicle")["score"].mean().mean())
+
 
 MISSED_BELOW = 0.1
 """A vehicle with a lower score is missed. Source: the score that the public Waymo config shows boxes from."""
@@ -56,7 +87,7 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
             if both.empty:
                 continue
             missed, missed_first = both[beams] < MISSED_BELOW, both[first] < MISSED_BELOW
-            said = "-" if beams == first else _difference(both, first, beams)
+            difference = "-" if beams == first else _difference(both, first, beams)
             lines.append(
                 [
                     f"{method}, {mode}, {search}, {detector}",
@@ -65,7 +96,7 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
                     str(len(both)),
                     f"{points.loc[both.index, beams].median():.0f}",
                     number(float(both[beams].mean())),
-                    said,
+                    difference,
                     f"{missed.mean():.0%}",
                     "-" if beams == first else f"{int((missed & missed_first).sum())} of {int(missed_first.sum())}",
                 ]

@@ -27,8 +27,8 @@ __all__ = ["COMMAND", "FinetuneRequest", "read_request", "steps_of"]
 _DESCRIPTION = """\
 Does a detector get better by training on the objects that fool it? Attacks it on training streets (sweep finetune),
 verifies what was found, fine-tunes it on the stable objects with every seed, and measures it on held-out streets: on
-the same vehicles (finetune_held_out), on other body types (finetune_other_vehicles), each attacked before and anew, and
-on natural streets. Ends in finetune.parquet, report.html and MLflow.
+the same vehicles (finetune_held_out), on other body types (finetune_other_vehicles), each attacked before and after,
+and on natural streets. Ends in finetune.parquet, report.html and MLflow.
 
 It is a list of the other commands, and prints each before it runs it. The same command again skips what is done."""
 
@@ -39,7 +39,7 @@ examples:
   shift3d finetune --quick                     a few minutes: the same path; its numbers mean nothing
   shift3d finetune size=small control=true     beside it a model tuned on the unchanged objects of the same scenes
   shift3d finetune size=small rate=3e-6 adaptive=false    another rate: what was found before is used again, and
-                                               nothing is attacked anew
+                                               the tuned detector is not attacked
   shift3d finetune size=small detector=sst streets=20 others=camper,trailer
   shift3d finetune --steps size=small          print the commands and run none
 
@@ -202,7 +202,7 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
     runner = config.runner
     workers = (runner.workers or os.cpu_count() or 1) if isinstance(runner, RayRunnerConfig) else 1
     mlflow = config.tracking.uri if isinstance(config.tracking, MlflowConfig) else "none"
-    detector, given = config.detector.name, config.detector.weights
+    detector, own_weights = config.detector.name, config.detector.weights
     attacked = folder / "attacked"
 
     def swept(name: str, out: Path, *more: str) -> _Step:
@@ -216,11 +216,16 @@ def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Seq
     yield _Step(verify.COMMAND, [str(attacked), *(word for word in request.words if word.startswith("runner"))])
     for name, place in zip(_SWEEPS[1:], HELD_OUT, strict=True):
         yield swept(name, folder / place)
-    yield measured(folder / "vanilla" / NATURAL, given)
+    yield measured(folder / "vanilla" / NATURAL, own_weights)
     for tuned in models:
         method = "adversarial" if tuned.model == "finetuned" else "baseline"
         rate = [f"recipe.peak_rate={request.rate}"] if request.rate else []
-        words = [f"model={detector}", f"finetune={attacked}", f"method={method}", f"start_from={given or 'shipped'}"]
+        words = [
+            f"model={detector}",
+            f"finetune={attacked}",
+            f"method={method}",
+            f"start_from={own_weights or 'shipped'}",
+        ]
         # One thread: the weights do not depend on the number of workers.
         words += [f"recipe.seed={tuned.seed}", *rate, "threads=1", f"mlflow={mlflow}", f"out={tuned.folder}"]
         yield _Step(train.COMMAND, words)

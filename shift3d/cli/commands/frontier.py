@@ -164,7 +164,7 @@ def _setting(setting: Any, accuracy: Any) -> Setting:
         warm=setting.warm,
         gradient=setting.gradient,
         grid=setting.grid,
-        follow=setting.follow,
+        incremental=setting.incremental,
         displaced=setting.displaced,
         steps=setting.steps,
         attack_steps=setting.attack_steps,

@@ -49,6 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for label, found in pattern_groups(sweep.patterns, sweep.scores):
         print(f"\n{patterns_table(f'Changes: {label}', found)}")
     print(f"\nwritten in {result.seconds:.0f} s; shift3d report {arguments.out} shows them")
+    print("the sweep's command again puts them into MLflow")
     return int(ExitCode.INCOMPLETE if result.quarantined else ExitCode.DONE)
 
 

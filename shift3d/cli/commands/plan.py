@@ -54,7 +54,7 @@ def _run(arguments: argparse.Namespace) -> int:
     return show(arguments.words, shift3d_kind(), arguments.tasks, arguments.places)
 
 
-def show(given: Sequence[str], kind: TaskKind, tasks: bool = False, places: bool = False) -> int:
+def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places: bool = False) -> int:
     """Print what a sweep of a kind of task would run. given: the words of the command. tasks: list each of them.
 
     places: count those of each scene.
@@ -71,22 +71,22 @@ def show(given: Sequence[str], kind: TaskKind, tasks: bool = False, places: bool
     from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
     from shift3d.sweep.planning.spec_file import read_spec
 
-    timings, rest = words.take_folders("timings", given)
+    timings, rest = words.take_folders("timings", sweep_words)
     for other in timings:
         read_spec(other)  # as read_words does with reuse=
-    asked = words.read_words(rest)
-    if asked.out:
-        asked.out.check_writable()
-    begun = asked.out is not None and (asked.out / "spec.yaml").is_file()
-    catalogue = kind.catalogue if tasks or begun or asked.reuse else kind.preview or kind.catalogue
-    plan, config = make_plan(compose_sweep(asked.name, asked.overrides), catalogue)
+    request = words.read_words(rest)
+    if request.out:
+        request.out.check_writable()
+    begun = request.out is not None and (request.out / "spec.yaml").is_file()
+    catalogue = kind.catalogue if tasks or begun or request.reuse else kind.preview or kind.catalogue
+    plan, config = make_plan(compose_sweep(request.name, request.overrides), catalogue)
     check_tracking(config.tracking)
     print(plan_summary(plan), flush=True)
-    folder = asked.out or (None if plan.preview else default_folder(plan))
+    folder = request.out or (None if plan.preview else default_folder(plan))
     if folder:
         check_folder(folder, plan)
     workers = 1 if isinstance(config.runner, LocalRunnerConfig) else config.runner.workers or os.cpu_count() or 1
-    print(expected_lines(plan, folder, asked.reuse, timings, workers))
+    print(expected_lines(plan, folder, request.reuse, timings, workers))
     print(_where(plan, folder))
     for line in plan_lines(plan) if tasks else ():
         print(line)

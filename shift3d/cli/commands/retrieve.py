@@ -72,7 +72,7 @@ def _run(arguments: argparse.Namespace) -> int:
     table = retrieval_table(scored.final.frame("retrieved"))
     print(f"\n{table if table else 'no task searched a shape: nothing to retrieve'}\n")
     print(f"{folder / 'final' / 'retrieved.parquet'} written in {fitted.seconds + scored.seconds:.0f} s")
-    print(f"pictures and curves: shift3d report {folder}")
+    print(f"pictures and curves: shift3d report {folder}; the sweep's command again puts the scores into MLflow")
     return int(ExitCode.INCOMPLETE if fitted.quarantined or scored.quarantined else ExitCode.DONE)
 
 

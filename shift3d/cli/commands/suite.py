@@ -25,7 +25,7 @@ _DESCRIPTION = """\
 Freezes hard objects of a finished sweep into a folder or bucket: each object's scene as detectors see it, its box,
 pose and latent code, and the scores that the sweep's detectors gave it; the unchanged vehicle of each task is its
 control. The manifest suite.json has a digest of every file. shift3d gate scores new weights on it; it needs neither
-the sweep nor its renderer any more."""
+the sweep nor its renderer."""
 
 _EPILOG = """\
 examples:

@@ -98,14 +98,14 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         return show(words[1:] if words[:1] == ["plan"] else words, kind, arguments.tasks, arguments.places)
     if arguments.tasks or arguments.places:
         raise InputError("--tasks and --places are of a plan", remedy="shift3d sweep plan NAME --tasks")
-    asked = read_words(words)
-    if asked.job and asked.job.address and not arguments.task:
-        return _submit(asked, asked.job.address, arguments.retry_quarantined)
-    if asked.out and not arguments.task:
-        asked.out.check_writable()  # before scenes are looked at, which may take minutes
-    plan, config = make_plan(compose_sweep(asked.name, asked.overrides), kind.catalogue)
+    request = read_words(words)
+    if request.job and request.job.address and not arguments.task:
+        return _submit(request, request.job.address, arguments.retry_quarantined)
+    if request.out and not arguments.task:
+        request.out.check_writable()  # before scenes are looked at, which may take minutes
+    plan, config = make_plan(compose_sweep(request.name, request.overrides), kind.catalogue)
     check_tracking(config.tracking)
-    folder = asked.out or default_folder(plan)
+    folder = request.out or default_folder(plan)
     print(plan_summary(plan), flush=True)
     if arguments.task:
         from shift3d.sweep.single import run_single
@@ -114,10 +114,10 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         return 0
     print(f"writing to {folder}", flush=True)
     result = run_sweep(
-        plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined, reuse=asked.reuse
+        plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined, reuse=request.reuse
     )
     if result.reused:
-        others = ", ".join(map(str, asked.reuse))
+        others = ", ".join(map(str, request.reuse))
         print(f"{result.reused} of {counted(result.planned, 'task')} were done in {others}")
     if result.final is None:
         command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
@@ -129,16 +129,16 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     return int(ExitCode.DONE if placed and not result.quarantined else ExitCode.INCOMPLETE)
 
 
-def _submit(asked: Request, address: str, retry_quarantined: bool) -> int:
+def _submit(request: Request, address: str, retry_quarantined: bool) -> int:
     """Hand the sweep to a cluster's Jobs API."""
     from shift3d.settings.folders import own_folders
     from shift3d.sweep.execution.ray.job import submit_sweep
 
-    folders = [f"out={asked.out}"] if asked.out else []
-    folders += [f"reuse={other}" for other in asked.reuse]
+    folders = [f"out={request.out}"] if request.out else []
+    folders += [f"reuse={other}" for other in request.reuse]
     flags = ["--retry-quarantined"] if retry_quarantined else []
-    environment = asked.job.runtime_env if asked.job else None
-    return submit_sweep([asked.name, *asked.overrides, *folders, *flags], address, environment, own_folders())
+    environment = request.job.runtime_env if request.job else None
+    return submit_sweep([request.name, *request.overrides, *folders, *flags], address, environment, own_folders())
 
 
 def _status(words: list[str]) -> int:
@@ -154,8 +154,7 @@ def _status(words: list[str]) -> int:
 def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
     from shift3d.analysis.results import sweep_of
-    from shift3d.analysis.tables.caveats import nothing_placed, trial_caveat
-    from shift3d.analysis.tables.coverage import coverage_lines
+    from shift3d.analysis.tables.coverage import coverage_lines, nothing_placed, trial_caveat
     from shift3d.analysis.tables.report import sweep_report
     from shift3d.analysis.tables.stability import stability_lines
     from shift3d.sweep.planning.plan_view import skipped_lines
@@ -188,7 +187,7 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
 
 def _show_effects(sweep: Sweep, folder: Location) -> None:
     """The impact of effects, where the sweep ran the same tasks with them and without."""
-    variants = {asked for group in sweep.plan.tasks.groups() for asked in group.effects_requested}
+    variants = {request for group in sweep.plan.tasks.groups() for request in group.effects_requested}
     if "none" not in variants or len(variants) == 1:
         return
     from shift3d.analysis.html.pages import write_effects_page
@@ -208,10 +207,10 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
 
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return
-    from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
+    from shift3d.analysis.mlflow.sweep import SweepRecord, follow_up_metrics, mirror
     from shift3d.analysis.results import natural_by_task
 
-    counts = {
+    counts: dict[str, float] = {
         "tasks_done": result.done,
         "tasks_quarantined": result.quarantined,
         "tasks_planned": result.planned,
@@ -221,6 +220,7 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
         counts |= {"solutions_verified": len(stable), "solutions_unstable": int((~stable).sum())}
     if verdicts := natural_by_task(result.final.frame("scores")):
         counts |= {"shapes_measured": len(verdicts), "shapes_natural": sum(verdicts.values())}
+    counts |= follow_up_metrics({name: result.final.frame(name) for name in result.final.tables})
     settings = {"settings": plan.settings, "axes": plan.axes}
     auc, curves = result.final.frame("auc"), result.final.frame("curves")
     record = SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, auc, curves, counts)

@@ -155,7 +155,7 @@ def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> Tr
         scenes=scenes,
         root=values.get("root"),
         count=_number(values, "count"),
-        # Without steps of its own a training only settles the heads of weights that are there.
+        # Without steps of its own a training only trains the heads of existing weights.
         steps=0 if values.get("steps") == "0" and "start_from" in values else _number(values, "steps"),
         inserted=0 if values.get("inserted") == "0" else _number(values, "inserted"),
         start_from=values.get("start_from"),

@@ -64,11 +64,11 @@ class OnnxDetector:
 
         Raises InputError: the file fails on these points, or its answer is no boxes and scores.
         """
-        given = points.detach().to(torch.float32).numpy()
+        rows = points.detach().to(torch.float32).numpy()
         try:
-            boxes, scores = self._session.run(["boxes", "scores"], {self._input: np.ascontiguousarray(given)})
+            boxes, scores = self._session.run(["boxes", "scores"], {self._input: np.ascontiguousarray(rows)})
         except Exception as error:  # ONNX Runtime's errors have no other base
-            raise InputError(f"it fails on {len(given)} points: {_line(error)}", self._where, _GUIDE) from error
+            raise InputError(f"it fails on {len(rows)} points: {_line(error)}", self._where, _GUIDE) from error
         _check_answer(boxes, scores, self._where)
         kept = np.arange(len(scores)) if window is None else np.flatnonzero(_inside(boxes, window))
         logits = torch.logit(torch.from_numpy(scores[kept]).double(), eps=_SATURATED)
@@ -152,8 +152,8 @@ def _check_interface(session: onnxruntime.InferenceSession, where: str) -> None:
     if len(inputs) != 1:
         raise InputError(f"it has the inputs {[part.name for part in inputs]}, not the points alone", where, _GUIDE)
     points = inputs[0]
-    given = [size if isinstance(size, int) else None for size in points.shape]  # a name, or nothing: any size
-    if points.type != "tensor(float)" or given not in ([None, 3], [None, None]):
+    rows = [size if isinstance(size, int) else None for size in points.shape]  # a name, or nothing: any size
+    if points.type != "tensor(float)" or rows not in ([None, 3], [None, None]):
         what = f"its input {points.name} is {points.type} {points.shape}, not tensor(float) (N, 3) with N free"
         raise InputError(what, where, _GUIDE)
     outputs = {part.name: part.type for part in session.get_outputs()}

@@ -123,14 +123,14 @@ def _compare(wanted: Mapping[str, tuple[int, ...]], found: Mapping[str, Tensor],
     ]
     if not (missing or surplus or misshapen):
         return
-    said = [
+    problems = [
         f"{counted(len(names), 'tensor')} {how}: {', '.join(names[:_SHOWN])}{', ...' if len(names) > _SHOWN else ''}"
         for how, names in (("missing", missing), ("too many", surplus), ("of another shape", misshapen))
         if names
     ]
     like = _looks_like(found) if missing or surplus else ""
     remedy = "Give the config that it was trained with" + (f"; it looks like {like}" if like else "")
-    raise InputError("; ".join(said), str(path), remedy)
+    raise InputError("; ".join(problems), str(path), remedy)
 
 
 def _looks_like(found: Mapping[str, Tensor]) -> str:

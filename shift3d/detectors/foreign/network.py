@@ -32,9 +32,9 @@ class ForeignNet(PillarBackboneNet):
         self.tower: CentreTower | None = None
         if isinstance(layout.head, AnchorHead):
             self.heads: ForeignAnchorHeads | MapHeads = ForeignAnchorHeads(channels, layout.head)
-            self._slack = max(_displacement(anchor, self.head_grid) for anchor in layout.head.anchors)
+            self._reach_cells = max(_displacement(anchor, self.head_grid) for anchor in layout.head.anchors)
         else:
-            self.tower, self.heads, self._slack = CentreTower(channels, layout.head), MapHeads(), 0
+            self.tower, self.heads, self._reach_cells = CentreTower(channels, layout.head), MapHeads(), 0
 
     @property
     def is_cellwise(self) -> bool:
@@ -47,7 +47,7 @@ class ForeignNet(PillarBackboneNet):
 
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
         """See `DetectorNet`; anchors that do not stand in their cell's centre are all covered."""
-        more = self._slack * self.spec.out_stride
+        more = self._reach_cells * self.spec.out_stride
         return super().core_span(low - more, high + more, cells)
 
     def outer_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:

@@ -38,7 +38,7 @@ def decode_boxes(
 ) -> Tensor:
     """Codes (A, 7), anchors (A, 7), direction logits (A, 2) -> boxes (A, 7), heading in [-pi, pi).
 
-    The sine loss leaves the heading open by half turns: the direction bin settles it, bin 0 from offset_rad on. Size
+    The sine loss leaves the heading open by half turns: the direction bin decides it, bin 0 from offset_rad on. Size
     codes are clipped at +-5, so that no code can give an infinite box.
     """
     diagonal = torch.hypot(anchors[:, 3], anchors[:, 4])

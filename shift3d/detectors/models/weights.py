@@ -65,7 +65,7 @@ def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
             raise InputError(
                 f"tensor {name} has shape {found}, the network has {wanted}",
                 where=str(path),
-                remedy="use weights trained for this version",
+                remedy="use weights trained for these settings",
             )
         if wrong := wrong_values(name, state[name], expected[name]):
             raise InputError(f"tensor {name} {wrong}", where=str(path), remedy="copy it again, or train again")

@@ -30,8 +30,8 @@ GLASS_OF_HEIGHT = (0.62, 0.92)
 whose windscreens start at 0.6 to 0.7 of it."""
 AXLES_OF_LENGTH = (0.31, -0.28)
 """Front and rear axle ahead of the centre, shares of the length. Measured on the shipped vehicles, as in
-`vehicles.dimensions`: 0.30 to 0.32 and -0.26 to -0.29; production models (`vehicles.family.published`) have wheelbases
-of 0.60 +- 0.02 of it."""
+tests/unit/vehicles/mesh_dimensions.py: 0.30 to 0.32 and -0.26 to -0.29; production models (`vehicles.family.published`)
+have wheelbases of 0.60 +- 0.02 of it."""
 TYRE_OF_LENGTH = 0.075
 """Radius of a tyre, share of the length. Shipped vehicles: 0.071 to 0.084; production models: 0.073 +- 6 %, while by
 height it would be +- 11 %."""

@@ -156,14 +156,14 @@ class PowerLimit:
         if self.shared is None or self.own is None:
             return lost
         for on_object in (True, False):
-            asked = (returns.returned & (returns.on_object == on_object)).nonzero().squeeze(1)
-            if not len(asked):
+            chosen = (returns.returned & (returns.on_object == on_object)).nonzero().squeeze(1)
+            if not len(chosen):
                 continue
-            row, before, share = returns.row[asked], power[asked], transmission[asked]
+            row, before, share = returns.row[chosen], power[chosen], transmission[chosen]
             if on_object:
-                lost[asked] = self.shared[row] >= survival(before * share, self.sensor)
+                lost[chosen] = self.shared[row] >= survival(before * share, self.sensor)
             else:
-                lost[asked] = self.own[row] >= self._share_kept(before, share)
+                lost[chosen] = self.own[row] >= self._share_kept(before, share)
         return lost
 
     def _share_kept(self, before: Tensor, transmission: Tensor) -> Tensor:

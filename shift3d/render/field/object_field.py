@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.sdf.bfloat16 import Bfloat16Field, bfloat16_twin
+from shift3d.sdf.bfloat16 import Bfloat16Field, bfloat16_copy
 from shift3d.sdf.field import Field as DecoderField
-from shift3d.sdf.pieces import Piece
+from shift3d.sdf.linear_regions import LinearRegion
 
-_WORTH_IT = 96
+_LEAST_SAVED = 96
 """Fewer points than this take as long to fetch the weights for as to evaluate: once, then, in float32."""
 
 
@@ -41,8 +41,8 @@ class Field(Protocol):
 class PiecewiseField(Protocol):
     """A field that is piecewise linear along lines, but for a last function that keeps sign and roots."""
 
-    def piece(self, x_sdf: Tensor, direction: Tensor, /) -> Piece:
-        """See `sdf.pieces.linear_piece`."""
+    def region(self, x_sdf: Tensor, direction: Tensor, /) -> LinearRegion:
+        """See `sdf.linear_regions.linear_region`."""
         ...
 
 
@@ -103,7 +103,7 @@ class ObjectField:
             torch.as_tensor(np.asarray(vehicle.sdf_t_object, dtype=np.float64)),
             dtype,
             batch,
-            bfloat16_twin(sdf, dtype) if bfloat16_band_m > 0 else None,
+            bfloat16_copy(sdf, dtype) if bfloat16_band_m > 0 else None,
             bfloat16_band_m,
         )
 
@@ -126,7 +126,7 @@ class ObjectField:
         far = torch.arange(len(x_object))
         if expected_m is not None:  # NaN compares false
             far = torch.nonzero(~(expected_m < self.bfloat16_band_m)).squeeze(1)
-        if self.rough is None or len(far) < _WORTH_IT:
+        if self.rough is None or len(far) < _LEAST_SAVED:
             return self(x_object)
         parts = self.to_sdf(x_object[far]).split(self.batch)
         rough = torch.cat([self.rough(part) for part in parts]) * self.scale_m
@@ -157,9 +157,9 @@ class ObjectField:
         if live is None or not isinstance(self.sdf, DecoderField):
             return self
         sdf = self.sdf.sliced(live)
-        return dataclasses.replace(self, sdf=sdf, rough=None if self.rough is None else bfloat16_twin(sdf, self.dtype))
+        return dataclasses.replace(self, sdf=sdf, rough=None if self.rough is None else bfloat16_copy(sdf, self.dtype))
 
-    def float32_twin(self) -> ObjectField | None:
+    def float32_copy(self) -> ObjectField | None:
         """The same field evaluated in float32, counted together; None for fields that are no decoder's.
 
         Differs by what rounding its weights and its arithmetic does, see `settings.reachable_residual_m`.
@@ -167,15 +167,15 @@ class ObjectField:
         if not isinstance(self.sdf, DecoderField) or self.dtype == torch.float32:
             return None
         weights, biases = ([part.float() for part in parts] for parts in (self.sdf.weights, self.sdf.biases))
-        twin = DecoderField(weights, biases, self.sdf.skip_layer)
-        return dataclasses.replace(self, sdf=twin, dtype=torch.float32)
+        copy = DecoderField(weights, biases, self.sdf.skip_layer)
+        return dataclasses.replace(self, sdf=copy, dtype=torch.float32)
 
     def piecewise_linear(self) -> bool:
-        """Whether the field can tell its linear pieces along a beam."""
+        """Whether the field can tell its linear regions along a beam."""
         return isinstance(self.sdf, PiecewiseField)
 
-    def piece(self, x_object: Tensor, direction: Tensor) -> Piece:
-        """The linear pieces on which beams start; counts as two evaluations each.
+    def region(self, x_object: Tensor, direction: Tensor) -> LinearRegion:
+        """The linear regions on which beams start; counts as two evaluations each.
 
         Args: x_object: (N, 3) starts. direction: (N, 3) unit vectors; both object frame, float64.
         Returns: values in metres, slopes in metres a metre, lengths in metres; float64.
@@ -184,13 +184,13 @@ class ObjectField:
         self.count.evaluations += 2 * len(x_object)
         along = direction @ (self.sdf_R_object.T / self.scale_m)
         parts = [
-            self.sdf.piece(x, d)
+            self.sdf.region(x, d)
             for x, d in zip(self.to_sdf(x_object).split(self.batch), along.split(self.batch), strict=True)
         ]
         value, slope, length = (
             torch.cat([getattr(part, name) for part in parts]).double() for name in ("value", "slope", "length")
         )
-        return Piece(value * self.scale_m, slope * self.scale_m, length)
+        return LinearRegion(value * self.scale_m, slope * self.scale_m, length)
 
     def to_sdf(self, x_object: Tensor) -> Tensor:
         """Points (N, 3) of the object frame in the sdf frame, in the field's dtype."""

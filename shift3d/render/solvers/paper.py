@@ -1,6 +1,6 @@
 """The paper's renderer, kept plain: march every beam at 0.1 m, bisect 30 times.
 
-Slow on purpose. It is the twin that the fast renderer is compared with, and the price that its speed is
+Slow on purpose. It is the reference that the fast renderer is compared with, and the price that its speed is
 measured against.
 """
 

@@ -1,16 +1,16 @@
 """First crossings that are not stepped over where the field is no steeper than a bound: the reference.
 
 Far from the surface nothing lies within g / `max_slope` of a place, because no field is steeper than that bound; near
-it, where such steps would creep, the beam walks the decoder's linear pieces (see `sdf.pieces`) and the root is a
-quotient. Nothing is sampled, so there is no chord too short to be found. Steps far from the surface are evaluated in
-float32, less what that may be off by; every sign and every root is float64's. With an infinite `max_slope` no bound is
-assumed at all and every piece from the box on is walked: slower, and the proof of the other.
+it, where such steps would creep, the beam traverses the decoder's linear regions (see `sdf.linear_regions`) and the
+root is a quotient. Nothing is sampled, so there is no chord too short to be found. Steps far from the surface are
+evaluated in float32, less what that may be off by; every sign and every root is float64's. With an infinite `max_slope`
+no bound is assumed at all and every region from the box on is traversed: slower, and the proof of the other.
 
-A bound that does not hold is noticed where it shows: each beam begins with a piece, and on one that is steeper than
-`_SUSPECT` of the bound it walks every piece from there; one on which g fell by more than that share of what the bound
-allows, or turned negative in one step, goes back and does the same.
+A bound that does not hold is noticed where it shows: each beam begins with a region, and on one that is steeper than
+`_SUSPECT` of the bound it traverses every region from there; one on which g fell by more than that share of what the
+bound allows, or turned negative in one step, goes back and does the same.
 
-Where a piece is shorter than a nanometre, the next one is taken for it. Beams are cut to the verified box, grown by
+Where a region is shorter than a nanometre, the next one is taken for it. Beams are cut to the verified box, grown by
 `box_margin_m`: what a decoder makes of places outside it is no part of the object (our choice: the paper cuts at 7 m).
 """
 
@@ -26,8 +26,8 @@ from shift3d.render.field.object_field import ObjectField
 from shift3d.render.first_hits import FirstHits
 from shift3d.render.settings import RenderSettings
 
-_PIECE_M = 0.0005
-"""Steps shorter than this are left to the pieces: one costs as much as five such steps, and is a millimetre long."""
+_REGION_M = 0.0005
+"""Steps shorter than this are left to the regions: one costs as much as five such steps, and is a millimetre long."""
 _ROUNDING_M = 2e-5
 """What a float32 value is taken to be off by at most: 50 times the worst of 37,500 places of fifteen shapes."""
 _FALL = 1.1
@@ -66,13 +66,13 @@ class Traversal:
         self.undecided = torch.zeros(count, dtype=torch.bool)
         self._bound = torch.full((count,), float(max_slope), dtype=torch.float64)
         self._k = rays.near_m.clone()
-        self._rough = field.float32_twin()
+        self._rough = field.float32_copy()
         # How far beyond k, up to which the beam is known to be free, it is evaluated next.
         self._ahead = torch.zeros(count, dtype=torch.float64)
         # The place and value before the last step that relied on the bound; NaN where there was none.
         self._k_before = torch.full((count,), torch.nan, dtype=torch.float64)
         self._g_before = self._k_before.clone()
-        self._by_piece = torch.ones(count, dtype=torch.bool)
+        self._by_region = torch.ones(count, dtype=torch.bool)
         self._under_way = torch.ones(count, dtype=torch.bool)
 
     def run(self) -> None:
@@ -81,9 +81,9 @@ class Traversal:
             rows = torch.nonzero(self._under_way).squeeze(1)
             if len(rows) == 0:
                 return
-            by_piece = self._by_piece[rows]
-            self._step(rows[~by_piece])
-            self._walk_piece(rows[by_piece])
+            by_region = self._by_region[rows]
+            self._step(rows[~by_region])
+            self._traverse_region(rows[by_region])
         self._give_up(torch.nonzero(self._under_way).squeeze(1))
 
     def _give_up(self, rows: Tensor) -> None:
@@ -108,19 +108,19 @@ class Traversal:
         short = (ahead > 0) & ~(reach >= ahead)
         self._ahead[rows[short]] = 0.0
         # Within a rounding of the surface the sign is for float64 to tell.
-        near = (reach < _PIECE_M) & (g > -_ROUNDING_M) & (ahead == 0)
-        self._by_piece[rows[near]] = True
+        near = (reach < _REGION_M) & (g > -_ROUNDING_M) & (ahead == 0)
+        self._by_region[rows[near]] = True
         rows, k, g = (part[~(short | near)] for part in (rows, k, g))
         rows, k, g = self._usable(rows, k, g)
         reach = (g - error_bound) / self._bound[rows]
         self._advance(rows, k, g, reach)
         expected = reach * (self._bound[rows] - _FALL) / (self._bound[rows] + _FALL)
         self._ahead[rows] = torch.minimum(expected, self.rays.far_m[rows] - self._k[rows]).clamp_min(0.0)
-        slow = rows[reach < _PIECE_M]
-        self._by_piece[slow], self._ahead[slow] = True, 0.0
+        slow = rows[reach < _REGION_M]
+        self._by_region[slow], self._ahead[slow] = True, 0.0
 
     def _value(self, k: Tensor, rows: Tensor) -> tuple[Tensor, float]:
-        """g (M,) float64, and by how much it may be off: in float32 where there is such a twin and it is finite."""
+        """g (M,) float64, and by how much it may be off: in float32 where there is such a copy and it is finite."""
         places = self.rays.at(k, rows)
         if self._rough is None:
             return self.field(places).double(), 0.0
@@ -129,19 +129,19 @@ class Traversal:
         g[again] = self.field(places[again]).double()
         return g, _ROUNDING_M
 
-    def _walk_piece(self, rows: Tensor) -> None:
-        """Look for a root on the piece; if there is none, go to its end, or further where the bound allows."""
+    def _traverse_region(self, rows: Tensor) -> None:
+        """Look for a root on the region; if there is none, go to its end, or further where the bound allows."""
         if len(rows) == 0:
             return
         k = self._k[rows]
-        piece = self.field.piece(self.rays.at(k, rows), self.rays.directions[rows])
-        # A beam that came here along its pieces cannot be inside but for a rounding: then its root is here.
+        region = self.field.region(self.rays.at(k, rows), self.rays.directions[rows])
+        # A beam that came here along its regions cannot be inside but for a rounding: then its root is here.
         after_jump = torch.isfinite(self._k_before[rows]) | (k == self.rays.near_m[rows]) | (k <= 0)
-        value = torch.where(after_jump, piece.value, piece.value.clamp_min(0.0))
+        value = torch.where(after_jump, region.value, region.value.clamp_min(0.0))
         kept, k_kept, g = self._usable(rows, k, value)
         chosen = torch.isin(rows, kept)
-        self._bound[rows[piece.slope.abs() > _SUSPECT * self._bound[rows]]] = torch.inf
-        slope, length = piece.slope[chosen], piece.length[chosen] + _NUDGE_M
+        self._bound[rows[region.slope.abs() > _SUSPECT * self._bound[rows]]] = torch.inf
+        slope, length = region.slope[chosen], region.length[chosen] + _NUDGE_M
         root = torch.where(slope < 0, -g / slope, torch.inf)
         found = (root <= length) & (k_kept + root <= self.rays.far_m[kept])
         self.root_m[kept[found]] = k_kept[found] + root[found]
@@ -150,7 +150,7 @@ class Traversal:
         # tanh g / s is what the bound speaks of; it is below the value before the tanh.
         safe = torch.tanh(g / self.field.scale_m) * self.field.scale_m / self._bound[rows]
         jumps = safe > length
-        self._by_piece[rows] = ~(safe > 2 * _PIECE_M)
+        self._by_region[rows] = ~(safe > 2 * _REGION_M)
         self._advance(rows[jumps], k[jumps], g[jumps], safe[jumps])
         self._k_before[rows[~jumps]] = torch.nan
         beyond = k[~jumps] + length[~jumps]
@@ -175,9 +175,9 @@ class Traversal:
         return rows[kept], k[kept], g[kept]
 
     def _send_back(self, rows: Tensor, k: Tensor) -> None:
-        """Traversal every piece from k on."""
+        """Traverse every region from k on."""
         self._k[rows], self._k_before[rows] = k, torch.nan
-        self._bound[rows], self._by_piece[rows], self._ahead[rows] = torch.inf, True, 0.0
+        self._bound[rows], self._by_region[rows], self._ahead[rows] = torch.inf, True, 0.0
 
     def _advance(self, rows: Tensor, k: Tensor, g: Tensor, length: Tensor) -> None:
         """A step that relies on the bound; the ray's end is looked at, once."""

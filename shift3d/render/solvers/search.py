@@ -1,4 +1,4 @@
-"""The default solver: predict, correct, cover. Cold, with a grid of the field, and warm it is the same.
+"""The default solver: predict, correct, refine. Cold, with a grid of the field, and warm it is the same.
 
 1. Predict samples and hits along every ray: from an SDF grid of this very field; from an earlier rendering, its
    linearizations at the hits and two coarse grids that say how the field has changed; or, where nothing is known, from
@@ -28,8 +28,8 @@ from shift3d.render.field.sdf_grid import ChangeGrid, SdfGrid
 from shift3d.render.first_hits import FirstHits
 from shift3d.render.settings import RenderSettings
 from shift3d.render.solvers.corrector import Corrected, newton, predict, secant
-from shift3d.render.solvers.coverage import cover
 from shift3d.render.solvers.ray_samples import RaySamples
+from shift3d.render.solvers.refinement import refine
 from shift3d.render.solvers.roots import find_roots
 from shift3d.render.solvers.sphere_tracing import trace
 
@@ -100,13 +100,13 @@ def cold_start(
     rays = rays_in_box(beams, theta, box.box)
     change, live = _survey(field, box.box, torch.empty(0, 3, dtype=torch.float64), settings)
     state = replace(_blank(beams, theta, rays, change, live), box=box)
-    return _covered(state, field.sliced(live), settings, unknown=torch.ones(len(rays), dtype=torch.bool))
+    return _completed(state, field.sliced(live), settings, unknown=torch.ones(len(rays), dtype=torch.bool))
 
 
 def _with_grid(
     beams: Beams, field: ObjectField, theta: Tensor, settings: RenderSettings, grid: SdfGrid
 ) -> tuple[FirstHits, WarmStart]:
-    """Correct the crossings that the grid shows plainly, and cover what it leaves open."""
+    """Correct the crossings that the grid shows plainly, and refine what it leaves open."""
     rays = rays_in_box(beams, theta, grid.box)
     live = grid.live if settings.live_units else None
     state, readings = _blank(beams, theta, rays, ChangeGrid.of(grid.at, grid.box), live), grid.along(rays)
@@ -115,7 +115,7 @@ def _with_grid(
     found = secant(rays.select(rows), guess, slope, field, settings, _GRID_REACH_M)
     of, k, g = readings.samples()
     samples = RaySamples.none().joined(RaySamples(of, k, g, torch.full_like(g, readings.error_m)))
-    return _covered(replace(state.with_hits(rows, found), samples=samples), field, settings)
+    return _completed(replace(state.with_hits(rows, found), samples=samples), field, settings)
 
 
 def warm_start(
@@ -127,7 +127,7 @@ def warm_start(
     settings: RenderSettings,
     grid: SdfGrid | None = None,
 ) -> tuple[FirstHits, WarmStart]:
-    """Follow the hits of an earlier rendering, and refine its samples where they no longer cover their rays.
+    """Correct the hits of an earlier rendering, and refine its samples where they leave their rays open.
 
     With a grid of the field at hand a fresh search costs less, and is made; and so it is where the pose has moved by
     more than 5 cm, as beams then meet other parts of the object, and where the rendering was of other beams.
@@ -169,7 +169,7 @@ def warm_start(
     state = replace(state, samples=samples, age=before.age + 1, linearization=linearization)
     known = torch.isfinite(state.range_m)
     known[samples.rows] = True
-    return _covered(state, thin, settings, unknown=~known)
+    return _completed(state, thin, settings, unknown=~known)
 
 
 def _predicted(before: WarmStart, old: Tensor, rays: Rays, field: ObjectField) -> tuple[Tensor, Tensor]:
@@ -177,10 +177,10 @@ def _predicted(before: WarmStart, old: Tensor, rays: Rays, field: ObjectField) -
     guess_m, change = before.range_m[old].clone(), torch.zeros(len(old), dtype=torch.float64)
     if before.linearization is not None:
         of = before.linearization.rows_of(rays.index)
-        told = torch.nonzero(of >= 0).squeeze(1)
-        predicted_m, changed = predict(before.linearization.select(of[told]), rays.select(told), field)
-        near = (predicted_m - guess_m[told]).abs() < _MOTION_REACH_M
-        guess_m[told[near]], change[told[near]] = predicted_m[near], changed[near]
+        linearized = torch.nonzero(of >= 0).squeeze(1)
+        predicted_m, changed = predict(before.linearization.select(of[linearized]), rays.select(linearized), field)
+        near = (predicted_m - guess_m[linearized]).abs() < _MOTION_REACH_M
+        guess_m[linearized[near]], change[linearized[near]] = predicted_m[near], changed[near]
     return guess_m, change
 
 
@@ -191,10 +191,10 @@ def _survey(field: ObjectField, box: Box, more: Tensor, settings: RenderSettings
     return ChangeGrid(first, g[: len(nodes)].float().reshape(shape)), live if settings.live_units else None
 
 
-def _covered(
+def _completed(
     state: WarmStart, field: ObjectField, settings: RenderSettings, unknown: Tensor | None = None
 ) -> tuple[FirstHits, WarmStart]:
-    """Cover every ray, and put its crossings together with the hits already known.
+    """Refine every ray, and put its crossings together with the hits already known.
 
     unknown: (M,) bool, rays to trace first. Rays that stay open, as they begin inside, are traced, too.
     """
@@ -241,18 +241,18 @@ def _refined(
     mine = chosen[state.samples.rows]
     samples, others = state.samples.select(mine), state.samples.select(~mine)
     rays = state.rays.select(rows)
-    covered = cover(replace(samples, rows=number[samples.rows]), rays, state.range_m[rows], field, settings)
-    b = covered.brackets
+    refined = refine(replace(samples, rows=number[samples.rows]), rays, state.range_m[rows], field, settings)
+    b = refined.brackets
     roots = find_roots(
         lambda k, at: field(rays.at(k, b.rows[at])),
         *(b.outer, b.inner, b.g_outer, b.g_inner, settings.tolerance_m, settings.max_iterations),
     )
     lost, left = torch.zeros_like(chosen), torch.zeros_like(chosen)
-    lost[rows[covered.undecided]], lost[rows[b.rows[~roots.converged]]] = True, True
-    left[rows[covered.open]] = True
+    lost[rows[refined.undecided]], lost[rows[b.rows[~roots.converged]]] = True, True
+    left[rows[refined.open]] = True
     slope = (b.g_inner - b.g_outer) / (b.inner - b.outer).clamp_min(1e-12)
     state = state.with_hits(rows[b.rows], Corrected(roots.k, roots.residual, slope, b.g_outer))
-    samples = others.joined(replace(covered.samples, rows=rows[covered.samples.rows]))
+    samples = others.joined(replace(refined.samples, rows=rows[refined.samples.rows]))
     return replace(state, samples=samples), lost, left & ~lost
 
 

@@ -2,8 +2,8 @@
 
 `first_hits` is the plain form, kept readable: a step is a share of g, at least `step_m`, until g < 0; then a root in
 the last step. The solver `plain_sphere_tracing` is that and nothing else. `trace` is the first pass of the default
-solver over rays of which nothing is known: it steps as far as both ends of a step may cover, and leaves to
-`coverage.cover` what they do not.
+solver over rays of which nothing is known: it steps as far as the spheres at both ends of a step reach, and leaves to
+`refinement.refine` what they do not.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from shift3d.render.solvers.roots import find_roots
 _BACK_STEP_M = 0.1
 _BOLDNESS = 0.95
 _STEEPEST = 10.0
-# A decoder takes as long for one point as for thirty: what is left at the end is refined in parallel by `cover`.
+# A decoder takes as long for one point as for thirty: what is left at the end is refined in parallel by `refine`.
 _FEW = 32
 
 
 def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, settings: RenderSettings) -> FirstHits:
-    """First crossings by plain sphere tracing: the simple twin of the default solver.
+    """First crossings by plain sphere tracing: the simple reference of the default solver.
 
     Args:
         field: metric distance in the object frame. size_m: (3,) size of the baseline's box.
@@ -106,10 +106,10 @@ class Traced:
 
 
 def trace(rays: Rays, field: ObjectField, settings: RenderSettings) -> Traced:
-    """Samples along rays of which nothing is known. What lies between them is not covered yet.
+    """Samples along rays of which nothing is known. What lies between them is not proven free yet.
 
     A beam along a panel keeps its distance, and the far end of a step covers as much of it as the near end does: if g
-    stays as its slope says, twice the length is covered. Source: Keinert et al. 2014, over-relaxation.
+    stays as its slope says, twice the length is free. Source: Keinert et al. 2014, over-relaxation.
     """
     start = enter(rays, field)
     k, g, undecided = start.k.clone(), start.g.clone(), start.undecided
@@ -120,9 +120,9 @@ def trace(rays: Rays, field: ObjectField, settings: RenderSettings) -> Traced:
     rows, longest = torch.nonzero(going).squeeze(1), max(settings.step_m, settings.max_step_m)
     while len(rows) > _FEW:
         here, steep = g[rows], (-slope[rows]).clamp(1.0, _STEEPEST)
-        covered = settings.step_safety * here / steep
-        bold = _BOLDNESS * (2.0 * covered + settings.step_m) / (1.0 - slope[rows].clamp(-1.0, 0.5))
-        step = torch.maximum(covered + settings.step_m, bold).clamp_max(longest)
+        free = settings.step_safety * here / steep
+        bold = _BOLDNESS * (2.0 * free + settings.step_m) / (1.0 - slope[rows].clamp(-1.0, 0.5))
+        step = torch.maximum(free + settings.step_m, bold).clamp_max(longest)
         k_new = torch.minimum(k[rows] + step, rays.far_m[rows])
         g_new = field.estimate(rays.at(k_new, rows), here + slope[rows] * (k_new - k[rows])).double()
         slope[rows] = (g_new - here) / (k_new - k[rows]).clamp_min(1e-12)

@@ -21,7 +21,7 @@ from shift3d.scenes.argoverse2.log import (
 )
 from shift3d.scenes.argoverse2.map_files import map_files, read_ground_map
 from shift3d.scenes.facts import SceneFacts
-from shift3d.scenes.ground_height import estimate_ground_z
+from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.scene import Scene
@@ -125,9 +125,9 @@ class Argoverse2Scenes:
         return chosen(found, self._wanted, str(self.root))
 
     def _sweeps(self) -> Iterator[str]:
-        asked = None if self._wanted is None else {name.rpartition("-")[0] for name in self._wanted}
+        requested = None if self._wanted is None else {name.rpartition("-")[0] for name in self._wanted}
         for log, place in self._logs.items():
-            if asked is None or log in asked:
+            if requested is None or log in requested:
                 yield from (f"{log}-{timestamp}" for timestamp in timestamps(place)[:: self.every])
 
     def _split(self, name: str) -> tuple[Location, int]:

@@ -75,5 +75,7 @@ def read_weather(folder: Location, samples: set[str]) -> dict[str, str]:
     """
     rows = indexed(folder / "sample.json", lambda row: row.get("token") in samples)
     drives = indexed(folder / "scene.json")
-    said = {name: str(drives.get(str(row.get("scene_token")), {}).get("description", "")) for name, row in rows.items()}
-    return {name: "rain" if "rain" in said.get(name, "").lower() else "dry" for name in samples}
+    descriptions = {
+        name: str(drives.get(str(row.get("scene_token")), {}).get("description", "")) for name, row in rows.items()
+    }
+    return {name: "rain" if "rain" in descriptions.get(name, "").lower() else "dry" for name in samples}

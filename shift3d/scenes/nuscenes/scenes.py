@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse, moved
 from shift3d.scenes.facts import SceneFacts
-from shift3d.scenes.ground_height import estimate_ground_z
+from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.nuscenes.annotations import boxes_of, read_annotations, read_weather

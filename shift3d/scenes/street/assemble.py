@@ -172,7 +172,7 @@ def _labels(layout: Layout, world: World, points: NDArray[np.float32]) -> Labels
     counts = count_in_boxes(points, stacked)
     seen = np.flatnonzero(counts > 0)
     names = tuple(layout.items[numbers[i]].kind for i in seen)
-    kinds = {standing.number: standing.vehicle.kind for standing in world.vehicles if standing.vehicle.kind}
+    kinds = {placed.number: placed.vehicle.kind for placed in world.vehicles if placed.vehicle.kind}
     return Labels(
         stacked[seen],
         tuple(LABELLED[name] for name in names),

@@ -40,7 +40,7 @@ class Echoes:
         """
         row, column = cells
         points = (sweep.directions[row, column] * range_m[:, None]).astype(np.float32)
-        starts = _given_starts(sweep, compensated)
+        starts = _origins_of_columns(sweep, compensated)
         if starts.any():  # not for the origin: adding zero turns -0.0 into 0.0
             points = (points + starts[column if len(starts) > 1 else 0]).astype(np.float32)
         pixel = np.stack(cells, axis=1).astype(np.int32)
@@ -78,13 +78,13 @@ def no_return_beams(sweeps: Sequence[tuple[Sweep, NDArray[np.bool_]]], compensat
     for sweep, kept in sweeps:
         row, column = np.nonzero(~kept)
         directions.append(sweep.directions[row, column])
-        origins.append(_origins(_given_starts(sweep, compensated), column))
+        origins.append(_origins(_origins_of_columns(sweep, compensated), column))
         times.append(sweep.sensor.firing_times_s()[column].astype(np.float32))
     together = origins[0] if len(origins) == 1 else np.concatenate(origins)
     return NoReturnBeams(together, np.concatenate(directions), np.concatenate(times))
 
 
-def _given_starts(sweep: Sweep, compensated: bool) -> NDArray[np.float64]:
+def _origins_of_columns(sweep: Sweep, compensated: bool) -> NDArray[np.float64]:
     """(1, 3) or (columns, 3): where beams start in the frame that points are given in."""
     return sweep.origins_m if compensated else np.array(sweep.mount.origin_m)[None]
 

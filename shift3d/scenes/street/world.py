@@ -67,9 +67,9 @@ class World:
             if away[number]:
                 continue
             if item.kind == "vehicle":
-                standing = _stand(layout.ground, item, number, fleet.vehicle(item.variant))
-                vehicles.append(standing)
-                boxes[number] = np.array([*standing.position, *standing.vehicle.size_m, item.heading_rad])
+                placed_vehicle = _stand(layout.ground, item, number, fleet.vehicle(item.variant))
+                vehicles.append(placed_vehicle)
+                boxes[number] = np.array([*placed_vehicle.position, *placed_vehicle.vehicle.size_m, item.heading_rad])
                 continue
             parts, leaves = LOOKS[item.kind](item, generator("street-thing", item.variant))
             z = _lowest_ground(layout.ground, item) if item.kind != "pedestrian" else _ground_at(layout.ground, item)
@@ -86,10 +86,12 @@ class World:
     def cast(self, sweep: Sweep, rng: np.random.Generator) -> None:
         """First hits of every beam of a sweep."""
         sweep.cast_static(self.mesh, self.material, self.item)
-        for standing in self.vehicles:
-            vehicle, radius_m = standing.vehicle, standing.vehicle.radius_m
-            pose = (standing.scene_R_object, standing.position)
-            sweep.cast_instance(vehicle.intersector, *pose, radius_m, standing.vehicle.glass_band_m, standing.number)
+        for placed_vehicle in self.vehicles:
+            vehicle, radius_m = placed_vehicle.vehicle, placed_vehicle.vehicle.radius_m
+            pose = (placed_vehicle.scene_R_object, placed_vehicle.position)
+            sweep.cast_instance(
+                vehicle.intersector, *pose, radius_m, placed_vehicle.vehicle.glass_band_m, placed_vehicle.number
+            )
         for number, leaf in self.foliage:
             sweep.cast_foliage(leaf.centre, leaf.radii, leaf.free_path_m, number, rng)
 
@@ -114,14 +116,14 @@ class World:
             np.where(met, self.material[face], 0).astype(np.uint8),
             cosine,
         )
-        for standing in self.vehicles:
-            near = _near(begins, directions, standing.position, standing.vehicle.radius_m)
+        for placed_vehicle in self.vehicles:
+            near = _near(begins, directions, placed_vehicle.position, placed_vehicle.vehicle.radius_m)
             if not len(near):
                 continue
-            pose = (standing.scene_R_object, standing.position)
-            mesh = standing.vehicle.intersector
-            on_mesh = hit_instance(mesh, *pose, standing.vehicle.glass_band_m, begins[near], aims[near])
-            _nearer(hits, near, *on_mesh, standing.number)
+            pose = (placed_vehicle.scene_R_object, placed_vehicle.position)
+            mesh = placed_vehicle.vehicle.intersector
+            on_mesh = hit_instance(mesh, *pose, placed_vehicle.vehicle.glass_band_m, begins[near], aims[near])
+            _nearer(hits, near, *on_mesh, placed_vehicle.number)
         for number, leaf in self.foliage:
             near = _near(begins, directions, leaf.centre, float(leaf.radii.max()))
             crossed, enter, leave = through_ellipsoid(begins[near], directions[near], leaf.centre, leaf.radii)

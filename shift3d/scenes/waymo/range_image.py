@@ -64,12 +64,12 @@ def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
 
     Source: our choice.
     """
-    given: Float = np.asarray(poses, np.float64)
-    if not np.isfinite(given).all():
+    array: Float = np.asarray(poses, np.float64)
+    if not np.isfinite(array).all():
         raise InputError("a pixel's pose is not finite", where, "Copy the component again")
-    known = (given != 0.0).any(axis=-1)
+    known = (array != 0.0).any(axis=-1)
     if known.all():
-        return given
+        return array
     if not known.any():
         raise InputError("every pixel's pose is zero", where, "Copy the component again")
     height, width = known.shape
@@ -77,7 +77,7 @@ def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
     row = np.where(row < 0, known.argmax(axis=0), row)
     columns = np.flatnonzero(known.any(axis=0))
     nearest = columns[np.abs(np.arange(width)[:, None] - columns).argmin(axis=1)]
-    filled: Float = given[row[:, nearest], nearest]
+    filled: Float = array[row[:, nearest], nearest]
     return filled
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse
 from shift3d.scenes.facts import SceneFacts
-from shift3d.scenes.ground_height import estimate_ground_z
+from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions, Labels
 from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.scene import Scene
@@ -131,8 +131,8 @@ class WaymoScenes:
     def _listed(self) -> list[str]:
         segments = self._segments()
         if self._wanted is not None:
-            asked = {name.rpartition("-")[0] or name for name in self._wanted}
-            known = list(self._frames([segment for segment in segments if segment in asked]))
+            requested = {name.rpartition("-")[0] or name for name in self._wanted}
+            known = list(self._frames([segment for segment in segments if segment in requested]))
             return chosen(known, self._wanted, str(self.root / "lidar"))
         found: list[str] = []
         for name in self._frames(segments):

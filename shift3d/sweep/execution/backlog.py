@@ -13,9 +13,9 @@ import numpy as np
 
 __all__ = ["Backlog"]
 
-# A task that was alone in a worker each time that it died is given up on after so many deaths.
+# A task is quarantined after so many failures of a worker in which it was alone.
 _CHARGES = 2
-# What is nobody's fault is not charged, but a task that loses this many machines has something to do with it.
+# A lost machine is not counted against the task, but so many lost machines are.
 _LOSSES = 6
 
 
@@ -28,7 +28,7 @@ class Backlog:
 
     def __init__(self, positions: Sequence[int] | np.ndarray, tried: dict[int, int] | None = None) -> None:
         self._positions = np.asarray(positions, dtype=np.int64)
-        # By worker: from and up to which of the positions its stretch goes. At first it is all nobody's.
+        # By worker: from and up to which of the positions its stretch goes. At first no worker owns any.
         self._stretches: dict[Hashable, tuple[int, int]] = {None: (0, len(self._positions))}
         self._again: deque[int] = deque()
         self._alone: deque[int] = deque()
@@ -53,7 +53,7 @@ class Backlog:
         return taken
 
     def _stretch_of(self, worker: Hashable) -> tuple[int, int]:
-        """A worker's own stretch; where that has ended the later half of the longest there is, nobody's as a whole."""
+        """A worker's own stretch; where that has ended the later half of the longest, or all of an unowned one."""
         start, end = self._stretches.get(worker, (0, 0))
         if start < end:
             return start, end
@@ -73,7 +73,7 @@ class Backlog:
             self._tries[position] = max(attempt, self._tries.get(position, 0))
 
     def charge(self, position: int) -> bool:
-        """A worker died with this task alone in it. True where the task is to be given up on."""
+        """A worker died with this task alone in it. True where the task is to be quarantined."""
         self._charges[position] = self._charges.get(position, 0) + 1
         return self._charges[position] >= _CHARGES
 

@@ -1,4 +1,4 @@
-"""What runs tasks, in whichever process: one batch at a time, each task tried, retried or given up on."""
+"""What runs tasks, in whichever process: one batch at a time, each task tried, retried or quarantined."""
 
 from __future__ import annotations
 
@@ -162,12 +162,12 @@ class Worker:
                 result = completed_rows(spec, self._sweep, self._kind.run(spec, assets))
             except Exception as error:
                 io = isinstance(error, OSError)
-                given_up = tries >= (_IO_TRIES if io else _DETERMINISTIC_TRIES)
+                quarantined = tries >= (_IO_TRIES if io else _DETERMINISTIC_TRIES)
                 outcome = "out_of_memory" if isinstance(error, MemoryError) else "failed"
                 row = attempt_row(spec.task_id, attempt, outcome, started, time.perf_counter() - began)
-                row |= _failure(error, given_up)
-                rows.attempts.append(with_command(row, self._command) if given_up else row)
-                if given_up:
+                row |= _failure(error, quarantined)
+                rows.attempts.append(with_command(row, self._command) if quarantined else row)
+                if quarantined:
                     return rows
                 if io:
                     time.sleep(_IO_PAUSE_S[tries - 1])
@@ -255,6 +255,6 @@ def _refuse_broken_rows(rows: _Rows, command: str) -> None:
         rows.done, rows.result = False, {}
 
 
-def _failure(error: Exception, given_up: bool) -> Row:
+def _failure(error: Exception, quarantined: bool) -> Row:
     text = "".join(traceback.format_exception(error))[-20_000:]
-    return {"error": f"{type(error).__name__}: {error}"[:2_000], "traceback": text, "quarantined": given_up}
+    return {"error": f"{type(error).__name__}: {error}"[:2_000], "traceback": text, "quarantined": quarantined}

@@ -74,8 +74,8 @@ class Layouts:
     def _layout(self, config: Config, catalogue: Catalogue, vehicle: str, transfers: int) -> _Layout:
         own = self._own(config, catalogue)
         others = self._others(own, len(catalogue.scenes), transfers)
-        asked = own if not transfers else list(dict.fromkeys([*own, *(at for row in others for at in row)]))
-        effects = dict(zip(asked, self.decided.of(config, catalogue, vehicle, asked), strict=True))
+        all_scenes = own if not transfers else list(dict.fromkeys([*own, *(at for row in others for at in row)]))
+        effects = dict(zip(all_scenes, self.decided.of(config, catalogue, vehicle, all_scenes), strict=True))
         scenes = catalogue.scenes
         elsewhere = {
             at: TransferScene(scenes[at].name, scenes[at].content_hash, effects[at]) for row in others for at in row

@@ -129,11 +129,11 @@ def _vehicles(config: Config) -> dict[str, Any]:
 
 
 def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
-    given = config.detector.weights_by_name()
+    weights = config.detector.weights_by_name()
     return AssetsSpec(
         scenes=config.scenes.model_dump(mode="json"),
         vehicles=_vehicles(config),
-        detectors={name: given.get(name) for name in catalogue.detectors},
+        detectors={name: weights.get(name) for name in catalogue.detectors},
         hashes={"decoder": catalogue.decoder_hash, **catalogue.detectors},
         modules=config.detector.modules_by_name(),
         layouts=detector_layouts(config.detector),

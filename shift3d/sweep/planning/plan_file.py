@@ -49,7 +49,7 @@ _SCHEMA = pa.schema(
     metadata={"shift3d.schema": "plan", "shift3d.schema_version": str(SCHEMA_VERSION)},
 )
 _READ = ["task_id", "effects_requested", "assets", "template", "task_scene"]
-# Columns of earlier programs, by today's names.
+# Older names of columns.
 _FORMER = {"ground": "template", "place": "task_scene", "effects_asked": "effects_requested"}
 _ROW_GROUP = 2**20
 # Each row group holds the texts that its rows share once; beyond this many bytes Parquet would repeat them.
@@ -152,7 +152,7 @@ def _whole_specs(table: pa.Table) -> Tasks:
 
 
 def _tasks(table: pa.Table, former: bool) -> Tasks:
-    """former: of an earlier program, whose ids were worked out from other names."""
+    """former: a plan whose ids were computed from the older column names."""
     for name in _READ:
         if table[name].null_count:
             raise ValueError(f"{name} is missing in {table[name].null_count} rows")

@@ -35,7 +35,8 @@ def skipped_lines(plan: Plan) -> list[str]:
         return []
     lines = [f"{counted(len(plan.skipped), 'scene')} left out that cannot be read (scenes.skip_bad):"]
     lines += [f"  {name}: {why}" for name, why in list(plan.skipped.items())[:_SHOWN]]
-    return lines if len(plan.skipped) <= _SHOWN else [*lines, f"  and {len(plan.skipped) - _SHOWN} more, in spec.yaml"]
+    more = len(plan.skipped) - _SHOWN
+    return lines if more <= 0 else [*lines, f"  and {more} more, in final/skipped_scenes.parquet"]
 
 
 def plan_lines(plan: Plan) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The command that runs one task again, beside the traceback of a task that was given up on."""
+"""The command that runs one task again, beside the traceback of a quarantined task."""
 
 from __future__ import annotations
 

@@ -67,15 +67,17 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     if scored[["x_m", "y_m"]].isna().to_numpy().any():
         remedy = "Restore the folder from a copy, or run the sweep in another one"
         raise InputError("scores without a place", where=str(folder / "data"), remedy=remedy)
-    scored = _by_effects_asked(scored, plan)
+    scored = _by_effects_requested(scored, plan)
     auc = _auc_rows(scored, plan)
     tables["curves"] = table_from_rows("curves", _curve_rows(scored))
     tables["auc"] = table_from_rows("auc", auc)
     tables["bev"] = table_from_rows("bev", bev_rows(scored))
     steps = {group.template.attack.steps for group in plan.tasks.groups()}
     tables["choices"] = table_from_rows("choices", choice_rows(scored, plan.sweep, steps))
-    transfers = _by_effects_asked(tables["transfers"].to_pandas(), plan)
+    transfers = _by_effects_requested(tables["transfers"].to_pandas(), plan)
     tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
+    skipped = [{"sweep": plan.sweep, "scene": name, "why": why} for name, why in plan.skipped.items()]
+    tables["skipped_scenes"] = table_from_rows("skipped_scenes", skipped)
     for name, table in tables.items():
         write_table(folder / "final" / f"{name}.parquet", table)
     for name in FOLLOW_UPS[1:]:
@@ -89,7 +91,7 @@ def _reach_m(plan: Plan) -> float:
     return max(group.template.placement.max_range_m for group in plan.tasks.groups())
 
 
-def _by_effects_asked(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
+def _by_effects_requested(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     """Scores with the effects that were asked for; where several settings lead to one task, a row for each."""
     return scored.assign(effects=plan.tasks.effects_requested_of(scored["task_id"])).explode("effects")
 
@@ -163,7 +165,7 @@ def _group_keys(plan: Plan, group: TaskGroup) -> list[tuple[Any, ...]]:
     spec = group.template
     method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy, spec.search)
     both = itertools.product(group.effects_requested, spec.scored_by)
-    return [(plan.sweep, spec.dataset, spec.vehicle, *method, asked, scored_by) for asked, scored_by in both]
+    return [(plan.sweep, spec.dataset, spec.vehicle, *method, requested, scored_by) for requested, scored_by in both]
 
 
 def _planned_methods(plan: Plan) -> dict[tuple[Any, ...], list[str]]:

@@ -4,7 +4,8 @@ Twelve layers with a norm behind each learn slowly from random weights: on two c
 loss of the classes where the small network's was after 1,400. Grown from that one they begin where it ended.
 
 Source: Net2Net (Chen et al. 2016): every channel stands twice and what reads it shares its weight between the two, in
-random shares, so that the twins part in training. New layers between add nothing at first (out and narrow are zero).
+random shares, so that the duplicates part in training. New layers between add nothing at first (out and narrow are
+zero).
 """
 
 from __future__ import annotations
@@ -53,20 +54,20 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
         state = SstNet(to).state_dict()
     draw = torch.Generator().manual_seed(seed)
     width = spec.transformer.width
-    token, heads = _token_twins(width), _head_twins(width, spec.transformer.heads)
-    by_code = torch.arange(2 * width) % 4 < 2  # of a channel's twins, the one at the small network's position code
+    token, heads = _token_duplicates(width), _head_duplicates(width, spec.transformer.heads)
+    by_code = torch.arange(2 * width) % 4 < 2  # of a channel's duplicates, the one at the small network's position code
 
     def wide(name: str, rows: Tensor | None, columns: Tensor | None = None, first_only: Tensor | None = None) -> Tensor:
         tensor = small[name]
         tensor = tensor if rows is None else tensor[rows]
         return tensor if columns is None else _shared(tensor, columns, draw, first_only)
 
-    hidden = _twins(spec.encoder_hidden)
+    hidden = _duplicates(spec.encoder_hidden)
     state |= {"encoder.first.weight": wide("encoder.first.weight", hidden)}
     both = torch.cat((hidden, hidden + spec.encoder_hidden))  # each point, and its pillar's maximum
     state |= {"encoder.second.weight": wide("encoder.second.weight", token, both)}
     state |= _norm(small, "encoder.first_norm", hidden) | _norm(small, "encoder.second_norm", token)
-    forward = _twins(spec.transformer.feed_forward)
+    forward = _duplicates(spec.transformer.feed_forward)
     query_key = torch.cat((heads, heads + width))
     for layer in range(2 * spec.transformer.blocks):
         ours, theirs = f"transformer.layers.{layer}.", f"transformer.layers.{layer // 2 * 4 + layer % 2}."
@@ -90,7 +91,7 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
             )
     columns = token
     for index in range(len(spec.dilations) + 1):
-        rows = _twins(width if index < len(spec.dilations) else spec.out_channels)
+        rows = _duplicates(width if index < len(spec.dilations) else spec.out_channels)
         name = f"dense.{3 * index}.weight"
         state |= {name: wide(name, rows, columns)} | _norm(small, f"dense.{3 * index + 1}", rows)
         columns = rows
@@ -101,13 +102,13 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
     return {name: tensor.clone() for name, tensor in state.items()}
 
 
-def _twins(channels: int) -> Tensor:
-    """Of which small channel each of twice as many is a twin: 0, 0, 1, 1, ..."""
+def _duplicates(channels: int) -> Tensor:
+    """Of which small channel each of twice as many is a duplicate: 0, 0, 1, 1, ..."""
     return torch.arange(2 * channels) // 2
 
 
-def _token_twins(width: int) -> Tensor:
-    """Twins of a token's channels, of which the first stands where the position codes have the small one's rate.
+def _token_duplicates(width: int) -> Tensor:
+    """Duplicates of a token's channels, of which the first stands where the position codes have the small one's rate.
 
     The codes are sine and cosine in turn, of twice as many rates: the small network's are every second of them.
     """
@@ -115,17 +116,17 @@ def _token_twins(width: int) -> Tensor:
     return channel // 4 * 2 + channel % 2
 
 
-def _head_twins(width: int, heads: int) -> Tensor:
-    """Twins of the channels of attention, whole heads beside each other, so that a head's products are the same."""
+def _head_duplicates(width: int, heads: int) -> Tensor:
+    """Duplicates of the channels of attention, whole heads beside each other, so that its products are the same."""
     size = width // heads
     channel = torch.arange(2 * width)
     return channel // (2 * size) * size + channel % size
 
 
 def _shared(weight: Tensor, source: Tensor, draw: torch.Generator, first_only: Tensor | None) -> Tensor:
-    """Weights (out, in, ...) by the twins of their inputs, shared between the two so that the sum is the same.
+    """Weights (out, in, ...) by the duplicates of their inputs, shared between the two so that the sum is the same.
 
-    first_only: (2 in,) bool, the twins that get all of it, for weights (out, in).
+    first_only: (2 in,) bool, the duplicates that get all of it, for weights (out, in).
     """
     if first_only is not None:
         share = first_only.to(weight.dtype).expand(len(weight), -1)

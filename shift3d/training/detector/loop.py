@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor, nn
 from tqdm import tqdm
 
+from shift3d.detectors.base import BevWindow
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.errors import InputError
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute, choose_compute
-from shift3d.training.detector.batch_statistics import recompute_statistics
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.drawn_crops import RandomCrops
 from shift3d.training.detector.objective import batch_loss, objective_of
@@ -26,7 +27,29 @@ from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle
 from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
 
-__all__ = ["CHECKPOINT", "SHIPPED_DATA", "train_on_scenes"]
+__all__ = ["CHECKPOINT", "SHIPPED_DATA", "recompute_statistics", "train_on_scenes"]
+
+
+def recompute_statistics(net: DetectorNet, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> None:
+    """Set every batch norm's mean and variance to those of this batch, in place; weights stay.
+
+    All crops go through as one batch, each layer normalised by that batch: the statistics of a layer are then those
+    of what it is given at inference. Means over small batches are not: each of these normalises by its own.
+    Source: our choice, after the population statistics of Ioffe and Szegedy 2015, section 3.1; Wu and Johnson 2021
+    measure what running means lose.
+    """
+    norms = [module for module in net.modules() if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d)]
+    momenta = [norm.momentum for norm in norms]
+    was_training = net.training
+    net.train()
+    for norm in norms:
+        norm.momentum = 1.0
+    with torch.no_grad(), torch.autocast(clouds[0].device.type, enabled=False):
+        net.features(clouds, windows)
+    for norm, momentum in zip(norms, momenta, strict=True):
+        norm.momentum = momentum
+    net.train(was_training)
+
 
 CHECKPOINT = "checkpoint.pt"
 SHIPPED_DATA = "street"
@@ -147,15 +170,15 @@ def train_on_scenes(
             if run.done % CURVE_STEPS == 0 or run.done == end:
                 run.curve.append((run.done, _mean(recent)))
                 recent = []
-            if run.done % checkpoint_every == 0 or run.done == end or stop.asked:
+            if run.done % checkpoint_every == 0 or run.done == end or stop.requested:
                 run.save(report)
                 shown = "  ".join(
                     f"{name} {value:.3g}" for name, value in (run.curve[-1][1] if run.curve else {}).items()
                 )
                 tqdm.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
-            if stop.asked and run.done < recipe.all_steps:
+            if stop.requested and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
-    if run.done == recipe.steps == recipe.all_steps:  # no head settles: the statistics alone are taken
+    if run.done == recipe.steps == recipe.all_steps:  # no steps for the heads: only the statistics are taken
         _settle(run, crops.of_statistics())
     return run.net.eval().requires_grad_(True)
 

@@ -134,7 +134,7 @@ class Recipe:
 
     @property
     def all_steps(self) -> int:
-        """Steps with those that settle the heads."""
+        """Steps, with those of the heads alone."""
         return self.steps + self.settle_steps
 
     @property

@@ -63,7 +63,7 @@ def one_cycle(step: int, recipe: Recipe) -> tuple[float, float]:
 
 
 def scaled_to_steps(recipe: Recipe, steps: int) -> Recipe:
-    """The recipe with another number of steps, its shares kept; with 0 only the steps that settle the heads."""
+    """The recipe with another number of steps, its shares kept; with 0 only the steps of the heads."""
     if steps == 0:
         return replace(recipe, steps=0, mesh_only_steps=0)
     share = steps / recipe.steps

@@ -44,8 +44,8 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
     """
     files = find_meshes(path)
     hashes = [file.sha256() for file in files]
-    asked = json.dumps([asdict(frame), samples, seed, [[f.name, h] for f, h in zip(files, hashes)]], sort_keys=True)
-    source = "meshes-" + hashlib.blake2b(asked.encode(), digest_size=8).hexdigest()
+    request = json.dumps([asdict(frame), samples, seed, [[f.name, h] for f, h in zip(files, hashes)]], sort_keys=True)
+    source = "meshes-" + hashlib.blake2b(request.encode(), digest_size=8).hexdigest()
     kept = cache / f"{source}.npz"
     if not kept.is_file():
         tasks = [(file, frame, samples, seed) for file in files]

@@ -169,12 +169,12 @@ def train_parametric(
                 curve.append((run.step, {"loss": run.losses[-1]}))
                 bar.set_postfix(loss=f"{run.losses[-1]:.5f}", refresh=False)
                 recent = []
-            if run.step % checkpoint_every == 0 or run.step == recipe.steps or stop.asked:
+            if run.step % checkpoint_every == 0 or run.step == recipe.steps or stop.requested:
                 write_checkpoint(file, run.state())
                 if report is not None and curve:
                     report(curve)
                 curve = []
-            if stop.asked and run.step < recipe.steps:
+            if stop.requested and run.step < recipe.steps:
                 raise KeyboardInterrupt
     return file
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from shift3d.errors import InputError
-from shift3d.sdf.chamfer import symmetric_chamfer
 from shift3d.sdf.decoder import Decoder
-from shift3d.sdf.meshes import extract_mesh
+from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.provenance import versions

@@ -202,7 +202,7 @@ def _advance_to_end(run: _Run, samples: ShapeSamples, file: Path, every: int, re
                 curve.append(run.curve_point())
                 bar.set_postfix(loss=f"{run.losses[-1]:.5f}", refresh=False)
                 recent = []
-            if run.step % every == 0 or run.step == steps or stop.asked:
+            if run.step % every == 0 or run.step == steps or stop.requested:
                 write_checkpoint(file, run.state())
                 loss = run.losses[-1] if run.losses else None
                 (file.parent / "progress.json").write_text(json.dumps({"step": run.step, "of": steps, "loss": loss}))
@@ -210,5 +210,5 @@ def _advance_to_end(run: _Run, samples: ShapeSamples, file: Path, every: int, re
                 if report is not None and curve:
                     report(curve)
                 curve = []
-            if stop.asked and run.step < steps:
+            if stop.requested and run.step < steps:
                 raise KeyboardInterrupt

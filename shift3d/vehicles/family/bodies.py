@@ -111,8 +111,8 @@ class Trailer:
             add(grid, field, everything, pair(rod(*hanger, thick(grid, 0.05))))
             top = 2 * self.wheel_radius_m + 0.10
             low = (centre[0] - self.wheel_radius_m - 0.1, half - tyre - 0.08, top - 0.05)
-            guard = block(low, (centre[0] + self.wheel_radius_m + 0.1, half, top + 0.02), 0.015)
-            add(grid, field, everything, pair(guard))
+            mudguard = block(low, (centre[0] + self.wheel_radius_m + 0.1, half, top + 0.02), 0.015)
+            add(grid, field, everything, pair(mudguard))
         coupling, bar_z = self.length_m / 2, self.floor_m - 0.02
         tube = thick(grid, 0.04)
         for y in (-0.45, 0.45):

@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from shift3d.vehicles.family.embedded import RANGES, Range, TypeRanges
-from shift3d.vehicles.family.more_models import TRAILERS
-from shift3d.vehicles.family.published import published_range
+from shift3d.vehicles.family.published import TRAILERS, published_range
 
 __all__ = ["BOXES", "TRAILER", "BoxRanges", "TrailerRanges", "wide_ranges"]
 

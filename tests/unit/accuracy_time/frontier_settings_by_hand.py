@@ -43,14 +43,14 @@ class FakeInstrument:
     stop_after: int = 10**9
     slow: frozenset[str] = frozenset()
     calls: list[tuple[str, str]] = field(default_factory=list)
-    asked: Counter[tuple[str, str]] = field(default_factory=Counter)
+    requested: Counter[tuple[str, str]] = field(default_factory=Counter)
 
     def _called(self, what: str, name: str) -> int:
         if len(self.calls) == self.stop_after:
             raise StoppedError
         self.calls.append((what, name))
-        self.asked[what, name] += 1
-        return self.asked[what, name]
+        self.requested[what, name] += 1
+        return self.requested[what, name]
 
     def look(self, setting: Setting) -> dict[str, Any]:
         self._called("look", setting.name)

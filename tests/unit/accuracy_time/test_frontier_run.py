@@ -85,11 +85,15 @@ def test_as_many_attack_steps_as_asked_for_the_first_look_among_them(tmp_path: P
 
 
 def test_what_is_told_adds_up_to_what_is_expected(tmp_path: Path) -> None:
-    told = []
+    reported = []
     measure_case(
-        SETTINGS, FakeInstrument(), Journal(tmp_path / "j"), REPEATS, lambda name, seconds, known: told.append(seconds)
+        SETTINGS,
+        FakeInstrument(),
+        Journal(tmp_path / "j"),
+        REPEATS,
+        lambda name, seconds, known: reported.append(seconds),
     )
-    assert sum(told) == pytest.approx(expected_seconds(SETTINGS, 1), rel=0.3)
+    assert sum(reported) == pytest.approx(expected_seconds(SETTINGS, 1), rel=0.3)
 
 
 def test_a_journal_gives_back_what_was_put_and_can_forget(tmp_path: Path) -> None:

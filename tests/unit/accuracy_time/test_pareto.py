@@ -1,4 +1,4 @@
-"""Which settings are dominated, worked out by hand and against a plain twin; and what their one error bounds."""
+"""Which settings are dominated, worked out by hand and against a plain reference; and what their one error bounds."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def plain_front(time: npt.NDArray[np.int64], error: npt.NDArray[np.int64]) -> li
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_the_front_is_that_of_the_plain_twin_whatever_the_order(seed: int) -> None:
+def test_the_front_is_that_of_the_plain_reference_whatever_the_order(seed: int) -> None:
     rng = np.random.default_rng(seed)
     time, error = rng.integers(0, 6, (2, int(rng.integers(1, 25))))  # small numbers, so that there are ties
     by = dominators(time, error)

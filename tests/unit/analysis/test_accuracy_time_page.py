@@ -22,7 +22,7 @@ from shift3d.analysis.figures.work_precision import work_precision_figure
 from shift3d.analysis.html.pages import frontier_html, write_frontier_report
 from shift3d.analysis.tables.accuracy_time import frontier_lines
 from shift3d.analysis.tables.advice import advice
-from shift3d.analysis.tables.numbers import factor, length, milliseconds, share
+from shift3d.analysis.tables.table import factor, length, milliseconds, share
 from shift3d.errors import InputError
 from shift3d.store.frontier_table import frontier_table
 from shift3d.store.tables import write_table
@@ -341,8 +341,10 @@ def test_a_report_is_written_from_the_table_alone_with_the_same_bytes(tmp_path: 
     a, b = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b"))
     assert a == b and set(a) == {"frontier.parquet", "report.html", "frontier.png", "advice.txt"}
     assert a["frontier.png"].startswith(b"\x89PNG")
-    told = a["advice.txt"].decode().rstrip("\n")
-    assert told == advice(pd.read_parquet(tmp_path / "a" / "frontier.parquet")) and printed.endswith(told)
+    shown_advice = a["advice.txt"].decode().rstrip("\n")
+    assert shown_advice == advice(pd.read_parquet(tmp_path / "a" / "frontier.parquet")) and printed.endswith(
+        shown_advice
+    )
     with pytest.raises(InputError, match="no measured frontier"):
         write_frontier_report(tmp_path / "c")
     write_table(tmp_path / "c" / "frontier.parquet", frontier_table([]))

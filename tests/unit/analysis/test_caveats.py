@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import valid_sweeps
 
-from shift3d.analysis.tables.caveats import trial_caveat
+from shift3d.analysis.tables.coverage import trial_caveat
 from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.planning.plan import make_plan
 
@@ -16,14 +16,14 @@ def caveat(name: str, *overrides: str) -> str | None:
 
 @pytest.mark.parametrize("words", [["smoke"], ["default", "attack.steps=5"], ["default", "attack.steps=0,5"]])
 def test_a_search_that_is_cut_short_is_said(words: list[str]) -> None:
-    said = caveat(*words)
-    assert said and "mean nothing, with a search of 5 steps (the paper's: 40)" in said
-    assert said.endswith("AUCs that do: make sweep")
+    message = caveat(*words)
+    assert message and "mean nothing, with a search of 5 steps (the paper's: 40)" in message
+    assert message.endswith("AUCs that do: make sweep")
 
 
 def test_too_few_scenes_are_said_whatever_the_search() -> None:
-    said = caveat("default")
-    assert said and "2 scenes (at least 4)" in said and "steps" not in said
+    message = caveat("default")
+    assert message and "2 scenes (at least 4)" in message and "steps" not in message
 
 
 def test_a_sweep_with_scenes_and_steps_has_none(monkeypatch: pytest.MonkeyPatch) -> None:

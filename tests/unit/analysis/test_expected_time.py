@@ -10,8 +10,7 @@ import pytest
 from scripts.shipped import measured_parts
 from valid_sweeps import catalogue, plan, write_sweep
 
-from shift3d.analysis.forecast.expected import expected, expected_lines
-from shift3d.analysis.forecast.task_parts import TaskParts, shipped_parts
+from shift3d.analysis.forecast.expected import TaskParts, expected, expected_lines, shipped_parts
 from shift3d.effects.applicability import measured_impact
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep

@@ -44,8 +44,8 @@ def test_windshield_nose_and_clearance_are_found_and_said(hood_m: float) -> None
     assert before.bonnet_cm == pytest.approx(100.0, abs=3.0)
     axles = (before.front_overhang_cm, before.wheelbase_cm, before.rear_overhang_cm)
     assert axles == pytest.approx((40.0, 320.0, 40.0))
-    said = in_words(before, after)
-    assert "underside 6 cm farther from the ground" in said and "windshield 2" in said and "steeper" in said
+    message = in_words(before, after)
+    assert "underside 6 cm farther from the ground" in message and "windshield 2" in message and "steeper" in message
 
 
 def test_the_tail_of_a_car_is_the_nose_of_the_car_turned_round() -> None:

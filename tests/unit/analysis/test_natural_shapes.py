@@ -16,10 +16,9 @@ from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import transfer_grid
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import ratio_interval
-from shift3d.analysis.tables.auc import auc_table
+from shift3d.analysis.tables.auc import auc_table, natural_table
 from shift3d.analysis.tables.paper import paper_table
-from shift3d.analysis.tables.shapes import natural_table
-from shift3d.analysis.tables.transfers import transfer_table
+from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.variants import variants
 from shift3d.store.log import read_log
 from shift3d.store.tables import table_from_rows

@@ -53,7 +53,7 @@ def test_the_best_step_of_a_case_is_named_and_marked() -> None:
 
 
 def test_folders_with_and_without_paths(tmp_path: Path) -> None:
-    """A folder whose program kept no paths is read as before; one that has them is drawn from its final table."""
+    """A folder without paths is read; one that has them is drawn from its final table."""
     old, new = tmp_path / "old", tmp_path / "new"
     for folder in (old, new):
         valid_sweeps.write_sweep(folder)
@@ -72,9 +72,9 @@ def test_folders_with_and_without_paths(tmp_path: Path) -> None:
     for folder in (old, new):
         write_final(folder, plan, read_log(folder))
     (old / "final" / "trajectories.parquet").unlink()
-    for folder, said in ((old, "kept no scores along the steps"), (new, "0.900 → 0.400 in 2 steps")):
+    for folder, message in ((old, "kept no scores along the steps"), (new, "0.900 → 0.400 in 2 steps")):
         sweep = read_sweep(folder)
         shown = blocks_html(paths(sweep, variants(sweep.auc, sweep.scored)).blocks)
-        assert said in shown
+        assert message in shown
     other = [dataclasses.replace(variant, scored_by="sst") for variant in variants(sweep.auc, sweep.scored)]
     assert "kept no scores" in blocks_html(paths(sweep, other).blocks)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from shift3d.analysis.mlflow.sweep import follow_up_metrics
 from shift3d.analysis.tables.patterns import NAMES, pattern_groups, patterns_table
 from shift3d.analysis.tables.retrieval import kept, pool_table, retrieval_table
 
@@ -100,6 +101,20 @@ def test_kin_are_compared_with_the_mean_of_their_controls_and_the_excluded_are_l
     assert retrieval_table(pd.DataFrame(rows).iloc[:0]) is None
     nothing = retrieval_table(pd.DataFrame(rows).iloc[-1:])
     assert nothing is not None and "No vehicle of the pool is near enough" in nothing.title
+
+
+def test_mlflow_shows_mean_changes_and_the_scores_of_kin_and_nothing_of_tables_that_are_missing() -> None:
+    scores = poses({}, 0.0)
+    kin = [retrieved("s", "retrieved", 0.5), retrieved("s", "control", 0.7, replicate=1)]
+    tables = {"scores": scores, "patterns": measured([-8.0] * 3), "retrieved": pd.DataFrame(kin)}
+    found = follow_up_metrics(tables)
+    group = "shape_ descent_ lambda 1_ alpha 0.01_ pointpillars"
+    assert found[f"patterns/{group}/height cm"] == pytest.approx(-8.0)
+    scored = {"baseline": 0.8, "shape": 0.2, "retrieved": 0.5, "controls": 0.7}
+    assert {name: found[f"retrieval/{group}/pointpillars/{name}"] for name in scored} == pytest.approx(scored)
+    alone = follow_up_metrics({"scores": scores, "retrieved": pd.DataFrame(kin[:1])})
+    assert [name.rsplit("/")[-1] for name in alone] == ["baseline", "shape", "retrieved"]  # no controls: no number
+    assert follow_up_metrics({"scores": scores}) == {}
 
 
 def test_a_pool_says_how_many_were_fitted_flagged_and_refused() -> None:

@@ -63,10 +63,10 @@ def two_cars(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def opened(browser: Browser, file: Path, width: int = 1280, scheme: str = "light") -> tuple[Page, list[str]]:
     """A page with every figure drawn, and what it complained of."""
     page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)  # type: ignore[arg-type]
-    said: list[str] = []
-    page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: None if request.url.startswith(("file:", "data:", "blob:")) else said.append(
+    words: list[str] = []
+    page.on("console", lambda message: words.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: words.append(str(error)))
+    page.on("request", lambda request: None if request.url.startswith(("file:", "data:", "blob:")) else words.append(
         f"asked the network for {request.url}"
     ))  # fmt: skip
     page.goto(file.as_uri())
@@ -75,14 +75,14 @@ def opened(browser: Browser, file: Path, width: int = 1280, scheme: str = "light
     for plot in page.locator(".plot").all():
         plot.scroll_into_view_if_needed()
     page.wait_for_function(DRAWN, timeout=60_000)
-    return page, said
+    return page, words
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 400])
 def test_every_figure_is_drawn_and_the_page_fits(browser: Browser, report: Path, width: int, scheme: str) -> None:
-    page, said = opened(browser, report, width, scheme)
-    assert said == []
+    page, words = opened(browser, report, width, scheme)
+    assert words == []
     assert page.locator(".plot").count() == report.read_text().count('class="plot"') > 0
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     # Nothing that is read is cut off.
@@ -104,7 +104,7 @@ def eyes(page: Page) -> list[str]:
 
 
 def test_both_vehicles_turn_together_by_keyboard_and_by_drag(browser: Browser, two_cars: Path) -> None:
-    page, said = opened(browser, two_cars)
+    page, words = opened(browser, two_cars)
     first = eyes(page)
     button = page.locator("button[data-turn]").first
     button.focus()
@@ -121,5 +121,5 @@ def test_both_vehicles_turn_together_by_keyboard_and_by_drag(browser: Browser, t
     page.mouse.up()
     page.wait_for_timeout(1500)
     assert eyes(page)[0] != turned[0]
-    assert said == []
+    assert words == []
     page.close()

@@ -23,11 +23,11 @@ from shift3d.analysis.html.figure import DASHES, plot
 from shift3d.analysis.html.report import write_report
 from shift3d.analysis.html.sections.auc import auc_blocks
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
-from shift3d.analysis.html.sections.coverage import coverage
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.differences import differences
 from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import headline
+from shift3d.analysis.html.sections.overview import coverage
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.paired import paired
@@ -135,8 +135,8 @@ def test_a_folder_that_is_no_finished_sweep_is_refused(tmp_path: Path, capsys: p
     begun = tmp_path / "begun"
     valid_sweeps.write_sweep(begun)
     assert main(["report", str(begun)]) == 2
-    told = capsys.readouterr().err
-    assert f"{begun}: the sweep is not finished. Run its command again" in told
+    printed = capsys.readouterr().err
+    assert f"{begun}: the sweep is not finished. Run its command again" in printed
     assert not (begun / "report.html").exists()
     write_final(begun, read_plan(begun), read_log(begun))
     (begun / "env.json").write_text("[1")

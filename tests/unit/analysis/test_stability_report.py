@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from shift3d.analysis.html.pages import write_stability_page
-from shift3d.analysis.tables.numerics import diagnostics
+from shift3d.analysis.tables.accuracy_cost import diagnostics
 from shift3d.analysis.tables.stability import stability_lines
 
 
@@ -35,9 +35,9 @@ def scores(**columns: list[float | None]) -> pd.DataFrame:
 
 def test_every_unstable_solution_is_counted_and_named_with_its_cause(tmp_path: Path) -> None:
     frame = verification(unstable=12, stable=28)
-    told = stability_lines(frame)
-    assert "12 unstable" in told and "70.0%" in told and "2.0e-01" in told
-    assert told.count("of its <300> hits 9 missed") == 10 and "and 2 more in verification.parquet" in told
+    text = stability_lines(frame)
+    assert "12 unstable" in text and "70.0%" in text and "2.0e-01" in text
+    assert text.count("of its <300> hits 9 missed") == 10 and "and 2 more in verification.parquet" in text
     page = write_stability_page(tmp_path / "stability.html", "a <sweep>", scores(non_finite=[0]), frame).read_text()
     assert page.count("of its &lt;300&gt; hits 9 missed") == 12 and "a &lt;sweep&gt;" in page and "<300>" not in page
     again = write_stability_page(tmp_path / "again.html", "a <sweep>", scores(non_finite=[0]), frame).read_text()
@@ -51,9 +51,9 @@ def test_nothing_unstable_is_said_so(tmp_path: Path) -> None:
 
 
 def test_diagnostics_add_up_over_objects() -> None:
-    told = diagnostics(scores(non_finite=[0, 2], unresolved_beams=[1, 4], least_slope=[0.3, 0.02]))
-    assert "2 non-finite values, 5 unresolved beams" in told and "0.001 mm over 2 objects" in told
-    assert "|e.grad g| 0.02" in told and "20% of the gradient" in told
+    text = diagnostics(scores(non_finite=[0, 2], unresolved_beams=[1, 4], least_slope=[0.3, 0.02]))
+    assert "2 non-finite values, 5 unresolved beams" in text and "0.001 mm over 2 objects" in text
+    assert "|e.grad g| 0.02" in text and "20% of the gradient" in text
 
 
 @pytest.mark.parametrize("residual", [[], [None]])

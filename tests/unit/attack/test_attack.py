@@ -209,7 +209,7 @@ def test_placement_stays_clear_of_the_scenes_vehicles(beams: Beams, placement: P
     assert found.rejected["neighbour"] >= 1
 
 
-def test_a_map_of_empty_space_changes_no_result(problem: AttackProblem) -> None:
+def test_an_sdf_grid_changes_no_result(problem: AttackProblem) -> None:
     mapped = problem.with_space()
     assert mapped.space is not None and mapped.with_space() is mapped
     plain = measure(problem, CODE, problem.theta0)

@@ -62,9 +62,9 @@ def test_following_changes_no_trajectory(
 
 def test_a_pose_beyond_the_travel_is_measured_all_the_same(problem: AttackProblem) -> None:
     away = THETA + torch.tensor([9.0, -6.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
-    follower = problem.incremental_inference()
+    fork = problem.incremental_inference()
     for theta in (THETA, away, THETA):
         expected = measure(problem, CODE, theta)
-        found = measure(problem, CODE, theta, incremental=follower)
+        found = measure(problem, CODE, theta, incremental=fork)
         assert float(found.adversarial.detach()) == pytest.approx(float(expected.adversarial.detach()), rel=1e-9)
         assert torch.equal(found.proposals.anchor_index, expected.proposals.anchor_index)

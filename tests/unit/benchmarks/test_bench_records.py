@@ -111,10 +111,10 @@ def test_a_missed_goal_is_said() -> None:
     assert cells(table, "attack_step_ratio") == ["300", "ratio", ">=", "300"]
 
 
-def test_twins_take_turns_in_alternating_order() -> None:
+def test_calls_take_turns_in_alternating_order() -> None:
     order: list[str] = []
-    twins = {"slow": (lambda: order.append("slow"), 1), "fast": (lambda: order.append("fast"), 2)}
-    times = take_turns(twins, rounds=2)
+    calls = {"slow": (lambda: order.append("slow"), 1), "fast": (lambda: order.append("fast"), 2)}
+    times = take_turns(calls, rounds=2)
     assert order == ["slow", "fast", "fast", "fast", "fast", "slow"]
     assert {name: len(timing.samples_ms) for name, timing in times.items()} == {"slow": 2, "fast": 4}
 

@@ -93,10 +93,10 @@ def test_key_values() -> None:
 
 def completed(line: str, folder: Path) -> set[str]:
     """What a shell that asks as argcomplete's hook does is offered for the end of a line."""
-    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
+    completing = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": "\n"}
     # Without '=' and ':' among the breaks of words, as in zsh: whole words come back.
-    asked |= {"_ARGCOMPLETE_COMP_WORDBREAKS": " \t\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(folder / "answer")}
-    subprocess.run([sys.executable, "-m", "shift3d"], env={**os.environ, **asked}, cwd=folder, check=True)
+    completing |= {"_ARGCOMPLETE_COMP_WORDBREAKS": " \t\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(folder / "answer")}
+    subprocess.run([sys.executable, "-m", "shift3d"], env={**os.environ, **completing}, cwd=folder, check=True)
     return {word.strip() for word in (folder / "answer").read_text().splitlines() if not word.startswith("-")}
 
 

@@ -54,8 +54,8 @@ def test_the_commands_in_order(tmp_path: Path, capsys: pytest.CaptureFixture[str
     trained = [line for line in lines if " train " in line]
     assert ["method=baseline" in line for line in trained] == [False, False, True, True]
     assert all(f"recipe.seed={seed} " in line for line, seed in zip(trained, (0, 1, 0, 1), strict=True))
-    anew = [line for line in lines if "detector.weights=" in line]
-    assert all(f"{tmp_path}/finetuned-{seed}/pointpillars.safetensors" in "".join(anew) for seed in (0, 1))
+    adaptive = [line for line in lines if "detector.weights=" in line]
+    assert all(f"{tmp_path}/finetuned-{seed}/pointpillars.safetensors" in "".join(adaptive) for seed in (0, 1))
     assert not list(tmp_path.iterdir()), "nothing runs"
 
 

@@ -75,7 +75,7 @@ def test_a_changed_suite_and_a_missing_scene(folder: Path, capsys: pytest.Captur
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["detector=own"], "suite= is missing"),
         (["suite=suite"], "detector= is missing"),
@@ -87,5 +87,5 @@ def test_a_changed_suite_and_a_missing_scene(folder: Path, capsys: pytest.Captur
         (["suite=suite", "detector=own", "workers=0"], "workers='0'"),
     ],
 )
-def test_bad_words(words: list[str], said: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert said in refused(words, capsys)
+def test_bad_words(words: list[str], message: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert message in refused(words, capsys)

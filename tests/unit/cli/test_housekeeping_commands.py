@@ -48,9 +48,9 @@ def test_gc_says_what_it_does(folder: Path, capsys: pytest.CaptureFixture[str]) 
     CommitLog(folder, plan().spec_hash)
     before = files(folder)
     assert main(["gc", str(folder), "--dry-run"]) == 0
-    said = capsys.readouterr().out
-    assert "1 segment that no log entry names" in said and "would be removed" in said and str(orphan) in said
-    assert "left alone, not written by shift3d" in said and files(folder) == before
+    printed = capsys.readouterr().out
+    assert "1 segment that no log entry names" in printed and "would be removed" in printed and str(orphan) in printed
+    assert "left alone, not written by shift3d" in printed and files(folder) == before
     assert main(["gc", str(folder)]) == 0
     assert before.keys() - files(folder).keys() == {str(orphan)}
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from shift3d.analysis.tables.caveats import nothing_placed
+from shift3d.analysis.tables.coverage import nothing_placed
 from shift3d.cli.main import main
 from shift3d.exit_codes import ExitCode
 
@@ -38,11 +38,11 @@ def test_nothing_fitted_is_said_first(
     one = ["smoke", "vehicle=suv", "mode=pose", "accuracy.render.sdf_grid=false", "runner=local", "tracking=none"]
     nowhere = ["attack.placement.min_object_points=100000", "attack.placement.attempts=1", "out=out"]
     assert main(["sweep", *one, *nowhere]) == ExitCode.INCOMPLETE == 3
-    _, said = capsys.readouterr().out.split("writing to out\n")
-    first = said.strip().splitlines()[0]
+    _, printed = capsys.readouterr().out.split("writing to out\n")
+    first = printed.strip().splitlines()[0]
     assert first.startswith("no vehicle found a place") and "attack.placement.min_object_points" in first
-    assert "verify" not in said and "AUC" not in said and "0 of 1 task scored" in said
-    assert "places for a car, 1 draw a scene:\n  street-test-hdl64-000000: 0 of 1 free; " in said
+    assert "verify" not in printed and "AUC" not in printed and "0 of 1 task scored" in printed
+    assert "places for a car, 1 draw a scene:\n  street-test-hdl64-000000: 0 of 1 free; " in printed
     assert main(["report", "out"]) == 0
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.index("no vehicle found a place") < page.index("<table")

@@ -71,8 +71,8 @@ def test_a_folder_of_another_sweep_is_looked_at_first(
     if key == "timings" and command == ["sweep"]:
         return  # a word of plans
     assert main([*command, "smoke", *ONE, f"{key}={tmp_path}"]) == 2
-    said = capsys.readouterr()
-    assert "is not the output folder of a sweep" in said.err and not said.out
+    printed = capsys.readouterr()
+    assert "is not the output folder of a sweep" in printed.err and not printed.out
 
 
 def test_no_key_is_empty(capsys: pytest.CaptureFixture[str]) -> None:

@@ -30,11 +30,11 @@ def test_the_summary_comes_first_and_the_list_is_folded(capsys: pytest.CaptureFi
 
 def test_places_of_each_scene_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "default", "scenes.count=2", *ONE, "--places", "attack.placement.attempts=20"]) == 0
-    said = capsys.readouterr().out
-    assert "places for a car, 20 draws a scene:" in said
+    printed = capsys.readouterr().out
+    assert "places for a car, 20 draws a scene:" in printed
     for name in StreetScenes("mixed", count=2).names():
-        assert f"  {name}: " in said
-    assert said.count(" of 20 free; ") == 2
+        assert f"  {name}: " in printed
+    assert printed.count(" of 20 free; ") == 2
 
 
 def test_a_plan_of_many_streets_makes_none(
@@ -44,8 +44,8 @@ def test_a_plan_of_many_streets_makes_none(
     monkeypatch.setattr(StreetScenes, "load", lambda self, name: pytest.fail(f"{name} was made"))
     words = ["scenes.count=500", "scenes.sensor_model=true", "effects.rain_mm_h=10", *ONE]
     assert main(["sweep", "plan", "default", *words]) == 0
-    said = capsys.readouterr().out
-    assert "500 tasks" in said and "500 of 500" in said and "outputs/default-HASH" in said
+    printed = capsys.readouterr().out
+    assert "500 tasks" in printed and "500 of 500" in printed and "outputs/default-HASH" in printed
 
 
 def test_a_dry_run_is_a_plan(capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,9 +33,9 @@ def test_list_prints_the_names_that_a_sweep_takes(log: list[str], capsys: pytest
 def test_show_says_what_was_found_and_draws_it(log: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     name = f"{LOG}-{START + PERIOD}"
     assert main(["scenes", "show", *log, f"scene={name}", "out=pictures/scene.png"]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for part in (name, "5,760; ranges", "places, up to", "1 pedestrian, 1 vehicle", "sensor at 9.0 m/s", "of 400 free"):
-        assert part in said
+        assert part in printed
     assert main(["scenes", "show", *log, f"scene={name}", "attack.placement.attempts=9"]) == 0
     assert "of 9 free" in capsys.readouterr().out
     picture = imread("pictures/scene.png")
@@ -62,8 +62,8 @@ def test_what_cannot_be_done_is_said_in_one_line(
     log: list[str], words: list[str], says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["scenes", *words]) == 2
-    said = capsys.readouterr().err
-    assert any(part in said for part in says.split("|")) and said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert any(part in printed for part in says.split("|")) and printed.count("\n") == 1
 
 
 def test_completion_offers_actions_data_sets_and_their_settings() -> None:

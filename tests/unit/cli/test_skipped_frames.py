@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import valid_frames
 
@@ -48,20 +49,23 @@ def test_a_bad_frame_refuses_the_sweep(root: Path, capsys: pytest.CaptureFixture
     assert main(["plan", *words(root)]) == 2
     assert "000009.bin" in capsys.readouterr().err
     assert main(["plan", *words(root, "scenes.names=[000007,000008]")]) == 2
-    said = capsys.readouterr().err
-    assert "5 bytes" in said and "scenes.skip_bad=true" in said
+    printed = capsys.readouterr().err
+    assert "5 bytes" in printed and "scenes.skip_bad=true" in printed
 
 
 def test_bad_frames_are_left_out_and_listed(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     skip = words(root, "scenes.skip_bad=true")
     assert main(["plan", *skip]) == 0
-    said = capsys.readouterr().out
-    assert "1 task (1 shape) of 1 vehicle in 1 scene" in said and all_listed(said)
+    printed = capsys.readouterr().out
+    assert "1 task (1 shape) of 1 vehicle in 1 scene" in printed and all_listed(printed)
     assert main(["sweep", *skip, "out=out"]) == 3, "nothing fits into so small a frame"
     before, after = capsys.readouterr().out.split("writing to out")
     assert all_listed(before) and all_listed(after)
     plan = read_plan("out")
     assert [name for _, name in plan.tasks.scenes()] == ["000007"] and plan.skipped.keys() == BAD.keys()
+    table = pd.read_parquet(root / "out" / "final" / "skipped_scenes.parquet")
+    assert set(table["sweep"]) == {"kitti"} and dict(zip(table["scene"], table["why"])) == dict(plan.skipped)
+    assert all(BAD[scene] in why and str(root) not in why for scene, why in plan.skipped.items())
     assert main(["report", "out"]) == 0
     page = (root / "out" / "report.html").read_text()
     assert all(name in page for name in BAD) and "4 scenes left out" in page

@@ -1,4 +1,4 @@
-"""Codes and boxes are inverse to each other; the direction bin settles the half turn."""
+"""Codes and boxes are inverse to each other; the direction bin decides the half turn."""
 
 from math import pi
 

@@ -58,10 +58,13 @@ def test_what_is_wrong_is_named_all_at_once(tmp_path: Path) -> None:
         state["dense_head.more.weight"] = torch.zeros(2)
         state["dense_head.conv_cls.bias"] = torch.zeros(7)
 
-    said = refused(PCD, tmp_path, change)
-    assert "5 tensors missing: vfe.pfn_layers.0.linear.weight, vfe.pfn_layers.0.norm.bias" in said and ", ..." in said
-    assert "1 tensor too many: dense_head.more.weight" in said
-    assert "dense_head.conv_cls.bias is (7,), the config asks for (18,)" in said
+    printed = refused(PCD, tmp_path, change)
+    assert (
+        "5 tensors missing: vfe.pfn_layers.0.linear.weight, vfe.pfn_layers.0.norm.bias" in printed
+        and ", ..." in printed
+    )
+    assert "1 tensor too many: dense_head.more.weight" in printed
+    assert "dense_head.conv_cls.bias is (7,), the config asks for (18,)" in printed
 
 
 @pytest.mark.parametrize(
@@ -79,8 +82,8 @@ def test_another_model_is_told_by_its_names(name: str, says: str, tmp_path: Path
 
 def test_the_other_codebase_is_told_by_its_names(tmp_path: Path) -> None:
     other = CASES["mmdet3d-pointpillars"].state()
-    said = refused(PCD, tmp_path, lambda state: (state.clear(), state.update(other)))
-    assert "it looks like a pillar model of mmdetection3d" in said
+    printed = refused(PCD, tmp_path, lambda state: (state.clear(), state.update(other)))
+    assert "it looks like a pillar model of mmdetection3d" in printed
 
 
 @pytest.mark.parametrize(
@@ -89,8 +92,8 @@ def test_the_other_codebase_is_told_by_its_names(tmp_path: Path) -> None:
 )
 def test_values_that_no_training_leaves(value: float, says: str, tmp_path: Path) -> None:
     name = "backbone_2d.blocks.0.1.weight"
-    said = refused(PCD, tmp_path, lambda state: state[name].view(-1)[:1].fill_(value))
-    assert name in said and says in said
+    printed = refused(PCD, tmp_path, lambda state: state[name].view(-1)[:1].fill_(value))
+    assert name in printed and says in printed
 
 
 def test_a_negative_variance(tmp_path: Path) -> None:
@@ -119,8 +122,8 @@ class Trap:
 
 
 def test_objects_are_refused_and_never_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = refused(PCD, tmp_path, lambda state: None, lambda state: {"model_state": state, "hook": Trap()})
-    assert "model.state_dict()" in said and "run" not in capsys.readouterr().out
+    printed = refused(PCD, tmp_path, lambda state: None, lambda state: {"model_state": state, "hook": Trap()})
+    assert "model.state_dict()" in printed and "run" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("content", [[1, 2], {"epoch": 3}, {"model_state": {"a": 1}}])
@@ -140,8 +143,8 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
 
 def test_boxes_of_older_releases_are_others(tmp_path: Path) -> None:
     meta = {"mmdet3d_version": "0.17.1"}
-    said = refused(MM, tmp_path, lambda state: None, lambda state: {"state_dict": state, "meta": meta})
-    assert "mmdetection3d 0.17.1" in said
+    printed = refused(MM, tmp_path, lambda state: None, lambda state: {"state_dict": state, "meta": meta})
+    assert "mmdetection3d 0.17.1" in printed
     for version, older in (("pcdet+0.2.0+ab12", True), ("pcdet+0.6.0+ab12", False)):
         wrap = lambda state, version=version: {"model_state": state, "version": version}  # noqa: E731
         if older:

@@ -188,8 +188,8 @@ def test_what_a_data_set_implies_and_a_user_says(tmp_path: Path) -> None:
     path = mm_pointpillars(tmp_path)
     kitti = layout("mmdet3d", path)
     assert kitti["frame"] == {"height_m": 1.73, "turned": False} and kitti["head"]["vehicle"] == 2
-    said = layout("mmdet3d", path, vehicle_class="Cyclist", sensor_height_m=1.9, intensity=0.5)
-    assert said["frame"]["height_m"] == 1.9 and said["inputs"]["constants"] == [0.5] and said["head"]["vehicle"] == 1
+    read = layout("mmdet3d", path, vehicle_class="Cyclist", sensor_height_m=1.9, intensity=0.5)
+    assert read["frame"]["height_m"] == 1.9 and read["inputs"]["constants"] == [0.5] and read["head"]["vehicle"] == 1
     assert "Pedestrian, Cyclist, Car" in str(refused("mmdet3d", path, vehicle_class="Truck"))
     nuscenes = layout("mmdet3d", mm_centerpoint(tmp_path / "nuscenes"))
     assert nuscenes["frame"] == {"height_m": 1.84, "turned": True} and nuscenes["head"]["task"] == 1

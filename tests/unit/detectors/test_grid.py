@@ -1,4 +1,4 @@
-"""Pillars against a plain Python twin."""
+"""Pillars against a plain Python reference."""
 
 import numpy as np
 import torch
@@ -28,7 +28,7 @@ def _plain_pillars(points: torch.Tensor, window: BevWindow) -> dict[tuple[int, i
     return pillars
 
 
-def test_pillars_and_decoration_equal_the_plain_twin() -> None:
+def test_pillars_and_decoration_equal_the_plain_reference() -> None:
     points = _points()
     pillars = assign_pillars(points, WAYMO_GRID, WINDOW)
     features = decorate(points, pillars, WAYMO_GRID)

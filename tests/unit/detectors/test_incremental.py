@@ -211,7 +211,7 @@ def test_forks_answer_as_if_they_were_alone(single: TrainedDetector) -> None:
     _assert_same(single, incremental.fork(), moved, window, tolerance=1e-4)
 
 
-def test_a_backward_pass_may_wait_for_later_editions(exact: TrainedDetector) -> None:
+def test_a_backward_pass_may_wait_for_later_frames(exact: TrainedDetector) -> None:
     points, window = _scene().double(), exact.window_for(CENTRE, 5.0)
     incremental = exact.incremental(window)
     leaf = points.clone().requires_grad_()

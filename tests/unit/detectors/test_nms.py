@@ -1,4 +1,4 @@
-"""Suppression against the plain quadratic twin."""
+"""Suppression against the plain quadratic reference."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ def _plain_nms(boxes: np.ndarray, scores: np.ndarray, iou_threshold: float) -> l
     return kept
 
 
-def test_equals_the_plain_twin() -> None:
+def test_equals_the_plain_reference() -> None:
     for seed in range(5):
         for iou_threshold in (0.0, 0.25, 0.7):
             boxes, scores = _boxes(120, seed)

@@ -11,7 +11,7 @@ from analytic_fields import Frame
 
 from shift3d.effects import applicability
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, Choice, choose
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts
 from shift3d.errors import InputError
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
@@ -83,7 +83,7 @@ def names(choices: list[Choice]) -> list[str]:
 
 
 @pytest.fixture(autouse=True)
-def worth_file(monkeypatch, tmp_path):
+def impact_file(monkeypatch, tmp_path):
     """No effect is measured but for what a test writes into this file."""
     file = tmp_path / "effects.json"
     monkeypatch.setattr(applicability, "MEASURED_IMPACT", file)
@@ -109,7 +109,7 @@ def test_a_dry_scene_calls_for_nothing():
 _FRESH = """
 import sys
 from types import SimpleNamespace
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts
 from shift3d.effects.applicability import choose
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import SensorModel
@@ -129,7 +129,7 @@ def fresh(noise_m: float) -> tuple[list[str], list[str]]:
 
 
 def test_no_effect_is_imported_where_none_is_called_for():
-    own = ["shift3d.effects", "shift3d.effects.applicability", "shift3d.effects.detector_facts"]
+    own = ["shift3d.effects", "shift3d.effects.applicability", "shift3d.effects.base"]
     assert fresh(0.0) == ([], own)
 
 
@@ -240,20 +240,20 @@ def test_a_speed_of_the_object_calls_for_rolling_shutter_where_times_are_known()
     assert names(called(scene, settings=EffectSettings(object_speed_m_s=15.0))) == ["rolling_shutter"]
 
 
-def test_an_effect_that_moves_no_score_is_left_out_with_the_reason(worth_file):
-    measured(worth_file, range_noise=0.9 * IMPACT_BOUND, divergence=IMPACT_BOUND)
+def test_an_effect_that_moves_no_score_is_left_out_with_the_reason(impact_file):
+    measured(impact_file, range_noise=0.9 * IMPACT_BOUND, divergence=IMPACT_BOUND)
     divergence, noise = called(with_data("range_noise", "divergence"))
     assert (divergence.effect, divergence.used, divergence.milliseconds) == ("divergence", True, 2.5)
     assert (noise.effect, noise.used, noise.milliseconds) == ("range_noise", False, 2.5)
     assert noise.reason.startswith("left out") and "20 mm" in noise.reason and "0.009" in noise.reason
 
 
-def test_what_was_measured_does_not_overrule_a_list(worth_file):
-    measured(worth_file, range_noise=0.0)
+def test_what_was_measured_does_not_overrule_a_list(impact_file):
+    measured(impact_file, range_noise=0.0)
     facts = SceneFacts.of(with_data("range_noise"))
     assert choose(["range_noise"], facts, Frame(), COORDINATES) == [Choice("range_noise", True, "asked for", 2.5)]
 
 
-def test_what_was_measured_calls_for_nothing_by_itself(worth_file):
-    measured(worth_file, **dict.fromkeys(NEEDS, 1.0))
+def test_what_was_measured_calls_for_nothing_by_itself(impact_file):
+    measured(impact_file, **dict.fromkeys(NEEDS, 1.0))
     assert called(dry_scene(), READER) == []

@@ -24,7 +24,7 @@ NOTHING = EffectSettings()
 
 
 def scene_of(no_return: bool = False, sensors: int = 1, rings: int = 32, columns: int = 900) -> Scene:
-    """A scan of flat ground and a wall; every fourth beam that returns from beyond 30 m is silent if any is."""
+    """A scan of flat ground and a wall; every fourth return from beyond 30 m is left out if any is."""
     points, place = ground_scan(rings, columns)
     origins = np.broadcast_to(place[None], points.shape)
     if sensors == 2:

@@ -1,4 +1,4 @@
-"""Cones at silhouettes against closed forms and against a plain twin that casts every sub-ray of every beam."""
+"""Cones at silhouettes against closed forms and against a plain reference that casts every sub-ray of every beam."""
 
 import math
 
@@ -8,9 +8,8 @@ import torch
 from analytic_fields import Field, Frame, box, in_frame, sphere
 from torch import Tensor
 
-from shift3d.effects.base import EffectContext, Insertion, Returns
+from shift3d.effects.base import DetectorFacts, EffectContext, Insertion, Returns
 from shift3d.effects.chain import SCENE_ALBEDO, EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.divergence import (
     EFFECT,
     LEAST_FOOTPRINT_M,
@@ -174,12 +173,12 @@ def test_echoes_within_a_pulse_merge_at_the_mean_by_power() -> None:
     assert float(rendering.range_m[0]) == pytest.approx(mean, abs=1e-3) and mean - near > 0.15
 
 
-def test_a_silent_beams_cone_needs_no_more_than_to_touch() -> None:
+def test_a_no_return_beams_cone_needs_no_more_than_to_touch() -> None:
     scene = scene_through(past_the_edge([-1.3 * REACH]))
     aim = past_the_edge([0.75 * REACH, 1.3 * REACH])
     directions = (aim / np.linalg.norm(aim, axis=1, keepdims=True)).astype(np.float32)
-    silent = NoReturnBeams(np.zeros((2, 3), np.float32), directions)
-    scene = Scene("sky", "made", scene.points, scene.origins, -1.7, no_return=silent)
+    no_returns = NoReturnBeams(np.zeros((2, 3), np.float32), directions)
+    scene = Scene("sky", "made", scene.points, scene.origins, -1.7, no_return=no_returns)
     chain = EffectChain.of(["no_return_beams", "divergence"], scene, PLATE, 1, EffectSettings(divergence_rad=ANGLE))
     rendering = chain.render(PLATE_FIELD, AHEAD, EXACT)
     assert rendering.hit_mask.tolist() == [True, True, False]

@@ -29,7 +29,7 @@ def values(*numbers: float) -> torch.Tensor:
     return torch.tensor(numbers, dtype=torch.float64)
 
 
-def situation_of(sensor: SensorModel | None, seed: int = 3) -> EffectContext:
+def context_of(sensor: SensorModel | None, seed: int = 3) -> EffectContext:
     points = np.random.default_rng(1).uniform(5.0, 50.0, (COUNT, 3)).astype(np.float32)
     scene = Scene("power", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, sensor=sensor)
     return EffectContext(scene, Beams.from_scene(scene), Frame(), seed)
@@ -70,7 +70,7 @@ def test_sharp_limit():
 
 def test_an_unknown_limit_loses_nothing():
     assert survival(values(0.0, 1e-12, 1.0), SensorModel()).tolist() == [1.0, 1.0, 1.0]
-    context = situation_of(None)
+    context = context_of(None)
     limit = PowerLimit.of(context, "fog")
     assert not limit.lost(returns_of(context, True), torch.zeros(COUNT), torch.zeros(COUNT)).any()
 
@@ -94,7 +94,7 @@ def test_gradients_of_power_and_survival():
 def test_losses_on_the_object_and_on_the_scene(spread):
     """On the object S(P T) survives; of what is known to have come back, S(P T) / S(P)."""
     sensor = SensorModel(limit_range_m=100.0, power_spread=spread)
-    context = situation_of(sensor)
+    context = context_of(sensor)
     power, transmission = torch.full((COUNT,), 1.5e-4, dtype=torch.float64), torch.full((COUNT,), 0.5).double()
     limit = PowerLimit.of(context, "rain")
     before, after = (float(survival(values(p), sensor)) for p in (1.5e-4, 0.75e-4))
@@ -106,7 +106,7 @@ def test_losses_on_the_object_and_on_the_scene(spread):
 @pytest.mark.parametrize("on_object", [True, False])
 def test_two_losses_in_turn_are_one_by_both(on_object):
     sensor = SensorModel(limit_range_m=100.0, power_spread=0.4)
-    context = situation_of(sensor)
+    context = context_of(sensor)
     power = torch.full((COUNT,), 2e-4, dtype=torch.float64)
     returns, first, second = returns_of(context, on_object), torch.full((COUNT,), 0.6), torch.full((COUNT,), 0.5)
     lost = PowerLimit.of(context, "fog").lost(returns, power, first.double())
@@ -120,7 +120,7 @@ def test_two_losses_in_turn_are_one_by_both(on_object):
 def test_ray_drop_after_weather_loses_nobody_that_weather_had_to_keep():
     """One draw a beam: what weather leaves is lost by no second draw at the same power."""
     sensor = SensorModel(limit_range_m=100.0, power_spread=0.4)
-    context = situation_of(sensor)
+    context = context_of(sensor)
     power, transmission = torch.full((COUNT,), 1e-4, dtype=torch.float64), torch.full((COUNT,), 0.7).double()
     lost = PowerLimit.of(context, "rain").lost(returns_of(context, True), power, transmission)
     dropped = survival_draws(context) >= survival(power * transmission, sensor)
@@ -130,7 +130,7 @@ def test_ray_drop_after_weather_loses_nobody_that_weather_had_to_keep():
 @pytest.mark.parametrize("spread", [0.0, 0.4])
 @pytest.mark.parametrize("power", [0.0, 1e-6, 1.0])
 def test_without_loss_of_power_the_scene_keeps_everything(spread, power):
-    context = situation_of(SensorModel(limit_range_m=100.0, power_spread=spread))
+    context = context_of(SensorModel(limit_range_m=100.0, power_spread=spread))
     one = torch.ones(COUNT, dtype=torch.float64)
     assert not PowerLimit.of(context, "fog").lost(returns_of(context, False), power * one, one).any()
 
@@ -138,7 +138,7 @@ def test_without_loss_of_power_the_scene_keeps_everything(spread, power):
 @pytest.mark.parametrize("power", [0.0, 1e-6])
 @pytest.mark.parametrize(("spread", "exponent"), [(0.0, 1.0), (0.5, 2.0)])
 def test_echoes_from_below_the_limit_fade_with_transmission(power, spread, exponent):
-    context = situation_of(SensorModel(limit_range_m=50.0, power_spread=spread))
+    context = context_of(SensorModel(limit_range_m=50.0, power_spread=spread))
     one = torch.ones(COUNT, dtype=torch.float64)
     lost = PowerLimit.of(context, "fog").lost(returns_of(context, False), power * one, 0.8 * one)
     expected = 0.8**exponent

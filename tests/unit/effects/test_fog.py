@@ -8,8 +8,7 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.fog import EFFECT, PULSE_S, backscatter_per_m, extinction_per_m, soft_echo
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import SceneFacts
@@ -20,7 +19,7 @@ COUNT = 20_000
 BLIND = DetectorFacts("xyz")
 
 
-def situation_of(
+def context_of(
     visibility_m: float, sensor: SensorModel | None = None, in_points: bool = False, seed: int = 4
 ) -> EffectContext:
     """Beams that end 1.5 to 100 m away, in all directions."""
@@ -86,7 +85,7 @@ def test_echo_of_fog_is_the_integral(visibility_m, range_m):
 
 def test_one_table_serves_a_process():
     first = soft_echo(extinction_per_m(70.0), backscatter_per_m(70.0))
-    EFFECT.bind(situation_of(70.0))
+    EFFECT.bind(context_of(70.0))
     assert soft_echo(extinction_per_m(70.0), backscatter_per_m(70.0)) is first
 
 
@@ -99,13 +98,13 @@ def test_the_echo_of_fog_never_lies_behind_the_surface():
 
 
 def test_no_fog_is_the_identity():
-    context = situation_of(math.inf, SensorModel(limit_range_m=20.0))
+    context = context_of(math.inf, SensorModel(limit_range_m=20.0))
     before = returns_of(context)
     assert_same(before, EFFECT.bind(context)(before))
 
 
 def test_thinner_and_thinner_fog_comes_to_the_identity():
-    context = situation_of(1e9)
+    context = context_of(1e9)
     before = returns_of(context)
     after = EFFECT.bind(context)(before)
     assert torch.equal(after.points, before.points)
@@ -115,7 +114,7 @@ def test_thinner_and_thinner_fog_comes_to_the_identity():
 
 @pytest.mark.parametrize("visibility_m", [0.5, 0.1, 1e-3, 1e-6])
 def test_dense_fog_is_seen_close_to_the_sensor(visibility_m):
-    context = situation_of(visibility_m, SensorModel(limit_range_m=120.0, power_spread=0.4))
+    context = context_of(visibility_m, SensorModel(limit_range_m=120.0, power_spread=0.4))
     before = returns_of(context)
     after = EFFECT.bind(context)(before)
     far = before.range_m > 2.5
@@ -127,7 +126,7 @@ def test_dense_fog_is_seen_close_to_the_sensor(visibility_m):
 
 
 def test_fog_moves_points_along_the_beam_only():
-    context = situation_of(40.0)
+    context = context_of(40.0)
     before = returns_of(context)
     after = EFFECT.bind(context)(before)
     fog = ~after.on_object
@@ -139,7 +138,7 @@ def test_fog_moves_points_along_the_beam_only():
 
 
 def test_beer_and_lambert_in_what_surfaces_report():
-    context = situation_of(200.0)
+    context = context_of(200.0)
     before = returns_of(context)
     after = EFFECT.bind(context)(before)
     surface = after.on_object
@@ -151,7 +150,7 @@ def test_beer_and_lambert_in_what_surfaces_report():
 @pytest.mark.parametrize("range_m", [10.0, 20.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
     """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
-    context = situation_of(100.0, SensorModel(limit_range_m=100.0))
+    context = context_of(100.0, SensorModel(limit_range_m=100.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     expected = 1.0 - 9e-5 * range_m**2 * math.exp(2.0 * math.log(20.0) / 100.0 * range_m)
@@ -160,7 +159,7 @@ def test_beer_and_lambert_in_what_survives(range_m):
 
 
 def test_which_echo_wins_does_not_depend_on_the_scale_of_reflectance():
-    context = situation_of(40.0)
+    context = context_of(40.0)
     bright = returns_of(context)
     dark = dataclasses.replace(bright, albedo=bright.albedo / 255.0, reflectance=bright.reflectance / 255.0)
     step = EFFECT.bind(context)
@@ -168,19 +167,19 @@ def test_which_echo_wins_does_not_depend_on_the_scale_of_reflectance():
 
 
 def test_a_beam_gets_the_same_in_any_batch():
-    context = situation_of(60.0, SensorModel(limit_range_m=80.0, power_spread=0.4))
+    context = context_of(60.0, SensorModel(limit_range_m=80.0, power_spread=0.4))
     before, rows = returns_of(context), torch.arange(3, COUNT, 7)
     assert_same(rows_of(EFFECT.bind(context)(before), rows), EFFECT.bind(context)(rows_of(before, rows)))
 
 
 def test_rows_without_a_return_stay_as_they_are():
-    context = situation_of(30.0, SensorModel(limit_range_m=80.0))
+    context = context_of(30.0, SensorModel(limit_range_m=80.0))
     before = dataclasses.replace(returns_of(context), returned=torch.zeros(COUNT, dtype=torch.bool))
     assert_same(before, EFFECT.bind(context)(before))
 
 
 def test_gradients_pass_where_the_surface_stays_and_nowhere_else():
-    context = situation_of(40.0)
+    context = context_of(40.0)
     before = returns_of(context)
     points = before.points.clone().requires_grad_()
     after = EFFECT.bind(context)(dataclasses.replace(before, points=points))
@@ -190,8 +189,8 @@ def test_gradients_pass_where_the_surface_stays_and_nowhere_else():
 
 
 def test_recordings_have_their_fog_already():
-    assert not EFFECT.on_scene(situation_of(50.0, in_points=True))
-    assert EFFECT.on_scene(situation_of(50.0, in_points=False))
+    assert not EFFECT.on_scene(context_of(50.0, in_points=True))
+    assert EFFECT.on_scene(context_of(50.0, in_points=False))
 
 
 def facts_of(visibility_m: float, **known: object) -> SceneFacts:

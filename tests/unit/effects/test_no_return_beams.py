@@ -7,9 +7,8 @@ import pytest
 import torch
 from analytic_fields import Frame, in_frame, sphere
 
-from shift3d.effects.base import Cast, EffectContext
+from shift3d.effects.base import Cast, DetectorFacts, EffectContext
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.no_return_beams import EFFECT
 from shift3d.render import Beams, preset
 from shift3d.scenes.facts import EffectSettings, SceneFacts
@@ -24,7 +23,7 @@ SETTINGS = preset("reference").with_(step_m=0.02)
 NOTHING = EffectSettings()
 
 
-def silent_of(count: int, place: tuple[float, float, float], times: bool = False) -> NoReturnBeams:
+def no_return_of(count: int, place: tuple[float, float, float], times: bool = False) -> NoReturnBeams:
     rng = np.random.default_rng(4)
     aim = np.stack((np.full(count, 20.0), rng.uniform(-2, 2, count), rng.uniform(-2, 2, count)), 1) - place
     directions = (aim / np.linalg.norm(aim, axis=1, keepdims=True)).astype(np.float32)
@@ -39,7 +38,9 @@ def scene_of(place: tuple[float, float, float] = (0.0, 0.0, 0.0), second: bool =
     if second:
         origins[1::2] += np.array([0.0, 1.0, 0.0], np.float32)
     times = np.linspace(0.0, 0.1, 80).astype(np.float32)
-    return Scene("sky", "made", points, origins, -1.7, time_s=times, no_return=silent_of(no_return, place, times=True))
+    return Scene(
+        "sky", "made", points, origins, -1.7, time_s=times, no_return=no_return_of(no_return, place, times=True)
+    )
 
 
 def sphere_depths(beams: Beams, centre: torch.Tensor) -> torch.Tensor:
@@ -68,7 +69,7 @@ def test_they_return_where_they_meet_the_object_and_rest_far_out_elsewhere() -> 
     assert bool((rendering.range_m[out] == NO_RETURN_M).all())
 
 
-def test_rows_of_the_scene_stay_bit_for_bit_and_silent_rows_follow_in_their_order() -> None:
+def test_rows_of_the_scene_stay_bit_for_bit_and_no_return_rows_follow_in_their_order() -> None:
     scene = scene_of()
     before = Cast(Beams.of_main_sensor(scene))
     after = EFFECT.bind(EffectContext(scene, before.beams, FRAME, 1))(before)
@@ -80,9 +81,9 @@ def test_rows_of_the_scene_stay_bit_for_bit_and_silent_rows_follow_in_their_orde
     assert after.no_return is not None and torch.equal(after.no_return, torch.arange(140) >= 80)
 
 
-@pytest.mark.parametrize("silent", [None, silent_of(0, (0.0, 0.0, 0.0))])
-def test_no_silent_beams_is_the_identity_bit_for_bit(silent: NoReturnBeams | None) -> None:
-    scene = dataclasses.replace(scene_of(), no_return=silent)
+@pytest.mark.parametrize("no_returns", [None, no_return_of(0, (0.0, 0.0, 0.0))])
+def test_no_beams_without_a_return_is_the_identity_bit_for_bit(no_returns: NoReturnBeams | None) -> None:
+    scene = dataclasses.replace(scene_of(), no_return=no_returns)
     cast = Cast(Beams.of_main_sensor(scene))
     assert EFFECT.bind(EffectContext(scene, cast.beams, FRAME, 1))(cast) is cast
 
@@ -100,7 +101,7 @@ def test_they_start_where_the_main_sensor_does_where_the_points_do() -> None:
     assert bool((chain.beams.origins == 0.0).all())
 
 
-def test_origins_silent_rows_and_shutter_each_keep_what_the_former_did() -> None:
+def test_origins_no_return_rows_and_shutter_each_keep_what_the_former_did() -> None:
     scene = dataclasses.replace(scene_of((0.5, 0.25, 0.0), second=True), conditions=Conditions())
     settings = EffectSettings(object_speed_m_s=10.0)
     former = EffectChain.of(["origins", "no_return_beams"], scene, FRAME, 1, settings)
@@ -109,7 +110,7 @@ def test_origins_silent_rows_and_shutter_each_keep_what_the_former_did() -> None
     assert shift is not None and chain.cast.no_return is not None and int(chain.cast.no_return.sum()) == 60
     assert torch.allclose(chain.beams.origins + shift, former.beams.origins, rtol=0.0, atol=1e-14)
     assert torch.equal(chain.beams.directions, former.beams.directions)
-    # Silent beams fire at 0.1 s, when the object is a metre farther on.
+    # No-return beams fire at 0.1 s, when the object is a metre farther on.
     depth = sphere_depths(former.beams, THETA[:3] + shift)
     assert float(shift[80:, 0].min()) == pytest.approx(1.0, abs=1e-6)
     assert torch.equal(rendering.hit_mask, torch.isfinite(depth)) and bool(rendering.hit_mask[80:].any())

@@ -5,9 +5,8 @@ import pytest
 import torch
 from analytic_fields import Frame, in_frame, sphere
 
-from shift3d.effects.base import Cast, EffectContext
+from shift3d.effects.base import Cast, DetectorFacts, EffectContext
 from shift3d.effects.chain import EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.origins import EFFECT
 from shift3d.render import Beams, preset, render
 from shift3d.scenes.facts import EffectSettings, SceneFacts

@@ -9,8 +9,7 @@ import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
 
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.rain import DIVERGENCE_RAD, DROP_ALBEDO, EFFECT, EXIT_M, crossings, drops, extra_noise_m
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import SceneFacts
@@ -21,7 +20,7 @@ COUNT = 40_000
 BLIND = DetectorFacts("xyz")
 
 
-def situation_of(
+def context_of(
     rain_mm_h: float, sensor: SensorModel | None = None, in_points: bool = False, seed: int = 4
 ) -> EffectContext:
     directions = np.random.default_rng(1).standard_normal((COUNT, 3))
@@ -105,7 +104,7 @@ def test_the_beam_widens_by_its_angle_in_radians():
 @pytest.mark.parametrize("range_m", [1.5, 2.5, 4.0])
 def test_in_front_of_nothing_every_drop_counts(range_m):
     """Met with 1 - exp(-n V), V the beam's volume from 0.9 m on, n = N0 / slope."""
-    context = situation_of(10.0)
+    context = context_of(10.0)
     after = EFFECT.bind(context)(returns_of(context, range_m, cosine=0.0))
     width = [EXIT_M + DIVERGENCE_RAD * r for r in (0.9, range_m)]
     volume = math.pi / 12.0 * (width[1] ** 3 - width[0] ** 3) / DIVERGENCE_RAD
@@ -117,7 +116,7 @@ def test_in_front_of_nothing_every_drop_counts(range_m):
 @pytest.mark.parametrize("divergence_rad", [1e-3, 4e-3])
 @pytest.mark.parametrize(("rain_mm_h", "range_m", "albedo"), [(10.0, 60.0, 0.2), (50.0, 30.0, 0.05)])
 def test_drops_that_outdo_the_surface(rain_mm_h, range_m, albedo, divergence_rad):
-    context = situation_of(rain_mm_h, SensorModel(divergence_rad=divergence_rad))
+    context = context_of(rain_mm_h, SensorModel(divergence_rad=divergence_rad))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     power = albedo / range_m**2 * math.exp(-2.0 * drops(rain_mm_h).extinction_per_m * range_m)
     expected = -math.expm1(-expected_drops(rain_mm_h, power, range_m, divergence_rad))
@@ -135,7 +134,7 @@ def test_drops_that_outdo_the_surface(rain_mm_h, range_m, albedo, divergence_rad
 def test_a_drop_below_the_least_power_is_not_noticed():
     """Behind lies nothing that is noticed; the limit alone says which drops are."""
     sensor = SensorModel(limit_range_m=300.0)
-    context = situation_of(10.0, sensor)
+    context = context_of(10.0, sensor)
     after = EFFECT.bind(context)(returns_of(context, 60.0, cosine=0.0))
     expected = -math.expm1(-expected_drops(10.0, 0.9 / 300.0**2, 60.0))
     share = float(after.returned.double().mean())
@@ -144,7 +143,7 @@ def test_a_drop_below_the_least_power_is_not_noticed():
 
 
 def test_a_drop_is_wider_than_it_has_to_be_by_one_mean_width():
-    context = situation_of(20.0)
+    context = context_of(20.0)
     after = EFFECT.bind(context)(returns_of(context, 60.0, 0.2))
     rain, drop = drops(20.0), ~after.on_object
     at_m = after.range_m[drop].numpy()
@@ -160,7 +159,7 @@ def test_a_drop_is_wider_than_it_has_to_be_by_one_mean_width():
 def test_weaker_echoes_scatter_more_along_the_beam_alone():
     """Albedo 0.9 at half of the limit range: four times the least power, before the rain."""
     sensor = SensorModel(limit_range_m=100.0)
-    context = situation_of(50.0, sensor)
+    context = context_of(50.0, sensor)
     before = returns_of(context, 50.0, 0.9)
     after = EFFECT.bind(context)(before)
     surface = after.on_object & after.returned
@@ -186,7 +185,7 @@ def test_noise_that_is_added_is_bounded_and_none_where_nothing_is_lost():
 @pytest.mark.parametrize("range_m", [15.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
     """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
-    context = situation_of(30.0, SensorModel(limit_range_m=40.0))
+    context = context_of(30.0, SensorModel(limit_range_m=40.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     alpha = 1e-6 * math.pi * 8000.0 / (4.1 * 30.0**-0.21) ** 3
@@ -196,13 +195,13 @@ def test_beer_and_lambert_in_what_survives(range_m):
 
 
 def test_no_rain_is_the_identity():
-    context = situation_of(0.0, SensorModel(limit_range_m=20.0))
+    context = context_of(0.0, SensorModel(limit_range_m=20.0))
     before = returns_of(context, 60.0)
     assert_same(before, EFFECT.bind(context)(before))
 
 
 def test_less_and_less_rain_comes_to_the_identity():
-    context = situation_of(1e-9)
+    context = context_of(1e-9)
     before = returns_of(context, 30.0)
     after = EFFECT.bind(context)(before)
     assert bool(after.on_object.all())
@@ -211,13 +210,13 @@ def test_less_and_less_rain_comes_to_the_identity():
 
 
 def test_a_beam_gets_the_same_in_any_batch():
-    context = situation_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
+    context = context_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
     before, rows = returns_of(context, 50.0, 0.3), torch.arange(3, COUNT, 7)
     assert_same(rows_of(EFFECT.bind(context)(before), rows), EFFECT.bind(context)(rows_of(before, rows)))
 
 
 def test_rows_without_a_return_stay_as_they_are():
-    context = situation_of(20.0, SensorModel(limit_range_m=90.0))
+    context = context_of(20.0, SensorModel(limit_range_m=90.0))
     before = returns_of(context, 50.0)
     before = dataclasses.replace(before, returned=torch.zeros_like(before.returned))
     assert_same(before, EFFECT.bind(context)(before))
@@ -225,8 +224,8 @@ def test_rows_without_a_return_stay_as_they_are():
 
 def test_degenerate_rows_bring_no_nan():
     """No albedo, no range, a beam without a direction, a surface along the beam."""
-    context = situation_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
-    for known in (context, situation_of(20.0)):
+    context = context_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
+    for known in (context, context_of(20.0)):
         rows = rows_of(returns_of(known, 50.0), torch.arange(4))
         scale = torch.tensor([1.0, 0.0, 1.0, 1.0], dtype=torch.float64)
         after = EFFECT.bind(known)(
@@ -244,7 +243,7 @@ def test_degenerate_rows_bring_no_nan():
 
 def test_gradients_of_surfaces_and_drops():
     """A pose that moves points along their beams: the gradient is that of finite differences while nothing flips."""
-    context = situation_of(20.0)
+    context = context_of(20.0)
     step, before = EFFECT.bind(context), rows_of(returns_of(context, 50.0, 0.2), torch.arange(0, COUNT, 80))
     weight = torch.rand(before.points.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
 
@@ -283,5 +282,5 @@ def test_not_called_for_where_it_cannot_matter():
 
 
 def test_recordings_have_their_rain_already():
-    assert not EFFECT.on_scene(situation_of(10.0, in_points=True))
-    assert EFFECT.on_scene(situation_of(10.0, in_points=False))
+    assert not EFFECT.on_scene(context_of(10.0, in_points=True))
+    assert EFFECT.on_scene(context_of(10.0, in_points=False))

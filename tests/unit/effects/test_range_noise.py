@@ -8,8 +8,7 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.range_noise import EFFECT
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import EffectSettings, SceneFacts
@@ -20,7 +19,7 @@ SIGMA_M = 0.03
 COUNT = 20_000
 
 
-def situation_of(sigma_m: float | None, count: int = COUNT, seed: int = 5) -> EffectContext:
+def context_of(sigma_m: float | None, count: int = COUNT, seed: int = 5) -> EffectContext:
     rng = np.random.default_rng(1)
     points = rng.uniform(-40.0, 40.0, (count, 3)).astype(np.float32)
     origins = rng.uniform(-1.0, 1.0, (count, 3)).astype(np.float32)
@@ -39,7 +38,7 @@ def returns_of(context: EffectContext, rows: torch.Tensor | None = None) -> Retu
 
 
 def test_spread_along_the_beam_and_none_across():
-    context = situation_of(SIGMA_M)
+    context = context_of(SIGMA_M)
     before = returns_of(context)
     after = EFFECT.bind(context)(before)
     along = (after.range_m - before.range_m) / SIGMA_M
@@ -53,7 +52,7 @@ def test_spread_along_the_beam_and_none_across():
 
 
 def test_the_spread_is_that_of_each_range_near_and_far():
-    context = situation_of(SIGMA_M)
+    context = context_of(SIGMA_M)
     before = returns_of(context)
     along = EFFECT.bind(context)(before).range_m - before.range_m
     near = before.range_m < before.range_m.median()
@@ -63,20 +62,20 @@ def test_the_spread_is_that_of_each_range_near_and_far():
 
 @pytest.mark.parametrize("sigma_m", [0.0, None])
 def test_no_noise_is_the_identity_bit_for_bit(sigma_m):
-    context = situation_of(sigma_m, 50)
+    context = context_of(sigma_m, 50)
     before = returns_of(context)
     assert EFFECT.bind(context)(before).points is before.points
 
 
 def test_a_scene_without_a_sensor_model_is_left_alone():
-    context = situation_of(SIGMA_M, 50)
+    context = context_of(SIGMA_M, 50)
     bare = dataclasses.replace(context, scene=dataclasses.replace(context.scene, sensor=None))
     before = returns_of(bare)
     assert EFFECT.bind(bare)(before).points is before.points
 
 
 def test_only_points_of_the_object_that_come_back_are_changed():
-    context = situation_of(SIGMA_M, 400)
+    context = context_of(SIGMA_M, 400)
     pattern = torch.arange(400)
     before = dataclasses.replace(returns_of(context), on_object=pattern % 2 == 0, returned=pattern % 3 == 0)
     after = EFFECT.bind(context)(before)
@@ -88,7 +87,7 @@ def test_only_points_of_the_object_that_come_back_are_changed():
 
 
 def test_a_row_gets_its_draw_whatever_else_is_hit():
-    context = situation_of(SIGMA_M, 500)
+    context = context_of(SIGMA_M, 500)
     rows = torch.tensor([3, 77, 78, 300, 499])
     step = EFFECT.bind(context)
     whole = step(returns_of(context)).points[rows]
@@ -100,7 +99,7 @@ def test_a_row_gets_its_draw_whatever_else_is_hit():
 
 def test_derivatives_are_those_of_the_exact_point():
     """Against central differences of range along the beam, and of the point in any direction."""
-    context = situation_of(SIGMA_M, 6)
+    context = context_of(SIGMA_M, 6)
     step, base = EFFECT.bind(context), returns_of(context)
 
     def noisy(points: torch.Tensor) -> torch.Tensor:
@@ -119,8 +118,8 @@ def test_derivatives_are_those_of_the_exact_point():
 
 
 def test_called_for_where_the_sensor_states_a_noise_that_points_can_hold():
-    scene = situation_of(None, 50).scene
+    scene = context_of(None, 50).scene
     for sigma_m, reason in ((None, None), (1e-7, None), (0.015, "15 mm"), (1.5, "1.5 m")):
         facts = SceneFacts.of(scene, EffectSettings(range_noise_m=sigma_m))
-        said = EFFECT.applicability(facts, Frame(), DetectorFacts("reader"))
-        assert said is None if reason is None else said is not None and reason in said
+        message = EFFECT.applicability(facts, Frame(), DetectorFacts("reader"))
+        assert message is None if reason is None else message is not None and reason in message

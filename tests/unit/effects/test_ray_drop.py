@@ -8,8 +8,7 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
 from shift3d.effects.physics.power import PowerLimit, echo_power
 from shift3d.effects.ray_drop import EFFECT, FAR_M, STEEP_RAD
@@ -23,7 +22,7 @@ LIMIT_M = 120.0
 DETECTOR = DetectorFacts("reader")
 
 
-def situation_of(limit_m: float | None, spread: float = 0.0, count: int = COUNT, seed: int = 5) -> EffectContext:
+def context_of(limit_m: float | None, spread: float = 0.0, count: int = COUNT, seed: int = 5) -> EffectContext:
     """Beams that end 20 m away from the origin, in all directions."""
     rng = np.random.default_rng(1)
     points = rng.standard_normal((count, 3))
@@ -54,7 +53,7 @@ def returned_share(context: EffectContext, before: Returns) -> float:
 @pytest.mark.parametrize("ratio", [0.4, 1.0, 2.5])
 def test_survival_at_one_power(spread, ratio):
     """At ratio times the least power, ratio^(1/s) / (1 + ratio^(1/s)) of the echoes are detected."""
-    context = situation_of(LIMIT_M, spread)
+    context = context_of(LIMIT_M, spread)
     albedo = ratio * 0.9 / LIMIT_M**2 * 20.0**2 / 0.5
     expected = 1.0 / (1.0 + ratio ** (-1.0 / spread))
     found = returned_share(context, returns_of(context, albedo, 0.5))
@@ -63,7 +62,7 @@ def test_survival_at_one_power(spread, ratio):
 
 def test_survival_over_albedos():
     """Uniform albedos, spread 1: the mean over rho of rho / (rho + rho0) is 1 - rho0 ln(1 + 1 / rho0)."""
-    context = situation_of(LIMIT_M, 1.0)
+    context = context_of(LIMIT_M, 1.0)
     least = 0.9 / LIMIT_M**2 * 40.0**2
     expected = 1.0 - least * math.log(1.0 + 1.0 / least)
     found = returned_share(context, returns_of(context, range_m=40.0))
@@ -72,7 +71,7 @@ def test_survival_over_albedos():
 
 def test_a_sharp_limit_is_a_threshold_on_power():
     """At the stated limit an albedo of 0.9, head on, is just detected; farther, darker or flatter it is not."""
-    context = situation_of(LIMIT_M, 0.0, 200)
+    context = context_of(LIMIT_M, 0.0, 200)
     for albedo, cosine, range_m, expected in (
         (0.9, 1.0, 0.999 * LIMIT_M, 1.0),
         (0.9, 1.0, 1.001 * LIMIT_M, 0.0),
@@ -87,7 +86,7 @@ def test_a_sharp_limit_is_a_threshold_on_power():
 
 
 def test_no_power_at_all_is_lost_with_a_soft_limit_too():
-    context = situation_of(LIMIT_M, 0.45, 200)
+    context = context_of(LIMIT_M, 0.45, 200)
     assert returned_share(context, returns_of(context, 0.0)) == 0.0
     assert returned_share(context, returns_of(context, 0.9, 0.0)) == 0.0
 
@@ -95,14 +94,14 @@ def test_no_power_at_all_is_lost_with_a_soft_limit_too():
 @pytest.mark.parametrize("spread", [0.0, 0.45])
 @pytest.mark.parametrize("limit_m", [math.inf, None])
 def test_without_a_limit_nothing_is_changed_bit_for_bit(limit_m, spread):
-    context = situation_of(limit_m, spread, 100)
+    context = context_of(limit_m, spread, 100)
     before = returns_of(context, 0.0)
     assert EFFECT.bind(context)(before) is before
     assert EFFECT.applicability(SceneFacts.of(context.scene), Frame(), DETECTOR) is None
 
 
 def test_only_rows_of_the_object_that_return_are_lost():
-    context = situation_of(LIMIT_M, 0.45, 600)
+    context = context_of(LIMIT_M, 0.45, 600)
     pattern = torch.arange(600)
     before = dataclasses.replace(returns_of(context), on_object=pattern % 2 == 0, returned=pattern % 3 == 0)
     after = EFFECT.bind(context)(before)
@@ -114,7 +113,7 @@ def test_only_rows_of_the_object_that_return_are_lost():
 
 
 def test_a_row_gets_its_draw_whatever_else_is_hit():
-    context = situation_of(LIMIT_M, 1.0, 2000)
+    context = context_of(LIMIT_M, 1.0, 2000)
     whole = returns_of(context, range_m=60.0)
     step = EFFECT.bind(context)
     rows = torch.arange(5, 2000, 7)
@@ -127,7 +126,7 @@ def test_a_row_gets_its_draw_whatever_else_is_hit():
 
 def test_what_is_lost_at_a_range_is_lost_farther_out():
     """The same draw at every range: an attack that moves an object sees no flicker."""
-    context = situation_of(LIMIT_M, 1.0, 2000)
+    context = context_of(LIMIT_M, 1.0, 2000)
     step = EFFECT.bind(context)
     near, far = (step(returns_of(context, range_m=r)).returned for r in (30.0, 45.0))
     assert bool((near | ~far).all()) and int(near.sum()) > int(far.sum())
@@ -136,7 +135,7 @@ def test_what_is_lost_at_a_range_is_lost_farther_out():
 @pytest.mark.parametrize("spread", [0.0, 0.45])
 def test_judging_after_weather_loses_no_more_than_weather_alone(spread):
     """An echo that the sensor notices through fog it notices in clear air."""
-    context = situation_of(LIMIT_M, spread, 4000)
+    context = context_of(LIMIT_M, spread, 4000)
     before = returns_of(context, range_m=35.0)
     power = echo_power(before.albedo, before.cosine, before.range_m)
     weather = before.without(PowerLimit.of(context, "fog").lost(before, power, torch.full_like(power, 0.7)))
@@ -147,7 +146,7 @@ def test_judging_after_weather_loses_no_more_than_weather_alone(spread):
 
 
 def test_what_stays_keeps_its_gradient():
-    context = situation_of(LIMIT_M, 1.0, 50)
+    context = context_of(LIMIT_M, 1.0, 50)
     before = returns_of(context, range_m=60.0)
     points = before.points.clone().requires_grad_()
     after = EFFECT.bind(context)(dataclasses.replace(before, points=points))
@@ -158,18 +157,18 @@ def test_called_for_where_the_weakest_echo_comes_near_the_limit():
     """Sharp: the darkest echo, albedo cos(80 deg) / 50^2, equals 0.9 / limit^2 for a limit of 569 m."""
     limit_m = FAR_M * math.sqrt(0.9 / (DARKEST_ALBEDO * math.cos(STEEP_RAD)))
     assert round(limit_m) == 569
-    scene = situation_of(None, count=50).scene
+    scene = context_of(None, count=50).scene
 
-    def said(limit_m: float | None, spread: float = 0.0) -> str | None:
+    def message(limit_m: float | None, spread: float = 0.0) -> str | None:
         soft = dataclasses.replace(scene, sensor=SensorModel(power_spread=spread))
         facts = SceneFacts.of(soft, EffectSettings(limit_range_m=limit_m))
         return EFFECT.applicability(facts, Frame(), DETECTOR)
 
-    assert said(None) is None
-    assert said(1.01 * limit_m) is None
-    assert "0.98 of the least power: 100 % of such echoes are lost" in (said(0.99 * limit_m) or "")
+    assert message(None) is None
+    assert message(1.01 * limit_m) is None
+    assert "0.98 of the least power: 100 % of such echoes are lost" in (message(0.99 * limit_m) or "")
     # Spread 0.45, at the least power: half are lost; at r times the range, 1 / (1 + r^(2/0.45)).
-    assert "1 of the least power: 50 % of such echoes are lost" in (said(limit_m, 0.45) or "")
+    assert "1 of the least power: 50 % of such echoes are lost" in (message(limit_m, 0.45) or "")
     one_percent = 99.0 ** (0.45 / 2.0)
-    assert said(0.99 * one_percent * limit_m, 0.45) is not None
-    assert said(1.01 * one_percent * limit_m, 0.45) is None
+    assert message(0.99 * one_percent * limit_m, 0.45) is not None
+    assert message(1.01 * one_percent * limit_m, 0.45) is None

@@ -7,8 +7,7 @@ import numpy as np
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.physics.materials import PAINT_ALBEDO
 from shift3d.effects.reflectance import EFFECT
 from shift3d.render.beams import Beams
@@ -16,7 +15,7 @@ from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Scene
 
 
-def situation_of(count: int = 300, has_reflectance: bool = True) -> EffectContext:
+def context_of(count: int = 300, has_reflectance: bool = True) -> EffectContext:
     rng = np.random.default_rng(2)
     points = rng.uniform(5.0, 40.0, (count, 3)).astype(np.float32)
     reflectance = rng.random(count).astype(np.float32) if has_reflectance else None
@@ -35,7 +34,7 @@ def returns_of(context: EffectContext) -> Returns:
 
 
 def test_paint_by_the_angle_it_is_met_at():
-    context = situation_of(3)
+    context = context_of(3)
     angle = torch.deg2rad(torch.tensor([0.0, 60.0, 90.0], dtype=torch.float64))
     before = dataclasses.replace(
         returns_of(context), cosine=angle.cos(), albedo=torch.full((3,), PAINT_ALBEDO, dtype=torch.float64)
@@ -48,7 +47,7 @@ def test_paint_by_the_angle_it_is_met_at():
 
 def test_it_does_not_depend_on_range():
     """What is reported is corrected for range: the same surface twice as far reports the same."""
-    context = situation_of()
+    context = context_of()
     before = returns_of(context)
     farther = before.moved_to(2.0 * before.range_m, before.on_object)
     step = EFFECT.bind(context)
@@ -57,7 +56,7 @@ def test_it_does_not_depend_on_range():
 
 
 def test_only_reflectance_of_the_object_changes():
-    context = situation_of()
+    context = context_of()
     on_object = torch.arange(len(context.beams)) % 3 == 0
     before = dataclasses.replace(returns_of(context), on_object=on_object)
     after = EFFECT.bind(context)(before)
@@ -71,7 +70,7 @@ def test_only_reflectance_of_the_object_changes():
 
 
 def test_no_object_is_the_identity_bit_for_bit():
-    context = situation_of()
+    context = context_of()
     before = dataclasses.replace(returns_of(context), on_object=torch.zeros(300, dtype=torch.bool))
     after = EFFECT.bind(context)(before)
     assert before.reflectance is not None and after.reflectance is not None
@@ -79,12 +78,12 @@ def test_no_object_is_the_identity_bit_for_bit():
 
 
 def test_a_scene_without_reflectance_gets_none():
-    context = situation_of(has_reflectance=False)
+    context = context_of(has_reflectance=False)
     assert EFFECT.bind(context)(returns_of(context)).reflectance is None
 
 
 def test_a_row_reports_the_same_whatever_else_is_hit():
-    context = situation_of()
+    context = context_of()
     whole, rows = returns_of(context), torch.tensor([0, 7, 200])
     part = Returns(**{name: value[rows] for name, value in vars(whole).items()})
     step = EFFECT.bind(context)
@@ -93,7 +92,7 @@ def test_a_row_reports_the_same_whatever_else_is_hit():
 
 
 def test_it_carries_no_gradient():
-    context = situation_of()
+    context = context_of()
     before = returns_of(context)
     before = dataclasses.replace(before, cosine=before.cosine.requires_grad_())
     reported = EFFECT.bind(context)(before).reflectance
@@ -101,7 +100,7 @@ def test_it_carries_no_gradient():
 
 
 def test_called_for_where_a_detector_reads_what_the_scene_has():
-    with_it, without = (SceneFacts.of(situation_of(20, known).scene) for known in (True, False))
+    with_it, without = (SceneFacts.of(context_of(20, known).scene) for known in (True, False))
     reader, coordinates = DetectorFacts("sst", reads_reflectance=True), DetectorFacts("pointpillars")
     reason = EFFECT.applicability(with_it, Frame(), reader)
     assert reason is not None and "sst" in reason

@@ -8,9 +8,8 @@ import pytest
 import torch
 from analytic_fields import Frame, box, in_frame
 
-from shift3d.effects.base import Cast, EffectContext
+from shift3d.effects.base import Cast, DetectorFacts, EffectContext
 from shift3d.effects.chain import EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.rolling_shutter import ASSUMED_NOISE_M, EFFECT, relative_velocity
 from shift3d.render import Beams, preset
 from shift3d.scenes.facts import EffectSettings, SceneFacts
@@ -65,8 +64,8 @@ def test_a_plate_that_drives_across_covers_other_beams_and_keeps_its_depth() -> 
     front, clear = y.abs() < 1.5, y.abs() > 1.6
     assert bool(rendering.hit_mask[front].all()) and not bool(rendering.hit_mask[clear].any())
     assert float((rendering.range_m - depth)[front].abs().max()) < 1e-8
-    standing = chain_of(scene, 0.0).render(PLATE, THETA, SETTINGS).hit_mask
-    assert not torch.equal(standing, rendering.hit_mask)
+    placed = chain_of(scene, 0.0).render(PLATE, THETA, SETTINGS).hit_mask
+    assert not torch.equal(placed, rendering.hit_mask)
 
 
 def test_hits_lie_on_their_beams_and_the_other_rows_are_the_scenes_bit_for_bit() -> None:

@@ -7,9 +7,8 @@ import pytest
 import torch
 from analytic_fields import Frame, box, in_frame
 
-from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
-from shift3d.effects.detector_facts import DetectorFacts
 from shift3d.effects.second_returns import EFFECT
 from shift3d.render import preset
 from shift3d.render.beams import Beams
@@ -31,7 +30,7 @@ def scene_of(number, pixel, points=None, origins=None) -> Scene:
     )
 
 
-def situation_of(scene: Scene) -> EffectContext:
+def context_of(scene: Scene) -> EffectContext:
     return EffectContext(scene, Beams.from_scene(scene), Frame(), 3)
 
 
@@ -46,7 +45,7 @@ def returns_of(context: EffectContext, on_object, rows=None) -> Returns:
 
 
 def kept(scene: Scene, on_object) -> list[bool]:
-    context = situation_of(scene)
+    context = context_of(scene)
     return EFFECT.bind(context)(returns_of(context, on_object)).returned.tolist()
 
 
@@ -113,7 +112,7 @@ def test_against_a_plain_double_loop():
 
 def test_whole_beams_come_out_the_same_whatever_else_is_hit():
     scene = random_scene(300, 5)
-    context = situation_of(scene)
+    context = context_of(scene)
     on_object = np.random.default_rng(6).random(len(scene.points)) < 0.5
     step = EFFECT.bind(context)
     whole = step(returns_of(context, on_object)).returned
@@ -127,21 +126,21 @@ def test_whole_beams_come_out_the_same_whatever_else_is_hit():
 
 def test_nothing_but_returned_is_changed_and_nothing_where_no_beam_has_two():
     scene = random_scene(100, 7)
-    context = situation_of(scene)
+    context = context_of(scene)
     before = returns_of(context, np.ones(len(scene.points), bool))
     after = EFFECT.bind(context)(before)
     assert all(getattr(after, name) is part for name, part in vars(before).items() if name != "returned")
     first = scene_of([0, 0], [SAME, OTHER])
-    before = returns_of(situation_of(first), [True, True])
-    assert EFFECT.bind(situation_of(first))(before) is before
+    before = returns_of(context_of(first), [True, True])
+    assert EFFECT.bind(context_of(first))(before) is before
     bare = dataclasses.replace(first, return_number=None)
-    assert EFFECT.bind(situation_of(bare))(before) is before
+    assert EFFECT.bind(context_of(bare))(before) is before
     assert not EFFECT.on_scene(context)
 
 
 def test_what_is_gone_already_stays_gone_and_still_stops_the_beam():
     scene = scene_of([0, 1], [SAME, SAME])
-    context = situation_of(scene)
+    context = context_of(scene)
     before = dataclasses.replace(returns_of(context, [True, True]), returned=torch.tensor([False, True]))
     assert EFFECT.bind(context)(before).returned.tolist() == [False, False]
 

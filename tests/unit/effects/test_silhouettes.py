@@ -52,7 +52,7 @@ def test_no_beam_is_overlooked_whose_sub_rays_disagree(yaw: float) -> None:
     assert int(chosen.sum()) < 0.5 * int(hits.any(1).sum())
 
 
-def test_a_map_of_empty_space_changes_nothing_but_the_time() -> None:
+def test_an_sdf_grid_changes_nothing_but_the_time() -> None:
     theta, frame = torch.tensor([18.0, 2.0, -0.9, 0.3, 0.02, -0.03], dtype=torch.float64), Frame(scale_m=2.5)
     field = in_frame(car(), frame)
     scene = scene_about_a_car(7)

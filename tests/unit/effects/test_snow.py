@@ -10,8 +10,7 @@ from analytic_fields import Frame
 from scipy.integrate import quad
 
 from shift3d.effects.applicability import NEEDS, effect_named
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.fog import extinction_per_m
 from shift3d.effects.rain import DIVERGENCE_RAD, EXIT_M, drops
 from shift3d.effects.snow import EFFECT, FLAKE_ALBEDO, FLAKE_WIDTH, flakes
@@ -24,7 +23,7 @@ COUNT = 40_000
 BLIND = DetectorFacts("xyz")
 
 
-def situation_of(conditions: Conditions, sensor: SensorModel | None = None, seed: int = 4) -> EffectContext:
+def context_of(conditions: Conditions, sensor: SensorModel | None = None, seed: int = 4) -> EffectContext:
     directions = np.random.default_rng(1).standard_normal((COUNT, 3))
     points = (60.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     scene = Scene("white", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, conditions=conditions, sensor=sensor)
@@ -32,7 +31,7 @@ def situation_of(conditions: Conditions, sensor: SensorModel | None = None, seed
 
 
 def snowing(snow_mm_h: float, sensor: SensorModel | None = None, in_points: bool = False) -> EffectContext:
-    return situation_of(Conditions("snow", snow_mm_h=snow_mm_h, weather_in_points=in_points), sensor)
+    return context_of(Conditions("snow", snow_mm_h=snow_mm_h, weather_in_points=in_points), sensor)
 
 
 def returns_of(
@@ -159,7 +158,7 @@ def test_gradients_pass_where_the_surface_stays_and_nowhere_else():
 def test_extinctions_of_all_weather_add_up():
     """Fog, rain and snow in turn: what is left of a surface's echo is exp(-2 (sum of alphas) R)."""
     conditions = Conditions("fog", rain_mm_h=5.0, snow_mm_h=0.3, visibility_m=300.0, weather_in_points=False)
-    context = situation_of(conditions)
+    context = context_of(conditions)
     before = returns_of(context, 15.0, 0.9)
     after = before
     names = [name for name in NEEDS if name in ("snow", "rain", "fog")]
@@ -177,7 +176,7 @@ def test_extinctions_of_all_weather_add_up():
 def test_all_weather_loses_by_the_sum_of_extinctions():
     """A sharp limit, met by each in turn, loses on the object what the whole extinction loses at once."""
     conditions = Conditions("fog", snow_mm_h=0.5, visibility_m=200.0, weather_in_points=False)
-    context = situation_of(conditions, SensorModel(limit_range_m=40.0, divergence_rad=1e-5))
+    context = context_of(conditions, SensorModel(limit_range_m=40.0, divergence_rad=1e-5))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = returns_of(context, 15.0, albedo)
     for name in ("fog", "snow"):

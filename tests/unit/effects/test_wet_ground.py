@@ -9,8 +9,7 @@ import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
 
-from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.physics.power import survival
 from shift3d.effects.wet_ground import EFFECT, GROUND_BAND_M, WATER_INDEX, reflected, trapped, wet_albedo
 from shift3d.render.beams import Beams
@@ -27,7 +26,7 @@ def values(*numbers: float) -> torch.Tensor:
     return torch.tensor(numbers, dtype=torch.float64)
 
 
-def situation_of(
+def context_of(
     rain_mm_h: float = 5.0, sensor: SensorModel | None = LIMIT, in_points: bool = False, range_m: float = 20.0
 ) -> EffectContext:
     """A ring of ground, walls behind it, points overhead: a third each."""
@@ -114,7 +113,7 @@ def test_water_darkens_all_but_the_whitest_ground():
 
 
 def test_only_ground_is_wet_and_its_echoes_are_lost_by_their_power():
-    context = situation_of()
+    context = context_of()
     before = returns_of(context)
     after = EFFECT.bind(context)(before)
     ground = torch.arange(COUNT) % 3 == 0
@@ -133,7 +132,7 @@ def test_only_ground_is_wet_and_its_echoes_are_lost_by_their_power():
 
 
 def test_the_object_is_left_alone_with_its_gradients():
-    context = situation_of()
+    context = context_of()
     before = returns_of(context, on_object=True)
     before = dataclasses.replace(before, points=before.points.requires_grad_())
     after = EFFECT.bind(context)(before)
@@ -142,7 +141,7 @@ def test_the_object_is_left_alone_with_its_gradients():
 
 
 @pytest.mark.parametrize(
-    "context", [situation_of(rain_mm_h=0.0), situation_of(in_points=True)], ids=["no rain", "a recording's rain"]
+    "context", [context_of(rain_mm_h=0.0), context_of(in_points=True)], ids=["no rain", "a recording's rain"]
 )
 def test_identity(context):
     before = returns_of(context)
@@ -150,7 +149,7 @@ def test_identity(context):
 
 
 def test_what_lies_above_the_band_or_is_met_from_below_is_no_ground():
-    context = situation_of()
+    context = context_of()
     before = returns_of(context)
     lifted = dataclasses.replace(before, points=before.points + values(0.0, 0.0, GROUND_BAND_M + 1e-6))
     assert_same(lifted, EFFECT.bind(context)(lifted))
@@ -160,7 +159,7 @@ def test_what_lies_above_the_band_or_is_met_from_below_is_no_ground():
 
 
 def test_a_beam_gets_the_same_in_any_batch():
-    context = situation_of()
+    context = context_of()
     before, rows = returns_of(context), torch.arange(3, COUNT, 7)
     part = Returns(**{name: None if value is None else value[rows] for name, value in vars(before).items()})
     whole = EFFECT.bind(context)(before)

@@ -46,7 +46,7 @@ def test_area_of_hand_drawn_curves() -> None:
     # From 0.2 to 1 nothing was measured: the lower precision holds down to 0.25, one slope is left, then 0.2 at 0.1.
     wide = 0.05 * 0.75 + 0.05 * (0.05 + 0.1) / 2 + 0.2 * 0.1
     assert area_with_gaps([0.2, 1.0], [0.1, 0.05]) == pytest.approx(wide)
-    # A dip is lifted to the precision beyond it; the order of points is of no matter.
+    # A local minimum is lifted to the precision beyond it; the order of points is of no matter.
     assert area_with_gaps([1.0, 0.4, 0.2], [0.05, 0.0, 0.1]) == pytest.approx(wide)
     # At equal recall the higher precision stays.
     assert area_with_gaps([0.04, 0.04], [0.2, 0.5]) == pytest.approx(0.04 * 0.5)
@@ -85,7 +85,7 @@ def test_the_assignment_is_the_best_and_not_the_greedy_one() -> None:
     assert _at(curve, 0.9) == (0.5, 1.0, 1.0)
     assert _at(curve, 0.5) == (1.0, 1.0, 1.0)
     assert curve.average_precision == pytest.approx(1.0)
-    # Above 0.55 the better detection takes A, below it B: assignments are made anew at every cut-off.
+    # Above 0.55 the better detection takes A, below it B: every cut-off has its own assignment.
     assignment = assign(compare(made, "BEV"), 0.7, 0.0, 75.0)
     assert {number: matched.tolist() for number, matched in assignment.matched.items()} == {0: [], 1: [0], 2: [1, 0]}
 

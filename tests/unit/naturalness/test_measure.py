@@ -10,12 +10,12 @@ import pytest
 import torch
 import trimesh
 from torch import Tensor
-from vehicles_by_hand import Given, legged, legged_boxes, measures, on_legs, reference
+from vehicles_by_hand import Meshes, legged, legged_boxes, measures, on_legs, reference
 
 from shift3d.errors import InputError
 from shift3d.naturalness.decoded import decoded_mesh
-from shift3d.naturalness.fingerprint import likely_nearest
 from shift3d.naturalness.measure import NO_SURFACE, Naturalness
+from shift3d.naturalness.reference import likely_nearest
 from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.vehicles.family.wide import build_wide_mesh, wide_vehicle
 from shift3d.vehicles.vehicle import Vehicle
@@ -91,7 +91,7 @@ def test_sizes_that_no_vehicle_has_are_unnatural_even_for_a_member() -> None:
         mesh = on_legs(length_m=float(length))
         mesh.apply_scale((1.0, 0.5, 1.0))
         squeezed.append(mesh)
-    found = measures(Given((*legged(LENGTHS).meshes, *squeezed))).of(squeezed[3])
+    found = measures(Meshes((*legged(LENGTHS).meshes, *squeezed))).of(squeezed[3])
     assert found.percentile == 0.0 and found.out_of_range == ("width_m",) and not found.natural
     assert not found.within(100.0)
 
@@ -101,7 +101,7 @@ def test_a_mirrored_asymmetric_vehicle_is_another_one(set_of_20: Naturalness) ->
     left = trimesh.util.concatenate([on_legs(), block])
     right = left.copy()
     right.apply_transform(np.diag([1.0, -1.0, 1.0, 1.0]))
-    found = measures(Given((*legged(LENGTHS).meshes, left)))
+    found = measures(Meshes((*legged(LENGTHS).meshes, left)))
     same, other = found.of(left), found.of(right)
     assert same.nearest is not None and other.nearest is not None
     assert same.nearest.mean_cm < 0.05 < 0.3 < other.nearest.mean_cm
@@ -112,8 +112,8 @@ def test_a_mirrored_asymmetric_vehicle_is_another_one(set_of_20: Naturalness) ->
 
 def test_the_order_of_members_changes_names_alone(vehicles: list[trimesh.Trimesh]) -> None:
     order = np.random.default_rng(0).permutation(30)
-    one = measures(Given(tuple(vehicles[:30])))
-    other = measures(Given(tuple(vehicles[index] for index in order)))
+    one = measures(Meshes(tuple(vehicles[:30])))
+    other = measures(Meshes(tuple(vehicles[index] for index in order)))
     for shape in vehicles[30:]:
         a, b = one.of(shape), other.of(shape)
         assert a.nearest is not None and b.nearest is not None
@@ -123,7 +123,7 @@ def test_the_order_of_members_changes_names_alone(vehicles: list[trimesh.Trimesh
 
 
 def test_the_prefilter_finds_the_member_that_brute_force_finds(vehicles: list[trimesh.Trimesh]) -> None:
-    found = reference(Given(tuple(vehicles)))
+    found = reference(Meshes(tuple(vehicles)))
     for number in range(len(vehicles)):
         shape = found.surface(number)
         exact = found.nearest(shape, left_out=number, candidates=len(found))
@@ -134,7 +134,7 @@ def test_the_prefilter_finds_the_member_that_brute_force_finds(vehicles: list[tr
 
 
 def test_the_same_shape_gives_the_same_numbers(vehicles: list[trimesh.Trimesh]) -> None:
-    source = Given(tuple(vehicles[:25]))
+    source = Meshes(tuple(vehicles[:25]))
     assert measures(source).of(vehicles[30]) == measures(source).of(vehicles[30].copy())
 
 

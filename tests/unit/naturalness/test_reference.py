@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from vehicles_by_hand import Given, legged, on_legs
+from vehicles_by_hand import Meshes, legged, on_legs
 
 from shift3d.errors import InputError
 from shift3d.naturalness.build import build_reference, load_reference, reference_file
@@ -124,7 +124,7 @@ def test_sizes_that_no_vehicle_has_are_refused_whatever_the_unit(tmp_path: Path)
             mesh.apply_scale(scale)
             meshes.append(mesh)
         with pytest.raises(InputError, match="20 of 20 members have sizes that no vehicle has") as failure:
-            build_reference(Given(tuple(meshes)), "naturalness")
+            build_reference(Meshes(tuple(meshes)), "naturalness")
         assert "length" in failure.value.remedy
 
 

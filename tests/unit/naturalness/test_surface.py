@@ -9,7 +9,7 @@ from vehicles_by_hand import box
 
 from shift3d.errors import InputError
 from shift3d.naturalness.surface import POINTS, Surface, surface_of_mesh, surface_of_points
-from shift3d.sdf.chamfer import distance_to_surface
+from shift3d.sdf.meshes import distance_to_surface
 from shift3d.vehicles.family.wide import build_wide_mesh, wide_vehicle
 
 
@@ -26,8 +26,8 @@ def test_a_longer_box_is_as_far_as_its_ends(metres: float) -> None:
     back = ends * metres / 2 / short.area
     a, b = surface_of_mesh(short), surface_of_mesh(long)
     # Discs reach beyond an edge by their radius: what lies less than that outside counts as on the surface.
-    slack = length * metres * min(metres / 2, a.disc_m) / long.area
-    assert out - slack - 2e-4 <= a.distances_to(b.points).mean() <= out + 2e-4
+    bound = length * metres * min(metres / 2, a.disc_m) / long.area
+    assert out - bound - 2e-4 <= a.distances_to(b.points).mean() <= out + 2e-4
     assert b.distances_to(a.points).mean() == pytest.approx(back, abs=2e-3)
 
 
@@ -39,14 +39,14 @@ def test_the_same_surface_is_at_distance_zero_and_another_triangulation_nearly()
 
 
 def test_distances_are_those_to_triangles_to_two_millimetres_or_three_percent() -> None:
-    """The plain twin: exact distances to the triangles of vehicles of the family."""
+    """The plain reference: exact distances to the triangles of vehicles of the family."""
     meshes = [build_wide_mesh(wide_vehicle(index, 3), 0.08) for index in (0, 5, 8, 12)]
     for first, second in zip(meshes, meshes[1:] + meshes[:1]):
         a, b = surface_of_mesh(first), surface_of_mesh(second)
-        standing = second.copy()
+        placed = second.copy()
         low, high = np.asarray(second.bounds)
-        standing.apply_translation(-np.array([*(low + high)[:2] / 2, low[2]]))
-        exact = distance_to_surface(a.points, standing)
+        placed.apply_translation(-np.array([*(low + high)[:2] / 2, low[2]]))
+        exact = distance_to_surface(a.points, placed)
         found = b.distances_to(a.points)
         assert found.mean() == pytest.approx(exact.mean(), abs=2e-3, rel=0.03)
         assert np.quantile(found, 0.95) == pytest.approx(np.quantile(exact, 0.95), abs=1e-2, rel=0.03)

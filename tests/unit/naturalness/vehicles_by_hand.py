@@ -37,7 +37,7 @@ def legged_boxes(clearance_m: float = 0.2, length_m: float = 4.5) -> list[tuple[
 
 
 @dataclass(frozen=True)
-class Given:
+class Meshes:
     """A source of these meshes."""
 
     meshes: tuple[trimesh.Trimesh, ...]
@@ -52,17 +52,17 @@ class Given:
         return [functools.partial(build, number) for number in range(len(self.meshes))]
 
 
-def legged(lengths: Iterable[float]) -> Given:
+def legged(lengths: Iterable[float]) -> Meshes:
     """Bodies on legs of these lengths, otherwise alike."""
-    return Given(tuple(on_legs(length_m=float(length)) for length in lengths))
+    return Meshes(tuple(on_legs(length_m=float(length)) for length in lengths))
 
 
-def reference(source: Given) -> ReferenceSet:
+def reference(source: Meshes) -> ReferenceSet:
     members, calibration = build_reference(source, "given")
     numbered = [member.surface() for member in members]
     prints = np.stack([member.fingerprint for member in members])
     return ReferenceSet([member.name for member in members], prints, numbered.__getitem__, calibration)
 
 
-def measures(source: Given) -> Naturalness:
+def measures(source: Meshes) -> Naturalness:
     return Naturalness(reference(source))

@@ -1,4 +1,4 @@
-"""Overlap, contact, settling, and the ground under an object."""
+"""Overlap, contact, snapping to the ground, and the ground under an object."""
 
 import math
 

@@ -11,8 +11,8 @@ from torch import Tensor
 from shift3d.render.culling import Rays
 from shift3d.render.field.object_field import ObjectField
 from shift3d.render.settings import STANDARD, RenderSettings
-from shift3d.render.solvers.coverage import Coverage, cover
 from shift3d.render.solvers.ray_samples import RaySamples
+from shift3d.render.solvers.refinement import Refinement, refine
 from shift3d.render.solvers.sphere_tracing import trace
 
 FLOAT64 = STANDARD.with_(dtype=torch.float64)
@@ -40,24 +40,24 @@ def samples_at(rays: Rays, metric: Field, ranges: list[float] | Tensor) -> RaySa
     return RaySamples(rows, k, g, torch.zeros_like(g))
 
 
-def cold(rays: Rays, metric: Field, settings: RenderSettings = FLOAT64) -> Coverage:
-    """Coverage of rays of which nothing is known."""
+def cold(rays: Rays, metric: Field, settings: RenderSettings = FLOAT64) -> Refinement:
+    """Refinement of rays of which nothing is known."""
     field = field_of(metric)
     traced = trace(rays, field, settings)
     started = Rays(rays.index, rays.origins, rays.directions, traced.near_m, rays.far_m)
     nowhere = torch.full_like(rays.far_m, math.nan)
-    found = cover(traced.samples, started, nowhere, field, settings)
-    return Coverage(found.samples, found.brackets, found.undecided | traced.undecided, found.open)
+    found = refine(traced.samples, started, nowhere, field, settings)
+    return Refinement(found.samples, found.brackets, found.undecided | traced.undecided, found.open)
 
 
-def is_found(found: Coverage) -> Tensor:
+def is_found(found: Refinement) -> Tensor:
     """(M,) bool: on which rays a crossing came up."""
     mask = torch.zeros_like(found.open)
     mask[found.brackets.rows] = True
     return mask
 
 
-def crossings(found: Coverage, metric: Field, rays: Rays) -> Tensor:
+def crossings(found: Refinement, metric: Field, rays: Rays) -> Tensor:
     """(M,) where brackets enter, to a millimetre; infinite without one."""
     b, entry = found.brackets, torch.full_like(rays.far_m, torch.inf)
     assert len(set(b.rows.tolist())) == len(b.rows), "one crossing a ray"

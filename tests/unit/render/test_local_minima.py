@@ -1,4 +1,4 @@
-"""What lies between the samples of a ray is found where it dips to the surface, and taken for what it is."""
+"""What lies between the samples of a ray is found where it nears the surface, and taken for what it is."""
 
 import math
 
@@ -8,15 +8,15 @@ from straight_rays import FLOAT64, along_x, field_of, is_found, samples_at
 from torch import Tensor
 
 from shift3d.render.settings import RenderSettings
-from shift3d.render.solvers.coverage import Coverage, cover
+from shift3d.render.solvers.refinement import Refinement, refine
 
 RAY = along_x(0.0, start=0.0, length=10.0)
 
 
-def look(metric: Field, last: float = 8.0, hit_m: float = math.nan, settings: RenderSettings = FLOAT64) -> Coverage:
+def look(metric: Field, last: float = 8.0, hit_m: float = math.nan, settings: RenderSettings = FLOAT64) -> Refinement:
     """What comes of one ray along x that was sampled every 2 cm up to a place."""
     samples = samples_at(RAY, metric, [x / 50 for x in range(round(50 * last))])
-    return cover(samples, RAY, torch.full((1,), hit_m, dtype=torch.float64), field_of(metric), settings)
+    return refine(samples, RAY, torch.full((1,), hit_m, dtype=torch.float64), field_of(metric), settings)
 
 
 def valley(at: float, depth: float, slope: float = 0.3) -> Field:

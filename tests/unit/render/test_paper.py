@@ -1,4 +1,4 @@
-"""The fast renderer against its plain twin, on an analytic car and on a decoder as published."""
+"""The fast renderer against its plain reference, on an analytic car and on a decoder as published."""
 
 import copy
 from collections.abc import Callable
@@ -64,8 +64,8 @@ def published(real_data: Callable[[str], Path]) -> tuple[Field, Field, Frame]:
     code = codes[45]
     axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     frame = Frame((4.6, 1.9, 1.45), 2.43, axes, np.zeros(3))
-    twin = copy.deepcopy(decoder).double()
-    return decoder.field(code), twin.field(code.double()), frame
+    counterpart = copy.deepcopy(decoder).double()
+    return decoder.field(code), counterpart.field(code.double()), frame
 
 
 def test_on_a_published_decoder(published: tuple[Field, Field, Frame]) -> None:

@@ -73,8 +73,8 @@ def test_what_the_grid_tells_along_a_ray_is_so() -> None:
     g = torch.stack([metric(line) for line in x]).masked_fill(k > (rays.far_m - rays.near_m)[:, None], torch.inf)
     first = torch.where((g < 0).any(1), k[(g < 0).byte().argmax(1)], torch.inf)
     # Nothing hides between samples, and each is off by the error bound at most.
-    of, at, told = readings.samples()
-    assert float((told - metric(rays.at(at, of))).abs()[told < 0.09].max()) <= readings.error_m
+    of, at, values = readings.samples()
+    assert float((values - metric(rays.at(at, of))).abs()[values < 0.09].max()) <= readings.error_m
     rows, guess, slope = readings.crossings(STANDARD.approach_slope)
     assert len(rows) > 0.6 * torch.isfinite(first).sum()
     assert torch.isfinite(first[rows]).all()

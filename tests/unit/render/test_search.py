@@ -26,8 +26,8 @@ def test_the_same_again_costs_less_than_a_third() -> None:
     cold = render(beams, field, THETA, SHAPENET_FRAME, STANDARD)
     warm = render(beams, field, THETA, SHAPENET_FRAME, STANDARD, cold.warm)
     same(warm, cold)
-    # A hit is evaluated once, and once more where a dip or a shelf lies in front of it; 26 beams skim the surface by
-    # less than 3 mm on their way and are always marched, and their dips looked into.
+    # A hit is evaluated once, and once more where a local minimum or a ledge lies in front of it; 26 beams skim the
+    # surface by less than 3 mm on their way and are always marched, and their local minima searched.
     assert warm.evaluations * 3 < cold.evaluations
     assert warm.evaluations <= cold.object_points * 4.5
 

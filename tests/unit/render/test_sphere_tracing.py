@@ -1,4 +1,4 @@
-"""Sphere tracing: what must not be missed, what counts as a miss, and the plain twin of the default solver."""
+"""Sphere tracing: what must not be missed, what counts as a miss, and the plain reference of the default solver."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ from shift3d.errors import InputError
 from shift3d.render import Beams, Rendering, preset, render
 from shift3d.render.culling import object_rays
 from shift3d.render.settings import REFERENCE
-from shift3d.render.solvers.coverage import Coverage
+from shift3d.render.solvers.refinement import Refinement
 from shift3d.render.solvers.sphere_tracing import enter
 
 FRAME = Frame(scale_m=2.5)
@@ -22,7 +22,7 @@ PLAIN = FINE.with_(solver="plain_sphere_tracing")
 THETA = torch.tensor([12.0, 1.0, -0.5, 0.4, 0.0, 0.0], dtype=torch.float64)
 
 
-def march(metric: Field, offsets: Tensor, settings=FLOAT64, start: float = -5.0, length: float = 10.0) -> Coverage:  # type: ignore[no-untyped-def]
+def march(metric: Field, offsets: Tensor, settings=FLOAT64, start: float = -5.0, length: float = 10.0) -> Refinement:  # type: ignore[no-untyped-def]
     return cold(along_x(*offsets.tolist(), start=start, length=length), metric, settings)
 
 
@@ -44,7 +44,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_the_default_solver_and_its_plain_twin_agree(name: str, beams: Beams) -> None:
+def test_the_default_solver_and_its_plain_reference_agree(name: str, beams: Beams) -> None:
     plain, default = (drawn(beams, SHAPES[name], each) for each in (PLAIN, FINE))
     apart = (plain.hit_mask != default.hit_mask) | ((plain.range_m - default.range_m).abs() > 1e-5)
     assert default.object_points > 150 and int(apart.sum()) <= 0.01 * default.object_points
@@ -65,7 +65,7 @@ def test_a_sphere_is_hit_where_it_is(settings) -> None:  # type: ignore[no-untyp
     assert float((found.range_m - expected)[found.hit_mask].abs().max()) < 1e-7
 
 
-def test_finer_steps_of_the_plain_twin_miss_less_and_cost_more(beams: Beams) -> None:
+def test_finer_steps_of_the_plain_reference_miss_less_and_cost_more(beams: Beams) -> None:
     truth = drawn(beams, car(), FINE, step_m=0.002)
     missed, evaluations = [], []
     for step_m in (0.4, 0.1, 0.025):
@@ -108,7 +108,7 @@ def test_plates_of_two_centimetres_are_not_missed(thickness_m: float) -> None:
 
 
 def test_short_chords_through_a_sphere_are_mostly_found() -> None:
-    # Chord lengths uniform in 0..2 cm at the sphere's limb: only the dip test can find them.
+    # Chord lengths uniform in 0..2 cm at the sphere's limb: only the search for local minima can find them.
     chord = torch.linspace(0.0005, 0.02, 200).double()
     offsets = (1.0 - (chord / 2) ** 2).sqrt()
     found = is_found(march(sphere(1.0), offsets)).double().mean()
@@ -117,7 +117,7 @@ def test_short_chords_through_a_sphere_are_mostly_found() -> None:
 
 
 def test_a_short_chord_is_bracketed_where_it_begins() -> None:
-    # A dip that is found between two samples: the crossing wanted is the way in, not the way out.
+    # A local minimum that is found between two samples: the crossing wanted is the way in, not the way out.
     chord = torch.linspace(0.002, 0.02, 200).double()
     b = march(sphere(1.0), (1.0 - (chord / 2) ** 2).sqrt()).brackets
     entry, leave = (5.0 - chord / 2)[b.rows], (5.0 + chord / 2)[b.rows]

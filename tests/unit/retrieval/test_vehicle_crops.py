@@ -127,8 +127,8 @@ def test_a_street_knows_the_vehicles_behind_its_labels() -> None:
 def test_points_without_a_beam_are_no_points() -> None:
     scene = scene_of(seen(), BOX)
     nowhere = np.zeros((5, 3), np.float32)
-    silent = replace(
+    no_return = replace(
         scene, points=np.concatenate((scene.points, nowhere)), origins=np.zeros((len(scene.points) + 5, 3), np.float32)
     )
-    (crop,) = crop_vehicles(silent)
+    (crop,) = crop_vehicles(no_return)
     assert np.array_equal(crop.surface, only(seen()).surface)

@@ -44,9 +44,9 @@ def test_beams_are_those_that_were_cast(tmp_path: Path, width: type) -> None:
     for laser in range(64):
         rows = np.arange(laser, 64 * COLUMNS, 64)  # the file has column after column
         step = np.diff(np.unwrap(azimuth[rows]))
-        slack = (off[rows] / (reach[rows] * np.cos(up[rows])))[1:] * 2
-        assert (step < slack).all()
-        assert (np.abs(step + 2 * np.pi / COLUMNS) < 2 * slack + 1e-4).all()
+        bound = (off[rows] / (reach[rows] * np.cos(up[rows])))[1:] * 2
+        assert (step < bound).all()
+        assert (np.abs(step + 2 * np.pi / COLUMNS) < 2 * bound + 1e-4).all()
         assert np.abs(up[rows] - np.median(up[rows])).max() < (off[rows] / reach[rows]).max() * 2
 
 
@@ -183,7 +183,7 @@ def test_real_beams_turn_clockwise_and_keep_their_elevation(real_data: Callable[
     log, _, timestamp = name.rpartition("-")
     laser = feather.read_table(root / log / "sensors" / "lidar" / f"{timestamp}.feather")["laser_number"].to_numpy()
     reach, azimuth, up = beams(scene)
-    slack = jitter_m(scene) / (reach * np.cos(up))
+    bound = jitter_m(scene) / (reach * np.cos(up))
     far, spreads = reach > 5.0, []
     for number in np.unique(laser):
         rows = np.flatnonzero((laser == number) & far)
@@ -191,7 +191,7 @@ def test_real_beams_turn_clockwise_and_keep_their_elevation(real_data: Callable[
             continue
         rows = rows[np.argsort(scene.time_s[rows], kind="stable")]
         step = np.mod(np.diff(azimuth[rows]) + np.pi, 2 * np.pi) - np.pi
-        assert (step <= slack[rows][1:] + slack[rows][:-1]).all()
+        assert (step <= bound[rows][1:] + bound[rows][:-1]).all()
         spreads.append(np.ptp(np.percentile(up[rows], (25, 75))))
     assert np.degrees(np.median(spreads)) < 0.12  # 0.22 where the two LiDARs change places
 

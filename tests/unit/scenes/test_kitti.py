@@ -10,7 +10,7 @@ import pytest
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.scenes.ground_height import estimate_ground_z
+from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.kitti import KittiScenes
 from shift3d.scenes.kitti_files import Calibration, lidar_box, read_labels
 

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from shift3d.effects.applicability import NEEDS, choose
-from shift3d.effects.detector_facts import DetectorFacts
+from shift3d.effects.base import DetectorFacts
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.options import StreetOptions
 
 READER = DetectorFacts("a reader", reads_reflectance=True)
-SAID = (
+STATED = (
     EffectSettings(),
     EffectSettings(object_speed_m_s=8.0),
     EffectSettings(visibility_m=60.0, range_noise_m=0.02),
@@ -35,8 +35,8 @@ class AnyVehicle:
     """Effects ask nothing of it."""
 
 
-def decided(facts: SceneFacts, said: EffectSettings) -> list[tuple[str, bool]]:
-    choices = choose("auto", facts.described(said), AnyVehicle(), READER)  # type: ignore[arg-type]
+def decided(facts: SceneFacts, overrides: EffectSettings) -> list[tuple[str, bool]]:
+    choices = choose("auto", facts.described(overrides), AnyVehicle(), READER)  # type: ignore[arg-type]
     return [(choice.effect, choice.used) for choice in choices]
 
 
@@ -56,7 +56,7 @@ def test_the_configuration_decides_as_the_made_scene_does(seed: int, options: di
         assert replace(facts, no_return_beams=0, scan_s=0.0) == replace(seen, no_return_beams=0, scan_s=0.0)
         for name, need in NEEDS.items():
             assert need.present(facts) == need.present(seen), name
-        for said in SAID:
-            if said.given().keys() & {"visibility_m", "rain_mm_h"} and made.conditions.weather != "dry":
+        for overrides in STATED:
+            if overrides.overrides().keys() & {"visibility_m", "rain_mm_h"} and made.conditions.weather != "dry":
                 continue
-            assert decided(facts, said) == decided(seen, said)
+            assert decided(facts, overrides) == decided(seen, overrides)

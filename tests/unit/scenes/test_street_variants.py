@@ -96,19 +96,19 @@ def test_weather_is_stated_as_not_yet_in_the_points() -> None:
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_every_beam_is_a_point_or_silent(sensor: str) -> None:
+def test_every_beam_is_a_point_or_without_a_return(sensor: str) -> None:
     made = scene(sensor, range_image=True)
-    table, silent, pixel = SENSORS[sensor], made.no_return, made.range_image_index
-    assert silent is not None and pixel is not None and silent.time_s is not None
+    table, no_returns, pixel = SENSORS[sensor], made.no_return, made.range_image_index
+    assert no_returns is not None and pixel is not None and no_returns.time_s is not None
     count = len(table.elevations_rad) * table.columns
-    assert len(silent) + len(made.points) == count
-    row = np.abs(np.arcsin(silent.directions[:, 2])[:, None] - np.array(table.elevations_rad)).argmin(axis=1)
-    azimuth = np.arctan2(silent.directions[:, 1], silent.directions[:, 0])
+    assert len(no_returns) + len(made.points) == count
+    row = np.abs(np.arcsin(no_returns.directions[:, 2])[:, None] - np.array(table.elevations_rad)).argmin(axis=1)
+    azimuth = np.arctan2(no_returns.directions[:, 1], no_returns.directions[:, 0])
     column = np.abs(azimuth[:, None] - table.azimuths_rad()[None]).argmin(axis=1)
     cells = np.concatenate((row * table.columns + column, pixel[:, 0] * table.columns + pixel[:, 1]))
     np.testing.assert_array_equal(np.sort(cells), np.arange(count))
-    np.testing.assert_allclose(silent.time_s, column * (table.turn_s / table.columns), atol=1e-7)
-    assert not silent.origins.any()
+    np.testing.assert_allclose(no_returns.time_s, column * (table.turn_s / table.columns), atol=1e-7)
+    assert not no_returns.origins.any()
 
 
 @pytest.mark.parametrize("sensor", SENSORS)

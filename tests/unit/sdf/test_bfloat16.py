@@ -7,7 +7,7 @@ from analytic_fields import Frame, sector_scan
 
 from shift3d.render import Beams, preset, render
 from shift3d.render.field.object_field import ObjectField
-from shift3d.sdf.bfloat16 import bfloat16_twin
+from shift3d.sdf.bfloat16 import bfloat16_copy
 from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
 from shift3d.sdf.field import Field
 
@@ -77,8 +77,8 @@ def test_the_same_hits_with_and_without(shipped: tuple[Field, Frame]) -> None:
     assert float((fine.range_m - coarse.range_m)[both].abs().quantile(0.98)) < 1e-3
 
 
-def test_only_float32_decoders_have_a_bfloat16_twin() -> None:
+def test_only_float32_decoders_have_a_bfloat16_copy() -> None:
     field = Decoder().folded().double().field(torch.zeros(256, dtype=torch.float64))
-    assert bfloat16_twin(field, torch.float64) is None
-    assert bfloat16_twin(lambda x: x[:, 0], torch.float32) is None
+    assert bfloat16_copy(field, torch.float64) is None
+    assert bfloat16_copy(lambda x: x[:, 0], torch.float32) is None
     assert np.isfinite(preset("reference").bfloat16_band_m) and preset("reference").bfloat16_band_m == 0.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from shift3d.sdf.chamfer import distance_to_surface, symmetric_chamfer
+from shift3d.sdf.meshes import distance_to_surface, symmetric_chamfer
 from shift3d.seeding import generator
 
 

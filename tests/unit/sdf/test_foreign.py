@@ -37,7 +37,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 class Original(nn.Module):
-    """The published network as its code runs it, written here anew and plainly: layer by layer on (z, x)."""
+    """The published network as its code runs it, written plainly: layer by layer on (z, x)."""
 
     def __init__(self, network: dict[str, Any]) -> None:
         super().__init__()
@@ -104,8 +104,8 @@ def test_values_are_the_original_networks(tmp_path: Path, variant: str) -> None:
         assert expected.std() > 0.01
         assert decoder(entry[:, :CODE], x).sub(expected).abs().max() <= 1e-7
         assert decoder.field(codes[2])(x).sub(expected).abs().max() <= 1e-6
-        twin = decoder.double().field(codes[2].double())(x.double())
-        assert twin.sub(model.double()(entry.double())).abs().max() < 1e-7  # float32 in the folding alone
+        counterpart = decoder.double().field(codes[2].double())(x.double())
+        assert counterpart.sub(model.double()(entry.double())).abs().max() < 1e-7  # float32 in the folding alone
 
 
 @pytest.mark.parametrize("variant", ["published", "layer norm", "point in all and a skip"])

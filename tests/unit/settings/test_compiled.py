@@ -19,7 +19,7 @@ from shift3d.task.asset_files import named_files
 from shift3d.task.spec import AssetsSpec
 
 
-def asked(search: str = "evolution", **detector: Any) -> Config:
+def configured(search: str = "evolution", **detector: Any) -> Config:
     values = valid_settings.settings()
     values["detector"] = {"name": "onnx", "scored_by": [], "other_weights": {}, "file": "mine.onnx", **detector}
     values["attack"]["search"] = search
@@ -29,17 +29,17 @@ def asked(search: str = "evolution", **detector: Any) -> Config:
 @pytest.mark.parametrize("search", ["descent", "expectation"])
 def test_a_search_with_gradients_is_refused_with_the_remedy(search: str) -> None:
     with pytest.raises(InputError, match=rf"search={search} follows a gradient.*attack\.search=evolution, or random"):
-        require_score_only(asked(search))
+        require_score_only(configured(search))
 
 
 @pytest.mark.parametrize("search", ["evolution", "random"])
 def test_a_search_by_scores_is_taken(search: str) -> None:
-    require_score_only(asked(search))
-    assert asked(search).detector.weights_by_name() == {"onnx": "mine.onnx"}
+    require_score_only(configured(search))
+    assert configured(search).detector.weights_by_name() == {"onnx": "mine.onnx"}
 
 
 def test_beside_another_detector_any_search_goes() -> None:
-    config = asked("descent", name="pointpillars", scored_by=["onnx"])
+    config = configured("descent", name="pointpillars", scored_by=["onnx"])
     require_score_only(config)
     assert config.detector.weights_by_name() == {"pointpillars": None, "onnx": "mine.onnx"}
 
@@ -56,7 +56,7 @@ def test_beside_another_detector_any_search_goes() -> None:
 )
 def test_settings_that_do_not_go_together(detector: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says):
-        asked(**detector)
+        configured(**detector)
 
 
 def compiled(folder: Path, bias: float, **more: Any) -> DetectorConfig:
@@ -88,8 +88,8 @@ def test_the_file_travels_to_workers(tmp_path: Path) -> None:
 def test_scores_are_held_against_the_original(tmp_path: Path) -> None:
     streets = StreetScenes("hdl64", count=2)
     original = {"original": "own", "module": str(tmp_path / "own.py")}
-    said = compare_with_original(compiled(tmp_path, 0.0, **original), streets, streets.names())
-    assert "scores are those of own within" in said and "in 2 scenes" in said
+    message = compare_with_original(compiled(tmp_path, 0.0, **original), streets, streets.names())
+    assert "scores are those of own within" in message and "in 2 scenes" in message
     with pytest.raises(
         InputError, match=r"mine0\.1\.onnx: its score differs from own's by 0\.02.* in street-test-hdl64"
     ):

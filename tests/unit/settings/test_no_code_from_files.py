@@ -31,13 +31,13 @@ def findings(source: str) -> Iterator[str]:
 
 
 def _of_call(node: ast.Call) -> Iterator[str]:
-    said = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+    passed = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
     match node.func:
         case ast.Name(id=name) if name in BUILTINS:
             yield f"calls {name}"
-        case ast.Attribute(value=ast.Name(id="torch"), attr="load") if said.get("weights_only") != "True":
+        case ast.Attribute(value=ast.Name(id="torch"), attr="load") if passed.get("weights_only") != "True":
             yield "torch.load without weights_only=True"
-        case ast.Attribute(value=ast.Name(id="np"), attr="load") if said.get("allow_pickle", "False") != "False":
+        case ast.Attribute(value=ast.Name(id="np"), attr="load") if passed.get("allow_pickle", "False") != "False":
             yield "np.load with pickles"
         case ast.Attribute(value=ast.Name(id="yaml"), attr=name) if name in YAML:
             yield f"yaml.{name}"

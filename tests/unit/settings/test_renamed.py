@@ -64,8 +64,8 @@ def test_what_is_gone_says_why_and_a_solver_what_it_is_called(render: dict[str, 
 )
 def test_the_command_says_it_in_one_line(override: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "smoke", override]) == 2
-    told = capsys.readouterr().err
-    assert message in told and told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert message in printed and printed.count("\n") == 1
 
 
 def task(accuracy: str, **settings: Any) -> TaskSpec:

@@ -94,7 +94,7 @@ def test_a_bucket_that_does_not_exist(endpoint: str) -> None:
         ((403, "InvalidAccessKeyId"), "credentials are refused"),
         ((403, "SignatureDoesNotMatch"), "credentials are refused"),
         ((403, "AccessDenied"), "may not do this"),
-        ((503, "SlowDown"), "does not answer now"),
+        ((503, "SlowDown"), "does not answer"),
         ((501, "NotImplemented"), "only if it is absent"),
     ],
 )

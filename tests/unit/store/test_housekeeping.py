@@ -26,7 +26,7 @@ TASKS = ("a", "b", "c", "d")
 
 @pytest.fixture(params=["folder", "bucket"])
 def sweep(request: pytest.FixtureRequest, tmp_path: Path) -> Location:
-    """Two drivers' work: a, b by the first one; c, d by the second; d was given up on before, e still is."""
+    """Two drivers' work: a, b by the first one; c, d by the second; d was quarantined at first, e still is."""
     where = tmp_path / "sweep"
     if request.param == "bucket":
         where = f"s3://{new_bucket(request.getfixturevalue('endpoint'))}/sweep"
@@ -54,8 +54,8 @@ def what_counts(folder: Location) -> Any:
     entries = read_log(folder)
     rows = {name: committed_rows(folder, entries, name).to_pylist() for name in ("timings", "attempts", "scores")}
     done = [task for entry in entries for task in entry.done]
-    given_up = {task for entry in entries for task in entry.quarantined} - set(done)
-    return rows, done, given_up
+    abandoned = {task for entry in entries for task in entry.quarantined} - set(done)
+    return rows, done, abandoned
 
 
 def test_compact_keeps_what_counts_in_its_order(sweep: Location) -> None:

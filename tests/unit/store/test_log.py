@@ -25,7 +25,7 @@ def test_what_is_committed_is_read_back(tmp_path: Path) -> None:
     assert read_table(tmp_path / "data" / name, "timings").to_pylist() == [TIMING]
     again = CommitLog(tmp_path, "spec")
     assert again.done() == {"a", "b"}
-    assert again.quarantined() == set(), "a task that succeeds later is no longer given up on"
+    assert again.quarantined() == set(), "a task that succeeds later is not quarantined"
 
 
 def test_the_older_of_two_drivers_is_stopped_and_its_rows_do_not_count(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from shift3d.settings.catalogue import read_catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table, table_from_rows, write_table
+from shift3d.suite import freezing
 from shift3d.suite.choosing import Choice, choose_solutions
 from shift3d.suite.freezing import Frozen, freeze_suite
 from shift3d.suite.frozen import manifest_bytes, read_suite
@@ -22,6 +23,7 @@ from shift3d.sweep.execution.worker import completed_rows
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.run import load_assets, run_task
+from shift3d.task.scoring import score_box
 
 WORDS = ["vehicle=suv", "mode=shape,pose", "attack.steps=1", "attack.noise_replicates=1", "naturalness=none"]
 
@@ -29,8 +31,12 @@ WORDS = ["vehicle=suv", "mode=shape,pose", "attack.steps=1", "attack.noise_repli
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A real sweep of a shape and a pose task with shipped weights; as its final tables hold it."""
-    folder = tmp_path_factory.mktemp("sweep")
-    plan = make_plan(compose_sweep("smoke", WORDS), read_catalogue)[0]
+    return swept(tmp_path_factory.mktemp("sweep"), WORDS)
+
+
+def swept(folder: Path, words: list[str]) -> Path:
+    """The folder of a finished sweep."""
+    plan = make_plan(compose_sweep("smoke", words), read_catalogue)[0]
     open_folder(folder, plan)
     assets = load_assets(plan.assets[0])
     found = [completed_rows(task.spec, plan.sweep, run_task(task.spec, assets)) for task in plan.tasks]
@@ -70,6 +76,33 @@ def test_the_same_call_writes_nothing_again_and_another_one_is_refused(frozen: F
         freeze_suite(sweep, to, Choice(count=1))
     with pytest.raises(InputError, match="not empty"):
         freeze_suite(sweep, sweep, Choice())
+
+
+class Killed(BaseException):
+    """Ends a freezing as a signal does."""
+
+
+def test_a_killed_freezing_goes_on_with_the_scenes_that_it_finished_to_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["vehicle=suv", "mode=pose", "scenes.count=2", "attack.steps=1", "naturalness=none"]
+    sweep = swept(tmp_path / "sweep", words)
+    whole = freeze_suite(sweep, tmp_path / "whole", Choice())
+    scored = []
+
+    def last_scene_is_killed(*arguments: object) -> object:
+        scored.append(1)
+        if len(scored) == 4:  # the second of two objects of the second scene
+            raise Killed
+        return score_box(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(freezing, "score_box", last_scene_is_killed)
+    with pytest.raises(Killed):
+        freeze_suite(sweep, tmp_path / "killed", Choice())
+    resumed = freeze_suite(sweep, tmp_path / "killed", Choice())
+    assert len(scored) == 4 + 2, "the first scene's objects are not scored again"
+    assert resumed.suite.digest == whole.suite.digest
+    assert tree(tmp_path / "killed") == tree(tmp_path / "whole")
 
 
 def test_referenced_frames_are_made_again_and_must_be_the_same(frozen: Frozen, sweep: Path, tmp_path: Path) -> None:
@@ -123,6 +156,11 @@ def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> No
     write_table(tmp_path / "scores.parquet", table_from_rows("scores", rows[-1:]))
     with pytest.raises(InputError, match="no adversarial object can be frozen: 1 without a score"):
         choose_solutions(as_location(tmp_path), Choice())
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def _plain(value: object) -> object:

@@ -60,18 +60,21 @@ def test_an_effect_without_data_is_refused_with_what_would_supply_it() -> None:
 
 def test_settings_of_effects_as_an_axis_and_a_task_that_two_of_them_share() -> None:
     plan = plan_of("effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25")
-    asked = {(task.spec.scene, task.spec.effects): task.effects_requested for task in plan.tasks}
-    assert asked["south", ()] == ("none",) and asked["south", ("rain", "range_noise")] == ("auto", "rain+range_noise")
+    requested = {(task.spec.scene, task.spec.effects): task.effects_requested for task in plan.tasks}
+    assert requested["south", ()] == ("none",) and requested["south", ("rain", "range_noise")] == (
+        "auto",
+        "rain+range_noise",
+    )
 
 
 def test_scenes_are_asked_once_a_vehicle() -> None:
-    asked: list[str] = []
+    requested: list[str] = []
 
     def counting(config: Config) -> Catalogue:
-        return dataclasses.replace(one_foggy(config), frame_of=lambda name: asked.append(name))
+        return dataclasses.replace(one_foggy(config), frame_of=lambda name: requested.append(name))
 
     plan_of("attack.lambda=1,10", "attack.alpha=0.01,0.02", of=counting)
-    assert len(asked) == 1  # neither a scene each nor a combination of settings each
+    assert len(requested) == 1  # neither a scene each nor a combination of settings each
 
 
 def test_a_misspelt_effect_is_told_the_nearest_and_nothing_internal() -> None:

@@ -11,7 +11,7 @@ from by_hand import catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.log import CommitLog
 from shift3d.store.resolve import as_location
-from shift3d.sweep.execution.order import cheapest_first
+from shift3d.sweep.drive import cheapest_first
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.sweep.planning.tasks import Tasks

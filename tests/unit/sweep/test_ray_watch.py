@@ -12,30 +12,32 @@ from shift3d.sweep.execution.ray.watch import Watch
 from shift3d.sweep.execution.ray.worker_pool import PooledWorker
 
 
-class SilentRay:
+class UnansweringRay:
     """A cluster on which no question gets its answer: the machine is overloaded, or gone and Ray does not know."""
 
     def wait(self, references: list[Any], timeout: float) -> tuple[list[Any], list[Any]]:
         return [], references
 
 
-def asked(seconds_ago: float, positions: list[int]) -> Call:
+def questioned(seconds_ago: float, positions: list[int]) -> Call:
     now = time.monotonic()
-    return Call("call", PooledWorker(None), positions, 1, began=now - 60, question="question", asked=now - seconds_ago)
+    return Call(
+        "call", PooledWorker(None), positions, 1, began=now - 60, question="question", questioned_at=now - seconds_ago
+    )
 
 
 def test_a_question_may_take_a_while() -> None:
-    assert Watch(SilentRay(), timeout_s=1.0).hanging([asked(10.0, [7])]) == []
+    assert Watch(UnansweringRay(), timeout_s=1.0).hanging([questioned(10.0, [7])]) == []
 
 
 @pytest.mark.parametrize(("positions", "culprit"), [([7], 7), ([7, 8], None)])
 def test_a_worker_that_nobody_sees_has_hung_and_one_of_several_tasks_is_not_singled_out(
     positions: list[int], culprit: int | None
 ) -> None:
-    (hang,) = Watch(SilentRay(), timeout_s=1.0).hanging([asked(21.0, positions)])
+    (hang,) = Watch(UnansweringRay(), timeout_s=1.0).hanging([questioned(21.0, positions)])
     assert hang.position == culprit
     assert hang.failure.kind == "timeout" and "nobody could see where the worker is" in hang.failure.what
 
 
 def test_without_a_time_limit_nothing_hangs() -> None:
-    assert Watch(SilentRay(), timeout_s=None).hanging([asked(1e6, [7])]) == []
+    assert Watch(UnansweringRay(), timeout_s=None).hanging([questioned(1e6, [7])]) == []

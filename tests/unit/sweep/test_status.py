@@ -38,28 +38,30 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "sweep"
 
 
-def said(folder: Path) -> str:
+def message(folder: Path) -> str:
     return status_lines(read_status(folder))
 
 
 def test_a_finished_sweep(folder: Path) -> None:
-    assert "2 of 2 tasks done (100%), 0 quarantined, 0 left, 2 commits" in said(folder) and ": finished" in said(folder)
+    assert "2 of 2 tasks done (100%), 0 quarantined, 0 left, 2 commits" in message(folder) and ": finished" in message(
+        folder
+    )
 
 
 def test_a_finished_sweep_that_is_run_again_is_finished(folder: Path) -> None:
     run_sweep(valid_sweeps.plan(), LOCAL, TaskKind(not_wanted, not_wanted, not_wanted), folder)  # type: ignore[arg-type]
-    assert ": finished" in said(folder) and "2 commits" in said(folder)
-    assert f"driver {CommitLog(folder, HASH).entries[-2].driver}" in said(folder), "the last one says it"
+    assert ": finished" in message(folder) and "2 commits" in message(folder)
+    assert f"driver {CommitLog(folder, HASH).entries[-2].driver}" in message(folder), "the last one says it"
 
 
 def test_a_finished_sweep_whose_last_driver_said_nothing_is_finished(folder: Path) -> None:
     CommitLog(folder, HASH)
-    assert ": finished" in said(folder) and "taken over" not in said(folder)
+    assert ": finished" in message(folder) and "taken over" not in message(folder)
 
 
 def test_a_compacted_sweep_is_finished_and_says_what_became_of_its_commits(folder: Path) -> None:
     compact(folder)
-    assert ": finished" in said(folder) and said(folder).splitlines()[0].endswith("0 left, log compacted")
+    assert ": finished" in message(folder) and message(folder).splitlines()[0].endswith("0 left, log compacted")
 
 
 def unfinished(folder: Path, state: str) -> CommitLog:
@@ -75,20 +77,20 @@ def unfinished(folder: Path, state: str) -> CommitLog:
 def test_an_unfinished_sweep_that_was_compacted_is_what_its_driver_said(tmp_path: Path) -> None:
     unfinished(tmp_path, "interrupted")
     compact(tmp_path)
-    assert "1 left, log compacted" in said(tmp_path) and ": interrupted" in said(tmp_path)
+    assert "1 left, log compacted" in message(tmp_path) and ": interrupted" in message(tmp_path)
 
 
 def test_another_driver_takes_an_unfinished_sweep_over(tmp_path: Path) -> None:
     unfinished(tmp_path, "running")
     other = CommitLog(tmp_path, HASH)
-    assert f"taken over by driver {other.driver}" in said(tmp_path)
+    assert f"taken over by driver {other.driver}" in message(tmp_path)
 
 
 def test_a_driver_speaks_before_its_first_task(tmp_path: Path) -> None:
     unfinished(tmp_path, "interrupted")
     with pytest.raises(InputError, match="no weights"):
         run_sweep(valid_sweeps.plan(), LOCAL, TaskKind(not_wanted, unloadable, not_wanted), tmp_path)  # type: ignore[arg-type]
-    assert ": stopped" in said(tmp_path)
+    assert ": stopped" in message(tmp_path)
 
 
 def test_it_is_polled_and_imports_nothing_heavy(folder: Path) -> None:

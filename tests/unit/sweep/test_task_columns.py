@@ -72,7 +72,7 @@ def test_a_task_that_is_asked_for_again_stands_once_at_its_first_place() -> None
     rng = np.random.default_rng(1)
     first, second = random_spec(rng), random_spec(rng)
     planned = [(first, "auto"), (second, "none"), (first, "none"), (second, "none"), (first, "auto")]
-    tasks = tasks_of(PlannedTask(spec, index, (asked,)) for index, (spec, asked) in enumerate(planned))
+    tasks = tasks_of(PlannedTask(spec, index, (requested,)) for index, (spec, requested) in enumerate(planned))
     assert list(tasks) == [PlannedTask(first, 0, ("auto", "none")), PlannedTask(second, 1, ("none",))]
     assert tasks.effects_requested_of([second.task_id, first.task_id, "no task"]) == [["none"], ["auto", "none"], []]
 

@@ -140,9 +140,13 @@ def test_a_ground_file_that_is_none_is_refused(exported: tuple[Path, Row, Row], 
 
     shutil.copytree(exported[0] / "kitti", tmp_path / "kitti")
     path = tmp_path / "kitti" / "training" / "ground" / f"{FRAME}.txt"
-    for text, said in (("-1.7 -1.6", "2 numbers, one height"), ("low", "not a finite number"), ("1e9", "one height")):
+    for text, printed in (
+        ("-1.7 -1.6", "2 numbers, one height"),
+        ("low", "not a finite number"),
+        ("1e9", "one height"),
+    ):
         path.write_text(text)
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=printed):
             KittiScenes(tmp_path / "kitti").load(FRAME)
     path.unlink()
     assert abs(KittiScenes(tmp_path / "kitti").load(FRAME).ground_z_m + 1.73) < 0.35  # estimated, as KITTI's own
@@ -165,7 +169,7 @@ def test_an_export_is_not_replaced_without_a_word(
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     words = ["export", str(tmp_path), f"task={valid_sweeps.plan().tasks[0].spec.task_id}", "method=adversarial"]
     assert main([*words, f"to={folder}"]) == 2
-    assert "scene.bin is there already" in (said := capsys.readouterr().err) and "overwrite=true" in said
+    assert "scene.bin is there already" in (printed := capsys.readouterr().err) and "overwrite=true" in printed
     assert main([*words, f"to={folder}", "overwrite=yes"]) == 2
     assert "neither true nor false" in capsys.readouterr().err
     assert before == {path: path.read_bytes() for path in before}

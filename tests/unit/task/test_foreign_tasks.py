@@ -5,44 +5,75 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
-from foreign_cases import CASES, far
-from short_tasks import STREET, make_spec
+from foreign_ports import PORTS
+from short_tasks import SHORT, STREET, make_spec
 
 from shift3d.detectors.foreign.detector import foreign_layout
 from shift3d.errors import InputError
-from shift3d.settings.catalogue import detector_hash
+from shift3d.settings.catalogue import accuracy_settings, detector_hash
+from shift3d.settings.schema import AccuracyConfig
 from shift3d.task.asset_files import NamedFiles, named_files
-from shift3d.task.assets import load_assets
+from shift3d.task.assets import Assets, load_assets
 from shift3d.task.run import run_task
 from shift3d.task.spec import AssetsSpec
 
-
-def sent(folder: Path) -> AssetsSpec:
-    config, weights = far(CASES["mmdet3d-centerpoint"], folder)
-    layout = foreign_layout("mmdet3d", config)
-    config.unlink()  # a worker has none
-    return AssetsSpec(
-        scenes=STREET,
-        detectors={"mmdet3d": str(weights)},
-        hashes={"mmdet3d": detector_hash("mmdet3d", str(weights), None, layout)},
-        layouts={"mmdet3d": json.loads(json.dumps(layout))},
-    )
+CODEBASES = ("openpcdet", "mmdet3d")
 
 
-def test_a_task_runs_on_what_a_worker_is_sent(tmp_path: Path) -> None:
-    spec = sent(tmp_path)
-    assert named_files(spec) == (NamedFiles(str(tmp_path), ("model.pth",)),)
-    task = make_spec(detector="mmdet3d", scored_by=("mmdet3d",))
-    result = run_task(task, load_assets(spec))
-    assert {row["scored_by"] for row in result.scores} == {"mmdet3d"}
-    assert {"baseline", "adversarial"} <= {row["method"] for row in result.scores}
-    assert all(row["status"] == "ok" and 0.0 <= row["score"] <= 1.0 for row in result.scores)
+@pytest.fixture(scope="module")
+def sent(tmp_path_factory: pytest.TempPathFactory) -> AssetsSpec:
+    """What a worker is sent: PointPillars in both codebases' layouts, and as it ships."""
+    files, layouts = {}, {}
+    for codebase in CODEBASES:
+        port = PORTS[f"{codebase}-pointpillars"]
+        config, weights = port.saved(tmp_path_factory.mktemp(codebase))
+        layouts[codebase] = json.loads(json.dumps(foreign_layout(codebase, config, port.choices)))
+        config.unlink()  # a worker has none
+        files[codebase] = str(weights)
+    hashes = {name: detector_hash(name, files[name], None, layouts[name]) for name in CODEBASES}
+    return AssetsSpec(scenes=STREET, detectors={**files, "pointpillars": None}, hashes=hashes, layouts=layouts)
 
 
-def test_another_layout_than_planned_is_refused(tmp_path: Path) -> None:
-    spec = sent(tmp_path)
-    layout = dict(spec.layouts["mmdet3d"]) | {"suppression_iou": 0.5}
+@pytest.fixture(scope="module")
+def assets(sent: AssetsSpec) -> Assets:
+    return load_assets(sent)
+
+
+def attacked(detector: str, assets: Assets) -> dict[str, dict[str, Any]]:
+    """The rows of a short attack, by method."""
+    attack = dataclasses.replace(SHORT, noise_replicates=0, random_replicates=0)
+    accuracy = accuracy_settings(AccuracyConfig(name="standard", render={"sdf_grid": False}))
+    task = make_spec(detector=detector, scored_by=(detector,), attack=attack, accuracy_settings=accuracy)
+    return {row["method"]: row for row in run_task(task, assets).scores}
+
+
+@pytest.fixture(scope="module")
+def shipped(assets: Assets) -> dict[str, dict[str, Any]]:
+    return attacked("pointpillars", assets)
+
+
+@pytest.mark.parametrize("codebase", CODEBASES)
+def test_an_attack_on_it_is_the_attack_on_the_shipped_one(
+    codebase: str, assets: Assets, shipped: dict[str, dict[str, Any]]
+) -> None:
+    found = attacked(codebase, assets)
+    assert set(found) == {"baseline", "adversarial"}
+    assert {row["scored_by"] for row in found.values()} == {codebase}
+    assert found["adversarial"]["adversarial_loss"] < 0.95 * found["baseline"]["adversarial_loss"]
+    for method, row in found.items():
+        for column in ("score", "adversarial_loss", "latent_distance"):
+            assert row[column] == pytest.approx(shipped[method][column], rel=1e-4, abs=1e-4)
+
+
+def test_checkpoints_travel_and_configs_do_not(sent: AssetsSpec) -> None:
+    wanted = {NamedFiles(str(Path(str(sent.detectors[name])).parent), ("port.pth",)) for name in CODEBASES}
+    assert set(named_files(sent)) == wanted
+
+
+def test_another_layout_than_planned_is_refused(sent: AssetsSpec) -> None:
+    layout = dict(sent.layouts["mmdet3d"]) | {"suppression_iou": 0.5}
     with pytest.raises(InputError, match="changed after the sweep was planned"):
-        load_assets(dataclasses.replace(spec, layouts={"mmdet3d": layout}))
+        load_assets(dataclasses.replace(sent, layouts={**sent.layouts, "mmdet3d": layout}))

@@ -43,7 +43,7 @@ def test_baseline_and_shape_are_scored_at_one_place_of_the_other_scene(moved: Ta
 def test_the_unchanged_shape_changes_no_score_anywhere(assets: Assets) -> None:
     code = torch.from_numpy(assets.vehicle(make_spec()).latent_code)
     (row,) = put_elsewhere(make_spec(transfer_scenes=TRANSFER), assets, code)
-    assert row["score"] == pytest.approx(row["score_baseline"], abs=0.02)  # settled again, by millimetres
+    assert row["score"] == pytest.approx(row["score_baseline"], abs=0.02)  # snapped to the ground again, by millimetres
 
 
 def test_transfers_are_beside_the_task_and_change_nothing_else(moved: TaskResult, shape: TaskResult) -> None:

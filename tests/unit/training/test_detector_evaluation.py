@@ -30,7 +30,7 @@ class _Known:
 
     def __init__(self, boxes: np.ndarray, scores: list[float]) -> None:
         self.boxes, self.scores = boxes, np.array(scores, dtype=float)
-        self.asked: list[tuple[torch.Tensor, BevWindow | None, float]] = []
+        self.requested: list[tuple[torch.Tensor, BevWindow | None, float]] = []
 
     def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
         raise NotImplementedError
@@ -45,7 +45,7 @@ class _Known:
         score_threshold: float = 0.1,
         iou_threshold: float = 0.25,
     ) -> Detections:
-        self.asked.append((points, window, score_threshold))
+        self.requested.append((points, window, score_threshold))
         return Detections(self.boxes, self.scores)
 
 
@@ -63,7 +63,7 @@ def test_a_frame_holds_vehicles_and_detections_in_the_scene_frame() -> None:
     assert frame.truth.boxes.tolist() == labels[[0, 1, 3]].tolist()  # not the pedestrian
     assert frame.truth.num_points.tolist() == [50, 5, 50] and frame.truth.counts.all()
     assert frame.truth.difficulty.tolist() == [-1] * 3
-    (points, window, score_threshold) = detector.asked[0]
+    (points, window, score_threshold) = detector.requested[0]
     assert window is None and score_threshold == 0.02  # the whole grid
     assert len(points) == 299 and points[:, 2].min() >= -1e-3  # only beams; the ground is at zero
 

@@ -159,8 +159,8 @@ def test_one_cycle_rises_and_falls() -> None:
     rates = [one_cycle(step, recipe)[0] for step in range(100)]
     assert rates[0] == pytest.approx(1e-4) and max(rates) == pytest.approx(1e-3) and rates[-1] < 1e-5
     assert int(np.argmax(rates)) == 30
-    settling = [one_cycle(step, recipe)[0] for step in range(100, recipe.all_steps)]
-    assert settling[0] == recipe.settle_rate and settling == sorted(settling, reverse=True) and settling[-1] < 1e-7
+    last = [one_cycle(step, recipe)[0] for step in range(100, recipe.all_steps)]
+    assert last[0] == recipe.settle_rate and last == sorted(last, reverse=True) and last[-1] < 1e-7
 
 
 def test_a_curve_is_told_by_the_means_of_its_stretches() -> None:
@@ -190,9 +190,9 @@ def test_the_last_steps_settle_the_heads_on_statistics_of_inference(tmp_path: Pa
     """The class head too: what is attacked is what was trained. Encoder and backbone keep their weights."""
     mesh = cache_scenes(tmp_path / "mesh", ["0", "1"], _scene)
     start = train_on_scenes(tmp_path / "a", TINY, mesh, stop_after=TINY.steps).state_dict()
-    settled = train_on_scenes(tmp_path / "a", TINY, mesh)
-    assert all(part.requires_grad for part in settled.parameters())
-    changed = {name for name, tensor in settled.state_dict().items() if not torch.equal(tensor, start[name])}
+    tuned = train_on_scenes(tmp_path / "a", TINY, mesh)
+    assert all(part.requires_grad for part in tuned.parameters())
+    changed = {name for name, tensor in tuned.state_dict().items() if not torch.equal(tensor, start[name])}
     heads = {f"heads.{head}.{part}" for head in ("classes", "boxes", "directions") for part in ("weight", "bias")}
     statistics = {name for name in start if "running" in name or "num_batches" in name}
     assert changed == heads | statistics

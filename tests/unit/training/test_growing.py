@@ -1,4 +1,4 @@
-"""A network grown from a small one computes what that one does, and its twins part."""
+"""A network grown from a small one computes what that one does, and its duplicates part."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_without_its_new_layers_it_computes_what_the_small_one_does() -> None:
     assert 1e-4 < (whole - wanted).abs().max() < 0.5 * wanted.std()
 
 
-def test_twins_part_in_the_first_step() -> None:
+def test_duplicates_part_in_the_first_step() -> None:
     spec = doubled(SMALL, "sst")
     large = SstNet(spec).train()
     large.load_state_dict(grown(_trained(SMALL).state_dict(), SMALL, spec))

@@ -17,7 +17,7 @@ from shift3d.detectors.models.pointpillars import PointPillarsNet
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 from shift3d.training.detector import warm_start
-from shift3d.training.detector.batch_statistics import recompute_statistics
+from shift3d.training.detector.loop import recompute_statistics
 from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector.recipes import RECIPES, changed
 from shift3d.training.detector.train import export_weights

@@ -41,16 +41,16 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     next(begun)
     begun.close()
     (tmp_path / "small-0.npz").unlink()  # missing in the middle of what is there
-    asked: list[str] = []
+    requested: list[str] = []
 
     def detect(names: list[str]) -> Iterator[Answer]:
-        asked.extend(names)
+        requested.extend(names)
         return _detect(names)
 
     assert [_arrays(answer) for answer in answers_of(NAMES, tmp_path, detect)] == whole
-    assert asked == ["small-0", "small-2", "small-3"]
+    assert requested == ["small-0", "small-2", "small-3"]
     assert [_arrays(answer) for answer in answers_of(NAMES, tmp_path, detect)] == whole
-    assert len(asked) == 3
+    assert len(requested) == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.npz" for name in NAMES]
 
 

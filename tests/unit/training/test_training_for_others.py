@@ -93,7 +93,7 @@ def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_tra
     monkeypatch.setattr(detector_loop, "CURVE_STEPS", 1)
     files = cache_scenes(tmp_path / "scenes", ["0", "1"], _scene)
     straight = train_on_scenes(tmp_path / "straight", recipe, files)
-    told: list[CurvePoint] = []
+    curve: list[CurvePoint] = []
     advance = detector_loop._train_step
 
     def advance_and_be_ended(run: Any, step: int, *batch: Any) -> dict[str, float]:
@@ -104,15 +104,15 @@ def test_ended_by_a_signal_and_resumed_gives_the_weights_of_an_uninterrupted_tra
     before = signal.getsignal(signal.SIGTERM)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(detector_loop, "_train_step", advance_and_be_ended)
-        train_on_scenes(tmp_path / "cut", recipe, files, report=told.extend)
+        train_on_scenes(tmp_path / "cut", recipe, files, report=curve.extend)
     assert signal.getsignal(signal.SIGTERM) is before
     state = read_checkpoint(tmp_path / "cut" / "checkpoint.pt")
     assert state is not None and state["steps_done"] == 3
-    resumed = train_on_scenes(tmp_path / "cut", recipe, files, report=told.extend)
+    resumed = train_on_scenes(tmp_path / "cut", recipe, files, report=curve.extend)
     for name, tensor in straight.state_dict().items():
         assert torch.equal(tensor, resumed.state_dict()[name]), name
-    assert [step for step, _ in told] == list(range(1, recipe.all_steps + 1))
-    assert {"class", "box", "positives", "learning_rate"} <= told[-1][1].keys()
+    assert [step for step, _ in curve] == list(range(1, recipe.all_steps + 1))
+    assert {"class", "box", "positives", "learning_rate"} <= curve[-1][1].keys()
 
 
 def test_a_folder_of_other_scenes_is_refused(tmp_path: Path) -> None:
@@ -232,9 +232,9 @@ def test_training_on_cuda_follows_the_cpu(recipe: Recipe, tmp_path: Path) -> Non
     files = cache_scenes(tmp_path / "scenes", ["0", "1"], _scene)
     exact = dataclasses.replace(recipe, bfloat16=False, steps=2, mesh_only_steps=2)
     curves: dict[str, list[CurvePoint]] = {"cpu": [], "cuda": []}
-    for device, told in curves.items():
+    for device, curve in curves.items():
         compute = Compute(torch.device(device))
-        train_on_scenes(tmp_path / device, exact, files, compute=compute, report=told.extend)
+        train_on_scenes(tmp_path / device, exact, files, compute=compute, report=curve.extend)
     assert curves["cuda"][-1][1] == pytest.approx(curves["cpu"][-1][1], rel=1e-3)
 
 

@@ -11,8 +11,8 @@ import trimesh
 
 from shift3d.cli.main import main
 from shift3d.errors import InputError
-from shift3d.sdf.chamfer import symmetric_chamfer
 from shift3d.sdf.decoder import load_decoder
+from shift3d.sdf.meshes import symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.vehicles import vehicle_set
 from shift3d.vehicles.family import build_mesh, sample_spec
@@ -79,9 +79,9 @@ def test_what_the_decoder_cannot_draw_is_said_with_its_picture_and_an_exit_code(
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
     trimesh.creation.box((4.0, 4.0, 4.0)).export(tmp_path / "cube.ply")
     assert main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=10", f"out={tmp_path / 'set'}"]) == 3
-    said = capsys.readouterr().err
-    assert "cube: far from its mesh" in said and "is usual for a car of this length" in said
-    assert str(tmp_path / "set" / "pictures" / "cube.png") in said
+    printed = capsys.readouterr().err
+    assert "cube: far from its mesh" in printed and "is usual for a car of this length" in printed
+    assert str(tmp_path / "set" / "pictures" / "cube.png") in printed
     assert (tmp_path / "set" / "pictures" / "cube.png").stat().st_size > 1000
 
 
@@ -99,10 +99,10 @@ def test_metres_where_the_file_has_millimetres_are_one_line_with_the_remedy(
     hatchback: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["fit", str(hatchback), "unit=m", f"out={tmp_path / 'set'}"]) == 2
-    said = capsys.readouterr().err
-    assert "hatchback of mine.obj" in said
-    assert "Give unit=mm" in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert "hatchback of mine.obj" in printed
+    assert "Give unit=mm" in printed
+    assert printed.count("\n") == 1
     assert not (tmp_path / "set").exists()
 
 

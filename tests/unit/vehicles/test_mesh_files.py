@@ -99,7 +99,7 @@ def test_wrong_orientation_is_refused_and_the_long_axis_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"forward": "z", "unit": "m"}, "forward=z"),
         ({}, "scale"),
@@ -109,8 +109,8 @@ def test_wrong_orientation_is_refused_and_the_long_axis_named() -> None:
         ({"length_m": -4.0}, "length_m=-4"),
     ],
 )
-def test_frame_that_cannot_be_is_refused(options: dict[str, object], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_frame_that_cannot_be_is_refused(options: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         MeshFrame(**options)  # type: ignore[arg-type]
 
 
@@ -132,8 +132,8 @@ def test_unusable_files_are_named(tmp_path: Path) -> None:
             read_mesh(file)
         assert file.name in str(caught.value)
         assert caught.value.remedy
-    for name, said in (("points.ply", "no faces"), ("vertices.obj", "no faces"), ("nan.obj", "not finite")):
-        with pytest.raises(InputError, match=said):
+    for name, message in (("points.ply", "no faces"), ("vertices.obj", "no faces"), ("nan.obj", "not finite")):
+        with pytest.raises(InputError, match=message):
             read_mesh(tmp_path / name)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from mesh_dimensions import Dimensions, measure
 
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import load_decoder
-from shift3d.vehicles.dimensions import Dimensions, measure
 from shift3d.vehicles.family import BODY_TYPES, RANGES, build_mesh, family
 from shift3d.vehicles.family.published import PUBLISHED, QUANTITIES, published_range, typical_range, tyre_diameter_m
 from shift3d.vehicles.family.spec import VehicleSpec

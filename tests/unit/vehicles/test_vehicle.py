@@ -62,11 +62,11 @@ def test_field_is_negative_inside_and_positive_far_away(name: str, decoder: Deco
     assert float(field(far).min()) > 0.0
 
 
-def test_float64_twin_agrees(decoder: Decoder) -> None:
+def test_float64_agrees(decoder: Decoder) -> None:
     code = torch.from_numpy(baseline_vehicles()["suv"].latent_code)
     points = torch.rand(200, 3, generator=torch.Generator().manual_seed(2)) - 0.5
-    twin = load_decoder().double().field(code.double())(points.double())
-    assert decoder.field(code)(points).double().sub(twin).abs().max() < 1e-5
+    counterpart = load_decoder().double().field(code.double())(points.double())
+    assert decoder.field(code)(points).double().sub(counterpart).abs().max() < 1e-5
 
 
 def test_a_small_random_change_of_the_code_keeps_the_vehicle(decoder: Decoder) -> None:

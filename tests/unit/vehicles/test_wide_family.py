@@ -13,9 +13,8 @@ from shift3d.seeding import generator
 from shift3d.vehicles.family import solid
 from shift3d.vehicles.family.attributes import ATTRIBUTES
 from shift3d.vehicles.family.bodies import Trailer
-from shift3d.vehicles.family.more_models import MORE_MODELS, TRAILERS
-from shift3d.vehicles.family.published import QUANTITIES, published_range
-from shift3d.vehicles.family.spec import VehicleSpec
+from shift3d.vehicles.family.published import PUBLISHED, QUANTITIES, TRAILERS, published_range
+from shift3d.vehicles.family.spec import MORE_BODY_TYPES, VehicleSpec
 from shift3d.vehicles.family.split import SPLIT, WIDE_BODY_TYPES, FamilySplit
 from shift3d.vehicles.family.wide import (
     CYCLE,
@@ -219,8 +218,10 @@ def test_what_cannot_be_drawn_says_why() -> None:
 
 
 def test_published_models_of_more_body_types_can_be_vehicles() -> None:
-    for body_type, rows in MORE_MODELS.items():
-        assert len({row[0] for row in rows}) == len(rows) >= 6, body_type
-        for _, length, width, height, wheelbase, clearance, _ in rows:
-            assert 0.5 * length < wheelbase < 0.8 * length and 1.4 < width < 2.4 and 1.4 < height < 3.4
-            assert clearance is None or 0.1 < clearance < 0.3
+    for body_type in MORE_BODY_TYPES:
+        models = PUBLISHED[body_type]
+        assert len({model.name for model in models}) == len(models) >= 6, body_type
+        for model in models:
+            assert 0.5 * model.length_m < model.wheelbase_m < 0.8 * model.length_m
+            assert 1.4 < model.width_m < 2.4 and 1.4 < model.height_m < 3.4
+            assert model.clearance_m is None or 0.1 < model.clearance_m < 0.3

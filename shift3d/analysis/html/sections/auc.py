@@ -6,13 +6,27 @@ from collections.abc import Sequence
 
 from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Section, Terms, folded
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.auc import auc_table, natural_sentence
+from shift3d.analysis.tables.auc import auc_table, natural_sentence, natural_table
 from shift3d.analysis.tables.paper import paper_table
-from shift3d.analysis.tables.shapes import natural_table
+from shift3d.analysis.tables.sensors import sensor_table
 from shift3d.analysis.variants import Variant
 from shift3d.naturalness.calibration import NATURAL_RULE
 
-__all__ = ["auc", "auc_blocks"]
+__all__ = ["auc", "auc_blocks", "sensors"]
+
+_LEAD = (
+    "The same street and the same place, seen by another sensor from the same point. A baseline is one object under "
+    "every sensor: what it loses is lost to the beams. An adversarial object was searched under its own beams. A miss "
+    "under every sensor is the detector's; one under some sensors alone is for want of what these see. Differences are "
+    "object by object; intervals redraw whole streets."
+)
+
+
+def sensors(sweep: Sweep) -> Section | None:
+    """The section; None where a sweep has the beams of one sensor alone."""
+    table = sensor_table(sweep.scores)
+    return None if table is None else Section("sensors", "Sensor or detector", [Paragraph(_LEAD), table])
+
 
 _SHOWN = 4  # variants whose tables are in sight; those of the others unfold
 _MEANINGS = {

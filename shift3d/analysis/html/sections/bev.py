@@ -10,8 +10,8 @@ import numpy as np
 from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, Section
 from shift3d.analysis.html.figure import axis, plot
 from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import Table
-from shift3d.analysis.tables.transfers import transfer_table
 from shift3d.analysis.variants import Variant
 from shift3d.store.schemas import GROUP_COLUMNS
 

@@ -1,4 +1,4 @@
-"""What was run: axes, accuracy, effects, scenes, vehicles, versions, and how long it took."""
+"""What was run: settings, versions, hyper-parameters that were chosen, time, and what failed or is missing."""
 
 from __future__ import annotations
 
@@ -6,14 +6,48 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Section, Terms
+from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, Section, Terms
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.coverage import stage_times
+from shift3d.analysis.tables.choices import choice_tables, reasons
+from shift3d.analysis.tables.coverage import coverage_lines, rows_by_status, stage_times
 from shift3d.analysis.tables.table import Table
+from shift3d.sweep.planning.plan_view import skipped_lines
 from shift3d.sweep.planning.tasks import TaskGroup
+from shift3d.sweep.results.hyperparameters import NEARLY_EQUAL
 from shift3d.wording import counted
 
-__all__ = ["overview"]
+__all__ = ["choices", "coverage", "overview"]
+
+_TITLE = "Choice of hyper-parameters"
+_RULE = (
+    "The paper's rules: alpha by the lowest AUC of what the search found; lambda for each vehicle by the lowest mean "
+    f"adversarial loss, the larger one of those within {NEARLY_EQUAL:.0%} of it (the paper says 'very similar' and no "
+    "number). Over the scenes that have a score under every candidate."
+)
+
+
+def choices(sweep: Sweep) -> Section:
+    """The section: a table a parameter, and a sentence a choice."""
+    if sweep.choices.empty:
+        text = "This sweep holds no two values of alpha or lambda."
+        return Section("choices", _TITLE, [Paragraph(text, "missing")])
+    why = Fold("Why each was chosen", [Items(reasons(sweep.choices))])
+    return Section("choices", _TITLE, [Paragraph(_RULE), *choice_tables(sweep.choices), why])
+
+
+def coverage(sweep: Sweep) -> Section:
+    """The section: tasks scored, without a score by reason, quarantined, and attempts that failed."""
+    planned = len(sweep.plan.tasks)
+    lines = [line.strip() for line in coverage_lines(sweep.scores, sweep.attempts, planned, shown=20)]
+    failed = sweep.attempts[sweep.attempts["outcome"] != "done"]
+    if len(failed):
+        lines.append(f"{counted(len(failed), 'attempt')} failed, in {failed['seconds'].sum():.0f} s")
+    lines += [line.strip() for line in skipped_lines(sweep.plan)]
+    complete = len(lines) == 1 and sweep.scored["task_id"].nunique() == planned
+    lead = "Nothing failed and nothing is missing." if complete else "What is missing, and why."
+    rows = Fold("Rows by method and status", [rows_by_status(sweep.scores)])
+    return Section("coverage", "Failures and coverage", [Paragraph(lead), Items(lines), rows])
+
 
 _SETTINGS = ("steps", "alpha", "lambda", "random_replicates", "noise_replicates", "noise_sigma", "max_shift_m")
 

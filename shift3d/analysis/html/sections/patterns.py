@@ -1,4 +1,4 @@
-"""Section: what attacks change as a rule, in centimetres and degrees."""
+"""What the missed objects share, and what attacks change as a rule, in centimetres and degrees."""
 
 from __future__ import annotations
 
@@ -6,10 +6,32 @@ from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Plot, Section, Terms, folded
 from shift3d.analysis.html.figure import axis, plot
 from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.failure_rules import failure_rules, rules_objects, rules_table
 from shift3d.analysis.tables.patterns import Pattern, pattern_groups, patterns_table
+from shift3d.errors import InputError
 from shift3d.vehicles.mesh_measures import DEFINITIONS
 
-__all__ = ["patterns"]
+__all__ = ["patterns", "rules"]
+
+_RULES_LEAD = (
+    "Rules that a shallow tree found on every other scene and every other vehicle. Each column shows the mean score of "
+    "the objects that a rule holds for, less that of all others, on objects that it was not found on. A rule holds "
+    "where all of these lie below zero with 95 % confidence. It says what goes together, not what causes it."
+)
+
+
+def rules(sweep: Sweep) -> Section:
+    """The section; it says so where a sweep has too few scenes, or no rule."""
+    blocks: list[Block]
+    try:
+        found = failure_rules(rules_objects(sweep))
+    except InputError as error:
+        blocks = [Paragraph(f"{error.what[:1].upper()}{error.what[1:]}.", "missing")]
+    else:
+        nothing = Paragraph("Nothing that was measured tells objects with low scores from the others.", "missing")
+        blocks = [Paragraph(_RULES_LEAD), rules_table(found)] if found else [nothing]
+    return Section("rules", "What the missed objects share", blocks)
+
 
 _TITLE = "What attacks change"
 _LEAD = (
@@ -57,7 +79,7 @@ def _figures(key: str, label: str, found: list[Pattern]) -> list[Plot]:
             "marker": {"size": 9, "color": COLOURS["adversarial"]},
         }
         layout = {"xaxis": axis(f"change, {unit}", zeroline=True), "yaxis": axis("", autorange="reversed")}
-        said = ", ".join(f"{pattern.name} {pattern.change.mean:+.1f}" for pattern in shown)
+        changes = ", ".join(f"{pattern.name} {pattern.change.mean:+.1f}" for pattern in shown)
         caption = f"Mean change in {name}, {label}"
-        figures.append(plot(f"{key}-{name}", [trace], layout, f"{caption}: {said}", caption, 60 + 34 * len(shown)))
+        figures.append(plot(f"{key}-{name}", [trace], layout, f"{caption}: {changes}", caption, 60 + 34 * len(shown)))
     return figures

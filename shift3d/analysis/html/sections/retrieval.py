@@ -51,8 +51,8 @@ def retrieval(sweep: Sweep, loaded: Loaded) -> Section:
     blocks: list[Block] = [Paragraph(_LEAD), *([table] if table else []), pool_table(sweep.vehicle_pool)]
     if len(own):
         tiles = [_tile(sweep, row, loaded) for row in _drawn(own, sweep.plan.spec_hash)]
-        said = "Baseline, adversarial and retrieved vehicle, of solutions drawn at random"
-        blocks += [Panels([_curves(own)]), Heading(said), Panels(tiles, "tiles")]
+        heading = "Baseline, adversarial and retrieved vehicle, of solutions drawn at random"
+        blocks += [Panels([_curves(own)]), Heading(heading), Panels(tiles, "tiles")]
     return Section("retrieval", _TITLE, blocks)
 
 

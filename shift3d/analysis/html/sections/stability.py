@@ -1,4 +1,4 @@
-"""Whether the solutions are stable and robust, where the sweep was verified."""
+"""Whether the solutions are stable and robust, and what the accuracy of the sweep was and cost."""
 
 from __future__ import annotations
 
@@ -8,12 +8,21 @@ from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.stability import stability_figure
 from shift3d.analysis.html.blocks import Block, Fold, Heading, Items, Paragraph, Picture, Section, Terms
 from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.accuracy_cost import accuracy_cost, diagnostics, preset_table
 from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstable_lines
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["stability", "stability_blocks"]
+__all__ = ["accuracy", "stability", "stability_blocks"]
+
+
+def accuracy(sweep: Sweep) -> Section:
+    """The section: the audit of this sweep's own objects, and the presets as a frontier measured them."""
+    audited = Items([*accuracy_cost(sweep.scores, sweep.timings), diagnostics(sweep.scores)])
+    lead = Paragraph("Beams of each object are rendered again at reference accuracy.")
+    return Section("accuracy", "Accuracy against time", [lead, audited, preset_table()])
+
 
 _ALT = (
     "Left: each solution's score at reference accuracy against the score that the sweep reported; right: how much of "

@@ -27,7 +27,7 @@ class Call:
     copy: Call | None = None
     # Asked where it is: the answer to come and since when, and when to ask again.
     question: Any = None
-    asked: float = 0.0
+    questioned_at: float = 0.0
     ask_at: float = float("inf")
 
     @property

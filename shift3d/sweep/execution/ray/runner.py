@@ -3,7 +3,8 @@
 What can go wrong with a call and what follows from it (design section 9):
 
 - the worker died, of several tasks: nobody knows which did it, so each is run again alone, and none is charged;
-- the worker died or ran out of memory, or the task hung, alone: charged, and given up on the second time;
+- the worker died or ran out of memory, or the task hung, alone: counted against the task, which is quarantined the
+  second time;
 - the machine went away: run again, not charged.
 
 Source: our choice.
@@ -148,17 +149,18 @@ class RayRunner:
         others = [position for position in call.positions if position != culprit]
         self._backlog.tried(call.positions, call.attempt)
         alone = [] if culprit is None else [culprit]
-        given_up = [position for position in alone if self._give_up(position, failure)]
+        quarantined = [position for position in alone if self._give_up(position, failure)]
         if not self._calls.copy_of(call):
             # Where it is known who did it, the others may stay together.
             self._backlog.put_back(others, alone=culprit is None and failure.kind != "node_lost")
-            self._backlog.put_back([position for position in alone if position not in given_up], alone=True)
+            self._backlog.put_back([position for position in alone if position not in quarantined], alone=True)
         rows = [
-            self._row(position, call, failure, position in alone, position in given_up) for position in call.positions
+            self._row(position, call, failure, position in alone, position in quarantined)
+            for position in call.positions
         ]
         outcome = BatchOutcome(tables={"attempts": table_from_rows("attempts", rows)})
-        outcome.quarantined = [self._id(position) for position in given_up]
-        outcome.errors = [f"{failure.kind}: {failure.what}" for _ in given_up]
+        outcome.quarantined = [self._id(position) for position in quarantined]
+        outcome.errors = [f"{failure.kind}: {failure.what}" for _ in quarantined]
         return outcome
 
     def _give_up(self, position: int, failure: Failure) -> bool:
@@ -167,14 +169,14 @@ class RayRunner:
     def _id(self, position: int) -> str:
         return str(self._plan.tasks.ids[position])
 
-    def _row(self, position: int, call: Call, failure: Failure, alone: bool, given_up: bool) -> dict[str, Any]:
+    def _row(self, position: int, call: Call, failure: Failure, alone: bool, quarantined: bool) -> dict[str, Any]:
         outcome = failure.kind if alone or not failure.charged else "bystander"
         row = attempt_row(
             self._plan.tasks.ids[position].as_py(), call.attempt, outcome, call.began_unix_s, call.seconds
         )
-        row |= {"error": failure.what, "traceback": failure.traceback if alone else None, "quarantined": given_up}
+        row |= {"error": failure.what, "traceback": failure.traceback if alone else None, "quarantined": quarantined}
         row |= {"worker": call.worker.process}
-        return with_command(row, self._command) if given_up else row
+        return with_command(row, self._command) if quarantined else row
 
     def close(self) -> None:
         """End the workers, and the private Ray where there is one."""

@@ -48,12 +48,12 @@ class Watch:
         now = time.monotonic()
         if call.question is None:
             if call.ask_at == float("inf") or now >= call.ask_at:
-                call.question, call.asked = self._ask(call.worker), now
+                call.question, call.questioned_at = self._ask(call.worker), now
             return None
         ready, _ = self._ray.wait([call.question], timeout=0)
         if ready:
             return self._answered(call, timeout_s)
-        return None if now - call.asked < _ANSWER_S else _unseen(call)
+        return None if now - call.questioned_at < _ANSWER_S else _unseen(call)
 
     def _ask(self, worker: PooledWorker) -> Any:
         """A process beside the worker, on its machine, reads what it is at."""

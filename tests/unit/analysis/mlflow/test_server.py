@@ -142,7 +142,7 @@ def test_what_is_no_port_is_said_and_the_socket_is_on_loopback() -> None:
 def test_a_store_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "text.db").write_text("no database, but long enough to be read as one\n" * 100)
     stores = {"foo://bar": "unknown scheme 'foo'", f"sqlite:///{tmp_path}/text.db": "the store cannot be opened"}
-    for uri, said in stores.items():
+    for uri, printed in stores.items():
         done = subprocess.run([*UI, "--uri", uri], cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 2 and said in done.stderr.splitlines()[-1]
+        assert done.returncode == 2 and printed in done.stderr.splitlines()[-1]
         assert "Traceback" not in done.stderr

@@ -32,8 +32,8 @@ def test_it_answers_with_the_graphs_boxes_and_scores(tmp_path: Path, count: int)
 
 
 def test_the_gradient_of_the_points_is_no_matter(tmp_path: Path) -> None:
-    asked = points().double().requires_grad_()
-    assert not load_onnx(write_model(tmp_path / "mine.onnx")).proposals(asked).logits.requires_grad
+    requested = points().double().requires_grad_()
+    assert not load_onnx(write_model(tmp_path / "mine.onnx")).proposals(requested).logits.requires_grad
 
 
 def test_saturated_scores_have_finite_logits(tmp_path: Path) -> None:

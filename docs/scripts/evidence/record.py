@@ -1,0 +1,98 @@
+"""What was measured: docs/measured/NAME.json holds figures, and once for all of them what they were measured at.
+
+``figures`` maps a name to value, unit, and where known interval and n. ``measured`` says the commit, the files that the
+figures depend on and their digest at that commit, machine, command, seconds. A commit of None is not recorded:
+``written_at`` then names the commit that wrote the figures down.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import functools
+import hashlib
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[3]
+MEASURED = ROOT / "docs" / "measured"
+
+
+class NoGitError(Exception):
+    """The checkout has no git, or lacks what is asked for."""
+
+
+def figure(
+    value: float | str, unit: str = "", low: float | None = None, high: float | None = None, n: int | None = None
+) -> dict[str, Any]:
+    """A figure as it stands in a file; what is not known is left out. Numbers keep six digits."""
+    interval = None if low is None or high is None else [_short(low), _short(high)]
+    full = {"value": _short(value), "unit": unit, "interval": interval, "n": n}
+    return {key: one for key, one in full.items() if one not in (None, "")}
+
+
+def _short(value: float | str) -> float | str:
+    return value if isinstance(value, str | int) else float(f"{float(value):.6g}")
+
+
+def read(name: str) -> dict[str, Any]:
+    """``measured`` and ``figures`` of an entry."""
+    found: dict[str, Any] = json.loads((MEASURED / f"{name}.json").read_text(encoding="utf-8"))
+    return found
+
+
+def write(name: str, figures: Mapping[str, Any], measured: Mapping[str, Any]) -> Path:
+    """Write an entry's file, a line a figure, whole or not at all."""
+    from shift3d.store.atomic import write_atomic
+
+    lines = [f"  {json.dumps(key)}: {json.dumps(one, ensure_ascii=False)}" for key, one in figures.items()]
+    head = json.dumps(measured, indent=1, ensure_ascii=False).replace("\n", "\n ")
+    body = ",\n".join(lines)
+    path = MEASURED / f"{name}.json"
+    write_atomic(path, f'{{\n "measured": {head},\n "figures": {{\n{body}\n }}\n}}\n'.encode())
+    return path
+
+
+def git(*words: str) -> str:
+    """What git says. Raises NoGitError where it fails."""
+    try:
+        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise NoGitError(f"git {' '.join(words)}: {getattr(error, 'stderr', error)}") from error
+    return done.stdout
+
+
+@functools.cache
+def _blobs(commit: str) -> dict[str, str]:
+    rows = (row.split("\t") for row in git("ls-tree", "-r", "-z", commit).split("\0") if row)
+    return {path: head.split()[2] for head, path in rows}
+
+
+def matching(paths: Iterable[str], globs: Sequence[str]) -> list[str]:
+    """Paths that a glob names, sorted; ``*`` goes over slashes."""
+    return sorted(path for path in paths if any(fnmatch.fnmatchcase(path, glob) for glob in globs))
+
+
+def digest(globs: Sequence[str], commit: str = "HEAD") -> str:
+    """Of the content of the files that globs name at a commit."""
+    blobs = _blobs(commit)
+    text = "\n".join(f"{path} {blobs[path]}" for path in matching(blobs, globs))
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def uncommitted(globs: Sequence[str]) -> list[str]:
+    """Files that globs name and that differ from HEAD."""
+    rows = [row[3:] for row in git("status", "--porcelain", "-z", "--no-renames").split("\0") if row]
+    return matching(rows, globs)
+
+
+def machine() -> str:
+    """The processor and its cores."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f"{names[0] if names else platform.machine()}, {os.cpu_count()} cores"

@@ -1,0 +1,161 @@
+"""What a finished sweep measured, as figures: AUCs with intervals, and every number of the tables that it prints.
+
+``python docs/scripts/sweep_figures.py OUT [json=FILE]``: OUT is the sweep's folder. An AUC is named
+VARIANT/METHOD/VEHICLE, with mean and "of baseline" after the vehicles; a table's number TABLE/LINE/COLUMN.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from shift3d.analysis.html.sections.bev import pooled_cells
+from shift3d.analysis.html.sections.paths import mean_path, searched
+from shift3d.analysis.results import Sweep, read_sweep
+from shift3d.analysis.statistics.intervals import Interval, ratio_interval, vehicle_mean_interval
+from shift3d.analysis.tables.budgets import budget_table
+from shift3d.analysis.tables.choices import reasons
+from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds
+from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
+from shift3d.analysis.tables.table import Table
+from shift3d.analysis.variants import Variant, variants
+from shift3d.errors import InputError
+from shift3d.store.atomic import write_atomic
+
+__all__ = ["sweep_figures"]
+
+_STEPS = (0, 1, 2, 5, 10, 20, 40)
+_OFTEN = 5  # scores that a cell needs to be sure of
+Figures = Iterator[tuple[str, dict[str, Any]]]
+
+
+def sweep_figures(sweep: Sweep) -> dict[str, dict[str, Any]]:
+    """Name to value, unit, interval, n."""
+    found = dict(_size(sweep))
+    parts = variants(sweep.auc, sweep.scored)
+    for variant in parts:
+        found |= dict(_aucs(variant)) | dict(_cells(sweep, variant)) | dict(_path(sweep, variant))
+    if not sweep.choices.empty:
+        found |= {f"choice/{number}": _one(why) for number, why in enumerate(reasons(sweep.choices))}
+    found |= dict(_numbers("budget", budget_table(parts)))
+    found |= dict(_numbers("retrieved", retrieval_table(sweep.retrieved), named_by=2))
+    if not sweep.vehicle_pool.empty:
+        found |= dict(_numbers("pool", pool_table(sweep.vehicle_pool)))
+    return found | dict(_effects(sweep)) | dict(_verified(sweep))
+
+
+def _one(
+    value: float | str, unit: str = "", interval: tuple[float, float] | None = None, n: int | None = None
+) -> dict[str, Any]:
+    return {"value": value, "unit": unit, "interval": interval, "n": n}
+
+
+def _within(value: float, between: Interval | None, unit: str, n: int | None = None) -> dict[str, Any]:
+    """An interval that is a point or infinite says nothing."""
+    known = between is not None and 0 < between.high - between.low < float("inf")
+    return _one(value, unit, (between.low, between.high) if between and known else None, n)
+
+
+def _size(sweep: Sweep) -> Figures:
+    attempts = sweep.attempts
+    seconds = (attempts["started_unix_s"] + attempts["seconds"]).max() - attempts["started_unix_s"].min()
+    yield "tasks", _one(len(sweep.plan.tasks))
+    yield "tasks scored", _one(sweep.scored["task_id"].nunique())
+    yield "quarantined", _one(int(attempts["quarantined"].sum()))
+    yield "scenes", _one(sweep.scored["place"].nunique())
+    yield "minutes", _one(float(seconds) / 60, "min")
+
+
+def _aucs(variant: Variant) -> Figures:
+    base = variant.rows[variant.rows["method"] == "baseline"]
+    for method in variant.methods:
+        rows, label = variant.rows[variant.rows["method"] == method], f"{variant.title}/{method}"
+        for vehicle in variant.vehicles:
+            value = variant.aucs.of(method, vehicle)
+            if value is not None:
+                yield f"{label}/{vehicle}", _one(value, "AUC", n=int(rows["vehicle"].eq(vehicle).sum()))
+        mean, ratio = variant.aucs.mean(method, variant.vehicles), variant.aucs.of_baseline(method, variant.vehicles)
+        if mean is not None:
+            yield f"{label}/mean", _within(mean, vehicle_mean_interval(rows), "AUC", len(rows))
+        if ratio is not None and method != "baseline":
+            yield f"{label}/of baseline", _within(ratio, ratio_interval(rows, base), "ratio", len(rows))
+
+
+def _cells(sweep: Sweep, variant: Variant) -> Figures:
+    cells = pooled_cells(sweep.bev_transfer, variant)
+    if cells.empty:
+        return
+    fallen, often = cells["mean_reduction"] > 0, cells["scores"] >= _OFTEN
+    yield "placements", _one(int(cells["scores"].sum()))
+    yield "cells", _one(len(cells))
+    yield "cells with a fall", _one(int(fallen.sum()), n=len(cells))
+    yield "mean fall", _one(float(cells["mean_reduction"].mean()), "score")
+    yield "cells with five or more", _one(int(often.sum()))
+    yield "of these with a fall", _one(int((fallen & often).sum()), n=int(often.sum()))
+
+
+def _path(sweep: Sweep, variant: Variant) -> Figures:
+    rows = searched(sweep, variant) if variant.is_own else sweep.trajectories.iloc[:0]
+    if rows.empty or sweep.plan.sweep != "trajectories":
+        return
+    steps, mean, low, high = mean_path(rows)
+    at = {int(step): place for place, step in enumerate(steps)}
+    for step in (step for step in _STEPS if step in at):
+        between = None if low is None else (float(low[at[step]]), float(high[at[step]]))
+        yield f"step/{step}", _one(float(mean[at[step]]), "score", between)
+
+
+def _effects(sweep: Sweep) -> Figures:
+    try:
+        impacts = effect_impacts(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
+    except InputError:  # not a sweep with and without effects
+        return
+    for impact in impacts:
+        changes = {"change": impact.score_change, "AUC, adversarial": impact.auc_adversarial}
+        for name, change in changes.items():
+            if change:
+                yield f"effects/{impact.effect}/{name}", _within(change.mean, change, "score", impact.objects)
+
+
+def _verified(sweep: Sweep) -> Figures:
+    """What came of the solutions when they were scored again, by the detector that was attacked."""
+    if sweep.verification is None:
+        return
+    every, scores = sweep.verification, sweep.scores
+    rows = every[(every["method"] == "adversarial") & (every["scored_by"] == every["detector"])]
+    apart = (rows["score"] - rows["score_reference"]).abs()
+    sums = {name: int(rows[name].sum()) for name in ("stable", "robust", "missed_hits", "wrong_surface")}
+    sums |= {"hits": int(rows["hits_reference"].sum()), "within 0.02": int((apart <= 0.02).sum())}
+    sums |= {"same again": int((rows["score"] == rows["score_again"]).sum())}
+    sums |= {"not finite": int(scores["non_finite"].sum()), "unresolved": int(rows["unresolved_beams"].sum())}
+    for name, value in sums.items():
+        yield f"verified/{name}", _one(value, n=len(rows))
+    means = {"mean score": rows["score"].mean(), "mean score at reference": rows["score_reference"].mean()}
+    for name, value in {**means, "median change": apart.median(), "largest change": apart.max()}.items():
+        yield f"verified/{name}", _one(float(value), "score", n=len(rows))
+
+
+def _numbers(title: str, table: Table | None, named_by: int = 1) -> Figures:
+    """Cells that begin with a number. "[a, b]" is an interval. named_by: the columns that name a line."""
+    for line in table.lines if table else ():
+        for column, cell in zip(table.header[named_by:] if table else (), line[named_by:]):
+            text = cell if isinstance(cell, str) else " ".join(cell)
+            number = re.match(r"[-+]?\d[\d,]*(\.\d+)?(e[-+]?\d+)?", text)
+            between = re.search(r"\[([-\d.]+), ([-\d.]+)\]", text)
+            if number:
+                ends = (float(between[1]), float(between[2])) if between else None
+                name = " ".join(str(word) for word in line[:named_by]).replace("/", " ")
+                yield f"{title}/{name}/{column}", _one(float(number[0].replace(",", "")), "", ends)
+
+
+if __name__ == "__main__":
+    (out,) = (word for word in sys.argv[1:] if "=" not in word)
+    text = json.dumps(sweep_figures(read_sweep(out)), indent=1) + "\n"
+    for word in sys.argv[1:]:
+        if word.startswith("json="):
+            write_atomic(Path(word.removeprefix("json=")), text.encode())
+    print(text, end="")

@@ -1,0 +1,288 @@
+"""Adaptive interval refinement: the one rule that says whether a ray can hide a crossing.
+
+No field is steeper than a slope L. Between two samples g_a and g_b that are w apart nothing can hide where
+g_a + g_b >= L w (Piyavskii 1972; the spheres around the samples cover the ray). An interval that this leaves open is
+sampled where its lower bound is least, k = middle + (g_a - g_b) / 2 L; the open intervals of all rays are sampled in
+one call, until every ray is proven free or enters the object. The rule is the same whether a sample was measured or is
+predicted (from a grid, or from an earlier rendering): a predicted one counts less its error bound, and is measured
+where that is not enough.
+
+L is `1 / step_safety`, and what the samples show where that is more. `step_m` may stay open: there, next to local
+minima and where g hardly falls, L is what the samples around show (`local_minima`). An interval that the field crosses
+at a flat angle may hold several crossings, and is halved down to `grazing_m`.
+
+Source: our choice: sphere tracing (Hart 1996) takes one step of every ray at a time, from its start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from shift3d.render.culling import Rays
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.settings import RenderSettings
+from shift3d.render.solvers.ray_samples import RaySamples, by_ray_and_range
+
+_ROUNDS = 40
+_STEEPEST = 10.0
+# A predicted sample this near the surface is measured, and so is one below `_WATCHED_M` that is the
+# lowest around, or the lowest of its ray so many steps before its hit.
+_LOW_M = 0.003
+_WATCHED_M = 0.05
+_WATCHED_STEPS = 3
+# On a plain approach the mean fall to the hit is at least this share of the fall before.
+_SLACKENS = 0.7
+# Next to a local minimum g may fall this much faster than it was seen to, and at least so fast.
+_STEEPER = 2.0
+_FLATTEST = 0.1
+_NARROW_M = 2e-4
+_BEHIND_M = 1e-6
+_SAMPLE, _NEAR, _FAR, _HIT, _INSIDE = range(5)
+
+
+@dataclass(frozen=True)
+class Brackets:
+    """Crossings that came up on B rays: g_outer (B,) >= 0 at range outer, g_inner (B,) < 0 at range inner, metres."""
+
+    rows: Tensor
+    outer: Tensor
+    inner: Tensor
+    g_outer: Tensor
+    g_inner: Tensor
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What came of covering M rays.
+
+    samples: of all of them, nothing behind a crossing. brackets: crossings that came up. undecided: (M,) bool, where
+    the field is not finite. open: (M,) bool, rays that begin inside the object, or that no refinement closed.
+    """
+
+    samples: RaySamples
+    brackets: Brackets
+    undecided: Tensor
+    open: Tensor
+
+
+def refine(samples: RaySamples, rays: Rays, hit_m: Tensor, field: ObjectField, settings: RenderSettings) -> Refinement:
+    """Refine intervals until rays are proven free up to their hit, or up to their end.
+
+    Args:
+        samples: measured and predicted ones; of some rays none.
+        hit_m: (M,) float64 range of a hit that is known, NaN where none is.
+
+    Not differentiable.
+    """
+    end_m = torch.where(torch.isnan(hit_m), torch.inf, hit_m)
+    samples = samples.before(end_m)
+    if settings.local_minima:
+        samples = _watched(samples, end_m - _WATCHED_STEPS * settings.step_m)
+    samples = _thinned(samples, end_m, settings)
+    nodes, done = _Nodes.of(samples, rays, hit_m).up_to_first_inside(len(rays)), []
+    undecided = torch.zeros(len(rays), dtype=torch.bool)
+    for _ in range(_ROUNDS):
+        measured, places = nodes.wanted(len(rays), settings)
+        busy = torch.zeros_like(undecided)
+        busy[nodes.rows[measured]] = True
+        busy[places.rows] = True
+        on = busy[nodes.rows]
+        done.append(nodes.select(~on))
+        measured, nodes = measured[on], nodes.select(on)
+        if len(nodes.rows) == 0:
+            break
+        at = torch.nonzero(measured).squeeze(1)
+        rows, k = torch.cat((nodes.rows[at], places.rows)), torch.cat((nodes.k[at], places.k))
+        g = field.estimate(rays.at(k, rows), torch.cat((nodes.g[at], places.g))).double()
+        undecided[rows[~torch.isfinite(g)]] = True
+        nodes = nodes.with_measured(at, g[: len(at)], len(rays)).with_nodes(replace(places, g=g[len(at) :]))
+        nodes = nodes.select(~undecided[nodes.rows]).up_to_first_inside(len(rays))
+    unrefined = torch.zeros_like(undecided)
+    unrefined[nodes.rows] = True
+    nodes = _Nodes.stacked(done)
+    brackets, starts_inside = _entries(nodes, len(rays))
+    kept = nodes.select(nodes.kind == _SAMPLE)
+    left = RaySamples.none().joined(RaySamples(kept.rows, kept.k, kept.g, kept.error))
+    return Refinement(left, brackets, undecided, unrefined | starts_inside)
+
+
+def _is_plain(width_m: Tensor, g: Tensor, lower: Tensor, fall_before: Tensor, settings: RenderSettings) -> Tensor:
+    """Whether a hit lies so far behind a place that nothing can hide in between: g falls to it at no flat angle, and
+    about as fast as before that place. Where it falls slower, the beam may cross a fold in front of the hit.
+
+    width_m: to the hit. g, lower: at the place, and less its error bound. fall_before: of the interval in front.
+    """
+    steep = lower >= settings.approach_slope * width_m
+    return (width_m <= settings.approach_m) & steep & (g >= _SLACKENS * fall_before * width_m)
+
+
+def _fall_before(rows: Tensor, k: Tensor, g: Tensor) -> Tensor:
+    """(S,) how fast g falls, a metre, on the interval in front of each sample of a ray; 0 where there is none."""
+    fall = (g[:-1] - g[1:]) / (k[1:] - k[:-1]).clamp_min(1e-12)
+    return torch.cat((g.new_zeros(min(1, len(g))), torch.where(rows[1:] == rows[:-1], fall, 0.0)))
+
+
+def _thinned(samples: RaySamples, end_m: Tensor, settings: RenderSettings) -> RaySamples:
+    """The samples without predicted ones behind a place from which g falls plainly to the hit (M,)."""
+    rises = (samples.g[1:] > samples.g[:-1]) & (samples.rows[1:] == samples.rows[:-1])
+    rows, k = samples.rows[1:][rises], samples.k[1:][rises]
+    falls_from = torch.full_like(end_m, -torch.inf).scatter_reduce(0, rows, k, "amax")
+    before = _fall_before(samples.rows, samples.k, samples.g)
+    plain = _is_plain(end_m[samples.rows] - samples.k, samples.g, samples.g - samples.error, before, settings)
+    plain &= samples.k >= falls_from[samples.rows]
+    first = torch.full_like(end_m, torch.inf).scatter_reduce(0, samples.rows[plain], samples.k[plain], "amin")
+    useful = (samples.g - samples.error > _LOW_M) | (samples.g <= _LOW_M) | (samples.error == samples.g)
+    return samples.select(((samples.k <= first[samples.rows]) & useful) | (samples.error == 0))
+
+
+def _watched(samples: RaySamples, until_m: Tensor) -> RaySamples:
+    """The samples with low local minima along their rays, and the lowest up to a range (M,), to be measured.
+
+    What is small changes between the nodes of a grid, and comes up where there is little room.
+    """
+    same = samples.rows[1:] == samples.rows[:-1]
+    inf = samples.g.new_full((1,), torch.inf)
+    before = torch.cat((inf, torch.where(same, samples.g[:-1], torch.inf)))[: len(samples)]
+    after = torch.cat((torch.where(same, samples.g[1:], -torch.inf), -inf))[: len(samples)]
+    early = samples.k < until_m[samples.rows]
+    least = torch.full_like(until_m, torch.inf)
+    least = least.scatter_reduce(0, samples.rows[early], samples.g[early], "amin")[samples.rows]
+    low = (samples.g <= before) & (samples.g <= after) | early & (samples.g == least)
+    low &= (samples.g < _WATCHED_M) & (samples.error > 0)
+    return replace(samples, error=torch.where(low, torch.maximum(samples.error, samples.g), samples.error))
+
+
+def _entries(nodes: _Nodes, count: int) -> tuple[Brackets, Tensor]:
+    """Brackets of the rays that end inside, and (M,) bool which of them have nothing in front of that."""
+    at = torch.nonzero(nodes.kind == _INSIDE).squeeze(1)
+    before = (at - 1).clamp_min(0)
+    from_outside = (at > 0) & (nodes.rows[before] == nodes.rows[at]) & (nodes.kind[before] == _SAMPLE)
+    starts_inside = torch.zeros(count, dtype=torch.bool)
+    starts_inside[nodes.rows[at[~from_outside]]] = True
+    at, before = at[from_outside], before[from_outside]
+    return Brackets(nodes.rows[at], nodes.k[before], nodes.k[at], nodes.g[before], nodes.g[at]), starts_inside
+
+
+@dataclass(frozen=True)
+class _Nodes(RaySamples):
+    """Samples and the ends of rays, by ray and range, and (K,) what each is."""
+
+    kind: Tensor
+
+    @staticmethod
+    def of(samples: RaySamples, rays: Rays, hit_m: Tensor) -> _Nodes:
+        """The samples, and where rays begin and end."""
+        every, is_hit = torch.arange(len(rays)), torch.isfinite(hit_m)
+        end_m, kind = torch.where(is_hit, hit_m, rays.far_m), torch.where(is_hit, _HIT, _FAR)
+        inner = _Nodes(**vars(samples), kind=torch.full_like(samples.rows, _SAMPLE))
+        near = _Nodes.empty(every, rays.near_m, torch.full_like(every, _NEAR))
+        return near.with_nodes(inner).with_nodes(_Nodes.empty(every, end_m, kind))
+
+    @staticmethod
+    def empty(rows: Tensor, k: Tensor, kind: Tensor) -> _Nodes:
+        """No nodes."""
+        return _Nodes(rows, k, torch.zeros_like(k), torch.zeros_like(k), kind)
+
+    def with_nodes(self, other: _Nodes) -> _Nodes:
+        """These nodes and others, in order: the end of a ray behind a sample at that very place."""
+        both = _Nodes.stacked([self, other])
+        return both.select(by_ray_and_range(both.rows, torch.where(both.kind == _FAR, both.k + _BEHIND_M, both.k)))
+
+    def wanted(self, count: int, settings: RenderSettings) -> tuple[Tensor, _Nodes]:
+        """(K,) which nodes must be measured, and the places to sample. A NaN covers nothing."""
+        sample = self.kind == _SAMPLE
+        predicted = sample & (self.error > 0)
+        lower = self._certain(self.error, settings.max_step_m)
+        left, right = self.kind[:-1], self.kind[1:]
+        width = self.k[1:] - self.k[:-1]
+        fall = (self.g[:-1] - self.g[1:]) / width.clamp_min(1e-12)
+        slope = self._steepness(fall, count) / settings.step_safety
+        between = width - (lower[:-1] + lower[1:]) / slope
+        # The return itself is a sample, as the paper has it.
+        is_open = ~(between <= torch.where(right == _FAR, 0.0, settings.step_m))
+        before = torch.where(sample[:-1], _fall_before(self.rows, self.k, torch.where(sample, self.g, 0.0))[:-1], 0.0)
+        is_open &= ~((right == _HIT) & _is_plain(width, self.g[:-1], lower[:-1], before, settings))
+        if settings.local_minima:
+            # Where the rule holds but for `step_m`, a local slope decides.
+            local = self._local_slope(fall)
+            narrow = ~is_open & (lower[:-1] + lower[1:] < local * width) & (width > _NARROW_M) & (right == _SAMPLE)
+            slope, is_open = torch.where(narrow, local, slope), is_open | narrow
+            flat = (right == _INSIDE) & (fall < settings.approach_slope) & (width > settings.grazing_m)
+            is_open |= flat
+        # What comes before a place inside must be known to be outside.
+        is_open |= (right == _INSIDE) & (predicted[:-1] | (left == _NEAR))
+        is_open &= (self.rows[1:] == self.rows[:-1]) & (width > 0)
+        measured = predicted & ~(self.g - self.error > _LOW_M)
+        # An interval that even exact ends would leave open is sampled, else its predicted ends are measured.
+        ends = is_open & (predicted[:-1] | predicted[1:])
+        exact = self._certain(torch.zeros_like(self.g), settings.max_step_m)
+        ends &= (width - (exact[:-1] + exact[1:]) / slope <= settings.step_m) | (left != _SAMPLE)
+        ends |= is_open & (right == _INSIDE)
+        measured[:-1] |= ends & predicted[:-1]
+        measured[1:] |= ends & predicted[1:]
+        # Behind the first place that is expected to be inside nothing may be seen: that one is asked first.
+        inside = predicted & (self.g < 0)
+        first = torch.full((count,), torch.inf, dtype=torch.float64)
+        behind = self.k > first.scatter_reduce(0, self.rows[inside], self.k[inside], "amin")[self.rows]
+        measured &= ~behind
+        at = torch.nonzero(is_open & ~measured[:-1] & ~measured[1:] & ~behind[1:]).squeeze(1)
+        return measured, self._places(at, slope, lower)
+
+    def _steepness(self, fall: Tensor, count: int) -> Tensor:
+        """(K - 1,) how much steeper than a distance g was measured to be anywhere on the ray of each interval."""
+        known = (self.error == 0) & ((self.kind == _SAMPLE) | (self.kind == _INSIDE))
+        both = known[:-1] & known[1:] & (self.rows[1:] == self.rows[:-1])
+        steepest = torch.ones(count, dtype=torch.float64)
+        steepest = steepest.scatter_reduce(0, self.rows[:-1][both], fall[both].abs(), "amax")
+        return steepest.clamp_max(_STEEPEST)[self.rows[:-1]]
+
+    def _local_slope(self, fall: Tensor) -> Tensor:
+        """(K - 1,) the slope that intervals between samples may have: by their neighbours' next to a local minimum."""
+        joined = (self.kind[:-1] == _SAMPLE) & (self.kind[1:] == _SAMPLE) & (self.rows[1:] == self.rows[:-1])
+        s = torch.where(joined, fall, torch.nan)
+        nothing = s.new_full((1,), torch.nan)
+        before, after = torch.cat((nothing, s)), torch.cat((s, nothing))  # of the intervals before and after a node
+        ends = torch.zeros_like(before, dtype=torch.bool)
+        ends[:-1] = (self.kind[1:] == _FAR) & (self.rows[1:] == self.rows[:-1])
+        lowest = (before >= 0) & ((after <= 0) | ends) & (self.kind == _SAMPLE)
+        steep = _STEEPER * torch.maximum(before.abs(), torch.where(ends, 0.0, after.abs()))
+        steep = torch.where(lowest, steep, 2.0 * _FLATTEST).clamp(_FLATTEST, 1.0)
+        return torch.where(joined, torch.maximum(steep[:-1], steep[1:]), 0.0)
+
+    def _certain(self, error: Tensor, most_m: float) -> Tensor:
+        """(K,) how much of |g| is certain where it may be off by `error` (K,), metres; 0 at the ends of rays.
+
+        most_m: no more counts, as a learned field says little about far distances.
+        """
+        certain = torch.where(self.kind == _SAMPLE, self.g - error, 0.0).clamp(0.0, most_m)
+        return torch.where(self.kind == _INSIDE, self.g.abs().clamp_max(most_m), certain)
+
+    def _places(self, at: Tensor, slope: Tensor, lower: Tensor) -> _Nodes:
+        """Where intervals (their left nodes) are sampled: at the least lower bound, or at an end of a ray."""
+        k, other = self.k[at], self.k[at + 1]
+        share = 0.5 + 0.5 * (lower[at] - lower[at + 1]) / (slope[at] * (other - k)).clamp_min(1e-12)
+        place = k + share.clamp(0.05, 0.95) * (other - k)
+        place = torch.where(self.kind[at] == _NEAR, k, torch.where(self.kind[at + 1] == _FAR, other, place))
+        both = (self.kind[at] == _SAMPLE) & (self.kind[at + 1] == _SAMPLE)
+        expected = torch.where(both, 0.5 * (self.g[at] + self.g[at + 1]), torch.nan)
+        return replace(_Nodes.empty(self.rows[at], place, torch.full_like(at, _SAMPLE)), g=expected)
+
+    def with_measured(self, at: Tensor, g: Tensor, count: int) -> _Nodes:
+        """With values measured at some nodes. What is lower than was predicted lowers the predictions of its ray."""
+        off = torch.zeros(count, dtype=torch.float64)
+        off = off.scatter_reduce(0, self.rows[at], (g - self.g[at]).nan_to_num(nan=0.0), "amin")
+        lower = torch.where((self.error > 0) & (self.kind == _SAMPLE), self.g + off[self.rows], self.g)
+        return replace(self, g=lower.index_copy(0, at, g), error=self.error.index_fill(0, at, 0.0))
+
+    def up_to_first_inside(self, count: int) -> _Nodes:
+        """Every ray up to its first measured sample inside, which becomes its end."""
+        inside = (self.kind == _SAMPLE) & (self.error == 0) & (self.g < 0) | (self.kind == _INSIDE)
+        first = torch.full((count,), torch.inf, dtype=torch.float64)
+        first = first.scatter_reduce(0, self.rows[inside], self.k[inside], "amin")[self.rows]
+        last = inside & (self.k == first)
+        last[1:] &= ~(last[:-1] & (self.rows[1:] == self.rows[:-1]))  # a place may have been sampled twice
+        kind = torch.where(inside, _INSIDE, self.kind)
+        return replace(self, kind=kind).select((self.k < first) | last)

@@ -1,0 +1,68 @@
+"""Figures of a finished sweep are those of its tables."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import valid_sweeps
+from scripts.sweep_figures import sweep_figures
+
+from shift3d.analysis.results import Sweep, read_sweep
+from shift3d.store.log import read_log
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.results.final import write_final
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("figures") / "sweep"
+    valid_sweeps.write_sweep(folder)
+    write_final(folder, read_plan(folder), read_log(folder))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sweep(folder: Path) -> Sweep:
+    return read_sweep(folder)
+
+
+def test_an_auc_is_the_mean_score_and_a_ratio_that_of_two(sweep: Sweep) -> None:
+    found = sweep_figures(sweep)
+    rows = sweep.scored[(sweep.scored["method"] == "adversarial") & (sweep.scored["vehicle"] == "suv")]
+    ours = found["Adversarial shape/adversarial/suv"]
+    assert ours["value"] == pytest.approx(rows["score"].mean()) and ours["n"] == len(rows)
+    means = {method: found[f"Adversarial shape/{method}/mean"]["value"] for method in ("baseline", "adversarial")}
+    ratio = found["Adversarial shape/adversarial/of baseline"]["value"]
+    assert ratio == pytest.approx(means["adversarial"] / means["baseline"])
+    assert "Adversarial shape/baseline/of baseline" not in found
+
+
+def test_how_much_was_run_is_said(sweep: Sweep) -> None:
+    found = {name: one["value"] for name, one in sweep_figures(sweep).items()}
+    assert (found["tasks"], found["tasks scored"], found["scenes"]) == (len(sweep.plan.tasks), 2, 2)
+
+
+def test_other_places_are_counted_by_their_cells(sweep: Sweep) -> None:
+    keys = ["sweep", "dataset", "vehicle", "mode", "lambda", "alpha", "detector", "accuracy", "search", "effects"]
+    own = sweep.auc[(sweep.auc["method"] == "adversarial") & sweep.auc["selected"]].iloc[:1]
+    grid = pd.concat([own[[*keys, "scored_by", "method"]]] * 3, ignore_index=True).assign(
+        cell_x_m=[0.0, 10.0, 20.0], cell_y_m=0.0, cell_size_m=10.0, scores=[6, 1, 5], mean_reduction=[0.3, -0.1, 0.2]
+    )
+    found = sweep_figures(dataclasses.replace(sweep, bev_transfer=grid))
+    values = [found[name]["value"] for name in ("placements", "cells", "cells with a fall", "cells with five or more")]
+    assert values == [12, 3, 2, 2] and found["of these with a fall"]["n"] == 2
+
+
+def test_the_command_writes_what_it_prints(folder: Path, tmp_path: Path) -> None:
+    script = ROOT / "docs" / "scripts" / "sweep_figures.py"
+    words = [sys.executable, str(script), str(folder), f"json={tmp_path / 'f.json'}"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert json.loads(done.stdout) == json.loads((tmp_path / "f.json").read_text())

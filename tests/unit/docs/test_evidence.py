@@ -1,0 +1,124 @@
+"""Tables of README and docs are drawn from docs/measured, and each file there says truly what it was measured at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from scripts.evidence import pages, plan, record
+from scripts.evidence.readers import read_figures
+
+ROOT = Path(__file__).parents[3]
+ENTRIES = {entry.name: entry for entry in plan.read_plan()}
+RECORDS = sorted(path.stem for path in record.MEASURED.glob("*.json"))
+UNMEASURED = yaml.safe_load((ROOT / "docs" / "scripts" / "evidence" / "unmeasured.yaml").read_text(encoding="utf-8"))
+BY_HAND = {"comparator", "recorded_attacks"}  # measured with code that is not in the repository
+
+
+@pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_marked_table_is_what_its_figures_say(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert pages.drawn(text) == text, "run: make evidence ARGS=--draw"
+
+
+def test_another_figure_draws_another_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "guides" / "gate.md").read_text(encoding="utf-8")
+    found = record.read("gate")
+    found["figures"]["0.1/500 objects/found"]["value"] = 0.123
+    monkeypatch.setattr(record, "read", lambda name: found)
+    assert "12.3%" in pages.drawn(text) and "12.3%" not in text
+
+
+def test_every_number_of_a_table_is_drawn_or_listed_with_a_reason() -> None:
+    listed = {(page, head) for part in UNMEASURED.values() for page, heads in part.items() for head in heads}
+    found = {
+        (str(page.relative_to(ROOT)), head)
+        for page in pages.PAGES
+        for head in pages.unmarked_tables(page.read_text(encoding="utf-8"))
+    }
+    assert found - listed == set(), (
+        "draw them from docs/measured, or list them in docs/scripts/evidence/unmeasured.yaml"
+    )
+    assert listed - found == set(), "take them off docs/scripts/evidence/unmeasured.yaml"
+
+
+@pytest.mark.parametrize(
+    ("row", "measured"),
+    [("| a | 0.53 |", True), ("| a | 2,974 hits |", True), ("| a | 5 % |", True), ("| a | 3 of 4 |", True),
+     ("| a | 14 min |", True), ("| a | Argoverse 2, 3D |", False), ("| a | `iou=0.7` |", False)],
+)  # fmt: skip
+def test_what_counts_as_a_measured_number(row: str, measured: bool) -> None:
+    assert list(pages.unmarked_tables(f"text\n\n| x | y |\n|---|---|\n{row}\n\ntext")) == ["| x | y |"] * measured
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_record_is_true_to_history(name: str) -> None:
+    measured = record.read(name)["measured"]
+    commit = measured["commit"] or measured["written_at"]
+    try:
+        if record.git("rev-parse", "--is-shallow-repository").strip() == "true":
+            pytest.skip("a shallow checkout has no history to check against")
+        record.git("rev-parse", "HEAD")
+    except record.NoGitError:
+        pytest.skip("no git checkout to check against")
+    record.git("merge-base", "--is-ancestor", commit, "HEAD")  # raises where it is none
+    if measured["commit"]:
+        assert measured["digest"] == record.digest(measured["files"], commit)
+    assert name in ENTRIES.keys() | BY_HAND and str(Path.home()) not in str(measured["command"])
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_figure_is_a_value_with_what_is_known_of_it(name: str) -> None:
+    figures = record.read(name)["figures"]
+    assert figures
+    for one in figures.values():
+        assert one.keys() <= {"value", "unit", "interval", "n"} and isinstance(one["value"], str | int | float)
+        low, high = one.get("interval", (one["value"], one["value"]))
+        assert low <= high
+
+
+def test_a_changed_file_makes_figures_stale(monkeypatch: pytest.MonkeyPatch) -> None:
+    entry, written = ENTRIES["gate"], record.read("gate")
+    monkeypatch.setattr(record, "uncommitted", lambda globs: [])
+    monkeypatch.setattr(record, "digest", lambda globs, commit="HEAD": written["measured"]["digest"])
+    assert entry.state() == "current" and "\n0 minutes" in plan.table([entry])
+    monkeypatch.setattr(record, "digest", lambda globs, commit="HEAD": "another")
+    assert entry.state().startswith("stale: measured at") and f"\n{entry.minutes:g} minutes" in plan.table([entry])
+    monkeypatch.setattr(record, "uncommitted", lambda globs: ["docs/scripts/gate.py"])
+    assert "not committed" in entry.state()
+
+
+@pytest.mark.parametrize("entry", ENTRIES.values(), ids=lambda entry: entry.name)
+def test_an_entry_depends_on_files_and_keeps_paths_to_itself(entry: plan.Entry) -> None:
+    rooms = ("docs", "shift3d", "sweeps", "conf", "tests")
+    tracked = {str(path.relative_to(ROOT)) for room in rooms for path in (ROOT / room).rglob("*.*")}
+    assert [glob for glob in entry.depends if not record.matching(tracked, [glob])] == []
+    assert "{" not in entry.command and entry.minutes > 0
+    scripts = [word for line in entry.run for word in line.split() if word.endswith(".py") and "/" in word]
+    assert [word for word in scripts if not (ROOT / word).exists()] == []
+
+
+def test_figures_are_read_from_each_kind_of_result(tmp_path: Path) -> None:
+    import pandas as pd
+
+    (tmp_path / "a.json").write_text('{"x": {"value": 1.5, "unit": "s", "low": 1, "high": 2}, "y": 3, "z": "no"}')
+    rows = pd.DataFrame({"name": ["a", "b"], "v": [0.25, None], "w": [0.5, 1.0], "lo": [0.1, 0.2], "up": [0.9, 1.0]})
+    rows.to_parquet(tmp_path / "a.parquet")
+    specs = [
+        {"json": "a.json"},
+        {"rows": "a.parquet", "name": "{name}/", "values": {"v": ["v", "lo", "up"], "sum": ["v + w"]}},
+        {"printed": r"^(?P<done>[\d,]+) passed"},
+        {"count": "^case", "name": "cases"},
+    ]
+    found = read_figures(tmp_path, "case 1\ncase 2\n1,234 passed\n", specs)
+    assert found == {
+        "x": {"value": 1.5, "unit": "s", "interval": [1.0, 2.0]},
+        "y": {"value": 3},
+        "a/v": {"value": 0.25, "interval": [0.1, 0.9]},
+        "a/sum": {"value": 0.75},
+        "done": {"value": 1234},
+        "cases": {"value": 2},
+    }
+    with pytest.raises(ValueError, match="nothing found"):
+        read_figures(tmp_path, "", [{"printed": r"(?P<done>\d+) passed"}])
