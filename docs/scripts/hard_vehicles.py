@@ -35,15 +35,15 @@ def lines(variant: Variant) -> tuple[list[str], dict[str, tuple[float | Interval
     natural = int(found["natural"].eq(True).sum())
     means = [float(part["score"].mean()) for part in (base, drawn, found)]
     ratios = [ratio_interval(part, base) for part in (drawn, found)]
-    worth = paired(variant.rows, "adversarial", "random_search")
-    assert ratios[0] is not None and ratios[1] is not None and worth is not None
+    difference = paired(variant.rows, "adversarial", "random_search")
+    assert ratios[0] is not None and ratios[1] is not None and difference is not None
     cells = [f"{variant.mode} {variant.search}", variant.scored_by, str(len(found)), f"{natural} of {len(found)}"]
-    cells += [f"{mean:.3f}" for mean in means] + [text(one) for one in (*ratios, worth.interval)]
+    cells += [f"{mean:.3f}" for mean in means] + [text(one) for one in (*ratios, difference.interval)]
     numbers: dict[str, tuple[float | Interval, str]] = {
         "natural": (natural / len(found), "share"),
         "of_baseline_random_search": (ratios[0], "ratio"),
         "of_baseline": (ratios[1], "ratio"),
-        "less_random_search": (worth.interval, "AUC"),
+        "less_random_search": (difference.interval, "AUC"),
     }
     key = f"{variant.mode}_{variant.search}_scored_by_{variant.scored_by}"
     return cells, {f"{key}_{name}": value for name, value in numbers.items()}

@@ -31,7 +31,7 @@ def descend(
 
     Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01).
     """
-    trials = Trials(problem, search, on_step, ask_always=selection_window > 0)
+    trials = Trials(problem, search, on_step, every_step=selection_window > 0)
     variable, diverged = search.start.detach(), False
     for step in range(steps + 1):
         gradient = trials.evaluate(variable, step < steps)

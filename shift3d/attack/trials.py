@@ -69,7 +69,7 @@ class Trials:
 
     Renderings start from the last one's hits, and the detector computes again only what a move has changed.
     held: where a step beyond the budget goes back to: the best variable so far, or the search's start. differentiable:
-    False for searches that never ask for a gradient; nothing is then kept for one. ask_always: whether
+    False for searches that never ask for a gradient; nothing is then kept for one. every_step: whether
     every valid step is asked for its naturalness, for a search that may keep another than the lowest.
     """
 
@@ -79,11 +79,11 @@ class Trials:
         search: Search,
         on_step: Callable[[StepRecord], None] | None = None,
         differentiable: bool = True,
-        ask_always: bool = False,
+        every_step: bool = False,
     ) -> None:
         self.trace: list[StepRecord] = []
         self.variables: list[Tensor] = []
-        self._on_step, self._differentiable, self._ask_always = on_step, differentiable, ask_always
+        self._on_step, self._differentiable, self._every_step = on_step, differentiable, every_step
         self._lowest = math.inf  # loss of a valid step after the start
         self._tried: list[tuple[VehicleFrame, Tensor, Tensor]] = []
         self.turn_to(problem, search)
@@ -121,7 +121,7 @@ class Trials:
                 part, part_ms = _gradient(losses[-1], variable, 1.0 / len(poses), more=number < len(poses) - 1)
                 gradient, spent_ms = part if gradient is None else gradient + part, spent_ms + part_ms
         assert first is not None
-        record = self._asked(self._record(code, theta, losses, gradient, first, spent_ms), code, variable)
+        record = self._with_budget(self._record(code, theta, losses, gradient, first, spent_ms), code, variable)
         self.trace.append(record)
         self.variables.append(variable.detach())
         self._tried.append((self._problem.vehicle, code.detach().clone(), theta.detach().clone()))
@@ -138,10 +138,10 @@ class Trials:
         status = "diverged" if diverged else "ok" if kept else "no_valid_step"
         return AttackResult(self._search.mode, *self._tried[kept], kept, status, tuple(self.trace))
 
-    def _asked(self, record: StepRecord, code: Tensor, variable: Tensor) -> StepRecord:
+    def _with_budget(self, record: StepRecord, code: Tensor, variable: Tensor) -> StepRecord:
         """The record, with what the budget says of it where that matters."""
         lowest = record.loss < self._lowest
-        if record.step == 0 or not record.valid or not (lowest or self._ask_always):
+        if record.step == 0 or not record.valid or not (lowest or self._every_step):
             return record
         if self._search.natural is not None:
             record = replace(record, within_budget=self._search.natural(code.detach()))

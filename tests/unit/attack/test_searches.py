@@ -143,13 +143,13 @@ def test_a_universal_search_lowers_the_mean(problem: AttackProblem) -> None:
     assert found.best.loss < found.trace[0].loss
 
 
-def near_search(problem: AttackProblem, longest: float, asked: list[float] | None = None) -> Search:
+def near_search(problem: AttackProblem, longest: float, distances: list[float] | None = None) -> Search:
     """Over every code; natural are those no farther than `longest` from the baseline's."""
 
     def natural(code: Tensor) -> bool:
         distance = float((code - problem.code0).norm())
-        if asked is not None:
-            asked.append(distance)
+        if distances is not None:
+            distances.append(distance)
         return distance <= longest
 
     return replace(shape_search(problem, 0.0), natural=natural)
@@ -157,15 +157,15 @@ def near_search(problem: AttackProblem, longest: float, asked: list[float] | Non
 
 @pytest.mark.parametrize("name", ["expectation", "evolution", "random", "descent"])
 def test_no_search_keeps_what_lies_beyond_its_budget(problem: AttackProblem, name: str) -> None:
-    asked: list[float] = []
-    search, rng = near_search(problem, 0.15, asked), np.random.default_rng(0)
+    distances: list[float] = []
+    search, rng = near_search(problem, 0.15, distances), np.random.default_rng(0)
     found = {
         "expectation": lambda: descend_expectation(problem, search, 12, 0.05, rng, placements=1, starts=4),
         "evolution": lambda: evolve(problem, search, 10, rng),
         "random": lambda: draw_best(problem, search, 8, rng),
         "descent": lambda: descend(problem, search, 8, 0.05),
     }[name]()
-    assert max(asked) > 0.15, "the budget was met"
+    assert max(distances) > 0.15, "the budget was met"
     assert found.best.latent_distance <= 0.15 + 1e-9
     for step in found.trace[1:]:
         assert not step.valid or step.latent_distance <= 0.15 or step.loss >= found.best.loss
