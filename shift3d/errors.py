@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 from shift3d.exit_codes import ExitCode
 
 
@@ -27,9 +29,9 @@ class InputError(Exception):
         end = "" if message.endswith((".", "!", "?")) else "."
         super().__init__(_one_line(f"{message}{end} {remedy}" if remedy else message))
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str, str]]:
         # Ray carries exceptions between processes: without this the three parts would be lost on the way.
-        return (InputError, (self.what, self.where, self.remedy))
+        return (type(self), (self.what, self.where, self.remedy))
 
 
 def empty_error(key: str, where: str = "") -> InputError:

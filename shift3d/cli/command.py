@@ -17,7 +17,8 @@ class Command:
     """One subcommand, in its own file.
 
     summary: a line in ``shift3d --help``. description, epilog: its own ``--help``, the epilog with examples.
-    add_arguments: adds to its parser. run: parsed arguments to an exit code; imports heavy things itself.
+    add_arguments: adds to its parser. run: parsed arguments to an exit code; imports heavy things itself. resumes:
+    whether the same command goes on where it was stopped.
     """
 
     name: str
@@ -26,6 +27,7 @@ class Command:
     epilog: str
     add_arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], int]
+    resumes: bool = False
 
 
 def run_command(command: Command, words: Sequence[str]) -> int:

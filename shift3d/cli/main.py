@@ -90,6 +90,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="shift3d", description=_DESCRIPTION, epilog=_EPILOG, formatter_class=form, allow_abbrev=False
     )
+    parser.add_argument("--version", action="store_true", help="print the versions that a report of a defect names")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for command in COMMANDS:
         sub = commands.add_parser(
@@ -101,7 +102,7 @@ def make_parser() -> argparse.ArgumentParser:
             allow_abbrev=False,
         )
         command.add_arguments(sub)
-        sub.set_defaults(run=command.run)
+        sub.set_defaults(run=command.run, resumes=command.resumes)
     return parser
 
 
@@ -123,14 +124,18 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code. An InputError becomes one line on stderr."""
     parsed = parse(arguments)
+    if parsed.version:
+        from shift3d.cli.version import version_lines
+
+        print(version_lines())
+        return 0
     if parsed.command is None:
         make_parser().print_help()
         return 0
     try:
         return int(parsed.run(parsed))
     except InputError as error:
-        print(f"shift3d {parsed.command}: {error}", file=sys.stderr)
-        return int(error.exit_code)
+        return _report(error, parsed)
     except KeyboardInterrupt:
         print(f"shift3d {parsed.command}: interrupted", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
@@ -143,8 +148,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         if (problem := disk_error(error)) is None:
             raise
-        print(f"shift3d {parsed.command}: {problem}", file=sys.stderr)
-        return int(problem.exit_code)
+        return _report(problem, parsed)
+
+
+def _report(error: InputError, parsed: argparse.Namespace) -> int:
+    """Print the line of an error, and return its exit code."""
+    from shift3d.store.atomic import DiskFullError
+
+    resumes = ": it resumes" if isinstance(error, DiskFullError) and parsed.resumes else ""
+    print(f"shift3d {parsed.command}: {error}{resumes}", file=sys.stderr)
+    return int(error.exit_code)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from shift3d.geometry.boxes import corners_3d, corners_bev
 from shift3d.scenes.scene import Scene
+from shift3d.store.atomic import write_atomic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,7 +99,7 @@ def save_picture(scene: Scene, path: Path, reach_m: float = 50.0, free_m: NDArra
     points = draw_bev(left, scene, reach_m, free_m=free_m)
     figure.colorbar(points, ax=left, label="height above the ground at the sensor, m", shrink=0.6, extend="both")
     draw_view(right, scene)
-    figure.savefig(path)
+    write_atomic(path, lambda temporary: figure.savefig(temporary, format="png"))
 
 
 def _colour(name: str) -> str:

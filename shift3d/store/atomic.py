@@ -15,11 +15,17 @@ from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["UncertainError", "check_writable", "disk_error", "leftovers", "put_if_absent", "write_atomic"]
+__all__ = [
+    "DiskFullError", "UncertainError", "check_writable", "disk_error", "leftovers", "put_if_absent", "write_atomic",
+]  # fmt: skip
 
 _TEMPORARY = ".tmp-"
 # .tmp-<process>-<machine><one use>-<final name>; earlier programs left the middle part out.
 _OWNER = re.compile(r"\.tmp-(\d+)-(?:([0-9a-f]{8})[0-9a-f]{8}-)?")
+
+
+class DiskFullError(InputError):
+    """There is no room: the same command goes through where there is some, and a command that resumes goes on."""
 
 
 class UncertainError(InputError):
@@ -138,13 +144,12 @@ def _removed_on_failure(path: Path) -> Iterator[None]:
 
 
 _ELSEWHERE = "Choose another folder with {}"
-_REMEDIES = {
-    errno.ENOSPC: ("the disk is full", "Free some space and run the same command again: it resumes"),
-    errno.EDQUOT: ("the disk quota is used up", "Free some space and run the same command again: it resumes"),
-    errno.EFBIG: (
-        "the file would pass the size limit",
-        "Raise the limit (ulimit -f) and run the same command again",
-    ),
+_FULL = {
+    errno.ENOSPC: ("the disk is full", "Free some space and run the same command again"),
+    errno.EDQUOT: ("the disk quota is used up", "Free some space and run the same command again"),
+    errno.EFBIG: ("the file would pass the size limit", "Raise the limit (ulimit -f) and run the same command again"),
+}
+_REFUSED = {
     errno.EROFS: ("the file system is read-only", _ELSEWHERE),
     errno.EACCES: ("no permission to write here", _ELSEWHERE),
     errno.ENOTDIR: ("part of this path is a file, not a folder", _ELSEWHERE),
@@ -156,14 +161,21 @@ def _clear_disk_errors(path: Path, word: str = "out=DIR") -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if (full := _full(error, str(path))) is not None:
+            raise full from error
         unknown = f"nothing can be written here ({error.strerror or error})", _ELSEWHERE
-        what, remedy = _REMEDIES.get(error.errno or 0, unknown)
+        what, remedy = _REFUSED.get(error.errno or 0, unknown)
         raise InputError(what, where=str(path), remedy=remedy.format(word)) from error
 
 
 def disk_error(error: OSError) -> InputError | None:
     """The line for what a disk refuses a library that writes by itself; None for other errors."""
-    if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG):
-        return None
-    what, remedy = _REMEDIES[error.errno]
-    return InputError(what, where=str(error.filename or ""), remedy=remedy.format("out=DIR"))
+    where = str(error.filename or "")
+    if error.errno == errno.EROFS:
+        what, remedy = _REFUSED[errno.EROFS]
+        return InputError(what, where, remedy.format("out=DIR"))
+    return _full(error, where)
+
+
+def _full(error: OSError, where: str) -> DiskFullError | None:
+    return DiskFullError(_FULL[error.errno][0], where, _FULL[error.errno][1]) if error.errno in _FULL else None

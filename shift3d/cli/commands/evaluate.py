@@ -130,4 +130,6 @@ def _probability(values: dict[str, str]) -> float:
     return value
 
 
-COMMAND = Command("evaluate", "measure detectors and the shape model", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "evaluate", "measure detectors and the shape model", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+)

@@ -97,4 +97,6 @@ def _share(values: dict[str, str], key: str, default: float) -> float:
     return value
 
 
-COMMAND = Command("gate", "compare new weights with the last release", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "gate", "compare new weights with the last release", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+)

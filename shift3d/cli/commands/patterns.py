@@ -53,4 +53,6 @@ def _run(arguments: argparse.Namespace) -> int:
     return int(ExitCode.INCOMPLETE if result.quarantined else ExitCode.DONE)
 
 
-COMMAND = Command("patterns", "measure what a sweep's attacks change", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "patterns", "measure what a sweep's attacks change", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+)

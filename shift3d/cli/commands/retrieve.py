@@ -83,5 +83,11 @@ def _interrupted(result: SweepResult) -> int:
 
 
 COMMAND = Command(
-    "retrieve", "find vehicles in scenes that are like a sweep's shapes", _DESCRIPTION, _EPILOG, _add_arguments, _run
+    "retrieve",
+    "find vehicles in scenes that are like a sweep's shapes",
+    _DESCRIPTION,
+    _EPILOG,
+    _add_arguments,
+    _run,
+    resumes=True,
 )

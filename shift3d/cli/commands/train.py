@@ -255,4 +255,6 @@ def _check_mesh_words(values: dict[str, str], wide: bool) -> None:
             raise InputError(what, where="train", remedy=f"Leave out {key}=, or give vehicles=./wide for a folder")
 
 
-COMMAND = Command("train", "train shipped weights, or your own", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "train", "train shipped weights, or your own", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+)

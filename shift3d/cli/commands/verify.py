@@ -68,5 +68,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 COMMAND = Command(
-    "verify", "score a sweep's solutions again, at reference accuracy", _DESCRIPTION, _EPILOG, _add_arguments, _run
+    "verify",
+    "score a sweep's solutions again, at reference accuracy",
+    _DESCRIPTION,
+    _EPILOG,
+    _add_arguments,
+    _run,
+    resumes=True,
 )

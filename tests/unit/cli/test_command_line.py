@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import os
+import platform
 import resource
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
+import shift3d
 from shift3d.cli.command import key_values
 from shift3d.cli.commands import train
 from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
 from shift3d.cli.mesh_words import FRAME_VALUES
+from shift3d.cli.version import _commit
 from shift3d.cli.words import split_words
 from shift3d.errors import InputError
 from shift3d.store.resolve import as_location
 
 
-def test_help_imports_nothing_heavy_and_is_quick() -> None:
+@pytest.mark.parametrize("words", [["sweep", "--help"], ["--version"]], ids=" ".join)
+def test_help_imports_nothing_heavy_and_is_quick(words: list[str]) -> None:
     heavy = "('torch', 'ray', 'mlflow', 'hydra', 'omegaconf', 'pandas', 'pyarrow', 'numpy', 'pydantic')"
     code = (
         "import sys, shift3d.cli.main as m\n"
-        "try: m.main(['sweep', '--help'])\nexcept SystemExit: pass\n"
+        f"try: m.main({words})\nexcept SystemExit: pass\n"
         f"sys.exit(str([name for name in {heavy} if name in sys.modules] or ''))"
     )
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -33,6 +38,19 @@ def test_help_imports_nothing_heavy_and_is_quick() -> None:
     assert done.stderr.strip() in ("", "[]"), done.stderr
     # Time on the processor: what a user waits on a machine that does nothing else.
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.3
+
+
+def test_the_version_names_what_a_report_needs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["--version"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    own, python, *libraries = lines
+    assert own.startswith(f"shift3d {shift3d.__version__}") and python == f"Python {platform.python_version()}"
+    assert libraries == [f"{name} {metadata.version(name)}" for name in ("torch", "ray")]
+    root = Path(__file__).parents[3]
+    git = ["git", "-C", str(root), "rev-parse", "--short", "HEAD"]
+    if (root / ".git").exists():
+        assert f", commit {subprocess.check_output(git, text=True).strip()}" in own
+    assert _commit(tmp_path) == "", "no checkout"
 
 
 def test_help_of_every_command_has_an_example() -> None:

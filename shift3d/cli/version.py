@@ -1,0 +1,40 @@
+"""What ``shift3d --version`` prints: what a report of a defect should name."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import shift3d
+
+__all__ = ["version_lines"]
+
+_LIBRARIES = ("torch", "ray")
+
+
+def version_lines() -> str:
+    """shift3d with its commit, Python, torch and Ray, a line each. Imports none of them."""
+    commit = _commit(Path(shift3d.__file__).resolve().parents[1])
+    own = f"shift3d {shift3d.__version__}" + (f", commit {commit}" if commit else "")
+    return "\n".join([own, f"Python {platform.python_version()}", *map(_library, _LIBRARIES)])
+
+
+def _commit(checkout: Path) -> str:
+    """Of a checkout, with "-dirty" where files that git tracks were changed; empty without git or a checkout."""
+    if not (checkout / ".git").exists():
+        return ""
+    command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--exclude=*"]
+    try:
+        found = subprocess.run(command, capture_output=True, text=True, check=False, timeout=5)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return found.stdout.strip() if found.returncode == 0 else ""
+
+
+def _library(name: str) -> str:
+    try:
+        return f"{name} {version(name)}"
+    except PackageNotFoundError:
+        return f"{name} is not installed"
