@@ -13,7 +13,7 @@ from shift3d.settings.folders import files
 
 if TYPE_CHECKING:
     from shift3d.cli.job_spec import JobSpec
-    from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
+    from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
     from shift3d.store.location import Location
 
 __all__ = ["Request", "add_words", "read_words", "runner_of", "split_words", "take_folders"]

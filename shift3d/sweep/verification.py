@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
 from shift3d.store.location import Location
 from shift3d.store.log import Commit, read_log
 from shift3d.store.resolve import LocationLike, as_location
@@ -26,7 +26,7 @@ __all__ = ["verification_kind", "verification_plan", "verify_sweep"]
 
 def verification_kind() -> TaskKind:
     """A task that scores another one's solutions again."""
-    from shift3d.settings.catalogue import read_catalogue
+    from shift3d.settings.catalogue.reading import read_catalogue
     from shift3d.task.verify import load_verify_assets, verify_task
 
     return TaskKind(run=verify_task, load=load_verify_assets, catalogue=read_catalogue, single=False)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.naturalness.decoded import decoded_mesh
-from shift3d.task.spec import Row, TaskResult, TaskSpec
+from shift3d.task.exchange import Row, TaskResult
+from shift3d.task.spec import TaskSpec
 from shift3d.task.verify import VerifyAssets
 from shift3d.vehicles.mesh_measures import measure_mesh
 

@@ -15,8 +15,8 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.detectors.base import Detector
 from shift3d.render.rendering import Rendering
 from shift3d.seeding import generator
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.assets import Assets, score_precision
 from shift3d.task.differences import Differences, differences
 from shift3d.task.run import build_problem

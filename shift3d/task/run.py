@@ -19,11 +19,12 @@ from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets, score_precision, search_precision
 from shift3d.task.audit import AUDITED, audit
+from shift3d.task.exchange import TaskResult
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.rows import Rows
 from shift3d.task.scoring import SCORED_FROM_EMPTY, Candidate, EmptyScene, score_object
 from shift3d.task.searching import best_of_draws, edited_vehicle, pose_limits, search_task
-from shift3d.task.spec import TaskResult, TaskSpec
+from shift3d.task.spec import TaskSpec
 from shift3d.task.transfer import put_elsewhere
 
 __all__ = ["build_problem", "load_assets", "place_vehicle", "run_task"]

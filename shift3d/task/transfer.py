@@ -12,9 +12,10 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.placement.sampling import NoPlacement
 from shift3d.task.assets import Assets, score_precision
+from shift3d.task.exchange import Row
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.scoring import score_object
-from shift3d.task.spec import Row, TaskSpec, TransferScene
+from shift3d.task.spec import TaskSpec, TransferScene
 
 __all__ = ["problems_elsewhere", "put_elsewhere"]
 

@@ -23,8 +23,9 @@ from shift3d.store.location import Location
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.rescoring import Problems, Solution, Verified, verify_object
-from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
+from shift3d.task.spec import TaskSpec
 
 __all__ = ["SCORE_TOLERANCE", "VerifyAssets", "load_verify_assets", "verified_rows", "verify_task"]
 

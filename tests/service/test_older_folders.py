@@ -15,7 +15,7 @@ from drivers import DETERMINISTIC
 from shift3d.analysis.results import natural_by_task
 from shift3d.cli.main import main
 from shift3d.errors import InputError
-from shift3d.settings.schema import LocalRunnerConfig
+from shift3d.settings.schema.config import LocalRunnerConfig
 from shift3d.store.log import CommitLog, read_log
 from shift3d.store.migrations import STEPS, steps
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS

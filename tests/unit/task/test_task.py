@@ -17,15 +17,16 @@ from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.errors import InputError
 from shift3d.naturalness.sources import reference_source, source_hash
 from shift3d.placement.constraints import ConstraintCheck
-from shift3d.settings.catalogue import accuracy_settings, read_catalogue
+from shift3d.settings.catalogue.reading import accuracy_settings, read_catalogue
 from shift3d.settings.compose import compose_sweep
-from shift3d.settings.schema import AccuracyConfig
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.rows import Rows
 from shift3d.task.run import run_task
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskResult, TaskSpec, TransferScene
+from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene
 from shift3d.vehicles.sources import vehicle_hash
 
 KNOWN = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.01}

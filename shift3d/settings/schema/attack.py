@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from shift3d.settings.records import LARGEST, Count, NotNegative, Number, Positive, Record
+from shift3d.settings.schema.records import LARGEST, Count, NotNegative, Number, Positive, Record
 
 __all__ = ["AttackConfig", "PlacementConfig"]
 
