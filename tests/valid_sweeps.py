@@ -12,9 +12,9 @@ from typing import Any
 import pyarrow as pa
 
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue import Catalogue, SceneEntry
+from shift3d.settings.catalogue.reading import Catalogue, SceneEntry
 from shift3d.settings.compose import compose_sweep
-from shift3d.settings.schema import Config
+from shift3d.settings.schema.config import Config
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, frontier_table
 from shift3d.store.log import CommitLog
 from shift3d.store.schemas import SCHEMAS

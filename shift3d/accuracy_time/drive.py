@@ -20,10 +20,11 @@ from shift3d.accuracy_time.run import Repeats, expected_seconds, measure_case
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import machine
 from shift3d.accuracy_time.truth import Truth, make_truth, read_truth, write_truth
-from shift3d.settings.catalogue import detector_hash
+from shift3d.settings.catalogue.detector_files import detector_hash
 from shift3d.store.user_cache import source_digest
 from shift3d.task.assets import Assets, load_assets
-from shift3d.task.spec import AssetsSpec, TaskSpec
+from shift3d.task.exchange import AssetsSpec
+from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.sources import vehicle_hash
 
 __all__ = ["FrontierPlan", "SceneGroup", "expected_minutes", "measure_frontier"]

@@ -35,7 +35,7 @@ from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
 from shift3d.evaluation.breakdown import breakdown
 from shift3d.evaluation.metrics import evaluate
-from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.options import StreetOptions
 from shift3d.store.atomic import write_atomic

@@ -114,7 +114,7 @@ def _objects(
 def stable_objects(folder: LocationLike, detector: str, weights_hash: str, method: str) -> SweepObjects:
     """The objects of a method that a detector may be fine-tuned on: those that are still hard at reference accuracy.
 
-    weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_hash`.
+    weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_files.detector_hash`.
     Raises:
         InputError: as `scored_objects`; the sweep is not verified, has no stable object, attacked other weights, or ran
             on streets of another split than train.

@@ -15,7 +15,7 @@ from shift3d.evaluation.breakdown import overall_areas
 from shift3d.finetuning.page import finetune_page, gains_table
 from shift3d.finetuning.rescoring import METHODS, object_scores, rescored
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA, finetune_table, natural_rows
-from shift3d.settings.catalogue import file_hash
+from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.atomic import write_atomic
 from shift3d.store.tables import write_table
 from shift3d.training.detector.stored_answers import read_answer

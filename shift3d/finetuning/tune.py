@@ -22,7 +22,7 @@ from shift3d.attack.objective import object_box
 from shift3d.detectors.models.weights import ANCHOR_SIZE, load_network
 from shift3d.errors import InputError
 from shift3d.finetuning.objects import SweepObject, SweepObjects, stable_objects
-from shift3d.settings.catalogue import file_hash
+from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.resolve import LocationLike
 from shift3d.task.assets import Assets
 from shift3d.task.rendered import render_solution

@@ -14,7 +14,7 @@ from shift3d.scenes.street.options import PLAIN, StreetOptions, check_traffic
 
 if TYPE_CHECKING:
     from shift3d.scenes.facts import SceneFacts
-    from shift3d.scenes.street.world import PlacedVehicle
+    from shift3d.scenes.street.build.world import PlacedVehicle
 
 STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
 STREET_SPLITS = ("train", "val", "test")

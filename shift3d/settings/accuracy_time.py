@@ -9,9 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from shift3d.detectors.names import ONNX
 from shift3d.errors import InputError
 from shift3d.settings import messages
-from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.compose import Values
-from shift3d.settings.schema import AccuracyConfig, Config
+from shift3d.settings.schema.config import AccuracyConfig, Config
 
 __all__ = ["FrontierConfig", "FrontierSweep", "MeasuredCase", "MeasuredSetting", "expand_settings", "validate_frontier"]
 

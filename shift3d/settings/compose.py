@@ -15,7 +15,7 @@ from shift3d.errors import InputError, empty_error
 from shift3d.settings import messages
 from shift3d.settings.folders import files, find, looked_in, places, shipped, shown
 from shift3d.settings.names import quoted, text_settings
-from shift3d.settings.schema import Config
+from shift3d.settings.schema.config import Config
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from shift3d.errors import InputError
 from shift3d.settings.compose import Composed, Values, validate
-from shift3d.settings.schema import Config
+from shift3d.settings.schema.config import Config
 
 __all__ = ["expand"]
 

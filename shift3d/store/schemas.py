@@ -12,7 +12,7 @@ __all__ = ["AGGREGATES", "FOLLOW_UPS", "GROUP_COLUMNS", "SCHEMAS", "SCHEMA_VERSI
 __all__ += ["ABOUT", "MEANINGS", "schema_of_columns"]
 
 # A new one needs a step in store/migrations.py and a folder of the version before it in tests/reference.
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 
 _FILE = tomllib.loads((Path(__file__).parent / "tables.toml").read_text(encoding="utf-8"))
 _GROUPS: dict[str, str] = _FILE["groups"]

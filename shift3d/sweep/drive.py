@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
 from shift3d.signals import stop_signals
 from shift3d.store.location import Location
 from shift3d.store.log import Commit, CommitLog, TakenOverError

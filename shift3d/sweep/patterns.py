@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.drive import SweepResult
 from shift3d.sweep.follow_up import follow_up
@@ -14,7 +14,7 @@ __all__ = ["measure_patterns", "patterns_kind"]
 
 def patterns_kind() -> TaskKind:
     """A task that measures another one's meshes."""
-    from shift3d.settings.catalogue import read_catalogue
+    from shift3d.settings.catalogue.reading import read_catalogue
     from shift3d.task.patterns import patterns_task
     from shift3d.task.verify import load_verify_assets
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
 from shift3d.store.location import Location
 from shift3d.store.log import Commit, read_log
 from shift3d.store.resolve import LocationLike, as_location
@@ -18,7 +18,7 @@ from shift3d.sweep.drive import SweepResult, run_sweep
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
+from shift3d.sweep.results.final import FinalTables, check_segments, segments_in_plan_order, write_final
 from shift3d.sweep.results.verified_scores import FOLDER
 
 __all__ = ["verification_kind", "verification_plan", "verify_sweep"]
@@ -26,7 +26,7 @@ __all__ = ["verification_kind", "verification_plan", "verify_sweep"]
 
 def verification_kind() -> TaskKind:
     """A task that scores another one's solutions again."""
-    from shift3d.settings.catalogue import read_catalogue
+    from shift3d.settings.catalogue.reading import read_catalogue
     from shift3d.task.verify import load_verify_assets, verify_task
 
     return TaskKind(run=verify_task, load=load_verify_assets, catalogue=read_catalogue, single=False)
@@ -62,10 +62,10 @@ def verify_sweep(folder: LocationLike, plan: Plan, runner: RayRunnerConfig | Loc
     Exactly once, resumable and to the same bytes, as a sweep. plan: of `verification_plan`.
 
     Raises:
-        InputError: as `run_sweep`.
+        InputError: as `run_sweep`; a segment of the sweep is damaged, which is found before anything runs.
     """
-
     folder = as_location(folder)
+    check_segments(folder, read_log(folder))
 
     def finish(own: Location, verified: Plan, entries: Sequence[Commit]) -> FinalTables:
         for name in ("verification", "timings", "attempts"):

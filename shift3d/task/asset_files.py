@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
-from shift3d.task.spec import AssetsSpec
+from shift3d.task.exchange import AssetsSpec
 from shift3d.vehicles.names import WIDE
 
 __all__ = ["NamedFiles", "named_files", "with_files_in"]

@@ -17,7 +17,7 @@ from shift3d.attack.objective import object_box
 from shift3d.errors import InputError
 from shift3d.geometry.se3 import object_from_scene, scene_from_object
 from shift3d.render.rendering import Rendering
-from shift3d.scenes.kitti_writing import frame_files, velodyne_bytes
+from shift3d.scenes.kitti.writing import frame_files, velodyne_bytes
 from shift3d.scenes.scene import Scene
 from shift3d.store.atomic import write_atomic
 from shift3d.task.assets import Assets
@@ -66,7 +66,7 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     Source: design section 5.
     """
     scene, _ = assets.scene(spec)
-    vehicle = assets.vehicle(spec)
+    vehicle = assets.drawn_vehicle(spec, solution)
     rendered = render_solution(spec, solution, assets)
     theta, code, rendering = rendered.theta, rendered.code, rendered.rendering
     mesh = vehicle_mesh(vehicle, assets.decoder, code.float())

@@ -14,10 +14,11 @@ from shift3d.retrieval.reconstruction import Reconstructor
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 from shift3d.task.assets import score_precision
+from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.problem import build_problem
 from shift3d.task.rescoring import Solution
 from shift3d.task.scoring import score_object
-from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
+from shift3d.task.spec import TaskSpec
 from shift3d.task.vehicle_pool import reconstructor_of
 from shift3d.task.verify import VerifyAssets, load_verify_assets
 
@@ -94,7 +95,7 @@ def _scored(
     u = np.array(kin["coordinates"], np.float64)
     vehicle = held.reconstructor.vehicle(f"{kin['scene']}/{kin['label']}", kin["kind"], u, kin["scale_m"])
     theta = solution.theta.clone()
-    theta[2] += (vehicle.size_m[2] - assets.vehicle(spec).size_m[2]) / 2
+    theta[2] += (vehicle.size_m[2] - (solution.vehicle or assets.vehicle(spec)).size_m[2]) / 2
     problem = build_problem(spec, assets, theta, vehicle)
     stands = on_ground(problem.code0, problem, SNAP_M)
     found = score_object(problem, problem.code0, stands, spec.attack.detection_radius_m, others)

@@ -12,8 +12,9 @@ from shift3d.attack.objective import latent_distance
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.naturalness.measure import NaturalnessMeasure
 from shift3d.task.audit import Audit
+from shift3d.task.exchange import Row, TaskResult
 from shift3d.task.scoring import Candidate, Scored
-from shift3d.task.spec import Row, TaskResult, TaskSpec
+from shift3d.task.spec import TaskSpec
 
 _SIZES = ("length_m", "width_m", "height_m", "clearance_m", "asymmetry_cm")
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
@@ -77,6 +78,7 @@ class Rows:
                 "method": candidate.method,
                 "replicate": candidate.replicate,
                 "effects": list(self._spec.effects),
+                "drawn_as": None if candidate.vehicle is None else candidate.vehicle.name,
                 "latent_code": np.asarray(candidate.code, dtype=np.float32).tolist(),
             }
             | pose

@@ -17,8 +17,7 @@ from typing import Any, Literal
 
 from shift3d.seeding import derive_seed
 
-__all__ = ["SPEC_VERSION", "AssetsSpec", "AttackSpec", "PlacementSpec", "TaskResult", "TaskSpec", "TransferScene",
-           "split_label"]  # fmt: skip
+__all__ = ["SPEC_VERSION", "AttackSpec", "PlacementSpec", "TaskSpec", "TransferScene", "split_label"]
 
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
 SPEC_VERSION = 6
@@ -28,8 +27,7 @@ _FORMER_EFFECTS = {"silent_beams": "no_return_beams"}
 
 Mode = Literal["shape", "pose", "shape_pose"]
 SearchName = Literal["descent", "expectation", "evolution", "random"]
-SpaceName = Literal["free", "pca", "parameters"]
-Row = dict[str, Any]
+SpaceName = Literal["free", "pca", "parameters", "family"]
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ class AttackSpec:
     @property
     def label(self) -> str:
         """The search and where it goes, in a word: "descent", "expectation_pca10", "descent_within95_universal4"."""
-        space = {"free": "", "pca": f"_pca{self.components}", "parameters": "_parameters"}[self.space]
+        space = {"free": "", "pca": f"_pca{self.components}"}.get(self.space, f"_{self.space}")
         budget = f"_within{self.naturalness:g}" if self.naturalness else ""
         scenes = f"_universal{1 + self.search_scenes}" if self.search_scenes else ""
         edit = f"_{self.edit}" if self.edit else ""
@@ -270,50 +268,3 @@ def _renamed(effects: Sequence[str]) -> list[str]:
 
 
 _FIELD_NAMES = tuple(f.name for f in dataclasses.fields(TaskSpec))
-
-
-@dataclass(frozen=True)
-class TaskResult:
-    """What a task hands back: rows of plain Python and NumPy values, in a fixed order.
-
-    scores, solutions, timings: rows whose keys are the columns of design section 5 that the spec does not
-    already determine (the columns of ``store.schemas.SPEC_COLUMNS`` are filled in by the sweep).
-    verification: likewise, of a task that verifies another one's solutions. trajectories: likewise, a row a step.
-    transfers: likewise, a row a scene that a solution was put into and a detector. shapes: likewise, a row a shape.
-    vehicle_pool: a row a labelled vehicle of the task's scene. retrieved: a row a vehicle of a pool and a detector.
-    patterns: a row a mesh that was measured.
-    """
-
-    scores: list[Row]
-    solutions: list[Row]
-    timings: list[Row]
-    verification: list[Row] = field(default_factory=list)
-    trajectories: list[Row] = field(default_factory=list)
-    transfers: list[Row] = field(default_factory=list)
-    shapes: list[Row] = field(default_factory=list)
-    vehicle_pool: list[Row] = field(default_factory=list)
-    retrieved: list[Row] = field(default_factory=list)
-    patterns: list[Row] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class AssetsSpec:
-    """What a worker loads once: plain values, no path that a task's id depends on.
-
-    scenes, vehicles: settings of the scene set and of the source of vehicles, as their schemas have them.
-    detectors: name to a file of weights, or None for the weights that ship with shift3d. hashes: what "decoder" and
-    the detectors had when the sweep was planned; one that is not there is not compared. results: the folder of final
-    tables that a verification reads. modules: Python files of detectors that are the user's own, by name. layouts: of
-    foreign detectors, by name, see `detectors.foreign.layout`. reference: settings of the reference set of naturalness,
-    None: it is not measured.
-    """
-
-    scenes: Mapping[str, Any]
-    vehicles: Mapping[str, Any] = field(default_factory=lambda: {"kind": "set", "folder": None})
-    detectors: Mapping[str, str | None] = field(default_factory=lambda: {"pointpillars": None})
-    hashes: Mapping[str, str] = field(default_factory=dict)
-    threads: int = 1
-    results: str | None = None
-    modules: Mapping[str, str] = field(default_factory=dict)
-    layouts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    reference: Mapping[str, Any] | None = None

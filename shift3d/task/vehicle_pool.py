@@ -22,8 +22,9 @@ from shift3d.scenes.sets import StreetScenes
 from shift3d.sdf.meshes import symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
-from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
+from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
     from shift3d.vehicles.sources import VehicleSource

@@ -151,7 +151,7 @@ def _train_detector(name: str, options: TrainOptions, report: Report | None) -> 
 
 def _scene_set(options: TrainOptions) -> SceneSet | None:
     """The scenes to train on, None for the recipe's own streets."""
-    from shift3d.scenes.kitti import KittiScenes
+    from shift3d.scenes.kitti.scenes import KittiScenes
 
     if options.scenes == "street":
         if options.root is not None:

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.scenes.street.fleet import Fleet
-from shift3d.scenes.street.pool import PoolVehicle
+from shift3d.scenes.street.build.fleet import Fleet
+from shift3d.scenes.street.build.pool import PoolVehicle
 from shift3d.scenes.street.raycast import hit_instance
 from shift3d.training.detector_scenes import TrainingScene
 

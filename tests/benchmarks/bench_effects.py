@@ -9,11 +9,12 @@ from benchmarks.timing import Timing
 
 from shift3d.effects.applicability import NEEDS
 from shift3d.placement.sampling import NoPlacement
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.assets import load_assets
+from shift3d.task.exchange import AssetsSpec
 from shift3d.task.run import build_problem, place_vehicle
-from shift3d.task.spec import AssetsSpec, TaskSpec
+from shift3d.task.spec import TaskSpec
 
 # What sweeps/effects.yaml runs on.
 STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 1, "sensor_model": True}

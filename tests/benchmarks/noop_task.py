@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue import Catalogue, SceneEntry, read_catalogue
-from shift3d.settings.schema import Config, StreetConfig
+from shift3d.settings.catalogue.reading import Catalogue, SceneEntry, read_catalogue
+from shift3d.settings.schema.config import Config, StreetConfig
 from shift3d.sweep.planning.kind import TaskKind
+from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.run import load_assets, run_task
-from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
+from shift3d.task.spec import TaskSpec
 
 _ROW = {
     "method": "adversarial", "replicate": 0, "x_m": 20.0, "y_m": 0.0, "z_m": 0.0, "yaw_rad": 0.0, "pitch_rad": 0.0,

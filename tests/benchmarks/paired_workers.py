@@ -25,8 +25,9 @@ from shift3d.sweep.drive import run_sweep
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.sweep.results.final import FinalTables
+from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.run import run_task
-from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
+from shift3d.task.spec import TaskSpec
 
 __all__ = ["PAIRED", "paired"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.noop_task import _ROW
 
 from shift3d.settings.compose import compose_sweep, validate
-from shift3d.settings.schema import RayRunnerConfig
+from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.store.log import CommitLog
 from shift3d.store.schemas import SCHEMAS
 from shift3d.sweep.execution.ray.connection import connect

@@ -16,8 +16,9 @@ from shift3d.sweep.execution.worker import Worker
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import PlannedTask
 from shift3d.task.assets import Assets
+from shift3d.task.exchange import AssetsSpec
 from shift3d.task.run import run_task
-from shift3d.task.spec import AssetsSpec, PlacementSpec
+from shift3d.task.spec import PlacementSpec
 
 
 def peak_mb() -> float:

@@ -16,11 +16,12 @@ from shift3d.placement.sampling import Placement
 from shift3d.render import SdfGrid
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec
 from shift3d.task.run import build_problem, place_vehicle
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
+from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 
 __all__ = [
     "SHORT",

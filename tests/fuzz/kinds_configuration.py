@@ -18,10 +18,10 @@ from mutations import WORDS, Rng, mutate_text, pick
 from valid_settings import installed, settings, write_installation
 from value_mutations import ODD_VALUES, mutate_values
 
-from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.compose import Composed, compose_sweep
 from shift3d.settings.expand import expand
-from shift3d.settings.schema import Config
+from shift3d.settings.schema.config import Config
 
 OVERRIDES = (
     *("attack.steps=7", "attack.lambda=0.1,10", "scenes.count=2", "vehicle=suv", "vehicle=coupe,suv", "mode=pose"),

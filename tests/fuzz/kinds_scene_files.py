@@ -14,8 +14,8 @@ from mutations import Rng, mutate_bytes, mutate_text, pick
 from valid_frames import NAME, write_frame
 from value_mutations import write_specials
 
-from shift3d.scenes.kitti import KittiScenes
-from shift3d.scenes.kitti_files import CLASSES
+from shift3d.scenes.kitti.files import CLASSES
+from shift3d.scenes.kitti.scenes import KittiScenes
 
 FARTHEST_M = 1e4
 ROOT = Path(__file__).resolve().parents[2]

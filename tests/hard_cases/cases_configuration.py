@@ -9,10 +9,10 @@ from catalogue import hard_case
 from clear_errors import place, refused
 from valid_settings import installed, settings, write_installation
 
-from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.compose import compose_sweep, validate
 from shift3d.settings.expand import expand
-from shift3d.settings.schema import AccuracyConfig, Config
+from shift3d.settings.schema.config import AccuracyConfig, Config
 
 AREA = "configuration"
 HERE = "sweep mine"

@@ -10,7 +10,7 @@ from catalogue import hard_case
 from clear_errors import place, refused
 from valid_frames import CALIBRATION, LABELS, NAME, street, write_frame
 
-from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.scene import Scene
 
 AREA = "scene files"

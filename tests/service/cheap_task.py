@@ -15,10 +15,11 @@ from pathlib import Path
 
 from shift3d.scenes.facts import SceneFacts
 from shift3d.seeding import generator
-from shift3d.settings.catalogue import Catalogue, SceneEntry
-from shift3d.settings.schema import Config, StreetConfig
+from shift3d.settings.catalogue.reading import Catalogue, SceneEntry
+from shift3d.settings.schema.config import Config, StreetConfig
 from shift3d.sweep.planning.kind import TaskKind
-from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
+from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.spec import TaskSpec
 
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 

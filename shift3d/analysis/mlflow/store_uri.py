@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 from shift3d.errors import InputError
 from shift3d.settings.messages import choice_error
-from shift3d.settings.schema import MlflowConfig, NoTrackingConfig
+from shift3d.settings.schema.config import MlflowConfig, NoTrackingConfig
 from shift3d.store.atomic import check_writable
 
 __all__ = ["check_store", "check_tracking"]

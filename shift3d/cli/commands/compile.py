@@ -49,7 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     check_writable(target.parent)
     from shift3d.processor import configure_runtime
-    from shift3d.settings.compiled import compiled_network
+    from shift3d.settings.catalogue.compiled import compiled_network
 
     configure_runtime()
     content, worst = compiled_network(values["detector"], values.get("weights"))

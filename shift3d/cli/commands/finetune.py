@@ -20,7 +20,7 @@ from shift3d.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from shift3d.finetuning.report import Tuned
-    from shift3d.settings.schema import Config
+    from shift3d.settings.schema.config import Config
 
 __all__ = ["COMMAND", "FinetuneRequest", "read_request", "steps_of"]
 
@@ -197,7 +197,7 @@ def _models(folder: Path, detector: str, request: FinetuneRequest) -> list[Tuned
 def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Sequence[Tuned]) -> Iterator[_Step]:
     """The commands, in order."""
     from shift3d.finetuning.report import HELD_OUT, NATURAL
-    from shift3d.settings.schema import MlflowConfig, RayRunnerConfig
+    from shift3d.settings.schema.config import MlflowConfig, RayRunnerConfig
 
     runner = config.runner
     workers = (runner.workers or os.cpu_count() or 1) if isinstance(runner, RayRunnerConfig) else 1
@@ -245,7 +245,7 @@ def _score(folder: Path, step: _Step, models: Sequence[Tuned]) -> None:
 
 def _finish(folder: Path, config: Config, models: Sequence[Tuned], steps: Sequence[_Step]) -> None:
     from shift3d.finetuning.report import mirror, write_report
-    from shift3d.settings.schema import MlflowConfig
+    from shift3d.settings.schema.config import MlflowConfig
 
     print(f"\n{write_report(folder, config.detector.name, models, [str(step) for step in steps])}")
     if isinstance(config.tracking, MlflowConfig):

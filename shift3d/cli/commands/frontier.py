@@ -150,7 +150,7 @@ def _matches(pattern: str | None, name: str) -> bool:
 def _setting(setting: Any, accuracy: Any) -> Setting:
     """From the schema's setting to the plain one."""
     from shift3d.accuracy_time.settings import Setting
-    from shift3d.settings.catalogue import accuracy_settings
+    from shift3d.settings.catalogue.reading import accuracy_settings
 
     knob_name, values = next(iter(setting.over.items()), (None, [None]))
     return Setting(
@@ -173,8 +173,8 @@ def _setting(setting: Any, accuracy: Any) -> Setting:
 
 def _preset(name: Any, crop_m: float) -> Setting:
     from shift3d.accuracy_time.settings import Setting
-    from shift3d.settings.catalogue import accuracy_settings
-    from shift3d.settings.schema import AccuracyConfig
+    from shift3d.settings.catalogue.reading import accuracy_settings
+    from shift3d.settings.schema.config import AccuracyConfig
 
     return Setting(name, "presets", accuracy_settings(AccuracyConfig(name=name, render={})), crop_m=crop_m)
 
@@ -182,10 +182,11 @@ def _preset(name: Any, crop_m: float) -> Setting:
 def groups_of(config: FrontierSweep) -> list[SceneGroup]:
     """The sweep's scenes, and KITTI's where they are asked for. Raises InputError for a folder without frames."""
     from shift3d.accuracy_time.drive import SceneGroup
-    from shift3d.settings.catalogue import scene_set
-    from shift3d.settings.foreign import detector_layouts
-    from shift3d.settings.schema import KittiConfig
-    from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
+    from shift3d.settings.catalogue.foreign import detector_layouts
+    from shift3d.settings.catalogue.reading import scene_set
+    from shift3d.settings.schema.config import KittiConfig
+    from shift3d.task.exchange import AssetsSpec
+    from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 
     scenes = [config.scenes]
     if config.frontier.kitti is not None:
@@ -244,7 +245,7 @@ def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: boo
 
 
 def _mirror(config: FrontierSweep, folder: Path) -> None:
-    from shift3d.settings.schema import MlflowConfig
+    from shift3d.settings.schema.config import MlflowConfig
 
     if not isinstance(config.tracking, MlflowConfig):
         return

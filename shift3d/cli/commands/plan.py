@@ -12,7 +12,7 @@ from shift3d.cli.command import Command
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
-    from shift3d.settings.schema import Config
+    from shift3d.settings.schema.config import Config
     from shift3d.store.location import Location
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
@@ -65,7 +65,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
     from shift3d.analysis.forecast.expected import expected_lines
     from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
-    from shift3d.settings.schema import LocalRunnerConfig
+    from shift3d.settings.schema.config import LocalRunnerConfig
     from shift3d.sweep.planning.folder import check_folder, default_folder
     from shift3d.sweep.planning.plan import make_plan
     from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
@@ -99,7 +99,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
 
 def show_places(plan: Plan, config: Config, most: int = 20) -> None:
     """Print how many places each scene has for a car, and what refuses the others, by the first task's settings."""
-    from shift3d.settings.scene_sets import scene_set
+    from shift3d.settings.catalogue.scene_sets import scene_set
     from shift3d.task.places import place_lines
 
     scenes, where = scene_set(config.scenes), plan.tasks[0].spec.placement

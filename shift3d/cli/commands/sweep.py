@@ -17,7 +17,7 @@ from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.analysis.results import Sweep
-    from shift3d.settings.schema import Config
+    from shift3d.settings.schema.config import Config
     from shift3d.store.location import Location
     from shift3d.sweep.drive import SweepResult
     from shift3d.sweep.planning.kind import TaskKind
@@ -203,7 +203,7 @@ def _show_effects(sweep: Sweep, folder: Location) -> None:
 
 
 def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
-    from shift3d.settings.schema import MlflowConfig
+    from shift3d.settings.schema.config import MlflowConfig
 
     if not isinstance(config.tracking, MlflowConfig) or result.final is None:
         return

@@ -11,16 +11,16 @@ from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.scene import Conditions, Labels, Scene
 from shift3d.scenes.street.behind import second_returns
+from shift3d.scenes.street.build.fleet import fleet_of
+from shift3d.scenes.street.build.item import LABELLED
+from shift3d.scenes.street.build.layout import Layout, sample_layout
+from shift3d.scenes.street.build.pool import POOL_SIZES
+from shift3d.scenes.street.build.world import PlacedVehicle, World
 from shift3d.scenes.street.echoes import Echoes, no_return_beams
-from shift3d.scenes.street.fleet import fleet_of
-from shift3d.scenes.street.item import LABELLED
-from shift3d.scenes.street.layout import Layout, sample_layout
 from shift3d.scenes.street.options import PLAIN, StreetOptions
-from shift3d.scenes.street.pool import POOL_SIZES
 from shift3d.scenes.street.raycast import Sweep
 from shift3d.scenes.street.returns import Paint, finish, sensor_model
 from shift3d.scenes.street.sensors import BEAMS, SENSORS, Mount, Sensor, companions, side_sensors
-from shift3d.scenes.street.world import PlacedVehicle, World
 from shift3d.seeding import generator
 
 

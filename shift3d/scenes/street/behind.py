@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from shift3d.scenes.street.build.world import World
 from shift3d.scenes.street.raycast import Float, Hits, Sweep
 from shift3d.scenes.street.returns import Paint, finish
 from shift3d.scenes.street.shapes import Material
-from shift3d.scenes.street.world import World
 
 SEPARATION_M = 1.0
 """Echoes nearer together than this are one to the sensor (our choice: the length in space of a pulse of 7 ns)."""

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from shift3d.settings.schema import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
 from shift3d.sweep.execution.batches import BatchSizer
 from shift3d.sweep.execution.running import Running
 from shift3d.sweep.execution.worker import BatchOutcome, Worker

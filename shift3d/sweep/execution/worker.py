@@ -23,7 +23,8 @@ from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.reproduce import with_command
 from shift3d.sweep.planning.tasks import PlannedTask
-from shift3d.task.spec import AssetsSpec, Row, TaskResult, TaskSpec
+from shift3d.task.exchange import AssetsSpec, Row, TaskResult
+from shift3d.task.spec import TaskSpec
 
 __all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows"]
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from shift3d.effects.applicability import NEEDS, Choice, choose
 from shift3d.effects.base import DetectorFacts
 from shift3d.scenes.facts import EffectSettings, SceneFacts
-from shift3d.settings.catalogue import Catalogue
-from shift3d.settings.schema import Config
+from shift3d.settings.catalogue.reading import Catalogue
+from shift3d.settings.schema.config import Config
 
 if TYPE_CHECKING:
     from shift3d.render.field.object_field import VehicleFrame

@@ -19,7 +19,7 @@ from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks
 from shift3d.sweep.planning.spec_file import read_spec
-from shift3d.task.spec import AssetsSpec
+from shift3d.task.exchange import AssetsSpec
 from shift3d.wording import counted
 
 __all__ = ["check_folder", "default_folder", "open_folder", "read_plan", "read_spec"]

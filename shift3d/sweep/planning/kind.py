@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from shift3d.settings.catalogue import Catalogue
-from shift3d.settings.schema import Config
-from shift3d.task.spec import AssetsSpec, TaskResult, TaskSpec
+from shift3d.settings.catalogue.reading import Catalogue
+from shift3d.settings.schema.config import Config
+from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.spec import TaskSpec
 
 __all__ = ["TaskKind", "shift3d_kind"]
 
@@ -37,7 +38,7 @@ def shift3d_kind() -> TaskKind:
     """The real task: place a vehicle, attack it, score what was found."""
     import functools
 
-    from shift3d.settings.catalogue import read_catalogue
+    from shift3d.settings.catalogue.reading import read_catalogue
     from shift3d.task.assets import prepare_reference
     from shift3d.task.run import load_assets, run_task
 

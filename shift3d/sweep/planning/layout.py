@@ -13,9 +13,9 @@ import numpy as np
 
 from shift3d.errors import InputError
 from shift3d.settings import messages
-from shift3d.settings.catalogue import Catalogue
-from shift3d.settings.scene_schema import FramesConfig
-from shift3d.settings.schema import Config
+from shift3d.settings.catalogue.reading import Catalogue
+from shift3d.settings.schema.config import Config
+from shift3d.settings.schema.scenes import FramesConfig
 from shift3d.sweep.planning.effect_choices import EffectChoices
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
 from shift3d.task.spec import TaskSpec, TransferScene

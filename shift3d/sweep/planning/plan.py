@@ -11,16 +11,17 @@ from typing import Any
 
 from shift3d.errors import InputError
 from shift3d.settings import messages
-from shift3d.settings.catalogue import Catalogue
+from shift3d.settings.catalogue.foreign import detector_layouts
+from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import Composed
 from shift3d.settings.expand import expand
-from shift3d.settings.foreign import detector_layouts
-from shift3d.settings.schema import Config
+from shift3d.settings.schema.config import Config
 from shift3d.sweep.planning.effect_choices import EffectChoices, EffectLine
 from shift3d.sweep.planning.layout import Layouts
 from shift3d.sweep.planning.tasks import PlannedTask, TaskGroup, Tasks
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
-from shift3d.task.spec import AssetsSpec, AttackSpec, PlacementSpec, TaskSpec
+from shift3d.task.exchange import AssetsSpec
+from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 
 __all__ = ["Plan", "PlannedTask", "TaskGroup", "Tasks", "make_plan"]
 

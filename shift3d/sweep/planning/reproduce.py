@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
-    from shift3d.task.spec import Row
+    from shift3d.task.exchange import Row
 
 __all__ = ["reproduce_command", "with_command"]
 

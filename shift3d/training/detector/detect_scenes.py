@@ -14,7 +14,7 @@ import torch
 
 from shift3d.detectors.base import Detector
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth
-from shift3d.scenes.kitti import CameraView, KittiScenes
+from shift3d.scenes.kitti.scenes import CameraView, KittiScenes
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.training.detector_scenes import network_points

@@ -16,7 +16,7 @@ from shift3d.detectors.models.network import DetectorNet
 from shift3d.detectors.models.weights import load_weights
 from shift3d.errors import InputError
 from shift3d.scenes.sets import SceneSet, StreetScenes
-from shift3d.scenes.street.fleet import fleet_of
+from shift3d.scenes.street.build.fleet import fleet_of
 from shift3d.scenes.street.options import StreetOptions
 from shift3d.seeding import generator
 from shift3d.store.atomic import write_atomic

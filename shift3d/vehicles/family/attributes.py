@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shift3d.vehicles.family import damage, roof_parts, tail_parts
-from shift3d.vehicles.family.part import Part, roof_half_m, roof_z_m, side_half_m, x_of
+from shift3d.vehicles.family.parts import damage
+from shift3d.vehicles.family.parts import roof as roof_parts
+from shift3d.vehicles.family.parts import tail as tail_parts
+from shift3d.vehicles.family.parts.part import Part, roof_half_m, roof_z_m, side_half_m, x_of
 from shift3d.vehicles.family.spec import VehicleSpec
 
 __all__ = ["ATTRIBUTES", "Attribute"]

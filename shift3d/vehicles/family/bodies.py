@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.vehicles.family.csg import Bounds, add, block, cut, disc, pair, rod, thick, wedge
-from shift3d.vehicles.family.part import x_of
+from shift3d.vehicles.family.parts.part import x_of
 from shift3d.vehicles.family.solid import Grid
 from shift3d.vehicles.family.spec import VehicleSpec
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.vehicles.family.attributes import ATTRIBUTES
-from shift3d.vehicles.family.damage import PANELS, Dents, MissingPanels
+from shift3d.vehicles.family.parts.damage import PANELS, Dents, MissingPanels
 from shift3d.vehicles.family.split import WIDE_BODY_TYPES
 from shift3d.vehicles.family.wide import WideSpec
 

@@ -18,7 +18,7 @@ from shift3d.seeding import generator
 from shift3d.vehicles.family.attributes import ATTRIBUTES
 from shift3d.vehicles.family.bodies import Alcove, BoxBody, Trailer
 from shift3d.vehicles.family.embedded import draw_spec
-from shift3d.vehicles.family.part import Part
+from shift3d.vehicles.family.parts.part import Part
 from shift3d.vehicles.family.solid import Grid, car_field, mirrored, sized_mesh
 from shift3d.vehicles.family.spec import VehicleSpec
 from shift3d.vehicles.family.split import SPLIT, WIDE_BODY_TYPES

@@ -19,8 +19,8 @@ from shift3d.accuracy_time.truth import Truth, make_truth
 from shift3d.errors import InputError
 from shift3d.render import Beams, RenderSettings, SdfGrid
 from shift3d.scenes.scene import Scene
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.spec import PlacementSpec, TaskSpec
 
 

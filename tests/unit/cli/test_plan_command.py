@@ -8,7 +8,7 @@ import pytest
 
 from shift3d.cli.main import main
 from shift3d.scenes.sets import StreetScenes
-from shift3d.settings import scene_cache
+from shift3d.settings.catalogue import scene_cache
 
 ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1"]
 

@@ -13,7 +13,7 @@ from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.geometry.iou import iou_bev
-from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
 

@@ -21,7 +21,7 @@ from shift3d.finetuning.objects import stable_objects
 from shift3d.finetuning.rescoring import object_scores, rescored
 from shift3d.finetuning.tune import object_scenes
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.settings.catalogue import file_hash
+from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.training.detector_scenes import load_cached
 
 SHIPPED = WEIGHTS_FOLDER / "pointpillars.safetensors"

@@ -18,7 +18,7 @@ from shift3d.placement.ground import MAX_SLOPE, GroundPlane, fit_ground, ground_
 from shift3d.placement.sampling import Placement, PlacementLimits, place
 from shift3d.render import Beams, preset
 from shift3d.scenes.argoverse2.scenes import Argoverse2Scenes
-from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.scene import Scene
 
 RADIUS_M = 2.9

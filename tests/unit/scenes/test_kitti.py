@@ -11,8 +11,8 @@ import pytest
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.ground_map import estimate_ground_z
-from shift3d.scenes.kitti import KittiScenes
-from shift3d.scenes.kitti_files import Calibration, lidar_box, read_labels
+from shift3d.scenes.kitti.files import Calibration, lidar_box, read_labels
+from shift3d.scenes.kitti.scenes import KittiScenes
 
 REAL = Path(__file__).parents[3] / ".." / "shared" / "real" / "kitti"
 needs_kitti = pytest.mark.skipif(not REAL.is_dir(), reason="no real KITTI frames at ../shared/real/kitti")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shift3d.scenes.street import pool
+from shift3d.scenes.street.build import pool
 
 
 @pytest.fixture

@@ -13,9 +13,9 @@ from shift3d.geometry.iou import iou_bev
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.assemble import street_scene
-from shift3d.scenes.street.fleet import fleet_of
-from shift3d.scenes.street.layout import LEAST_VEHICLES, MOST_VEHICLES, sample_layout
-from shift3d.scenes.street.pool import POOL_SIZES, pool_vehicle
+from shift3d.scenes.street.build.fleet import fleet_of
+from shift3d.scenes.street.build.layout import LEAST_VEHICLES, MOST_VEHICLES, sample_layout
+from shift3d.scenes.street.build.pool import POOL_SIZES, pool_vehicle
 from shift3d.scenes.street.sensors import SENSORS
 from shift3d.seeding import generator
 

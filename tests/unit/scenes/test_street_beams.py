@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from shift3d.scenes.street.behind import SEPARATION_M, second_returns
+from shift3d.scenes.street.build.item import Item, stand_on
+from shift3d.scenes.street.build.things import Leaves
+from shift3d.scenes.street.build.world import World
 from shift3d.scenes.street.echoes import Echoes
-from shift3d.scenes.street.item import Item, stand_on
 from shift3d.scenes.street.raycast import Hits, Intersector, Sweep
 from shift3d.scenes.street.returns import Paint, finish, sensor_model
 from shift3d.scenes.street.sensors import AT_ORIGIN, HDL64, SHORT32, WAYMO_TOP, Mount, Sensor
 from shift3d.scenes.street.shapes import ALBEDO, Material, Part, box, ellipsoid
-from shift3d.scenes.street.things import Leaves
-from shift3d.scenes.street.world import World
 
 SPEED = 20.0
 CORNER = Mount((2.0, 1.0, -0.83), np.pi / 4, SPEED)

@@ -14,7 +14,7 @@ from shift3d.scenes.labels import Labels
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.assemble import street_scene
-from shift3d.scenes.street.fleet import WideFleet
+from shift3d.scenes.street.build.fleet import WideFleet
 from shift3d.scenes.street.options import StreetOptions
 from shift3d.vehicles.family.split import SPLIT
 

@@ -11,12 +11,12 @@ from onnx_files import OWN_SOURCE, write_model
 
 from shift3d.errors import InputError
 from shift3d.scenes.sets import StreetScenes
-from shift3d.settings.catalogue import detector_hash, scoring_detectors
-from shift3d.settings.compiled import compare_with_original, require_score_only
+from shift3d.settings.catalogue.compiled import compare_with_original, require_score_only
+from shift3d.settings.catalogue.detector_files import detector_hash, scoring_detectors
 from shift3d.settings.compose import validate
-from shift3d.settings.schema import Config, DetectorConfig
+from shift3d.settings.schema.config import Config, DetectorConfig
 from shift3d.task.asset_files import named_files
-from shift3d.task.spec import AssetsSpec
+from shift3d.task.exchange import AssetsSpec
 
 
 def configured(search: str = "evolution", **detector: Any) -> Config:

@@ -10,11 +10,11 @@ from foreign_cases import CASES, far
 from pydantic import ValidationError
 
 from shift3d.errors import InputError
-from shift3d.settings.catalogue import detector_hash, scoring_detectors
+from shift3d.settings.catalogue.detector_files import detector_hash, scoring_detectors
+from shift3d.settings.catalogue.foreign import detector_layouts, require_in_range
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.expand import expand
-from shift3d.settings.foreign import detector_layouts, require_in_range
-from shift3d.settings.schema import DetectorConfig
+from shift3d.settings.schema.config import DetectorConfig
 
 CASE = CASES["mmdet3d-centerpoint"]
 

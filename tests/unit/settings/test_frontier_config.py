@@ -11,7 +11,7 @@ from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS, RenderSettings
 from shift3d.settings.accuracy_time import FrontierSweep, expand_settings, validate_frontier
-from shift3d.settings.catalogue import accuracy_settings
+from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.compose import compose_sweep
 from shift3d.task.assets import render_settings
 from shift3d.task.spec import TaskSpec
@@ -119,7 +119,7 @@ def test_settings_that_render_alike_are_measured_once() -> None:
 def test_what_needs_bfloat16_is_left_out_and_named_where_it_would_be_slow(monkeypatch: pytest.MonkeyPatch) -> None:
     for fast in (True, False):
         monkeypatch.setattr("shift3d.processor.has_fast_bfloat16", lambda fast=fast: fast)
-        monkeypatch.setattr("shift3d.settings.catalogue.has_fast_bfloat16", lambda fast=fast: fast)
+        monkeypatch.setattr("shift3d.settings.catalogue.reading.has_fast_bfloat16", lambda fast=fast: fast)
         plan, left_out = plan_of(frontier(), None, quick=False)
         names = {setting.name for setting in plan.settings}
         wanted = {"detector in bfloat16", "standard, nothing in bfloat16"}

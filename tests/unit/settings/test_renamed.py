@@ -10,8 +10,8 @@ import torch
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.render.settings import PAPER, REFERENCE, STANDARD
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.assets import render_settings
 from shift3d.task.spec import TaskSpec
 

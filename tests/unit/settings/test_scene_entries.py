@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from shift3d.errors import InputError
-from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
-from shift3d.settings import scene_cache
-from shift3d.settings.scene_cache import SceneEntry
-from shift3d.settings.scene_entries import scene_entries as entries_and_skipped
+from shift3d.settings.catalogue import scene_cache
+from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import scene_entries as entries_and_skipped
 
 
 @pytest.fixture(autouse=True)

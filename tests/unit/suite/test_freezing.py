@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from shift3d.errors import InputError
-from shift3d.settings.catalogue import read_catalogue
+from shift3d.settings.catalogue.reading import read_catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table, table_from_rows, write_table

@@ -10,9 +10,9 @@ from by_hand import catalogue
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.labels import Conditions
-from shift3d.settings.catalogue import Catalogue
+from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
-from shift3d.settings.schema import Config
+from shift3d.settings.schema.config import Config
 from shift3d.sweep.planning.effect_choices import effect_table
 from shift3d.sweep.planning.plan import Plan, make_plan
 

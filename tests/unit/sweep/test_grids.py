@@ -11,9 +11,9 @@ from by_hand import catalogue
 
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue import Catalogue, SceneEntry
+from shift3d.settings.catalogue.reading import Catalogue, SceneEntry
 from shift3d.settings.compose import compose_sweep
-from shift3d.settings.schema import Config
+from shift3d.settings.schema.config import Config
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.sweep.results.bev_grids import transfer_rows

@@ -11,7 +11,7 @@ import pytest
 import valid_sweeps
 
 from shift3d.errors import InputError
-from shift3d.settings.schema import LocalRunnerConfig
+from shift3d.settings.schema.config import LocalRunnerConfig
 from shift3d.store.housekeeping import compact
 from shift3d.store.log import CommitLog
 from shift3d.sweep.drive import run_sweep

@@ -6,8 +6,9 @@ import pytest
 from short_tasks import STREET, THERE, make_spec
 
 from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.run import run_task
-from shift3d.task.spec import AssetsSpec, TaskResult, TransferScene
+from shift3d.task.spec import TransferScene
 
 
 @pytest.fixture(scope="session")

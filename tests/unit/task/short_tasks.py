@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 
-from shift3d.settings.catalogue import accuracy_settings
-from shift3d.settings.schema import AccuracyConfig
-from shift3d.task.spec import AttackSpec, TaskResult, TaskSpec
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
+from shift3d.task.exchange import TaskResult
+from shift3d.task.spec import AttackSpec, TaskSpec
 
 STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 2}
 HERE, THERE = "street-test-hdl64-000000", "street-test-hdl64-000001"

@@ -15,12 +15,13 @@ import torch
 from short_tasks import STREET, make_spec
 
 from shift3d.effects.applicability import NEEDS
-from shift3d.scenes.kitti_files import read_points
+from shift3d.scenes.kitti.files import read_points
 from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.export import export_solution
 from shift3d.task.run import build_problem, run_task
 from shift3d.task.scoring import score_points
-from shift3d.task.spec import AssetsSpec, AttackSpec, TaskResult, TaskSpec
+from shift3d.task.spec import AttackSpec, TaskSpec
 
 RICH = STREET | {
     "count": 1,
@@ -34,7 +35,7 @@ WEATHER = {"visibility_m": 80.0, "rain_mm_h": 20.0, "snow_mm_h": 0.5, "object_sp
 
 PLAN_AND_RUN = """
 import json, sys
-from shift3d.settings.catalogue import read_catalogue
+from shift3d.settings.catalogue.reading import read_catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import load_assets

@@ -18,16 +18,16 @@ from shift3d.detectors.loading import load_detector
 from shift3d.detectors.nms import suppress
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.scenes.kitti import KittiScenes
-from shift3d.scenes.kitti_files import lidar_box
-from shift3d.scenes.kitti_writing import CALIBRATION, label_line
+from shift3d.scenes.kitti.files import lidar_box
+from shift3d.scenes.kitti.scenes import KittiScenes
+from shift3d.scenes.kitti.writing import CALIBRATION, label_line
 from shift3d.store.log import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 from shift3d.task.assets import Assets
+from shift3d.task.exchange import Row, TaskResult
 from shift3d.task.export import FRAME, check_no_export, export_solution
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
-from shift3d.task.spec import Row, TaskResult
 
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 SPEC = make_spec()

@@ -13,12 +13,13 @@ from short_tasks import SHORT, STREET, make_spec
 
 from shift3d.detectors.foreign.detector import foreign_layout
 from shift3d.errors import InputError
-from shift3d.settings.catalogue import accuracy_settings, detector_hash
-from shift3d.settings.schema import AccuracyConfig
+from shift3d.settings.catalogue.detector_files import detector_hash
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.asset_files import NamedFiles, named_files
 from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec
 from shift3d.task.run import run_task
-from shift3d.task.spec import AssetsSpec
 
 CODEBASES = ("openpcdet", "mmdet3d")
 

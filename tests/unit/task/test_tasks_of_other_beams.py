@@ -9,11 +9,12 @@ from short_tasks import STREET, make_spec
 
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.placement.sampling import Placement
-from shift3d.settings.scene_schema import StreetConfig
-from shift3d.settings.scene_sets import scene_set
+from shift3d.settings.catalogue.scene_sets import scene_set
+from shift3d.settings.schema.scenes import StreetConfig
 from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec
 from shift3d.task.problem import build_problem, place_vehicle
-from shift3d.task.spec import AssetsSpec, TaskSpec
+from shift3d.task.spec import TaskSpec
 
 NAMES = (None, "hdl32")
 
@@ -59,7 +60,7 @@ def test_every_sensors_hits_lie_on_the_same_surface(
 
 
 def test_the_ids_of_streets_seen_by_their_own_sensor_do_not_say_beams() -> None:
-    from shift3d.settings.catalogue import read_catalogue
+    from shift3d.settings.catalogue.reading import read_catalogue
     from shift3d.settings.compose import compose_sweep, validate
 
     own = read_catalogue(validate(compose_sweep("smoke", ["scenes.count=1"]).base, "smoke"))

@@ -14,10 +14,11 @@ from shift3d.placement.sampling import Placement
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.execution.worker import completed_rows
 from shift3d.task.assets import Assets
+from shift3d.task.exchange import Row, TaskResult
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.run import run_task
 from shift3d.task.scoring import score_object
-from shift3d.task.spec import AttackSpec, PlacementSpec, Row, TaskResult, TransferScene
+from shift3d.task.spec import AttackSpec, PlacementSpec, TransferScene
 from shift3d.task.transfer import put_elsewhere
 
 TRANSFER = (TransferScene(THERE, ""),)

@@ -18,7 +18,7 @@ from small_scenes import (
 from shift3d.detectors.base import BevWindow, Detections, Proposals
 from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame
-from shift3d.scenes.kitti import KittiScenes
+from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.training.detector.detect_scenes import detect_frame, detect_scenes
 from shift3d.training.detector_scenes import from_scene, network_points
 

@@ -5,9 +5,9 @@ import trimesh
 
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.geometry.iou import iou_bev
-from shift3d.scenes.street.fleet import fleet_of
-from shift3d.scenes.street.item import Size
-from shift3d.scenes.street.pool import PoolVehicle
+from shift3d.scenes.street.build.fleet import fleet_of
+from shift3d.scenes.street.build.item import Size
+from shift3d.scenes.street.build.pool import PoolVehicle
 from shift3d.scenes.street.raycast import Intersector
 from shift3d.training.detector_scenes import TrainingScene
 from shift3d.training.inserted_vehicles import with_inserted_vehicles

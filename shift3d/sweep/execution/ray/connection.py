@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from shift3d.errors import InputError
-from shift3d.settings.schema import RayRunnerConfig
+from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.token import require_token
 
 __all__ = ["connect"]

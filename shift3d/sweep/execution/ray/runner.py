@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from shift3d.errors import InputError
-from shift3d.settings.schema import RayRunnerConfig
+from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.execution.backlog import Backlog
 from shift3d.sweep.execution.batches import BatchSizer

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 from shift3d.task.asset_files import NamedFiles, named_files, with_files_in
-from shift3d.task.spec import AssetsSpec
+from shift3d.task.exchange import AssetsSpec
 
 __all__ = ["ShippedFiles", "loaded", "unloaded"]
 

@@ -13,7 +13,7 @@ from shift3d.sweep.execution.ray.shipped_files import ShippedFiles, unloaded
 from shift3d.sweep.execution.worker import BatchOutcome, Worker
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.tasks import PlannedTask
-from shift3d.task.spec import AssetsSpec
+from shift3d.task.exchange import AssetsSpec
 
 __all__ = ["RayWorker", "Ready"]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from shift3d.errors import InputError
-from shift3d.settings.schema import RayRunnerConfig
+from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.worker import Ready
 
 __all__ = ["PooledWorker", "WorkerPool", "room_for"]

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.scenes.street.fleet import Fleet
-from shift3d.scenes.street.ground import Ground
-from shift3d.scenes.street.item import LABELLED, OWN_CAR_M, Item, stand_on
-from shift3d.scenes.street.layout import Layout
-from shift3d.scenes.street.pool import PoolVehicle
+from shift3d.scenes.street.build.fleet import Fleet
+from shift3d.scenes.street.build.ground import Ground
+from shift3d.scenes.street.build.item import LABELLED, OWN_CAR_M, Item, stand_on
+from shift3d.scenes.street.build.layout import Layout
+from shift3d.scenes.street.build.pool import PoolVehicle
+from shift3d.scenes.street.build.things import LOOKS, Leaves
 from shift3d.scenes.street.raycast import (
     LEAVES_COSINE,
     Float,
@@ -24,7 +25,6 @@ from shift3d.scenes.street.raycast import (
 )
 from shift3d.scenes.street.sensors import Sensor
 from shift3d.scenes.street.shapes import Material, Mesh, Part, merge
-from shift3d.scenes.street.things import LOOKS, Leaves
 from shift3d.seeding import generator
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from shift3d.detectors.names import ONNX
 from shift3d.errors import InputError
-from shift3d.settings.foreign import detector_layouts
-from shift3d.settings.schema import Config, DetectorConfig
+from shift3d.settings.catalogue.foreign import detector_layouts
+from shift3d.settings.schema.config import Config, DetectorConfig
 from shift3d.wording import counted
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d, points_in_boxes
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.ground_map import estimate_ground_z
-from shift3d.scenes.kitti_files import (
+from shift3d.scenes.kitti.files import (
     CLASSES,
     GROUND,
     Calibration,

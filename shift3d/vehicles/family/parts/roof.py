@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.vehicles.family.csg import Bounds, add, block, pair, rod, thick, wedge
-from shift3d.vehicles.family.part import roof_half_m, roof_z_m, x_of
+from shift3d.vehicles.family.parts.part import roof_half_m, roof_z_m, x_of
 from shift3d.vehicles.family.solid import Grid, smooth_max
 from shift3d.vehicles.family.spec import VehicleSpec
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shift3d.scenes.street.fleet import Fleet
-from shift3d.scenes.street.ground import Ground, sample_waves
-from shift3d.scenes.street.item import OWN_CAR_M, FloorPlan, Item
-from shift3d.scenes.street.roadside import furnish_roadside
-from shift3d.scenes.street.traffic import fill_lot, park_along_kerb, scatter_vehicles, vehicles_in_lanes
+from shift3d.scenes.street.build.fleet import Fleet
+from shift3d.scenes.street.build.ground import Ground, sample_waves
+from shift3d.scenes.street.build.item import OWN_CAR_M, FloorPlan, Item
+from shift3d.scenes.street.build.roadside import furnish_roadside
+from shift3d.scenes.street.build.traffic import fill_lot, park_along_kerb, scatter_vehicles, vehicles_in_lanes
 
 KINDS = ("street", "intersection", "lot", "plaza", "open")
 _KIND_SHARES = (0.35, 0.22, 0.2, 0.13, 0.1)

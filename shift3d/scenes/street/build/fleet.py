@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from shift3d.scenes.street.item import Size
+from shift3d.scenes.street.build.item import Size
+from shift3d.scenes.street.build.pool import PoolVehicle, glass_band_m, pool_vehicle
 from shift3d.scenes.street.options import check_traffic
-from shift3d.scenes.street.pool import PoolVehicle, glass_band_m, pool_vehicle
 from shift3d.scenes.street.raycast import Intersector
 from shift3d.seeding import derive_seed
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.scene_cache import SceneEntry, keep_entry, kept_entry
+from shift3d.settings.catalogue.scene_cache import SceneEntry, keep_entry, kept_entry
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet

@@ -11,7 +11,7 @@ from shift3d.errors import InputError
 from shift3d.scenes.reflectance import MOST_RAW
 from shift3d.scenes.street.options import LIMITS, MOST_SENSORS, StreetOptions
 from shift3d.settings.names import Text
-from shift3d.settings.records import Count, Record, Seed
+from shift3d.settings.schema.records import Count, Record, Seed
 
 __all__ = [
     "Argoverse2Config",

@@ -13,7 +13,7 @@ from shift3d.detectors.names import FOREIGN
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
-    from shift3d.settings.schema import DetectorConfig
+    from shift3d.settings.schema.config import DetectorConfig
 
 __all__ = ["detector_layouts", "layout_hash", "require_in_range"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from shift3d.settings.scene_schema import (
+from shift3d.settings.schema.scenes import (
     Argoverse2Config,
     KittiConfig,
     NuScenesConfig,
@@ -52,7 +52,7 @@ def scene_set(config: SceneConfig) -> SceneSet:
 
 
 def _kitti(config: KittiConfig) -> SceneSet:
-    from shift3d.scenes.kitti import KittiScenes
+    from shift3d.scenes.kitti.scenes import KittiScenes
 
     scenes = KittiScenes(config.root, config.names, config.reflectance_max, config.skip_bad)
     if config.count is None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.scenes.street.item import Item
+from shift3d.scenes.street.build.item import Item
 from shift3d.scenes.street.shapes import Material, Part, box, ellipsoid, prism
 
 Rng = np.random.Generator

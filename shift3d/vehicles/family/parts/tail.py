@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from shift3d.vehicles.family import profiles
 from shift3d.vehicles.family.csg import Bounds, add, block, cut, disc, ring, rod, thick, wedge
-from shift3d.vehicles.family.part import roof_half_m, side_half_m, x_of
+from shift3d.vehicles.family.parts.part import roof_half_m, side_half_m, x_of
 from shift3d.vehicles.family.solid import Grid, smooth_max
 from shift3d.vehicles.family.spec import VehicleSpec
 

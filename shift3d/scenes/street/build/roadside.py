@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from shift3d.scenes.street.ground import Ground
-from shift3d.scenes.street.item import FloorPlan, Item
+from shift3d.scenes.street.build.ground import Ground
+from shift3d.scenes.street.build.item import FloorPlan, Item
 
 _VARIANTS = 1 << 20
 _EDGES = ("building", "wall", "hedge", "fence", "thicket", "gap")

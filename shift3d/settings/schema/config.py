@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from shift3d.detectors.names import FOREIGN, ONNX, OWN, DetectorName
-from shift3d.settings.attack_schema import AttackConfig
 from shift3d.settings.names import Text
-from shift3d.settings.records import Count, NotNegative, Number, Positive, Record, Seed, Share
-from shift3d.settings.scene_schema import KittiConfig, SceneConfig, StreetConfig, StreetOptionsConfig
+from shift3d.settings.schema.attack import AttackConfig
+from shift3d.settings.schema.records import Count, NotNegative, Number, Positive, Record, Seed, Share
+from shift3d.settings.schema.scenes import KittiConfig, SceneConfig, StreetConfig, StreetOptionsConfig
 
 __all__ = [
     "AccuracyConfig",

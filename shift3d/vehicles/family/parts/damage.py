@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.vehicles.family.csg import Bounds, Point, ball, block, cut
-from shift3d.vehicles.family.part import side_half_m, x_of
+from shift3d.vehicles.family.parts.part import side_half_m, x_of
 from shift3d.vehicles.family.solid import Grid
 from shift3d.vehicles.family.spec import VehicleSpec
 

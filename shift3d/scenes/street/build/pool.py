@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-import sys
 import tempfile
 import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.scenes.street.raycast import Intersector
 from shift3d.seeding import generator
-from shift3d.store.user_cache import user_cache
+from shift3d.store.user_cache import source_digest, user_cache
 
 POOL_SIZES = {"train": 270, "val": 90, "test": 90}
 RESOLUTION_M = 0.07
@@ -110,23 +107,6 @@ def _keep(path: Path, vertices: NDArray[np.float32], faces: NDArray[np.int32], b
         return
 
 
-@lru_cache(maxsize=1)
 def cache_folder() -> Path:
     """Where pool meshes are kept: XDG_CACHE_HOME/shift3d, keyed by the code that shapes vehicles."""
-    from shift3d.vehicles import family
-
-    digest = hashlib.blake2b(str(RESOLUTION_M).encode(), digest_size=8)
-    for module in sorted(_modules_behind(family, set()), key=lambda module: module.__name__):
-        digest.update(module.__name__.encode() + Path(str(module.__file__)).read_bytes())
-    return user_cache() / f"street-pool-{digest.hexdigest()}"
-
-
-def _modules_behind(module: ModuleType, found: set[ModuleType]) -> set[ModuleType]:
-    """The module and those of its own package that its names come from, and so on."""
-    found.add(module)
-    for value in vars(module).values():
-        name = value.__name__ if isinstance(value, ModuleType) else str(getattr(value, "__module__", ""))
-        source = sys.modules.get(name)
-        if name.startswith("shift3d.vehicles.") and source is not None and source not in found:
-            _modules_behind(source, found)
-    return found
+    return user_cache() / f"street-pool-{RESOLUTION_M}-{source_digest('vehicles')[:16]}"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.geometry.boxes import corners_3d
-from shift3d.scenes.kitti_files import GROUND, Calibration
+from shift3d.scenes.kitti.files import GROUND, Calibration
 
 __all__ = ["CALIBRATION", "frame_files", "label_line", "velodyne_bytes"]
 

@@ -1,0 +1,1 @@
+"""What stands on a procedural street, and where."""

@@ -1,0 +1,1 @@
+"""What settings refer to: scenes, vehicles and detectors, with the hashes of their content."""

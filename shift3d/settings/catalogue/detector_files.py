@@ -1,0 +1,93 @@
+"""Which detectors score a sweep, their files of weights, and the hashes of what they are made of."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from shift3d.detectors.names import DETECTOR_NAMES, ONNX, OWN
+from shift3d.errors import InputError
+from shift3d.settings.catalogue.foreign import detector_layouts, layout_hash
+from shift3d.settings.schema.config import (
+    DetectorConfig,
+)
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = ["detector_hash", "file_hash", "scoring_detectors", "weights_file"]
+
+
+def weights_file(name: str, override: str | None) -> Path:
+    """A detector's file of weights: the one given, or the one that ships. Raises InputError where it is missing."""
+    path = _weights_path(name, override)
+    if not path.is_file():
+        remedy = "Check the path" if override else f'Give a file of them, or: make train ARGS="model={name}"'
+        raise InputError(f"no weights of {name}", where=str(path), remedy=remedy)
+    return path
+
+
+def _weights_path(name: str, override: str | None) -> Path:
+    if override:
+        return Path(override).expanduser()
+    return Path(__file__).resolve().parents[2] / "weights" / f"{name}.safetensors"
+
+
+def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
+    """Detectors that score every solution, name to weights (None: those that ship), the attacked one first.
+
+    Those that ``scored_by`` names; where it is null, those whose weights ship or are given, so that a detector
+    without weights stops nobody who did not ask for it. The small SST stands in for the published one then: where both
+    are there, it scores only what it is asked to.
+
+    Raises:
+        InputError: weights of a detector that was asked for are missing, or a user's files are no detector.
+    """
+    weights = config.weights_by_name()
+    others: list[str] = list(config.scored_by or ())
+    if config.scored_by is None:
+        others = [name for name in DETECTOR_NAMES if weights.get(name) or _weights_path(name, None).is_file()]
+        others = [name for name in others if not (name == "sst_small" and "sst" in others)]
+    names = list(dict.fromkeys([config.name, *others]))
+    layouts = detector_layouts(config)
+    for name in names:
+        detector_hash(name, weights.get(name), config.module, layouts.get(name))
+    for name in [name for name in names if name == OWN or weights.get(name)]:  # said before anything runs
+        from shift3d.detectors.loading import detector_of
+
+        detector_of(name, weights.get(name), config.module, "float32", layouts.get(name))
+    return {name: weights.get(name) for name in names}
+
+
+def detector_hash(name: str, weights: str | None, module: str | None, layout: Mapping[str, Any] | None = None) -> str:
+    """128-bit BLAKE2b of what a detector is made of, hex.
+
+    Its weights, or its ONNX file; of the user's own, its Python file with its weights; of a foreign one, the layout
+    that its config describes with its weights.
+
+    Raises:
+        InputError: a file is missing.
+    """
+    if name == ONNX:
+        return file_hash(_existing_file(weights or "", "Check detector.file"))
+    if name != OWN:
+        weights_hash = file_hash(weights_file(name, weights))
+        return weights_hash if layout is None else layout_hash(layout, weights_hash)
+    remedy = "Check detector.module and detector.weights"
+    parts = [_existing_file(part, remedy) for part in (module, weights) if part]
+    return hashlib.blake2b("".join(map(file_hash, parts)).encode(), digest_size=16).hexdigest()
+
+
+def _existing_file(text: str, remedy: str) -> Path:
+    path = Path(text).expanduser()
+    if not path.is_file():
+        raise InputError("no such file", where=str(path), remedy=remedy)
+    return path
+
+
+def file_hash(path: Path) -> str:
+    """128-bit BLAKE2b of a file's bytes, hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()

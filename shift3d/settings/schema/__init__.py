@@ -1,0 +1,1 @@
+"""The settings of a sweep as types: what each may be."""

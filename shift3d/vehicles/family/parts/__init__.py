@@ -1,0 +1,1 @@
+"""Parts that attributes add to a vehicle."""
