@@ -11,7 +11,7 @@ from torch import Tensor
 from shift3d.attack.loop import best_step
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
-from shift3d.attack.trials import Search, Trials
+from shift3d.attack.trials import Family, Search, Trials
 
 __all__ = ["descend_expectation"]
 
@@ -32,6 +32,7 @@ def descend_expectation(
     placements: int = 2,
     starts: int = 1,
     on_step: Callable[[StepRecord], None] | None = None,
+    family: Family | None = None,
 ) -> AttackResult:
     """Projected Adam on the mean loss over placements close by.
 
@@ -44,13 +45,15 @@ def descend_expectation(
         rng: of the placements and the further starts.
         placements: that the mean is taken over, the object's own among them; drawn for every step.
         starts: the baseline, then draws from the space, an evaluation each; the descent begins at the best of them.
+        family: kinds that the draws are taken from in turn, none twice before each was drawn once; the descent is over
+            the kind of the best. None: the draws are the search's own.
     Returns: the valid step with the lowest loss of all: of a draw its own, of a step of the descent the mean.
     Source: expectation over transformation (Athalye et al. 2018) with Adam (Kingma and Ba 2015); our choice.
     """
     trials = Trials(problem, search, on_step)
-    variable = search.start.detach()
     if starts > 1:
-        variable = _best_start(trials, search, starts, rng)
+        search = _turn_to_best_start(trials, problem, search, starts, rng, family)
+    variable = trials.held
     steps = max(1, (evaluations - (starts - 1)) // placements)
     mean, square = torch.zeros_like(variable, dtype=torch.float64), torch.zeros_like(variable, dtype=torch.float64)
     # Without further starts the baseline is the first step of the descent.
@@ -62,19 +65,41 @@ def descend_expectation(
             break
         direction, mean, square = _adam(gradient.double(), mean, square, move)
         size = rate * (1.0 - 0.9 * move / steps)
-        variable = search.project(variable - (size * direction).to(variable.dtype))
+        if trials.trace[-1].within_budget:
+            variable = search.project(variable - (size * direction).to(variable.dtype))
+        else:
+            variable = search.project(trials.back())
         if not bool(torch.isfinite(variable).all()):
             return trials.result(best_step(trials.trace), diverged=True)
     return trials.result(best_step(trials.trace))
 
 
-def _best_start(trials: Trials, search: Search, starts: int, rng: np.random.Generator) -> Tensor:
-    """The valid one with the lowest loss of the baseline and draws from the space."""
+def _turn_to_best_start(
+    trials: Trials,
+    problem: AttackProblem,
+    search: Search,
+    starts: int,
+    rng: np.random.Generator,
+    family: Family | None,
+) -> Search:
+    """Try the baseline and draws from the kinds in turn; go on with the kind of the best, whose search it returns."""
     trials.evaluate(search.start, False)
+    kinds, order = [(problem, search)], list[int]()
     for _ in range(starts - 1):
-        trials.evaluate(search.draw(rng, START_DISTANCE), False)
+        within = trials.trace[-1].within_budget
+        if within and family is not None:
+            order = order or rng.permutation(family.count).tolist()
+            problem, search = family.of(order.pop())
+            trials.turn_to(problem, search)
+        variable = search.draw(rng, START_DISTANCE) if within else search.project(trials.back())
+        kinds.append((problem, search))
+        trials.evaluate(variable, False)
     best = best_step(trials.trace)
-    return trials.variables[best if trials.trace[best].loss < trials.trace[0].loss else 0]
+    best = best if trials.trace[best].loss < trials.trace[0].loss else 0
+    if kinds[best][1] is not search:
+        trials.turn_to(*kinds[best])
+    trials.held = trials.variables[best]
+    return kinds[best][1]
 
 
 def _shift(rng: np.random.Generator) -> Tensor:

@@ -26,17 +26,21 @@ def descend(
     """Plain gradient descent: v <- Proj[v - alpha dL/dv], `steps` times.
 
     Of steps 1..steps the valid one with the lowest loss is kept; the start does not count unless none is
-    valid, and is then returned as best_step 0. selection_window: see `best_step`.
+    valid, and is then returned as best_step 0. A step found beyond the budget is followed by one half way back to the
+    best so far. selection_window: see `best_step`.
 
     Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01).
     """
-    trials = Trials(problem, search, on_step)
+    trials = Trials(problem, search, on_step, every_step=selection_window > 0)
     variable, diverged = search.start.detach(), False
     for step in range(steps + 1):
         gradient = trials.evaluate(variable, step < steps)
         if gradient is None:
             break
-        variable = search.project(variable - alpha * gradient)
+        if trials.trace[-1].within_budget:
+            variable = search.project(variable - alpha * gradient)
+        else:
+            variable = search.project(trials.back())
         if not bool(torch.isfinite(variable).all()):
             diverged = True
             break

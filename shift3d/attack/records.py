@@ -9,6 +9,7 @@ from typing import Literal
 from torch import Tensor
 
 from shift3d.placement.constraints import ConstraintCheck
+from shift3d.render.field.object_field import VehicleFrame
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,8 @@ class StepRecord:
     proposal_score: best score near the object before suppression. grazing_gradient: share of the gradient that LEAVES
     this step carried by grazing beams, None where none leaves it (the last).
     least_slope: smallest |e . grad g| of this step's hits, infinite where no gradient was taken. non_finite: NaN and
-    infinities among the moved points, the proposals, the loss and the gradient; 0 by construction.
+    infinities among the moved points, the proposals, the loss and the gradient; 0 by construction. within_budget: False
+    for a shape that was found to lie beyond the budget of naturalness, see `trials.Search.natural`.
     milliseconds: by stage (render, detector, backward, constraints).
     """
 
@@ -36,24 +38,27 @@ class StepRecord:
     grazing_gradient: float | None = None
     least_slope: float = math.inf
     non_finite: int = 0
+    within_budget: bool = True
     milliseconds: dict[str, float] = field(default_factory=dict)
 
     @property
     def valid(self) -> bool:
-        """All constraints hold."""
-        return self.check.valid
+        """All constraints hold, and the budget where it was asked."""
+        return self.check.valid and self.within_budget
 
 
 @dataclass(frozen=True)
 class AttackResult:
     """The best valid step, or the start where no step was valid.
 
-    mode: shape, pose or both. latent_code: (d,). theta: (6,) float64. best_step: 1..steps, or 0 where no step was valid
-    and the baseline is kept. status: "ok"; "no_valid_step"; "diverged" where a step left the finite numbers (the
-    search ended there, earlier steps count). trace: one record per rendering, step 0 first.
+    mode: shape, pose or both. vehicle: whose frame the code is drawn in. latent_code: (d,). theta: (6,) float64.
+    best_step: 1..steps, or 0 where no step was valid and the baseline is kept. status: "ok"; "no_valid_step";
+    "diverged" where a step left the finite numbers (the search ended there, earlier steps count). trace: one record
+    per rendering, step 0 first.
     """
 
     mode: Literal["shape", "pose", "shape_pose"]
+    vehicle: VehicleFrame
     latent_code: Tensor
     theta: Tensor
     best_step: int

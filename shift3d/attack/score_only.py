@@ -13,7 +13,7 @@ from torch import Tensor
 from shift3d.attack.loop import best_step
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
-from shift3d.attack.trials import Search, Trials
+from shift3d.attack.trials import Family, Search, Trials
 
 __all__ = ["draw_best", "evolve"]
 
@@ -28,16 +28,23 @@ def draw_best(
     rng: np.random.Generator,
     distance: float = 0.2,
     on_step: Callable[[StepRecord], None] | None = None,
+    family: Family | None = None,
 ) -> AttackResult:
     """The best of so many draws: what a search has to beat.
 
-    evaluations: draws, after the baseline, which is step 0 and does not count. distance: see `Search.draw`.
+    evaluations: draws, after the baseline, which is step 0 and does not count. distance: see `Search.draw`. family:
+    kinds, one of them at random for each draw; None: the draws are the search's own. A draw that would be the best and
+    lies beyond the budget is followed by one half way back.
     Returns: the valid draw with the lowest loss. Source: our choice: the paper's random objects are one draw each.
     """
     trials = Trials(problem, search, on_step, differentiable=False)
     trials.evaluate(search.start, False)
     for _ in range(evaluations):
-        trials.evaluate(search.draw(rng, distance), False)
+        within = trials.trace[-1].within_budget
+        if within and family is not None:
+            problem, search = family.of(int(rng.integers(family.count)))
+            trials.turn_to(problem, search)
+        trials.evaluate(search.draw(rng, distance) if within else search.project(trials.back()), False)
     return trials.result(best_step(trials.trace))
 
 

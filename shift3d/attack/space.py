@@ -17,13 +17,11 @@ from shift3d.errors import InputError
 from shift3d.sdf.principal_components import principal_components
 from shift3d.vehicles.parameter_box import BoxOfParameters
 
-__all__ = ["SPACES", "CodeSpace", "edited_code", "free_space", "parameter_space", "pca_space", "within_budget"]
+__all__ = ["SPACES", "CodeSpace", "edited_code", "free_space", "parameter_space", "pca_space"]
 
-SPACES = ("free", "pca", "parameters")
+SPACES = ("free", "pca", "parameters", "family")
 BALL = 0.95
 """Share of a Gaussian's mass that the ball of `pca` holds (our choice)."""
-HALVINGS, REFINEMENTS = 12, 3
-"""Of the way back from a code beyond a budget: until a place is natural, and from there towards the budget's edge."""
 
 
 @dataclass(frozen=True)
@@ -114,33 +112,3 @@ def edited_code(code0: Tensor, box: BoxOfParameters, edit: str, where: str) -> T
     u = space.start.clone()
     u[box.names.index(name)] = place
     return space.code(u)
-
-
-def within_budget(space: CodeSpace, natural: Callable[[Tensor], bool], where: str) -> CodeSpace:
-    """The same space, as far as its codes are natural.
-
-    A code beyond the budget is taken back towards the baseline's, on a straight line in the space's coordinates: the
-    way is halved until a place is natural, and from there a bisection goes up to seven eighths of the way to the edge;
-    the baseline's own code where no place is.
-
-    Args: natural: of a code (d,), whether it lies within the budget. where: whose code the baseline's is, for messages.
-    Raises: InputError where the baseline's code is not natural itself.
-    Source: our choice.
-    """
-    if not natural(space.code(space.start).detach()):
-        raise InputError("the unchanged vehicle lies beyond the budget", where, "Give a larger attack.naturalness")
-
-    def project(u: Tensor) -> Tensor:
-        u = space.project(u)
-        if not bool(torch.isfinite(u).all()) or natural(space.code(u).detach()):
-            return u
-        held, beyond, left = 0.0, 1.0, HALVINGS
-        while left > 0:
-            middle = (held + beyond) / 2
-            if natural(space.code(torch.lerp(space.start, u, middle)).detach()):
-                held, left = middle, min(left - 1, REFINEMENTS)
-            else:
-                beyond, left = middle, left - 1
-        return torch.lerp(space.start, u, held)
-
-    return CodeSpace(space.start, space.code, project, lambda rng, distance: project(space.draw(rng, distance)))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,9 +15,10 @@ from torch import Tensor
 from shift3d.attack.objective import latent_distance
 from shift3d.attack.problem import AttackProblem, Measurement, count_non_finite, measure
 from shift3d.attack.records import AttackResult, StepRecord
+from shift3d.render.field.object_field import VehicleFrame
 from shift3d.render.solvers.search import WarmStart
 
-__all__ = ["Elsewhere", "Parameters", "Search", "Trials"]
+__all__ = ["Elsewhere", "Family", "Parameters", "Search", "Trials"]
 
 Parameters = Callable[[Tensor], tuple[Tensor, Tensor]]
 
@@ -37,6 +39,8 @@ class Search:
     to the loss. project: variable -> nearest variable that satisfies the hard constraints. draw: (generator, latent
     distance) -> a variable at random among those that the search may visit; where these have no bound, as codes of the
     free space have none, one at that distance from the start. elsewhere: other places that a universal shape is for.
+    natural: of a code (d,), whether it lies within the budget of naturalness; None: there is none. It takes long, and
+    is asked only of what would be kept: a valid step with a loss below all others.
     """
 
     mode: Literal["shape", "pose", "shape_pose"]
@@ -46,13 +50,27 @@ class Search:
     project: Callable[[Tensor], Tensor]
     draw: Callable[[np.random.Generator, float], Tensor]
     elsewhere: tuple[Elsewhere, ...] = ()
+    natural: Callable[[Tensor], bool] | None = None
+
+
+@dataclass(frozen=True)
+class Family:
+    """The kinds of vehicle that a search may turn to, at one place before one detector.
+
+    count: of kinds. of: the problem and the search of one, by its number; each has coordinates of its own.
+    """
+
+    count: int
+    of: Callable[[int], tuple[AttackProblem, Search]]
 
 
 class Trials:
     """The evaluations of one search, in their order.
 
     Renderings start from the last one's hits, and the detector computes again only what a move has changed.
-    differentiable: False for searches that never ask for a gradient; nothing is then kept for one.
+    held: where a step beyond the budget goes back to: the best variable so far, or the search's start. differentiable:
+    False for searches that never ask for a gradient; nothing is then kept for one. every_step: whether
+    every valid step is asked for its naturalness, for a search that may keep another than the lowest.
     """
 
     def __init__(
@@ -61,16 +79,22 @@ class Trials:
         search: Search,
         on_step: Callable[[StepRecord], None] | None = None,
         differentiable: bool = True,
+        every_step: bool = False,
     ) -> None:
         self.trace: list[StepRecord] = []
         self.variables: list[Tensor] = []
-        self._problem, self._search, self._on_step = problem, search, on_step
-        self._differentiable = differentiable
-        self._tried: list[tuple[Tensor, Tensor]] = []
+        self._on_step, self._differentiable, self._every_step = on_step, differentiable, every_step
+        self._lowest = math.inf  # loss of a valid step after the start
+        self._tried: list[tuple[VehicleFrame, Tensor, Tensor]] = []
+        self.turn_to(problem, search)
+        self._incremental = [place.problem.incremental_inference() for place in self._places]
+
+    def turn_to(self, problem: AttackProblem, search: Search) -> None:
+        """Go on with a vehicle of another kind before the same detector, at the same places."""
+        self._problem, self._search, self.held = problem, search, search.start.detach()
         # Of the search's own place and of those elsewhere, in this order.
         self._places = [Elsewhere(problem, lambda code: problem.theta0), *search.elsewhere]
         self._warm: list[WarmStart | None] = [None] * len(self._places)
-        self._incremental = [place.problem.incremental_inference() for place in self._places]
 
     def evaluate(self, variable: Tensor, with_gradient: bool, shifts: Sequence[Tensor] = ()) -> Tensor | None:
         """Try a variable and note it as the next step; returns the loss' gradient, None where none is asked for.
@@ -97,18 +121,33 @@ class Trials:
                 part, part_ms = _gradient(losses[-1], variable, 1.0 / len(poses), more=number < len(poses) - 1)
                 gradient, spent_ms = part if gradient is None else gradient + part, spent_ms + part_ms
         assert first is not None
-        record = self._record(code, theta, losses, gradient, first, spent_ms)
+        record = self._with_budget(self._record(code, theta, losses, gradient, first, spent_ms), code, variable)
         self.trace.append(record)
         self.variables.append(variable.detach())
-        self._tried.append((code.detach().clone(), theta.detach().clone()))
+        self._tried.append((self._problem.vehicle, code.detach().clone(), theta.detach().clone()))
         if self._on_step is not None:
             self._on_step(record)
         return gradient
+
+    def back(self) -> Tensor:
+        """Half way from the last variable, which lies beyond the budget, to the one that is held."""
+        return torch.lerp(self.held, self.variables[-1], 0.5)
 
     def result(self, kept: int, diverged: bool = False) -> AttackResult:
         """The search's answer. kept: the step that is kept, 0 where no step was valid."""
         status = "diverged" if diverged else "ok" if kept else "no_valid_step"
         return AttackResult(self._search.mode, *self._tried[kept], kept, status, tuple(self.trace))
+
+    def _with_budget(self, record: StepRecord, code: Tensor, variable: Tensor) -> StepRecord:
+        """The record, with what the budget says of it where that matters."""
+        lowest = record.loss < self._lowest
+        if record.step == 0 or not record.valid or not (lowest or self._every_step):
+            return record
+        if self._search.natural is not None:
+            record = replace(record, within_budget=self._search.natural(code.detach()))
+        if record.valid and lowest:
+            self._lowest, self.held = record.loss, variable.detach()
+        return record
 
     def _record(
         self,

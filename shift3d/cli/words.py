@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli.completion import plan_words
 from shift3d.errors import InputError, empty_error
+from shift3d.settings.folders import files
 
 if TYPE_CHECKING:
     from shift3d.cli.job_spec import JobSpec
@@ -109,8 +110,12 @@ def runner_of(words: Sequence[str], command: str) -> RayRunnerConfig | LocalRunn
 
 
 def _words_of_folder(words: list[str]) -> list[str]:
-    """The words that a sweep was begun with where its output folder stands for them; words after it are added."""
-    if not words or "=" in words[0]:
+    """The words that a sweep was begun with where its output folder stands for them; words after it are added.
+
+    A sweep's name is that, whatever the current folder holds: ./NAME is the folder.
+    Raises: InputError where out= names another folder.
+    """
+    if not words or "=" in words[0] or words[0] in files("sweeps"):
         return words
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.spec_file import read_spec
@@ -118,6 +123,9 @@ def _words_of_folder(words: list[str]) -> list[str]:
     folder = as_location(words[0])
     if not (folder / "spec.yaml").is_file():
         return words
+    if any(word.startswith("out=") and as_location(word.removeprefix("out=")) != folder for word in words[1:]):
+        what, remedy = "is a sweep's folder, which is where it goes on", "Leave out= away, or give the sweep's name"
+        raise InputError(what, where=str(folder), remedy=remedy)
     spec = read_spec(folder)
     changed = {word.partition("=")[0] for word in words[1:]}
     kept = [word for word in spec["overrides"] if word.partition("=")[0] not in changed]

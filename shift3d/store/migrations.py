@@ -99,12 +99,18 @@ def _searched_by_descent(name: str, table: pa.Table) -> pa.Table:
     return table.add_column(place + 1, pa.field("search", pa.string(), nullable=False), words)
 
 
+def _drawn_as_their_own(name: str, table: pa.Table) -> pa.Table:
+    """Version 10 searches over kinds: before, each code was drawn in the frame of the task's own vehicle."""
+    return _with_nulls(table, "replicate", {"drawn_as": pa.string()}) if name == "solutions" else table
+
+
 # Version 7 added columns to one table, all of which version 9 drops again.
 STEPS: Mapping[int, Step] = {
     5: Step(entry=_ids_as_text),
     6: Step(),
     7: Step(table=_searched_by_descent),
     8: Step(table=_judged_by_sides),
+    9: Step(table=_drawn_as_their_own),
 }
 """By the version that a step starts from."""
 

@@ -241,7 +241,8 @@ def _object(
 ) -> tuple[dict[str, Any], float]:
     """A solution's row without its role, and what the attacked detector makes of it."""
     theta = torch.tensor([solution[name] for name in _POSE], dtype=torch.float64)
-    problem, scene = build_problem(spec, assets, theta), assets.scene(spec)[0]
+    problem = build_problem(spec, assets, theta, assets.drawn_vehicle(spec, solution))
+    scene = assets.scene(spec)[0]
     code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
     with torch.no_grad():
         rendering = problem.insert(code, theta)

@@ -18,7 +18,7 @@ from shift3d.sweep.drive import SweepResult, run_sweep
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
+from shift3d.sweep.results.final import FinalTables, check_segments, segments_in_plan_order, write_final
 from shift3d.sweep.results.verified_scores import FOLDER
 
 __all__ = ["verification_kind", "verification_plan", "verify_sweep"]
@@ -62,10 +62,10 @@ def verify_sweep(folder: LocationLike, plan: Plan, runner: RayRunnerConfig | Loc
     Exactly once, resumable and to the same bytes, as a sweep. plan: of `verification_plan`.
 
     Raises:
-        InputError: as `run_sweep`.
+        InputError: as `run_sweep`; a segment of the sweep is damaged, which is found before anything runs.
     """
-
     folder = as_location(folder)
+    check_segments(folder, read_log(folder))
 
     def finish(own: Location, verified: Plan, entries: Sequence[Commit]) -> FinalTables:
         for name in ("verification", "timings", "attempts"):

@@ -140,13 +140,18 @@ class Assets:
     def _naturalness(self) -> Naturalness:
         return Naturalness(load_reference(reference_source(self.reference or {}), "naturalness"))
 
-    def naturalness_of(self, spec: TaskSpec) -> NaturalnessMeasure | None:
-        """The naturalness of the task's unchanged vehicle, measured on first use."""
+    def naturalness_of(self, spec: TaskSpec, name: str) -> NaturalnessMeasure | None:
+        """The naturalness of an unchanged vehicle of the task's set, measured on first use."""
         measures = self.naturalness(spec)
-        if measures is not None and spec.vehicle not in self._own_naturalness:
-            vehicle = self.vehicle(spec)
-            self._own_naturalness[spec.vehicle] = measures.of_code(vehicle, self.decoder, vehicle.latent_code)
-        return self._own_naturalness.get(spec.vehicle)
+        if measures is not None and name not in self._own_naturalness:
+            vehicle = self.vehicles.vehicle(name)
+            self._own_naturalness[name] = measures.of_code(vehicle, self.decoder, vehicle.latent_code)
+        return self._own_naturalness.get(name)
+
+    def drawn_vehicle(self, spec: TaskSpec, solution: Mapping[str, Any]) -> Vehicle:
+        """The vehicle in whose frame a row of solutions is drawn: the task's own, but for a search over kinds."""
+        own, name = self.vehicle(spec), solution.get("drawn_as")
+        return self.vehicles.vehicle(name) if isinstance(name, str) and name != own.name else own
 
     def space_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
         """An SDF grid of the task's vehicle at these settings, None where they use none.

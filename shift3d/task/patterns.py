@@ -5,12 +5,10 @@ from __future__ import annotations
 import time
 from dataclasses import asdict
 
-import numpy as np
-from numpy.typing import NDArray
-
 from shift3d.errors import InputError
 from shift3d.naturalness.decoded import decoded_mesh
 from shift3d.task.exchange import Row, TaskResult
+from shift3d.task.rescoring import Solution
 from shift3d.task.spec import TaskSpec
 from shift3d.task.verify import VerifyAssets
 from shift3d.vehicles.mesh_measures import measure_mesh
@@ -31,7 +29,7 @@ def patterns_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
     start = time.perf_counter()
     solutions = held.solutions(spec) if spec.mode != "pose" else []
     rows = [
-        {"method": found.method, "replicate": found.replicate, **_measured(spec, held, found.code.numpy())}
+        {"method": found.method, "replicate": found.replicate, **_measured(spec, held, found)}
         for found in solutions
         if found.method in ("baseline", "adversarial")
     ]
@@ -39,9 +37,10 @@ def patterns_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
     return TaskResult([], [], [spent | {"calls": len(rows)}], patterns=rows)
 
 
-def _measured(spec: TaskSpec, held: VerifyAssets, code: NDArray[np.float32]) -> Row:
+def _measured(spec: TaskSpec, held: VerifyAssets, found: Solution) -> Row:
+    vehicle = found.vehicle or held.assets.vehicle(spec)
     try:
-        mesh = decoded_mesh(held.assets.vehicle(spec), held.assets.decoder, code, RESOLUTION)
+        mesh = decoded_mesh(vehicle, held.assets.decoder, found.code.numpy(), RESOLUTION)
     except InputError:  # a code without a surface
         return {}
     return asdict(measure_mesh(mesh))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from shift3d.effects.chain import EffectChain
     from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["build_problem", "place_vehicle"]
+__all__ = ["as_vehicle", "build_problem", "place_vehicle"]
 
 
 def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
@@ -69,6 +69,13 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicl
         space=space,
         effects=_effects(spec, assets, vehicle),
     )
+
+
+def as_vehicle(spec: TaskSpec, assets: Assets, problem: AttackProblem, vehicle: Vehicle) -> AttackProblem:
+    """The task's problem with another vehicle of the same decoder where its own stands, on the same ground."""
+    theta = problem.theta0.clone()
+    theta[2] += (vehicle.size_m[2] - problem.vehicle.size_m[2]) / 2
+    return build_problem(spec, assets, theta, vehicle)
 
 
 def _effects(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> EffectChain | None:

@@ -22,6 +22,7 @@ from shift3d.task.differences import Differences, differences
 from shift3d.task.run import build_problem
 from shift3d.task.scoring import SCORED_FROM_EMPTY, EmptyScene, Scored, score_object, score_points
 from shift3d.task.spec import TaskSpec
+from shift3d.vehicles.vehicle import Vehicle
 
 __all__ = ["DRAWS", "Problems", "Solution", "Verified", "verify_object"]
 
@@ -37,7 +38,8 @@ DRAWS = 2
 class Solution:
     """One row of ``solutions.parquet``, and what it was scored.
 
-    code: (d,) float32. theta: (6,) float64. scores: by the detector's name, as the sweep reported them.
+    code: (d,) float32. theta: (6,) float64. scores: by the detector's name, as the sweep reported them. vehicle: whose
+    frame the code is drawn in; None: the task's own.
     """
 
     method: str
@@ -45,6 +47,7 @@ class Solution:
     code: Tensor
     theta: Tensor
     scores: Mapping[str, float]
+    vehicle: Vehicle | None = None
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,8 @@ class Problems:
     empty: EmptyScene = field(default_factory=EmptyScene)
 
     @staticmethod
-    def of(spec: TaskSpec, assets: Assets, theta: Tensor) -> Problems:
-        """The task's problems, the vehicle at ``theta`` (6,).
+    def of(spec: TaskSpec, assets: Assets, solution: Solution) -> Problems:
+        """The task's problems, the vehicle of a solution at its pose.
 
         Raises:
             InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
@@ -84,7 +87,8 @@ class Problems:
             {name: assets.detector_of(name, score_precision(which)) for name in spec.scored_by[1:]}
             for which in (spec, reference)
         )
-        problem, true_problem = (build_problem(which, assets, theta) for which in (spec, reference))
+        theta, vehicle = solution.theta, solution.vehicle
+        problem, true_problem = (build_problem(which, assets, theta, vehicle) for which in (spec, reference))
         return Problems(problem, true_problem, others, others_reference)
 
 

@@ -95,7 +95,7 @@ def _scored(
     u = np.array(kin["coordinates"], np.float64)
     vehicle = held.reconstructor.vehicle(f"{kin['scene']}/{kin['label']}", kin["kind"], u, kin["scale_m"])
     theta = solution.theta.clone()
-    theta[2] += (vehicle.size_m[2] - assets.vehicle(spec).size_m[2]) / 2
+    theta[2] += (vehicle.size_m[2] - (solution.vehicle or assets.vehicle(spec)).size_m[2]) / 2
     problem = build_problem(spec, assets, theta, vehicle)
     stands = on_ground(problem.code0, problem, SNAP_M)
     found = score_object(problem, problem.code0, stands, spec.attack.detection_radius_m, others)

@@ -78,6 +78,7 @@ class Rows:
                 "method": candidate.method,
                 "replicate": candidate.replicate,
                 "effects": list(self._spec.effects),
+                "drawn_as": None if candidate.vehicle is None else candidate.vehicle.name,
                 "latent_code": np.asarray(candidate.code, dtype=np.float32).tolist(),
             }
             | pose

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from torch import Tensor
 
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
 from shift3d.attack.problem import AttackProblem
+from shift3d.attack.records import AttackResult
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.detectors.base import Detector
 from shift3d.naturalness.measure import NaturalnessMeasure
@@ -20,12 +22,13 @@ from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets, score_precision, search_precision
 from shift3d.task.audit import AUDITED, audit
 from shift3d.task.exchange import TaskResult
-from shift3d.task.problem import build_problem, place_vehicle
+from shift3d.task.problem import as_vehicle, build_problem, place_vehicle
 from shift3d.task.rows import Rows
 from shift3d.task.scoring import SCORED_FROM_EMPTY, Candidate, EmptyScene, score_object
 from shift3d.task.searching import best_of_draws, edited_vehicle, pose_limits, search_task
 from shift3d.task.spec import TaskSpec
 from shift3d.task.transfer import put_elsewhere
+from shift3d.vehicles.vehicle import Vehicle
 
 __all__ = ["build_problem", "load_assets", "place_vehicle", "run_task"]
 
@@ -57,11 +60,12 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
         empty, radius_m = EmptyScene(), spec.attack.detection_radius_m
         for candidate in _candidates(spec, problem, searched, assets, rows):
             scene = empty if candidate.method in SCORED_FROM_EMPTY else None
-            scored = score_object(problem, candidate.code, candidate.theta, radius_m, others, scene)
+            there = _there(spec, assets, problem, candidate.vehicle)
+            scored = score_object(there, candidate.code, candidate.theta, radius_m, others, scene)
             # The reference would only be held against itself.
             audited = candidate.method in AUDITED and problem.settings != REFERENCE
-            checked = audit(spec, assets, problem, candidate, scored) if audited else None
-            rows.add(candidate, problem.code0, scored, checked, _naturalness(spec, assets, candidate, rows))
+            checked = audit(spec, assets, there, candidate, scored) if audited else None
+            rows.add(candidate, there.code0, scored, checked, _naturalness(spec, assets, candidate, rows))
             if spec.transfer_scenes and candidate.method == "adversarial":
                 _put_elsewhere(spec, assets, candidate, rows)
         for method, replicate in _planned(spec):
@@ -75,9 +79,10 @@ def _naturalness(spec: TaskSpec, assets: Assets, candidate: Candidate, rows: Row
     if candidate.method == "adversarial_noise" or (measures := assets.naturalness(spec)) is None:
         return None
     if spec.mode == "pose" or candidate.method == "baseline":
-        return assets.naturalness_of(spec)
+        return assets.naturalness_of(spec, spec.vehicle)
     start = time.perf_counter()
-    found = measures.of_code(assets.vehicle(spec), assets.decoder, candidate.code.detach().float())
+    vehicle = candidate.vehicle or assets.vehicle(spec)
+    found = measures.of_code(vehicle, assets.decoder, candidate.code.detach().float())
     rows.time(candidate.method, "naturalness", 1e3 * (time.perf_counter() - start))
     return found
 
@@ -85,7 +90,7 @@ def _naturalness(spec: TaskSpec, assets: Assets, candidate: Candidate, rows: Row
 def _put_elsewhere(spec: TaskSpec, assets: Assets, found: Candidate, rows: Rows) -> None:
     """What the shape that was found does in other scenes."""
     start = time.perf_counter()
-    rows.transfers(put_elsewhere(spec, assets, found.code))
+    rows.transfers(put_elsewhere(spec, assets, found.code, found.vehicle))
     rows.time(
         found.method,
         "transfers",
@@ -117,27 +122,39 @@ def _candidates(
     yield Candidate("baseline", 0, problem.code0, problem.theta0, best_step=0)
     found = search_task(spec, replace(problem, detector=searched), assets)
     rows.attack(found)
-    code, theta = found.latent_code, found.theta
-    distance = float((code.double() - problem.code0.double()).norm())
+    code, theta, vehicle = found.latent_code, found.theta, _other_than(problem, found)
+    there = _there(spec, assets, problem, vehicle)
+    distance = float((code.double() - there.code0.double()).norm())
     rng = generator("random", spec.task_id)
     for index in range(spec.attack.random_replicates):
         if (drawn := _random(spec, problem, distance, rng)) is not None:
             yield Candidate("random", index, *drawn)
     if spec.attack.random_search:
         best = best_of_draws(spec, replace(problem, detector=searched), assets, distance)
-        yield Candidate("random_search", 0, best.latent_code, best.theta, best.best_step, best.status)
+        drawn_as = _other_than(problem, best)
+        yield Candidate("random_search", 0, best.latent_code, best.theta, best.best_step, best.status, drawn_as)
     if spec.attack.edit and spec.mode != "pose":
         edited = edited_vehicle(spec, problem, assets)
         yield Candidate("edited", 0, edited, on_ground(edited, problem, SNAP_M))
-    yield Candidate("adversarial", 0, code, theta, found.best_step, found.status)
+    yield Candidate("adversarial", 0, code, theta, found.best_step, found.status, vehicle)
     if spec.mode != "pose":
         # A noisy copy stands where the solution does, on the ground under its own shape.
-        there = problem if spec.mode == "shape" else replace(problem, theta0=theta)
+        there = there if spec.mode == "shape" else replace(there, theta0=theta)
         rng = generator("noise", spec.task_id)
         sigma = spec.attack.noise_share * distance if spec.attack.noise_share else spec.attack.noise_sigma
         noisy = noise_codes(code, sigma, spec.attack.noise_replicates, rng)
         for index, noisy_code in enumerate(noisy):
-            yield Candidate("adversarial_noise", index, noisy_code, on_ground(noisy_code, there, SNAP_M))
+            stands = on_ground(noisy_code, there, SNAP_M)
+            yield Candidate("adversarial_noise", index, noisy_code, stands, vehicle=vehicle)
+
+
+def _other_than(problem: AttackProblem, found: AttackResult) -> Vehicle | None:
+    """The vehicle of another kind that a search has turned to; None where it kept the task's own."""
+    return None if found.vehicle is problem.vehicle else cast(Vehicle, found.vehicle)
+
+
+def _there(spec: TaskSpec, assets: Assets, problem: AttackProblem, vehicle: Vehicle | None) -> AttackProblem:
+    return problem if vehicle is None else as_vehicle(spec, assets, problem, vehicle)
 
 
 def _random(

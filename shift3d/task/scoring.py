@@ -23,6 +23,7 @@ from shift3d.attack.problem import AttackProblem, Measurement, measure
 from shift3d.detectors.base import BevWindow, Detector, Proposals
 from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow, incremental_inference
 from shift3d.detectors.nms import suppress
+from shift3d.vehicles.vehicle import Vehicle
 
 # Scores below this count as 0: their boxes are not even candidates for suppression. Recall curves are drawn
 # over [0, 1], so that the detector's own cut-off for display (0.1) would put a step into them. Our choice.
@@ -35,7 +36,10 @@ SCORED_FROM_EMPTY = ("adversarial_noise",)
 
 @dataclass(frozen=True)
 class Candidate:
-    """One object to be scored: a code and a pose, and how they were come by."""
+    """One object to be scored: a code and a pose, and how they were come by.
+
+    vehicle: whose frame the code is drawn in; None: the task's own.
+    """
 
     method: str
     replicate: int
@@ -43,6 +47,7 @@ class Candidate:
     theta: Tensor
     best_step: int | None = None
     status: str = "ok"
+    vehicle: Vehicle | None = None
 
 
 @dataclass(frozen=True)

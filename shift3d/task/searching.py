@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+
 from torch import Tensor
 
 from shift3d.attack.expectation import descend_expectation
@@ -12,14 +16,16 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
 from shift3d.attack.score_only import draw_best, evolve
 from shift3d.attack.shape import shape_search
-from shift3d.attack.space import CodeSpace, edited_code, free_space, parameter_space, pca_space, within_budget
-from shift3d.attack.trials import Search
+from shift3d.attack.space import CodeSpace, edited_code, free_space, parameter_space, pca_space
+from shift3d.attack.trials import Family, Search
 from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, require_planned
+from shift3d.task.problem import as_vehicle
 from shift3d.task.spec import TaskSpec
 from shift3d.task.transfer import problems_elsewhere
 from shift3d.vehicles.sources import space_hash
+from shift3d.vehicles.vehicle import Vehicle
 
 __all__ = ["best_of_draws", "edited_vehicle", "pose_limits", "search_task"]
 
@@ -31,14 +37,15 @@ def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Attac
     """
     attack = spec.attack
     problem = problem if spec.mode == "shape" else problem.with_space()
-    search = _search(spec, problem, assets)
+    search, family = _search(spec, problem, assets), _family(spec, problem, assets)
     rng = generator("search", spec.task_id)
     if attack.search == "expectation":
-        return descend_expectation(problem, search, attack.steps, attack.rate, rng, attack.placements, attack.starts)
+        placements, starts = attack.placements, attack.starts
+        return descend_expectation(problem, search, attack.steps, attack.rate, rng, placements, starts, family=family)
     if attack.search == "evolution":
         return evolve(problem, search, attack.steps, rng)
     if attack.search == "random":
-        return draw_best(problem, search, attack.steps, rng)
+        return draw_best(problem, search, attack.steps, rng, family=family)
     return descend(problem, search, attack.steps, spec.alpha, selection_window=attack.selection_window)
 
 
@@ -46,7 +53,8 @@ def best_of_draws(spec: TaskSpec, problem: AttackProblem, assets: Assets, distan
     """The best of as many draws as the task's search has evaluations. distance: see `attack.trials.Search.draw`."""
     problem = problem if spec.mode == "shape" else problem.with_space()
     rng = generator("random search", spec.task_id)
-    return draw_best(problem, _search(spec, problem, assets), spec.attack.steps, rng, distance)
+    search, family = _search(spec, problem, assets), _family(spec, problem, assets)
+    return draw_best(problem, search, spec.attack.steps, rng, distance, family=family)
 
 
 def edited_vehicle(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Tensor:
@@ -64,39 +72,59 @@ def pose_limits(spec: TaskSpec) -> PoseLimits:
     return PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
 
 
-def _search(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Search:
+def _search(spec: TaskSpec, problem: AttackProblem, assets: Assets, vehicle: Vehicle | None = None) -> Search:
+    """The search over the task's own kind, or that of another vehicle, whose problem is then given."""
     if spec.mode == "pose":
         return pose_search(problem, pose_limits(spec))
     assert spec.lambda_ is not None
-    space = _space(spec, problem, assets)
+    if vehicle is None:
+        _require_space(spec, assets)
+        vehicle = assets.vehicle(spec)
+    space = _space(spec, problem, assets, vehicle)
     if spec.mode == "shape":
-        return shape_search(problem, spec.lambda_, space, elsewhere=problems_elsewhere(spec, problem, assets))
-    return joint_search(problem, spec.lambda_, space, pose_limits(spec))
+        search = shape_search(problem, spec.lambda_, space, elsewhere=problems_elsewhere(spec, problem, assets))
+    else:
+        search = joint_search(problem, spec.lambda_, space, pose_limits(spec))
+    return replace(search, natural=_budget(spec, assets, vehicle))
 
 
-def _space(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> CodeSpace:
-    space = _unbounded_space(spec, problem, assets)
+def _family(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Family | None:
+    """Every kind of the task's set that lies within the budget itself, at the task's place; made when it is drawn."""
+    if spec.mode == "pose" or spec.attack.space != "family":
+        return None
+    measured = {name: assets.naturalness_of(spec, name) for name in assets.vehicles.names()}
     budget = spec.attack.naturalness
+    names = [name for name, own in measured.items() if not budget or (own is not None and own.within(budget))]
+
+    @functools.cache
+    def kind(number: int) -> tuple[AttackProblem, Search]:
+        vehicle = assets.vehicles.vehicle(names[number])
+        there = replace(as_vehicle(spec, assets, problem, vehicle), detector=problem.detector)
+        return there, _search(spec, there, assets, vehicle)
+
+    return Family(len(names), kind)
+
+
+def _budget(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> Callable[[Tensor], bool] | None:
+    """Whether a code of a vehicle lies within the task's budget of naturalness; None without one."""
+    budget, measures = spec.attack.naturalness, assets.naturalness(spec)
     if not budget:
-        return space
-    vehicle, measures = assets.vehicle(spec), assets.naturalness(spec)
-    where = f"vehicle {spec.vehicle}, attack.naturalness={budget:g}"
-    if measures is None:
+        return None
+    where = f"vehicle {vehicle.name}, attack.naturalness={budget:g}"
+    own = assets.naturalness_of(spec, vehicle.name)
+    if measures is None or own is None:
         raise InputError("the task measures no naturalness", where, "Give naturalness=wide, or attack.naturalness=0")
-
-    def natural(code: Tensor) -> bool:
-        return measures.of_code(vehicle, assets.decoder, code.float()).within(budget)
-
-    return within_budget(space, natural, where)
+    if spec.attack.space != "family" and not own.within(budget):
+        raise InputError("the unchanged vehicle lies beyond the budget", where, "Give a larger attack.naturalness")
+    return lambda code: measures.of_code(vehicle, assets.decoder, code.float()).within(budget)
 
 
-def _unbounded_space(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> CodeSpace:
-    _require_space(spec, assets)
+def _space(spec: TaskSpec, problem: AttackProblem, assets: Assets, vehicle: Vehicle) -> CodeSpace:
     if spec.attack.space == "pca":
         codes = assets.vehicles.codes()
-        return pca_space(problem.code0, codes, spec.attack.components, f"vehicle {spec.vehicle}, attack.space=pca")
-    if spec.attack.space == "parameters":
-        return parameter_space(problem.code0, assets.vehicles.parameters(spec.vehicle))
+        return pca_space(problem.code0, codes, spec.attack.components, f"vehicle {vehicle.name}, attack.space=pca")
+    if spec.attack.space in ("parameters", "family"):
+        return parameter_space(problem.code0, assets.vehicles.parameters(vehicle.name))
     return free_space(problem.code0)
 
 

@@ -27,7 +27,7 @@ _FORMER_EFFECTS = {"silent_beams": "no_return_beams"}
 
 Mode = Literal["shape", "pose", "shape_pose"]
 SearchName = Literal["descent", "expectation", "evolution", "random"]
-SpaceName = Literal["free", "pca", "parameters"]
+SpaceName = Literal["free", "pca", "parameters", "family"]
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class AttackSpec:
     @property
     def label(self) -> str:
         """The search and where it goes, in a word: "descent", "expectation_pca10", "descent_within95_universal4"."""
-        space = {"free": "", "pca": f"_pca{self.components}", "parameters": "_parameters"}[self.space]
+        space = {"free": "", "pca": f"_pca{self.components}"}.get(self.space, f"_{self.space}")
         budget = f"_within{self.naturalness:g}" if self.naturalness else ""
         scenes = f"_universal{1 + self.search_scenes}" if self.search_scenes else ""
         edit = f"_{self.edit}" if self.edit else ""

@@ -13,9 +13,10 @@ from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.placement.sampling import NoPlacement
 from shift3d.task.assets import Assets, score_precision
 from shift3d.task.exchange import Row
-from shift3d.task.problem import build_problem, place_vehicle
+from shift3d.task.problem import as_vehicle, build_problem, place_vehicle
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec, TransferScene
+from shift3d.vehicles.vehicle import Vehicle
 
 __all__ = ["problems_elsewhere", "put_elsewhere"]
 
@@ -37,8 +38,10 @@ def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -
     return found
 
 
-def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor) -> Iterator[Row]:
+def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor, vehicle: Vehicle | None = None) -> Iterator[Row]:
     """Score a code (d,) and its baseline at one place of each of the task's other scenes that were not searched in.
+
+    vehicle: whose frame the code is drawn in; None: the task's own.
 
     Yields: a row a scene and detector, scenes in the spec's order. The place and heading are random, drawn for the
     baseline under its own constraints; the shape stands on the ground at the same x, y and heading. A scene without
@@ -50,10 +53,10 @@ def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor) -> Iterator[Row]
         rotation and translation). That the height follows the shape is our choice, as in `attack.shape`.
     """
     for other in spec.transfer_scenes[spec.attack.search_scenes :]:
-        yield from _put(spec.moved_to(other), other, assets, code)
+        yield from _put(spec.moved_to(other), other, assets, code, vehicle)
 
 
-def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor) -> Iterator[Row]:
+def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor, vehicle: Vehicle | None) -> Iterator[Row]:
     known: Row = {"other_scene": other.scene, "effects": list(other.effects)}
     placement = place_vehicle(moved, assets)
     if isinstance(placement, NoPlacement):
@@ -62,9 +65,10 @@ def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor) ->
     problem = build_problem(moved, assets, placement.theta)
     others = {name: assets.detector_of(name, score_precision(moved)) for name in moved.scored_by[1:]}
     radius_m = moved.attack.detection_radius_m
-    stands = on_ground(code, problem, SNAP_M)
+    there = problem if vehicle is None else as_vehicle(moved, assets, problem, vehicle)
+    stands = on_ground(code, there, SNAP_M)
     before = score_object(problem, problem.code0, placement.theta, radius_m, others)
-    after = score_object(problem, code, stands, radius_m, others)
+    after = score_object(there, code, stands, radius_m, others)
     theta = [float(value) for value in placement.theta]
     known |= {
         **dict(zip(_POSE, theta, strict=True)),

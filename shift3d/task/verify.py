@@ -26,6 +26,7 @@ from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.rescoring import Problems, Solution, Verified, verify_object
 from shift3d.task.spec import TaskSpec
+from shift3d.vehicles.vehicle import Vehicle
 
 __all__ = ["SCORE_TOLERANCE", "VerifyAssets", "load_verify_assets", "verified_rows", "verify_task"]
 
@@ -61,12 +62,17 @@ class VerifyAssets:
                 torch.tensor(np.asarray(row["latent_code"], dtype=np.float32)),
                 torch.tensor([row[name] for name in _POSE], dtype=torch.float64),
                 scores[row["method"], row["replicate"]],
+                self._other_vehicle(spec, row),
             )
             for row in rows["solutions"]
         ]
         if found and found[0].method != "baseline":
             raise InputError(f"task {spec.task_id} has no baseline", where=str(self.results / "solutions.parquet"))
         return found
+
+    def _other_vehicle(self, spec: TaskSpec, row: Row) -> Vehicle | None:
+        found = self.assets.drawn_vehicle(spec, row)
+        return None if found.name == spec.vehicle else found
 
     def _rows(self, name: str, task_id: str) -> list[Row]:
         path = self.results / f"{name}.parquet"
@@ -119,11 +125,12 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
     solutions = held.solutions(spec)
     if not solutions:
         return TaskResult([], [], [])
-    problems = Problems.of(spec, held.assets, solutions[0].theta)
+    own = Problems.of(spec, held.assets, solutions[0])
     rows: list[Row] = []
     timings: list[Row] = []
     baseline: Verified | None = None
     for solution in solutions:
+        problems = own if solution.vehicle is None else Problems.of(spec, held.assets, solution)
         verified, new = held.verified(spec, solution, problems)
         baseline = baseline or verified
         known = {"method": solution.method, "replicate": solution.replicate}

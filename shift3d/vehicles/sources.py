@@ -72,15 +72,19 @@ def space_hash(source: VehicleSource, vehicle: str, space: str, edited: bool = F
     """128-bit BLAKE2b, hex, of what bounds a search beside the vehicle itself; empty for space free.
 
     edited: the vehicle's parameters are edited, whatever the space.
-    Raises: InputError where the vehicle is made of no parameters, and space is parameters or it is edited.
+    Raises: InputError where the vehicle is made of no parameters, and space is parameters or it is edited; for space
+    family, where one of the source's is.
     """
     if space == "free" and not edited:
         return ""
     arrays: tuple[NDArray[Any], ...] = (source.codes(),) if space == "pca" else ()
-    if space == "parameters" or edited:
-        box = source.parameters(vehicle)
-        arrays += (box.basis, box.start, box.low, box.high)
     digest = hashlib.blake2b(space.encode(), digest_size=16)
+    bounded = source.names() if space == "family" else [vehicle] if space == "parameters" or edited else []
+    for name in bounded:
+        box = source.parameters(name)
+        arrays += (box.basis, box.start, box.low, box.high)
+        if space == "family":
+            digest.update(vehicle_hash(source.vehicle(name)).encode())
     for array in arrays:
         digest.update(np.asarray(array, dtype=np.float64).tobytes())
     return digest.hexdigest()

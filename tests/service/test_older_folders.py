@@ -103,6 +103,14 @@ def test_scores_of_an_older_program_are_read_without_naturalness(tmp_path: Path)
     assert natural_by_task(read.to_pandas()) == {}
 
 
+def test_solutions_of_an_older_program_are_drawn_as_their_own_vehicle(tmp_path: Path) -> None:
+    pose = dict.fromkeys(("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad"), 0.0)
+    older_file(tmp_path / "solutions.parquet", "solutions", 9, ["drawn_as"], {"latent_code": [0.5], **pose})
+    read = read_table(tmp_path / "solutions.parquet", "solutions")
+    assert read.schema.equals(SCHEMAS["solutions"])
+    assert read["drawn_as"].to_pylist() == [None] and read["latent_code"].to_pylist() == [[0.5]]
+
+
 def test_files_of_a_newer_version_are_refused_by_name(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(REFERENCE / "schema_5", tmp_path / "folder"))
     plan = read_plan(folder)

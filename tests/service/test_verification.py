@@ -95,5 +95,11 @@ def test_what_cannot_be_verified_is_said(out: Path, tmp_path: Path, capsys: pyte
         assert main(["verify", str(damaged)]) == 2
         assert f"{name}.parquet: cannot be read as Parquet" in capsys.readouterr().err
         shutil.copy(out / "final" / f"{name}.parquet", damaged / "final")
+    segment = next((damaged / "data").glob("*-scores.parquet"))
+    segment.write_bytes(segment.read_bytes()[:500])
+    shutil.rmtree(damaged / "verification")
+    assert main(["verify", str(damaged), "runner=local"]) == 2
+    assert f"{segment.name}: cannot be read as Parquet" in capsys.readouterr().err
+    assert not (damaged / "verification").exists(), "found before hours of work"
     assert main(["verify", str(out), "attack.steps=3"]) == 2
     assert "Only the runner can be set" in capsys.readouterr().err

@@ -73,14 +73,15 @@ class Loaded:
             self._assets[task.assets] = load_assets(self.plan.assets[task.assets])
         return self._assets[task.assets]
 
-    def mesh(self, task: PlannedTask, latent_code: Any, resolution: int = 128) -> trimesh.Trimesh:
-        """The mesh of a code, object frame, metres. Raises InputError for a code without a surface."""
+    def mesh(self, task: PlannedTask, solution: Mapping[str, Any], resolution: int = 128) -> trimesh.Trimesh:
+        """The mesh of a solution, object frame, metres. Raises InputError for a code without a surface."""
         from shift3d.vehicles.vehicle import vehicle_mesh
 
-        assets, code = self.assets(task), np.array(latent_code, dtype=np.float32)
-        key = (task.spec.vehicle, code.tobytes(), resolution)
+        assets, code = self.assets(task), np.array(solution["latent_code"], dtype=np.float32)
+        vehicle = assets.drawn_vehicle(task.spec, solution)
+        key = (vehicle.name, code.tobytes(), resolution)
         if key not in self._meshes:
-            self._meshes[key] = vehicle_mesh(assets.vehicle(task.spec), assets.decoder, code, resolution)
+            self._meshes[key] = vehicle_mesh(vehicle, assets.decoder, code, resolution)
         return self._meshes[key]
 
 
@@ -98,7 +99,8 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
 
     spec = task.spec
     theta = torch.tensor([float(solution[name]) for name in POSE], dtype=torch.float64)
-    problem = build_problem(spec, loaded.assets(task), theta)
+    assets = loaded.assets(task)
+    problem = build_problem(spec, assets, theta, assets.drawn_vehicle(spec, solution))
     code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
     with torch.no_grad():
         measured = measure(problem, code, theta, radius_m=SCORE_RADIUS_M)
@@ -108,7 +110,7 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
     here = np.ones(len(rendering.points), bool) if rendering.returned is None else rendering.returned.numpy()
     points, hits = rendering.points.double().numpy()[:, :2], rendering.hit_mask.numpy()
     return Rendered(
-        mesh=loaded.mesh(task, solution["latent_code"]),
+        mesh=loaded.mesh(task, solution),
         theta=theta.numpy(),
         scene_xy=thinned(points[here & ~hits], centre_xy),
         object_xy=points[here & hits],

@@ -26,7 +26,7 @@ def share_view(client: MlflowClient, experiment_id: str, metrics: Iterable[str])
 
     metrics: names as `overall` gives them, of which those of means over vehicles are taken.
     """
-    means = [f"metrics.`{name}`" for name in metrics if name.startswith("auc/") and name.split("/")[2] == "mean"]
+    means = [f"metrics.`{name}`" for name in metrics if not name.startswith("auc/")]
     tag = client.get_experiment(experiment_id).tags.get(_TAG)
     before = json.loads(tag)["selectedColumns"] if tag else []
     columns = list(dict.fromkeys([*means, *before, _GROUP]))[:_MOST_COLUMNS]

@@ -67,8 +67,8 @@ def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], 
     """AUCs by vehicle and their means over vehicles, of the chosen lambda, and the mean recall curves.
 
     Returns:
-        ``auc/shape/coupe/adversarial`` and ``auc/shape/mean/adversarial`` to a number; ``recall/shape/adversarial``
-        to (101,), the mean over vehicles.
+        ``auc/shape/coupe/adversarial`` and, of the mean, ``shape/adversarial`` to a number: a column of MLflow's list
+        shows some twelve letters. ``recall/shape/adversarial`` to (101,), the mean over vehicles.
     """
     recalls = dict(_recalls(curves))
     values: dict[str, float] = {}
@@ -76,10 +76,9 @@ def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], 
     for variant in variants(auc):
         for method in variant.methods:
             tail = "/".join([method, *variant.differing.values()])
-            found = {vehicle: variant.aucs.of(method, vehicle) for vehicle in variant.vehicles}
-            found["mean"] = variant.aucs.mean(method, variant.vehicles)
-            named = {metric_name(f"auc/{variant.mode}/{name}/{tail}"): value for name, value in found.items()}
-            values |= {name: value for name, value in named.items() if value is not None}
+            found = {f"auc/{variant.mode}/{name}/{tail}": variant.aucs.of(method, name) for name in variant.vehicles}
+            found[f"{variant.mode}/{tail}"] = variant.aucs.mean(method, variant.vehicles)
+            values |= {metric_name(name): value for name, value in found.items() if value is not None}
             rows = variant.auc[variant.auc["method"] == method]
             means = [mean for _, group in rows.groupby("vehicle") if (mean := _mean(group, recalls)) is not None]
             if means:

@@ -51,7 +51,7 @@ class AttackConfig(Record):
     max_tilt_rad: NotNegative
     detection_radius_m: Positive
     search: Literal["descent", "expectation", "evolution", "random"] = "descent"
-    space: Literal["free", "pca", "parameters"] = "free"
+    space: Literal["free", "pca", "parameters", "family"] = "free"
     components: Annotated[int, Field(ge=1, le=256)] = 10
     rate: Positive = 0.1
     placements: Annotated[int, Field(ge=1, le=64)] = 2
@@ -62,6 +62,15 @@ class AttackConfig(Record):
     transfer_scenes: Number = 0
     edit: str = ""
     placement: PlacementConfig
+
+    @model_validator(mode="after")
+    def _searches_over_kinds(self) -> Self:
+        if self.space == "family":
+            if self.search not in ("expectation", "random"):
+                raise ValueError(f"search {self.search} stays with one kind; space family takes expectation or random")
+            if self.search_scenes:
+                raise ValueError("space family searches in one scene; give search_scenes=0, or space parameters")
+        return self
 
     @model_validator(mode="after")
     def _steps_beside_the_starts(self) -> Self:

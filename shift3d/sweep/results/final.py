@@ -31,7 +31,7 @@ from shift3d.sweep.results.verified_scores import read_verification, with_verifi
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["FinalTables", "committed_rows", "segments_in_plan_order", "write_final"]
+__all__ = ["FinalTables", "check_segments", "committed_rows", "segments_in_plan_order", "write_final"]
 
 # The others come from commands of their own, and lie in folders of their own.
 _KEPT = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
@@ -84,6 +84,12 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
         if (made := folder / "final" / f"{name}.parquet").is_file():
             tables[name] = read_table(made, name)
     return FinalTables(tables)
+
+
+def check_segments(folder: LocationLike, entries: Sequence[Commit]) -> None:
+    """Read what `write_final` would read, before work that ends with it. Raises: InputError as it does."""
+    for name in _KEPT:
+        committed_rows(folder, entries, name)
 
 
 def _reach_m(plan: Plan) -> float:

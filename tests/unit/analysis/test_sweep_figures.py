@@ -11,9 +11,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import valid_sweeps
-from scripts.sweep_figures import sweep_figures
+from scripts.sweep_figures import _numbers, sweep_figures
 
 from shift3d.analysis.results import Sweep, read_sweep
+from shift3d.analysis.tables.table import Table
 from shift3d.store.log import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
@@ -59,6 +60,39 @@ def test_other_places_are_counted_by_their_cells(sweep: Sweep) -> None:
     found = sweep_figures(dataclasses.replace(sweep, bev_transfer=grid))
     values = [found[name]["value"] for name in ("placements", "cells", "cells with a fall", "cells with five or more")]
     assert values == [12, 3, 2, 2] and found["of these with a fall"]["n"] == 2
+
+
+def test_what_was_verified_is_counted_over_the_attacked_detectors_solutions(sweep: Sweep) -> None:
+    base = {
+        "method": "adversarial",
+        "scored_by": "p",
+        "detector": "p",
+        "score": 0.3,
+        "score_again": 0.3,
+        "robust": True,
+    }
+    counts = {"missed_hits": 1, "wrong_surface": 0, "hits_reference": 300, "unresolved_beams": 2}
+    rows = [
+        base | counts | {"score_reference": 0.31, "stable": True},
+        base | counts | {"score_reference": 0.40, "stable": False},
+        base | counts | {"score_reference": 0.90, "stable": False, "scored_by": "another"},
+        base | counts | {"score_reference": 0.90, "stable": False, "method": "baseline"},
+    ]
+    found = sweep_figures(dataclasses.replace(sweep, verification=pd.DataFrame(rows)))
+    values = {name.removeprefix("verified/"): one["value"] for name, one in found.items() if "verified/" in name}
+    assert (values["stable"], values["within 0.02"], values["robust"], values["same again"]) == (1, 1, 2, 2)
+    assert (values["hits"], values["missed_hits"], values["unresolved"]) == (600, 2, 4)
+    assert values["largest change"] == pytest.approx(0.1) and found["verified/stable"]["n"] == 2
+
+
+def test_numbers_of_a_printed_table_keep_their_intervals() -> None:
+    line = ["shape", "sst", "12 of 20", "0.53 [0.48, 0.57]", "-", "1,234", ("0.25", "[0.1, 0.4]")]
+    table = Table("A title", ["", "by", "near", "ratio", "none", "points", "noted"], [line])
+    found = dict(_numbers("kin", table, named_by=2))
+    values = {name.removeprefix("kin/shape sst/"): one["value"] for name, one in found.items()}
+    assert values == {"near": 12, "ratio": 0.53, "points": 1234, "noted": 0.25}
+    assert found["kin/shape sst/ratio"]["interval"] == (0.48, 0.57) and found["kin/shape sst/noted"]["interval"]
+    assert dict(_numbers("kin", None)) == {}
 
 
 def test_the_command_writes_what_it_prints(folder: Path, tmp_path: Path) -> None:

@@ -17,9 +17,8 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
 from shift3d.attack.score_only import draw_best, evolve
 from shift3d.attack.shape import shape_search
-from shift3d.attack.space import CodeSpace, free_space, pca_space, within_budget
-from shift3d.attack.trials import Trials
-from shift3d.errors import InputError
+from shift3d.attack.space import CodeSpace, free_space, pca_space
+from shift3d.attack.trials import Family, Search, Trials
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.sampling import Placement, PlacementLimits, place
 from shift3d.render import Beams, preset
@@ -144,35 +143,72 @@ def test_a_universal_search_lowers_the_mean(problem: AttackProblem) -> None:
     assert found.best.loss < found.trace[0].loss
 
 
-def length_budget(problem: AttackProblem, space: CodeSpace, longest: float) -> CodeSpace:
-    """A space whose natural codes are those no farther than `longest` from the baseline's."""
-    return within_budget(space, lambda code: float((code - problem.code0).norm()) <= longest, "vehicle")
+def near_search(problem: AttackProblem, longest: float, distances: list[float] | None = None) -> Search:
+    """Over every code; natural are those no farther than `longest` from the baseline's."""
+
+    def natural(code: Tensor) -> bool:
+        distance = float((code - problem.code0).norm())
+        if distances is not None:
+            distances.append(distance)
+        return distance <= longest
+
+    return replace(shape_search(problem, 0.0), natural=natural)
 
 
 @pytest.mark.parametrize("name", ["expectation", "evolution", "random", "descent"])
-def test_no_search_leaves_its_budget(problem: AttackProblem, name: str) -> None:
-    search = shape_search(problem, 0.0, length_budget(problem, free_space(problem.code0), 0.05))
-    rng = np.random.default_rng(0)
+def test_no_search_keeps_what_lies_beyond_its_budget(problem: AttackProblem, name: str) -> None:
+    distances: list[float] = []
+    search, rng = near_search(problem, 0.15, distances), np.random.default_rng(0)
     found = {
-        "expectation": lambda: descend_expectation(problem, search, 8, 0.05, rng, placements=1, starts=3),
+        "expectation": lambda: descend_expectation(problem, search, 12, 0.05, rng, placements=1, starts=4),
         "evolution": lambda: evolve(problem, search, 10, rng),
-        "random": lambda: draw_best(problem, search, 4, rng),
-        "descent": lambda: descend(problem, search, 6, 1.0),
+        "random": lambda: draw_best(problem, search, 8, rng),
+        "descent": lambda: descend(problem, search, 8, 0.05),
     }[name]()
-    distances = [step.latent_distance for step in found.trace]
-    assert max(distances) <= 0.05 + 1e-9
-    assert max(distances) > 0.05 * 7 / 8 - 1e-9  # and it went as far as a bisection lets it
+    assert max(distances) > 0.15, "the budget was met"
+    assert found.best.latent_distance <= 0.15 + 1e-9
+    for step in found.trace[1:]:
+        assert not step.valid or step.latent_distance <= 0.15 or step.loss >= found.best.loss
 
 
-def test_a_code_within_the_budget_stays_where_it_is(problem: AttackProblem) -> None:
-    space = length_budget(problem, free_space(problem.code0), 1.0)
-    near = problem.code0 + 0.1
-    assert torch.equal(space.project(near), near)
+def test_a_step_beyond_the_budget_goes_half_way_back_to_the_best(problem: AttackProblem) -> None:
+    found = descend(problem, near_search(problem, 1e-6), 2, 0.01)
+    first, second = (step.latent_distance for step in found.trace[1:])
+    assert not found.trace[1].within_budget
+    assert second == pytest.approx(first / 2, rel=1e-3)
+    assert found.status == "no_valid_step" and found.best_step == 0
 
 
-def test_a_budget_that_the_baseline_breaks_is_refused(problem: AttackProblem) -> None:
-    with pytest.raises(InputError, match="unchanged vehicle lies beyond the budget"):
-        within_budget(free_space(problem.code0), lambda code: False, "vehicle suv, attack.naturalness=1")
+def two_kinds(problem: AttackProblem) -> Family:
+    """The problem's own vehicle, and one whose code is another."""
+    other = replace(problem, code0=problem.code0 + 0.05, vehicle=replace(FRAME))
+    kinds = [(problem, shape_search(problem, 0.0)), (other, shape_search(other, 0.0))]
+    return Family(2, lambda kind: kinds[kind])
+
+
+def test_a_search_over_kinds_goes_on_with_the_kind_of_its_best_start(problem: AttackProblem) -> None:
+    family, rng = two_kinds(problem), np.random.default_rng(3)
+    found = descend_expectation(problem, family.of(0)[1], 9, 0.02, rng, placements=1, starts=5, family=family)
+    drawn = found.trace[1:5]
+    assert [step.latent_distance for step in drawn] == pytest.approx([0.2] * 4, rel=1e-6)
+    best = min((step for step in drawn if step.valid), key=lambda step: step.loss)
+    assert found.trace[5].loss == pytest.approx(best.loss, rel=1e-3)
+    offset = found.latent_code - problem.code0
+    own = found.vehicle is problem.vehicle
+    # Steps are counted from the code of the kind that they are of.
+    away = offset if own else offset - 0.05
+    assert float(away.double().norm()) == pytest.approx(found.best.latent_distance, rel=1e-5)
+    assert found.best.loss <= best.loss
+
+
+def test_draws_over_kinds_hand_back_the_vehicle_of_the_best(problem: AttackProblem) -> None:
+    family = two_kinds(problem)
+    found = draw_best(problem, family.of(0)[1], 6, np.random.default_rng(1), family=family)
+    valid = [step for step in found.trace[1:] if step.valid]
+    assert found.best.loss == min(step.loss for step in valid)
+    again = Trials(*next(kind for kind in map(family.of, range(2)) if kind[0].vehicle is found.vehicle))
+    again.evaluate(found.latent_code, False)
+    assert again.trace[0].loss == pytest.approx(found.best.loss, rel=1e-6)
 
 
 def test_shape_and_pose_move_together_and_within_their_limits(problem: AttackProblem) -> None:

@@ -8,6 +8,12 @@ from pathlib import Path
 import pytest
 
 from shift3d.cli.main import main
+from shift3d.cli.words import read_words
+from shift3d.settings.catalogue import read_catalogue
+from shift3d.settings.compose import compose_sweep
+from shift3d.store.resolve import as_location
+from shift3d.sweep.planning.folder import open_folder
+from shift3d.sweep.planning.plan import make_plan
 
 ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1"]
 
@@ -96,3 +102,15 @@ def test_other_commands_say_it_before_they_work(
     (tmp_path / "file").write_text("text")
     for place in ("file/below", "/proc/x"):
         assert place in refused([*words, f"out={place}"], capsys)
+
+
+def test_a_sweep_s_name_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A folder that is called like a sweep changes nothing; its path stands for the sweep that was begun in it."""
+    begun = make_plan(compose_sweep("smoke", [*ONE, "tracking=none", "runner=local"]), read_catalogue)[0]
+    open_folder(tmp_path / "stability", begun)
+    named = read_words(["stability", "vehicle=suv", "out=other"])
+    assert (named.name, named.overrides, named.out) == ("stability", ["vehicle=suv"], as_location("other"))
+    resumed = read_words(["./stability"])
+    assert resumed.name == "smoke" and resumed.out == as_location("./stability")
+    line = refused(["plan", "./stability", "out=other"], capsys)
+    assert "stability" in line and "Leave out= away" in line

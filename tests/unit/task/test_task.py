@@ -24,10 +24,12 @@ from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.rendered import render_solution
 from shift3d.task.rows import Rows
 from shift3d.task.run import run_task
 from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene
 from shift3d.vehicles.sources import vehicle_hash
+from shift3d.vehicles.vehicle import baseline_vehicles
 
 KNOWN = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.01}
 KNOWN |= {"detector": "p", "accuracy": "a", "search": "descent"}
@@ -225,7 +227,9 @@ def test_a_step_that_is_not_finite_has_no_number_and_still_has_its_row() -> None
     check = ConstraintCheck(0.0, 0.0, 400, True, True, True)
     record = StepRecord(3, (1.0,) * 6, 0.5, math.inf, math.nan, 0.4, check, 0, 0.0, 10)
     rows = Rows(make_spec())
-    rows.attack(AttackResult("shape", torch.zeros(4), torch.zeros(6), 0, "diverged", (record,)))
+    rows.attack(
+        AttackResult("shape", baseline_vehicles()["suv"], torch.zeros(4), torch.zeros(6), 0, "diverged", (record,))
+    )
     (row,) = rows.result().trajectories
     assert (row["loss"], row["adversarial_loss"], row["proposal_score"]) == (None, None, 0.4)
     assert not row["kept"]
@@ -272,7 +276,7 @@ def test_a_pose_has_its_baselines_shape(measured: tuple[Assets, str]) -> None:
 
 
 def test_a_search_with_a_budget_ends_at_a_natural_shape(measured: tuple[Assets, str]) -> None:
-    far = AttackSpec(steps=3, noise_replicates=0, random_replicates=0)
+    far = AttackSpec(steps=6, noise_replicates=0, random_replicates=0)
     spec = make_spec(reference_hash=measured[1], alpha=0.1, attack=far)
     free = run_task(spec, measured[0])
     ends = [by_method(free, method)[0]["naturalness_percentile"] for method in ("baseline", "adversarial")]
@@ -314,8 +318,46 @@ def test_a_task_that_measures_none_keeps_the_id_of_an_older_program() -> None:
     assert TaskSpec.from_dict(other.to_dict()) == other and other.task_id != make_spec().task_id
 
 
-def test_an_edited_vehicle_stands_where_its_baseline_does() -> None:
-    wide = load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": "wide"}))
+@pytest.fixture(scope="module")
+def wide() -> Assets:
+    return load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": "wide"}))
+
+
+def test_a_search_over_kinds_says_as_which_vehicle_its_shape_is_drawn(wide: Assets) -> None:
+    attack = AttackSpec(steps=4, random_replicates=0, noise_replicates=1, search="random", space="family")
+    spec = make_spec(vehicle="sedan", lambda_=0.0, attack=attack)
+    found = run_task(spec, wide)
+    drawn_as = {row["method"]: row["drawn_as"] for row in found.solutions}
+    assert drawn_as["baseline"] is None
+    assert drawn_as["adversarial"] == drawn_as["adversarial_noise"] != "sedan"
+    vehicle = wide.vehicles.vehicle(drawn_as["adversarial"])
+    (solution,) = (row for row in found.solutions if row["method"] == "adversarial")
+    (scored,) = by_method(found, "adversarial")
+    again = render_solution(spec, solution, wide)
+    assert again.problem.size_m.tolist() == list(vehicle.size_m)
+    assert again.rendering.object_points == scored["object_points"]
+    # On the ground where the baseline stands.
+    (baseline,) = by_method(found, "baseline")
+    bottoms = [row["z_m"] - height / 2 for row, height in ((scored, vehicle.size_m[2]), (baseline, 1.45))]
+    assert bottoms[0] == pytest.approx(bottoms[1], abs=0.1)
+    assert all(scored[name] == baseline[name] for name in ("x_m", "y_m", "yaw_rad"))
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["attack.search=evolution"], "search evolution stays with one kind"),
+        (["attack.search=random", "attack.search_scenes=1"], "space family searches in one scene"),
+        (["attack.search=random", "vehicle=suv"], "made of no parameters"),
+    ],
+)
+def test_a_search_that_cannot_go_over_kinds_is_refused(words: list[str], why: str) -> None:
+    given = ["vehicle=wide", "vehicle.name=sedan", "mode=shape", "attack.space=family", *words]
+    with pytest.raises(InputError, match=why):
+        make_plan(compose_sweep("default", given[2:] if "vehicle=suv" in given else given), read_catalogue)
+
+
+def test_an_edited_vehicle_stands_where_its_baseline_does(wide: Assets) -> None:
     attack = AttackSpec(steps=0, random_replicates=0, noise_replicates=0, edit="chassis.height_m:-1")
     found = run_task(make_spec(vehicle="sedan", attack=attack), wide)
     (before,), (after,) = by_method(found, "baseline"), by_method(found, "edited")

@@ -60,6 +60,8 @@ def test_the_hash_of_a_space_tells_what_bounds_a_search(wide: VehicleSet) -> Non
     hashes = {space_hash(wide, name, "parameters") for name in ("sedan", "suv")} | {space_hash(wide, "sedan", "pca")}
     assert len(hashes) == 3
     assert space_hash(VehicleSet(WIDE), "sedan", "parameters") in hashes
+    over_kinds = {space_hash(wide, name, "family") for name in ("sedan", "suv")}
+    assert len(over_kinds) == 1 and not over_kinds & hashes
 
 
 def test_vehicles_of_codes_alone_have_no_parameters() -> None:

@@ -68,7 +68,7 @@ def _pixels(sweep: Sweep, task: PlannedTask, loaded: Loaded) -> NDArray[np.uint8
     for method in _RGB:
         row = rows[rows["method"] == method].iloc[0]
         theta = row[list(POSE)].to_numpy(dtype=np.float64)
-        mesh = loaded.mesh(task, row["latent_code"], _RESOLUTION).copy()
+        mesh = loaded.mesh(task, row, _RESOLUTION).copy()
         mesh.vertices = oriented(mesh.vertices, theta)
         meshes.append((mesh, float(np.arctan2(-theta[1], -theta[0]))))
     # One scale for both, that of a car unless the vehicle is longer.

@@ -102,13 +102,16 @@ def _pixels(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> NDArray[np.uin
 
     (task,) = sweep.plan.tasks.starting_with(row["task_id"])
     assets = loaded.assets(task)
-    vehicle = assets.vehicle(task.spec)
     solutions = sweep.solutions[(sweep.solutions["task_id"] == row["task_id"]) & (sweep.solutions["replicate"] == 0)]
-    codes = [solutions[solutions["method"] == name].iloc[0]["latent_code"] for name in ("baseline", "adversarial")]
+    both = [solutions[solutions["method"] == name].iloc[0] for name in ("baseline", "adversarial")]
     pool = sweep.vehicle_pool
     kin = pool[(pool["scene"] == row["pool_scene"]) & (pool["label"] == row["pool_label"])].iloc[0]
-    meshes = [decoded_mesh(vehicle, assets.decoder, np.array(code)) for code in (*codes, kin["latent_code"])]
-    meshes[2].vertices = meshes[2].vertices * (kin["scale_m"] / vehicle.scale_m)
+    meshes = [
+        decoded_mesh(assets.drawn_vehicle(task.spec, row), assets.decoder, np.array(row["latent_code"])) for row in both
+    ]
+    own = assets.vehicle(task.spec)
+    meshes.append(decoded_mesh(own, assets.decoder, np.array(kin["latent_code"])))
+    meshes[2].vertices = meshes[2].vertices * (kin["scale_m"] / own.scale_m)
     span_m = max(_SPAN_M, *(1.08 * float(mesh.extents.max()) for mesh in meshes))
     views = [shaded(mesh, 0.7, 0.22, *_SIZE_PX, span_m, rgb) for mesh, rgb in zip(meshes, _RGB)]
     return np.concatenate(views, axis=1)

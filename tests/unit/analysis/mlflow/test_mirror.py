@@ -86,8 +86,8 @@ def test_a_run_with_aucs_curves_settings_and_files_and_a_run_a_group(tmp_path: P
         "auc/shape/coupe/baseline": 0.8,
         "auc/shape/coupe/adversarial": 0.4,
         "auc/shape/suv/adversarial": 0.2,
-        "auc/shape/mean/baseline": 0.8,
-        "auc/shape/mean/adversarial": 0.3,
+        "shape/baseline": 0.8,
+        "shape/adversarial": 0.3,
         "tasks_done": 60.0,
     }
     assert run.data.params["attack.steps"] == "40" and run.data.params["axes.vehicle"] == "['coupe', 'suv']"
@@ -182,10 +182,10 @@ def test_mean_aucs_are_columns_of_a_view_that_later_sweeps_widen(tmp_path: Path,
     client, run, _ = runs_in(uri)
     ((name, path),) = shared_views(client)
     assert name == "shift3d" and path == f"#/experiments/{run.info.experiment_id}/runs?viewStateShareKey=auc"
-    shape = ["metrics.`auc/shape/mean/baseline`", "metrics.`auc/shape/mean/adversarial`"]
+    shape = ["metrics.`shape/baseline`", "metrics.`shape/adversarial`"]
     assert sorted(columns(client)) == sorted([*shape, "metrics.`auc`"])
-    share_view(client, run.info.experiment_id, ["auc/pose/mean/adversarial", "auc/pose/suv/adversarial"])
-    assert columns(client)[0] == "metrics.`auc/pose/mean/adversarial`" and set(shape) < set(columns(client))
+    share_view(client, run.info.experiment_id, ["pose/adversarial", "auc/pose/suv/adversarial"])
+    assert columns(client)[0] == "metrics.`pose/adversarial`" and set(shape) < set(columns(client))
     assert len(columns(client)) == 4
 
 
