@@ -169,7 +169,8 @@ def tables_page() -> str:
         "# Tables",
         "",
         f"Parquet files of schema version {SCHEMA_VERSION} in `OUT/final/`. pandas, polars and duckdb read",
-        "them as they are. Folders of older versions are read by every command.",
+        "them as they are; polars and duckdb are the extra `.[tables]` ([how](../guides/report.md#the-tables)).",
+        "Folders of older versions are read by every command.",
     ]
     for name in (*SEGMENTS, *AGGREGATES):
         lines += ["", f"## {name}.parquet", "", f"{ABOUT[name][0].upper()}{ABOUT[name][1:]}.", ""]

@@ -46,7 +46,7 @@ examples:
   shift3d frontier --only 'standard|draft'            these settings alone; no ratio to paper without paper
   shift3d frontier 'frontier.cases=[{vehicle:suv,range_m:20}]' frontier.repeats=15 --again
 
-  duckdb -c "select setting, ms_median, ratio_to_paper, missed_hits from 'outputs/frontier/frontier.parquet'\""""
+  python -c "import pandas; print(pandas.read_parquet('outputs/frontier/frontier.parquet'))\""""
 
 
 def frontier_words(prefix: str, **_: Any) -> list[str]:

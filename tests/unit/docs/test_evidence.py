@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[3]
 ENTRIES = {entry.name: entry for entry in plan.read_plan()}
 RECORDS = sorted(path.stem for path in record.MEASURED.glob("*.json"))
 UNMEASURED = yaml.safe_load((ROOT / "docs" / "scripts" / "evidence" / "unmeasured.yaml").read_text(encoding="utf-8"))
+TO_BE_MEASURED = 5  # the list may shrink; lower this with it
 BY_HAND = {"comparator", "recorded_attacks"}  # measured with code that is not in the repository
 
 
@@ -41,6 +42,7 @@ def test_every_number_of_a_table_is_drawn_or_listed_with_a_reason() -> None:
         "draw them from docs/measured, or list them in docs/scripts/evidence/unmeasured.yaml"
     )
     assert listed - found == set(), "take them off docs/scripts/evidence/unmeasured.yaml"
+    assert sum(map(len, UNMEASURED["to be measured"].values())) <= TO_BE_MEASURED
 
 
 @pytest.mark.parametrize(

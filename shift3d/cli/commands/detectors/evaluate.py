@@ -49,7 +49,7 @@ examples:
   shift3d evaluate detector=openpcdet weights=FILE.pth config=FILE.yaml scenes=kitti root=PATH
   shift3d evaluate model=sdf
 
-  duckdb -c "select * from 'outputs/evaluate/*/metrics.parquet' where protocol = 'waymo'\""""
+  python -c "import pandas; print(pandas.read_parquet('outputs/evaluate/NAME/metrics.parquet'))\""""
 
 
 def evaluate_words(prefix: str, **_: Any) -> list[str]:

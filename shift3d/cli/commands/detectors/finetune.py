@@ -50,7 +50,7 @@ seeds=  of the tunings: 0,1,2                 others=  vehicles of finetune_othe
 Other words are overrides of the three sweeps; held_out.KEY=VALUE is one of the two over held-out streets alone.
 Scenes that are both attacked for training and held out are refused before anything runs.
 
-  duckdb -c "select * from 'outputs/finetuning-*/finetune.parquet' where seed is null\""""
+  python -c "import pandas; print(pandas.read_parquet('outputs/finetuning-HASH/finetune.parquet'))\""""
 
 _KEYS = ("out", "rate", "seeds", "streets", "others", "control", "adaptive")
 _FLAGS = {"control": "false", "adaptive": "true"}
