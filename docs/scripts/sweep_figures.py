@@ -17,6 +17,7 @@ from shift3d.analysis.html.sections.bev import pooled_cells
 from shift3d.analysis.html.sections.paths import mean_path, searched
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import Interval, ratio_interval, vehicle_mean_interval
+from shift3d.analysis.statistics.paired import paired
 from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import reasons
 from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds
@@ -39,6 +40,7 @@ def sweep_figures(sweep: Sweep) -> dict[str, dict[str, Any]]:
     parts = variants(sweep.auc, sweep.scored)
     for variant in parts:
         found |= dict(_aucs(variant)) | dict(_cells(sweep, variant)) | dict(_path(sweep, variant))
+        found |= dict(_beside_random_draws(sweep, variant))
     if not sweep.choices.empty:
         found |= {f"choice/{number}": _one(why) for number, why in enumerate(reasons(sweep.choices))}
     found |= dict(_numbers("budget", budget_table(parts)))
@@ -83,6 +85,26 @@ def _aucs(variant: Variant) -> Figures:
             yield f"{label}/mean", _within(mean, vehicle_mean_interval(rows), "AUC", len(rows))
         if ratio is not None and method != "baseline":
             yield f"{label}/of baseline", _within(ratio, ratio_interval(rows, base), "ratio", len(rows))
+
+
+def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
+    """Of sweeps with as many random draws: how far the search is below them, natural shapes, and their kinds."""
+    below = paired(variant.rows, "adversarial", "random_search")
+    if below is None:
+        return
+    yield (
+        f"{variant.title}/adversarial/less random draws",
+        _within(below.interval.mean, below.interval, "AUC", below.tasks),
+    )
+    if not variant.is_own:  # the same shapes
+        return
+    tasks = variant.rows["task_id"].unique()
+    for method in ("adversarial", "random_search"):
+        rows = variant.rows[variant.rows["method"] == method]
+        yield f"{variant.title}/{method}/natural", _one(int(rows["natural"].eq(True).sum()), n=len(rows))
+        own = sweep.solutions[sweep.solutions["task_id"].isin(tasks) & (sweep.solutions["method"] == method)]
+        for kind, count in own["drawn_as"].fillna(own["vehicle"]).value_counts().items():
+            yield f"{variant.title}/{method} drawn as/{kind}", _one(int(count), n=len(own))
 
 
 def _cells(sweep: Sweep, variant: Variant) -> Figures:

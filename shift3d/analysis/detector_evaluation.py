@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-from shift3d.analysis.tables.table import number
-from shift3d.evaluation.metrics import RANGES_M, Metric
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,11 +22,12 @@ from shift3d.analysis.tables.detector_tables import (
     metric_table,
     summary_table,
 )
+from shift3d.analysis.tables.table import number
 from shift3d.detectors.loading import detector_of
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
 from shift3d.evaluation.breakdown import breakdown
-from shift3d.evaluation.metrics import evaluate
+from shift3d.evaluation.metrics import RANGES_M, Metric, evaluate
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.options import StreetOptions
@@ -47,7 +40,10 @@ from shift3d.training.provenance import refuse_tuned_scenes
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from shift3d.detectors.base import Detector
+
 
 __all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "precision_recall_figure", "write_evaluation"]
 

@@ -17,9 +17,8 @@ from shift3d.errors import InputError
 from shift3d.sdf.principal_components import principal_components
 from shift3d.vehicles.parameter_box import BoxOfParameters
 
-__all__ = ["SPACES", "CodeSpace", "edited_code", "free_space", "parameter_space", "pca_space"]
+__all__ = ["CodeSpace", "edited_code", "free_space", "parameter_space", "pca_space"]
 
-SPACES = ("free", "pca", "parameters", "family")
 BALL = 0.95
 """Share of a Gaussian's mass that the ball of `pca` holds (our choice)."""
 

@@ -11,30 +11,9 @@ import textwrap
 from collections.abc import Sequence
 
 from shift3d.cli.command import Command
-from shift3d.cli.commands import (
-    compact,
-    compile,
-    effects,
-    evaluate,
-    export,
-    finetune,
-    fit,
-    frontier,
-    gate,
-    gc,
-    jobs,
-    patterns,
-    plan,
-    report,
-    retrieve,
-    rules,
-    scenes,
-    suite,
-    sweep,
-    train,
-    ui,
-    verify,
-)
+from shift3d.cli.commands import compact, effects, fit, frontier, gc, jobs, plan, report, scenes, sweep, ui
+from shift3d.cli.commands.detectors import compile, evaluate, finetune, gate, suite, train
+from shift3d.cli.commands.follow_ups import export, patterns, retrieve, rules, verify
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode, exit_codes
 

@@ -10,18 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shift3d.effects.base import DetectorFacts
 from shift3d.errors import InputError
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
 if TYPE_CHECKING:
-    from shift3d.effects.base import Effect
+    from shift3d.effects.base import DetectorFacts, Effect
+    from shift3d.render.field.object_field import VehicleFrame
 
 __all__ = ["MEASURED_IMPACT", "NEEDS", "Choice", "MeasuredImpact", "choose", "effect_named"]
 
 MEASURED_IMPACT = Path(__file__).resolve().parent / "measured" / "effects.json"
-"""What each effect was measured to be worth by `sweeps/effects.yaml`."""
+"""The impact of each effect as measured by `sweeps/effects.yaml`."""
 IMPACT_BOUND = 0.01
 """`auto` leaves an effect out whose mean change of a score lies below this with 95 % confidence (our choice: half of
 what a score may differ from its reference, and the AUC that two presets may differ by)."""
@@ -90,7 +89,7 @@ def _ego_moves(scene: SceneFacts) -> bool:
 
 @dataclass(frozen=True)
 class MeasuredImpact:
-    """What an effect was measured to be worth. score_change: mean |change| of a score, with its 95 % interval;
+    """The measured impact of an effect. score_change: mean |change| of a score, with its 95 % interval;
     milliseconds: a rendering, beyond the rendering without it."""
 
     score_change: float
@@ -155,14 +154,12 @@ def _applicable(scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFact
         reason = effect_named(name).applicability(scene, vehicle, detector)
         if reason is None:
             continue
-        impacts = measured_impact().get(name)
-        used = impacts is None or impacts.matters
+        impact = measured_impact().get(name)
+        used = impact is None or impact.matters
         if not used:
-            assert impacts is not None
-            reason = (
-                f"left out: {reason}, but it moves scores by {impacts.score_change:.3f} (at most {impacts.high:.3f})"
-            )
-        choices.append(Choice(name, used, reason, None if impacts is None else impacts.milliseconds))
+            assert impact is not None
+            reason = f"left out: {reason}, but it moves scores by {impact.score_change:.3f} (at most {impact.high:.3f})"
+        choices.append(Choice(name, used, reason, None if impact is None else impact.milliseconds))
     return choices
 
 
@@ -174,7 +171,7 @@ def effect_named(name: str) -> Effect:
 
 @functools.cache
 def measured_impact() -> dict[str, MeasuredImpact]:
-    """What effects were measured to be worth, by name; those that were not are missing."""
+    """Measured impacts by name of the effect; those that were not measured are missing."""
     if not MEASURED_IMPACT.is_file():
         return {}
     values: dict[str, Any] = json.loads(MEASURED_IMPACT.read_text(encoding="utf-8"))["effects"]

@@ -13,7 +13,7 @@ from shift3d.detectors.loading import detector_of
 from shift3d.finetuning.objects import SweepObject, scored_objects
 from shift3d.store.resolve import LocationLike
 from shift3d.task.assets import score_precision
-from shift3d.task.rendered import render_solution
+from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.scoring import score_points
 from shift3d.training.provenance import refuse_tuned_scenes
 

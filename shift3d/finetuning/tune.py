@@ -25,7 +25,7 @@ from shift3d.finetuning.objects import SweepObject, SweepObjects, stable_objects
 from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.resolve import LocationLike
 from shift3d.task.assets import Assets
-from shift3d.task.rendered import render_solution
+from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.spec import TaskSpec
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.command import WEIGHTS_FOLDER, TrainOptions

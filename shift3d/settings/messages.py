@@ -13,7 +13,14 @@ from shift3d.errors import InputError
 from shift3d.settings.folders import looked_in, shipped, shown
 from shift3d.settings.renamed import renamed_error
 
-_SCENES = ("street", "kitti", "waymo", "argoverse2", "nuscenes", "openpcdet")
+# Groups whose kind pydantic puts into the path of a field.
+_UNIONS = (
+    "scenes",
+    "vehicle",
+    "naturalness",
+    "runner",
+    "tracking",
+)
 
 __all__ = ["choice_error", "from_hydra", "from_validation", "one_of", "unreadable"]
 
@@ -36,9 +43,8 @@ def from_validation(error: ValidationError, where: str) -> InputError:
     """The first failure of a pydantic validation, naming the field, what it may be, and the remedy."""
     first = error.errors(include_url=False)[0]
     # A discriminated union puts its tag into the path: 'scenes.street.count' is the user's 'scenes.count'.
-    tags = {"set", "deepsdf", "ray", "local", "mlflow", "none", *_SCENES}
     path = [str(part) for part in first["loc"]]
-    field = ".".join(part for i, part in enumerate(path) if not (i == 1 and part in tags))
+    field = ".".join(part for i, part in enumerate(path) if not (i == 1 and path[0] in _UNIONS))
     value, kind = first["input"], first["type"]
     if value == "???" or kind == "missing":
         return InputError(f"{field} is required", where=where, remedy=f"Add {field}=VALUE to the command")

@@ -11,10 +11,8 @@ import pyarrow as pa
 __all__ = ["AGGREGATES", "FOLLOW_UPS", "GROUP_COLUMNS", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS"]
 __all__ += ["ABOUT", "MEANINGS", "schema_of_columns"]
 
-# A new one needs a step in store/migrations.py and a folder of the version before it in tests/reference.
-SCHEMA_VERSION = 10
-
 _FILE = tomllib.loads((Path(__file__).parent / "tables.toml").read_text(encoding="utf-8"))
+SCHEMA_VERSION: int = _FILE["version"]
 _GROUPS: dict[str, str] = _FILE["groups"]
 _COLUMNS = {name: text.partition(", ") for name, text in _FILE["columns"].items()}
 MEANINGS: dict[str, str] = {name: meaning for name, (_, _, meaning) in _COLUMNS.items()}

@@ -24,9 +24,9 @@ from shift3d.suite.frozen import FrozenSuite, background_file, blake2b, manifest
 from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, read_suite_table, suite_table, suite_table_bytes
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.task.assets import Assets, load_assets, score_precision
+from shift3d.task.follow_ups.verify import SCORE_TOLERANCE
 from shift3d.task.problem import build_problem
 from shift3d.task.scoring import score_box
-from shift3d.task.verify import SCORE_TOLERANCE
 
 if TYPE_CHECKING:
     import pandas as pd

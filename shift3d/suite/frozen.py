@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.settings.catalogue.scene_sets import scene_set
-from shift3d.settings.schema.scenes import scene_config
+from shift3d.settings.schema.scenes import scene_config, scene_set
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.suite.tables import SUITE_VERSION, read_suite_table

@@ -15,8 +15,8 @@ __all__ = ["measure_patterns", "patterns_kind"]
 def patterns_kind() -> TaskKind:
     """A task that measures another one's meshes."""
     from shift3d.settings.catalogue.reading import read_catalogue
-    from shift3d.task.patterns import patterns_task
-    from shift3d.task.verify import load_verify_assets
+    from shift3d.task.follow_ups.patterns import patterns_task
+    from shift3d.task.follow_ups.verify import load_verify_assets
 
     return TaskKind(run=patterns_task, load=load_verify_assets, catalogue=read_catalogue, single=False)
 

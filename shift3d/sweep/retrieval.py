@@ -32,7 +32,7 @@ _VERSION = 1
 def pool_kind() -> TaskKind:
     """A task that crops and fits the vehicles of one scene."""
     from shift3d.settings.catalogue.reading import read_catalogue
-    from shift3d.task.vehicle_pool import load_pool_assets, pool_task
+    from shift3d.task.follow_ups.vehicle_pool import load_pool_assets, pool_task
 
     return TaskKind(run=pool_task, load=load_pool_assets, catalogue=read_catalogue, single=False)
 
@@ -40,7 +40,7 @@ def pool_kind() -> TaskKind:
 def retrieval_kind() -> TaskKind:
     """A task that scores the kin of another one's shape in its place."""
     from shift3d.settings.catalogue.reading import read_catalogue
-    from shift3d.task.retrieval import load_retrieval_assets, retrieval_task
+    from shift3d.task.follow_ups.retrieval import load_retrieval_assets, retrieval_task
 
     return TaskKind(run=retrieval_task, load=load_retrieval_assets, catalogue=read_catalogue, single=False)
 

@@ -27,7 +27,7 @@ __all__ = ["verification_kind", "verification_plan", "verify_sweep"]
 def verification_kind() -> TaskKind:
     """A task that scores another one's solutions again."""
     from shift3d.settings.catalogue.reading import read_catalogue
-    from shift3d.task.verify import load_verify_assets, verify_task
+    from shift3d.task.follow_ups.verify import load_verify_assets, verify_task
 
     return TaskKind(run=verify_task, load=load_verify_assets, catalogue=read_catalogue, single=False)
 

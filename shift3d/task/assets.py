@@ -25,10 +25,9 @@ from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 from shift3d.settings.catalogue.detector_files import detector_hash
 from shift3d.settings.catalogue.reading import vehicle_source
-from shift3d.settings.catalogue.scene_sets import scene_set
 from shift3d.settings.renamed import current_settings
 from shift3d.settings.schema.config import DeepSdfVehicleConfig, VehicleSetConfig
-from shift3d.settings.schema.scenes import scene_config
+from shift3d.settings.schema.scenes import scene_config, scene_set
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from shift3d.attack.names import SearchName, SpaceName
 from shift3d.seeding import derive_seed
 
 __all__ = ["SPEC_VERSION", "AttackSpec", "PlacementSpec", "TaskSpec", "TransferScene", "split_label"]
@@ -26,8 +27,6 @@ _READ_VERSIONS = (5, SPEC_VERSION)
 _FORMER_EFFECTS = {"silent_beams": "no_return_beams"}
 
 Mode = Literal["shape", "pose", "shape_pose"]
-SearchName = Literal["descent", "expectation", "evolution", "random"]
-SpaceName = Literal["free", "pca", "parameters", "family"]
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from shift3d.analysis.tables.accuracy_time import settings_table
+from shift3d.analysis.tables.table import Table
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
-from pathlib import Path
 
-from shift3d.analysis.tables.accuracy_time import settings_table
-from shift3d.analysis.tables.table import Table
 
 __all__ = ["MEASURED", "accuracy_cost", "diagnostics", "measured_presets", "preset_table"]
 

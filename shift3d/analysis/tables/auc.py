@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from shift3d.analysis.results import natural_by_task
-from shift3d.analysis.tables.table import Table, number
-from shift3d.analysis.variants import aucs_of_scores
+from shift3d.analysis.statistics.intervals import ratio_interval, vehicle_mean_interval
+from shift3d.analysis.tables.paper import paper_table
+from shift3d.analysis.tables.table import Cell, Table, number
+from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores
+from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
+from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
-import math
-from collections.abc import Sequence
 
-from shift3d.analysis.statistics.intervals import ratio_interval, vehicle_mean_interval
-from shift3d.analysis.tables.paper import paper_table
-from shift3d.analysis.tables.table import Cell
-from shift3d.analysis.variants import Aucs, Variant
-from shift3d.methods import METHODS
-from shift3d.wording import counted
 
 __all__ = ["auc_table", "natural_rows", "natural_sentence", "natural_table", "ratio_texts"]
 

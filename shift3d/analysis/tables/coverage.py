@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from shift3d.analysis.tables.table import Table
+from shift3d.methods import METHODS
 from shift3d.sweep.planning.tasks import Tasks
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
-from typing import TYPE_CHECKING
 
-from shift3d.analysis.tables.table import Table
-from shift3d.methods import METHODS
 
 __all__ = ["coverage_lines", "nothing_placed", "rows_by_status", "stage_times", "trial_caveat"]
 

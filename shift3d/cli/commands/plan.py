@@ -99,7 +99,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
 
 def show_places(plan: Plan, config: Config, most: int = 20) -> None:
     """Print how many places each scene has for a car, and what refuses the others, by the first task's settings."""
-    from shift3d.settings.catalogue.scene_sets import scene_set
+    from shift3d.settings.schema.scenes import scene_set
     from shift3d.task.places import place_lines
 
     scenes, where = scene_set(config.scenes), plan.tasks[0].spec.placement

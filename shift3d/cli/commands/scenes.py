@@ -85,7 +85,7 @@ def _config(words: Sequence[str]) -> Config:
 
 
 def _list(config: Config) -> int:
-    from shift3d.settings.catalogue.scene_sets import scene_set
+    from shift3d.settings.schema.scenes import scene_set
 
     scenes = scene_set(config.scenes)
     names = scenes.names()
@@ -99,7 +99,7 @@ def _show(config: Config, out: str | None) -> int:
     from pathlib import Path
 
     from shift3d.scenes.description import scene_lines
-    from shift3d.settings.catalogue.scene_sets import scene_set
+    from shift3d.settings.schema.scenes import scene_set
     from shift3d.store.atomic import check_writable
     from shift3d.task.places import survey_scene
     from shift3d.task.spec import PlacementSpec

@@ -16,7 +16,6 @@ from shift3d.settings.catalogue.detector_files import detector_hash, scoring_det
 from shift3d.settings.catalogue.foreign import detector_layouts, require_in_range
 from shift3d.settings.catalogue.scene_cache import SceneEntry
 from shift3d.settings.catalogue.scene_entries import scene_entries
-from shift3d.settings.catalogue.scene_sets import scene_set
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.schema.attack import AttackConfig
 from shift3d.settings.schema.config import (
@@ -26,7 +25,7 @@ from shift3d.settings.schema.config import (
     VehicleConfig,
     VehicleSetConfig,
 )
-from shift3d.settings.schema.scenes import FramesConfig
+from shift3d.settings.schema.scenes import FramesConfig, scene_set
 
 if TYPE_CHECKING:
     from shift3d.render.field.object_field import VehicleFrame

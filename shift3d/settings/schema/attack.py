@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
+from shift3d.attack.names import SearchName, SpaceName
 from shift3d.settings.schema.records import LARGEST, Count, NotNegative, Number, Positive, Record
 
 __all__ = ["AttackConfig", "PlacementConfig"]
@@ -50,8 +51,8 @@ class AttackConfig(Record):
     max_shift_m: NotNegative
     max_tilt_rad: NotNegative
     detection_radius_m: Positive
-    search: Literal["descent", "expectation", "evolution", "random"] = "descent"
-    space: Literal["free", "pca", "parameters", "family"] = "free"
+    search: SearchName = "descent"
+    space: SpaceName = "free"
     components: Annotated[int, Field(ge=1, le=256)] = 10
     rate: Positive = 0.1
     placements: Annotated[int, Field(ge=1, le=64)] = 2

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from shift3d.detectors.names import FOREIGN, ONNX, OWN, DetectorName
+from shift3d.effects.applicability import NEEDS
 from shift3d.settings.names import Text
 from shift3d.settings.schema.attack import AttackConfig
 from shift3d.settings.schema.records import Count, NotNegative, Number, Positive, Record, Seed, Share
@@ -184,10 +185,10 @@ class AccuracyConfig(Record):
     render: dict[str, bool | int | float | str | None]
 
 
-EffectName = Literal[
-    "origins", "no_return_beams", "rolling_shutter", "divergence", "second_returns", "reflectance",
-    "wet_ground", "fog", "rain", "snow", "ray_drop", "range_noise",
-]  # fmt: skip
+if TYPE_CHECKING:
+    EffectName = str
+else:
+    EffectName = Literal["auto", *NEEDS]
 
 
 class EffectsConfig(Record):
@@ -197,7 +198,7 @@ class EffectsConfig(Record):
     The others: see `scenes.facts.EffectSettings`; weather is laid over the whole scene.
     """
 
-    use: dict[Literal["auto"] | EffectName, bool]
+    use: dict[EffectName, bool]
     visibility_m: Positive | None
     rain_mm_h: NotNegative | None
     snow_mm_h: NotNegative | None

@@ -1,17 +1,21 @@
-"""The typed schema of the group ``scenes``."""
+"""Settings of the group ``scenes``, and the scene sets that they describe."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, model_validator
 
 from shift3d.errors import InputError
 from shift3d.scenes.reflectance import MOST_RAW
-from shift3d.scenes.street.options import LIMITS, MOST_SENSORS, StreetOptions
+from shift3d.scenes.street.options import BEAM_NAMES, LIMITS, MOST_SENSORS, StreetOptions
 from shift3d.settings.names import Text
 from shift3d.settings.schema.records import Count, Record, Seed
+
+if TYPE_CHECKING:
+    from shift3d.scenes.sets import SceneSet
+
 
 __all__ = [
     "Argoverse2Config",
@@ -24,9 +28,15 @@ __all__ = [
     "StreetOptionsConfig",
     "WaymoConfig",
     "scene_config",
+    "scene_set",
 ]
 
 Metres = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
+
+if TYPE_CHECKING:
+    BeamName = str
+else:
+    BeamName = Literal[*BEAM_NAMES]
 
 
 class StreetOptionsConfig(Record):
@@ -43,7 +53,7 @@ class StreetOptionsConfig(Record):
     ego_speed_m_s: Annotated[float, Field(ge=0, le=LIMITS["ego_speed_m_s"])] = 0.0
     motion_compensated: bool = False
     traffic: Literal["family", "wide", "held_out"] = "family"
-    beams: Literal["hdl64", "waymo_top", "hdl32", "av2_pair", "pandar64"] | None = None
+    beams: BeamName | None = None
 
     def options(self) -> StreetOptions:
         """The same for the generator. Raises InputError for settings that contradict each other."""
@@ -125,3 +135,44 @@ SceneConfig = StreetConfig | KittiConfig | WaymoConfig | Argoverse2Config | NuSc
 def scene_config(values: Mapping[str, Any]) -> SceneConfig:
     """The settings behind plain values, by their ``kind``. Raises ValidationError: they are none."""
     return TypeAdapter[SceneConfig](Annotated[SceneConfig, Field(discriminator="kind")]).validate_python(dict(values))
+
+
+def scene_set(config: SceneConfig) -> SceneSet:
+    """The scenes that settings describe. Readers are imported when their data set is asked for.
+
+    Raises:
+        InputError: a missing or unreadable folder.
+    """
+    if isinstance(config, StreetConfig):
+        from shift3d.scenes.sets import StreetScenes
+
+        return StreetScenes(config.sensor, config.seed, config.count, config.split, options=config.options())
+    if isinstance(config, KittiConfig):
+        return _kitti(config)
+    root, names, count, keep_bad = config.root, config.names, config.count, config.skip_bad
+    if isinstance(config, WaymoConfig):
+        from shift3d.scenes.waymo.scenes import WaymoScenes
+
+        return WaymoScenes(root, names, count, config.lasers, config.every, keep_bad)
+    if isinstance(config, Argoverse2Config):
+        from shift3d.scenes.argoverse2.scenes import Argoverse2Scenes
+
+        return Argoverse2Scenes(root, names, count, config.every)
+    if isinstance(config, NuScenesConfig):
+        from shift3d.scenes.nuscenes.scenes import NuScenesScenes
+
+        return NuScenesScenes(root, names, count, config.version, config.sweeps, keep_bad)
+    from shift3d.scenes.openpcdet import OpenPcdetScenes
+
+    x, y, z = config.sensor_m
+    constants = (config.ground_z_m, config.reflectance_max)
+    return OpenPcdetScenes(root, names, count, config.split, (x, y, z), *constants, keep_bad)
+
+
+def _kitti(config: KittiConfig) -> SceneSet:
+    from shift3d.scenes.kitti.scenes import KittiScenes
+
+    scenes = KittiScenes(config.root, config.names, config.reflectance_max, config.skip_bad)
+    if config.count is None:
+        return scenes
+    return KittiScenes(config.root, scenes.names()[: config.count], config.reflectance_max, config.skip_bad)

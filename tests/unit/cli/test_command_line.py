@@ -14,7 +14,7 @@ import pytest
 
 import shift3d
 from shift3d.cli.command import key_values
-from shift3d.cli.commands import train
+from shift3d.cli.commands.detectors import train
 from shift3d.cli.completion import overrides, sweep_words
 from shift3d.cli.main import COMMANDS, main, make_parser, parse
 from shift3d.cli.mesh_words import FRAME_VALUES

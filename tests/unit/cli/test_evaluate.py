@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from shift3d.cli.commands.evaluate import evaluate_words
+from shift3d.cli.commands.detectors.evaluate import evaluate_words
 from shift3d.cli.main import main
 
 

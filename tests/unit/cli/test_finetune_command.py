@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from shift3d.cli.commands import finetune
-from shift3d.cli.commands.finetune import read_request
+from shift3d.cli.commands.detectors import finetune
+from shift3d.cli.commands.detectors.finetune import read_request
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 

@@ -9,7 +9,7 @@ import pytest
 
 from shift3d.cli.main import main
 from shift3d.cli.words import read_words
-from shift3d.settings.catalogue import read_catalogue
+from shift3d.settings.catalogue.reading import read_catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.resolve import as_location
 from shift3d.sweep.planning.folder import open_folder

@@ -14,7 +14,8 @@ from cheap_sweeps import CHEAP, set_stable
 from safetensors.torch import load_file
 
 from shift3d.cli.command import run_command
-from shift3d.cli.commands import evaluate, sweep, train
+from shift3d.cli.commands import sweep
+from shift3d.cli.commands.detectors import evaluate, train
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 from shift3d.errors import InputError
 from shift3d.finetuning.objects import stable_objects

@@ -14,8 +14,9 @@ from shift3d.detectors.models.weights import NETWORKS
 from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS
 from shift3d.settings.catalogue.detector_files import scoring_detectors, weights_file
-from shift3d.settings.catalogue.reading import accuracy_settings, scene_set
+from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.schema.config import AccuracyConfig, DetectorConfig, KittiConfig, StreetConfig
+from shift3d.settings.schema.scenes import scene_set
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -18,7 +18,7 @@ from shift3d.effects.applicability import NEEDS
 from shift3d.scenes.kitti.files import read_points
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
-from shift3d.task.export import export_solution
+from shift3d.task.follow_ups.export import export_solution
 from shift3d.task.run import build_problem, run_task
 from shift3d.task.scoring import score_points
 from shift3d.task.spec import AttackSpec, TaskSpec

@@ -26,7 +26,7 @@ from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 from shift3d.task.assets import Assets
 from shift3d.task.exchange import Row, TaskResult
-from shift3d.task.export import FRAME, check_no_export, export_solution
+from shift3d.task.follow_ups.export import FRAME, check_no_export, export_solution
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
 
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")

@@ -24,7 +24,7 @@ from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
-from shift3d.task.rendered import render_solution
+from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.rows import Rows
 from shift3d.task.run import run_task
 from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene

@@ -9,8 +9,7 @@ from short_tasks import STREET, make_spec
 
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.placement.sampling import Placement
-from shift3d.settings.catalogue.scene_sets import scene_set
-from shift3d.settings.schema.scenes import StreetConfig
+from shift3d.settings.schema.scenes import StreetConfig, scene_set
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.problem import build_problem, place_vehicle

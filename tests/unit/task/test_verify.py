@@ -17,9 +17,9 @@ from shift3d.sweep.results.verified_scores import with_verification
 from shift3d.task.assets import Assets
 from shift3d.task.differences import Differences
 from shift3d.task.exchange import TaskResult
-from shift3d.task.rescoring import DRAWS, Solution, Verified
+from shift3d.task.follow_ups.rescoring import DRAWS, Solution, Verified
+from shift3d.task.follow_ups.verify import SCORE_TOLERANCE, VerifyAssets, verified_rows, verify_task
 from shift3d.task.spec import TaskSpec
-from shift3d.task.verify import SCORE_TOLERANCE, VerifyAssets, verified_rows, verify_task
 
 NO_ERROR = Differences(hits=300, missed_hits=0, false_hits=0, wrong_surface=0, depth_error_max_m=1e-5)
 START = Solution("baseline", 0, torch.zeros(2), torch.zeros(6), {"pointpillars": 0.8})

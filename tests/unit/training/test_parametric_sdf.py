@@ -11,7 +11,7 @@ import pytest
 import torch
 from safetensors.numpy import save_file
 
-from shift3d.cli.commands.train import COMMAND
+from shift3d.cli.commands.detectors.train import COMMAND
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import load_decoder
 from shift3d.sdf.samples import signed_distance

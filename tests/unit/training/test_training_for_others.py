@@ -14,7 +14,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from shift3d.cli.commands.train import _options, _recipe_words
+from shift3d.cli.commands.detectors.train import _options, _recipe_words
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.models.backbone import BackboneSpec
 from shift3d.detectors.models.pointpillars import PointPillarsNet

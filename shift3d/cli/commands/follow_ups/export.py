@@ -57,7 +57,7 @@ def _run(arguments: argparse.Namespace) -> int:
     plan = read_plan(out)
     task = _one_task(plan.tasks, values["task"], out)
     row = _solution(out, task.spec.task_id, values["method"], int(replicate))
-    from shift3d.task.export import check_no_export, export_solution
+    from shift3d.task.follow_ups.export import check_no_export, export_solution
     from shift3d.task.run import load_assets
 
     target = writable_folder(values["to"], "to")

@@ -11,9 +11,8 @@ import pytest
 import waymo_segment
 
 from shift3d.errors import InputError
-from shift3d.settings.catalogue.scene_sets import scene_set
 from shift3d.settings.compose import compose_sweep, validate
-from shift3d.settings.schema.scenes import SceneConfig, scene_config
+from shift3d.settings.schema.scenes import SceneConfig, scene_config, scene_set
 
 
 def config(*words: str) -> SceneConfig:

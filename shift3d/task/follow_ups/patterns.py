@@ -8,9 +8,9 @@ from dataclasses import asdict
 from shift3d.errors import InputError
 from shift3d.naturalness.decoded import decoded_mesh
 from shift3d.task.exchange import Row, TaskResult
-from shift3d.task.rescoring import Solution
+from shift3d.task.follow_ups.rescoring import Solution
+from shift3d.task.follow_ups.verify import VerifyAssets
 from shift3d.task.spec import TaskSpec
-from shift3d.task.verify import VerifyAssets
 from shift3d.vehicles.mesh_measures import measure_mesh
 
 __all__ = ["patterns_task"]

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command, key_values, run_command
-from shift3d.cli.commands import evaluate, sweep, train, verify
+from shift3d.cli.commands import sweep
+from shift3d.cli.commands.detectors import evaluate, train
+from shift3d.cli.commands.follow_ups import verify
 from shift3d.cli.completion import overrides
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError

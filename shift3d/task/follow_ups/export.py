@@ -21,7 +21,7 @@ from shift3d.scenes.kitti.writing import frame_files, velodyne_bytes
 from shift3d.scenes.scene import Scene
 from shift3d.store.atomic import write_atomic
 from shift3d.task.assets import Assets
-from shift3d.task.rendered import POSE, render_solution
+from shift3d.task.follow_ups.rendered import POSE, render_solution
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import vehicle_mesh
 

@@ -24,7 +24,7 @@ from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
-from shift3d.task.rescoring import Problems, Solution, Verified, verify_object
+from shift3d.task.follow_ups.rescoring import Problems, Solution, Verified, verify_object
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
 

@@ -15,12 +15,12 @@ from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 from shift3d.task.assets import score_precision
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
+from shift3d.task.follow_ups.rescoring import Solution
+from shift3d.task.follow_ups.vehicle_pool import reconstructor_of
+from shift3d.task.follow_ups.verify import VerifyAssets, load_verify_assets
 from shift3d.task.problem import build_problem
-from shift3d.task.rescoring import Solution
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec
-from shift3d.task.vehicle_pool import reconstructor_of
-from shift3d.task.verify import VerifyAssets, load_verify_assets
 
 __all__ = ["CONTROLS", "RetrievalAssets", "load_retrieval_assets", "retrieval_task"]
 

@@ -1,0 +1,10 @@
+"""Searches and spaces by their names in settings and specs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+__all__ = ["SearchName", "SpaceName"]
+
+SearchName = Literal["descent", "expectation", "evolution", "random"]
+SpaceName = Literal["free", "pca", "parameters", "family"]

@@ -1,0 +1,1 @@
+"""Commands on a finished sweep's solutions."""
