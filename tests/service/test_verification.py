@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -98,8 +100,10 @@ def test_what_cannot_be_verified_is_said(out: Path, tmp_path: Path, capsys: pyte
     segment = next((damaged / "data").glob("*-scores.parquet"))
     segment.write_bytes(segment.read_bytes()[:500])
     shutil.rmtree(damaged / "verification")
-    assert main(["verify", str(damaged), "runner=local"]) == 2
-    assert f"{segment.name}: cannot be read as Parquet" in capsys.readouterr().err
+    command = [sys.executable, "-m", "shift3d", "verify", str(damaged)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, "no abort at the process's end"
+    assert f"{segment.name}: cannot be read as Parquet" in done.stderr.splitlines()[-1]
     assert not (damaged / "verification").exists(), "found before hours of work"
     assert main(["verify", str(out), "attack.steps=3"]) == 2
     assert "Only the runner can be set" in capsys.readouterr().err
