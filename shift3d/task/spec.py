@@ -67,7 +67,8 @@ class AttackSpec:
     percentile of the reference set that a shape may not pass during the search; 0: any shape. search_scenes: how many
     of the task's transfer scenes, from the first, the loss of a shape is taken over beside its own. edit:
     "NAME:PLACE", a parameter of a parametric decoder's vehicle and where in its kind's range it is put, -1 lowest to 1
-    highest, for the method ``edited``.
+    highest, for the method ``edited``. budget_rule: how a search is held within ``naturalness``, `BUDGET_RULE`; 0
+    without a budget.
 
     Source: SHIFT3D sections Hyper-parameters, Evaluation Metrics and Adversarial Pose Generation Results; searches but
     descent, and spaces but free, are our choice.
@@ -93,6 +94,7 @@ class AttackSpec:
     search_scenes: int = 0
     edit: str = ""
     space_hash: str = ""
+    budget_rule: int = 0
 
     @property
     def label(self) -> str:
@@ -114,9 +116,11 @@ def split_label(label: str) -> tuple[str, float | None]:
     return (label, None) if found is None else (label.replace(found.group(), "", 1), float(found.group(1)))
 
 
+BUDGET_RULE = 2
+"""Raised when a search within a budget of naturalness comes to another shape under the same settings."""
 _LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,
           "random_search": 0, "naturalness": 0.0, "noise_share": 0.0, "search_scenes": 0, "edit": "",
-          "space_hash": ""}  # fmt: skip
+          "space_hash": "", "budget_rule": 0}  # fmt: skip
 """Fields that specs of version 6 had not from the beginning, with the values that leave a task as it was."""
 
 

@@ -21,7 +21,7 @@ from shift3d.sweep.planning.layout import Layouts
 from shift3d.sweep.planning.tasks import PlannedTask, TaskGroup, Tasks
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
 from shift3d.task.exchange import AssetsSpec
-from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
+from shift3d.task.spec import BUDGET_RULE, AttackSpec, PlacementSpec, TaskSpec
 
 __all__ = ["Plan", "PlannedTask", "TaskGroup", "Tasks", "make_plan"]
 
@@ -175,7 +175,7 @@ def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
         replicate=config.replicate,
         accuracy_settings=catalogue.accuracy,
         scene_arguments=catalogue.scene_arguments,
-        attack=AttackSpec(**attack, space_hash=space_hash),
+        attack=AttackSpec(**attack, space_hash=space_hash, budget_rule=BUDGET_RULE if attack["naturalness"] else 0),
         placement=placement,
         vehicle_hash=catalogue.vehicles[vehicle],
         decoder_hash=catalogue.decoder_hash,
