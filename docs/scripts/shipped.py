@@ -17,7 +17,7 @@ import pandas as pd
 
 from shift3d.analysis.forecast.expected import SHIPPED, TaskParts
 from shift3d.analysis.results import read_sweep
-from shift3d.analysis.tables.accuracy_cost import MEASURED
+from shift3d.analysis.tables.accuracy.cost import MEASURED
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 from shift3d.store.frontier_table import read_frontier

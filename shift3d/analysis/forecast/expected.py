@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.compute as pc
 
-from shift3d.analysis.tables.accuracy_cost import measured_presets
+from shift3d.analysis.tables.accuracy.cost import measured_presets
 from shift3d.effects.applicability import measured_impact
 from shift3d.store.log import read_log
 from shift3d.store.resolve import LocationLike, as_location

@@ -12,9 +12,9 @@ from shift3d.analysis.html.blocks import Block, Paragraph, Picture, Section, Ter
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.sections.effects import impact_blocks
 from shift3d.analysis.html.sections.stability import stability_blocks
-from shift3d.analysis.tables.accuracy_cost import diagnostics
-from shift3d.analysis.tables.accuracy_time import RULE, frontier_lines, meanings, settings_tables
-from shift3d.analysis.tables.advice import advice
+from shift3d.analysis.tables.accuracy.advice import advice
+from shift3d.analysis.tables.accuracy.cost import diagnostics
+from shift3d.analysis.tables.accuracy.frontier import RULE, frontier_lines, meanings, settings_tables
 from shift3d.analysis.tables.effects import EffectImpact
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic

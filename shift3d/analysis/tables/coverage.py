@@ -1,11 +1,18 @@
-"""What ran, where the time went, and when the numbers of a sweep cannot mean much."""
+"""What a sweep prints at its end: what ran, where the time went, and when its numbers cannot mean much."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_table
+from shift3d.analysis.tables.auc import auc_table, natural_table
+from shift3d.analysis.tables.budgets import budget_table
+from shift3d.analysis.tables.choices import choice_tables, reasons
+from shift3d.analysis.tables.sensors import sensor_table, transfer_table
 from shift3d.analysis.tables.table import Table
+from shift3d.analysis.variants import variants
 from shift3d.methods import METHODS
 from shift3d.sweep.planning.tasks import Tasks
 from shift3d.wording import counted
@@ -13,8 +20,29 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     import pandas as pd
 
+__all__ = ["coverage_lines", "nothing_placed", "rows_by_status", "stage_times", "sweep_report", "trial_caveat"]
 
-__all__ = ["coverage_lines", "nothing_placed", "rows_by_status", "stage_times", "trial_caveat"]
+
+def sweep_report(sweep: Sweep) -> str:
+    """AUCs, also by budget, natural shapes, shapes in other scenes, choices, what ran, its time and its accuracy."""
+    parted = variants(sweep.auc, sweep.scored)
+    tables = [auc_table(variant) for variant in parted]
+    by_sensor, elsewhere = sensor_table(sweep.scores), transfer_table(sweep.transfers)
+    further = (budget_table(parted), by_sensor, natural_table(sweep.scores), elsewhere)
+    found = [table for table in further if table]
+    parts = [*tables, *found, *choice_tables(sweep.choices)]
+    return "\n\n".join(
+        [
+            *map(str, parts),
+            *(["\n".join(reasons(sweep.choices))] if len(sweep.choices) else []),
+            "\n".join(coverage_lines(sweep.scores, sweep.attempts, len(sweep.plan.tasks))),
+            str(stage_times(sweep.timings, sweep.scores)) if len(sweep.timings) else "no timings",
+            "\n".join(["What accuracy cost", *accuracy_cost(sweep.scores, sweep.timings)]),
+            str(preset_table()),
+            diagnostics(sweep.scores),
+        ]
+    )
+
 
 PAPER_STEPS = 40
 _LEAST_STEPS, _LEAST_SCENES = 10, 4

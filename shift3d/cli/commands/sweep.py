@@ -154,8 +154,7 @@ def _status(words: list[str]) -> int:
 def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
     from shift3d.analysis.results import sweep_of
-    from shift3d.analysis.tables.coverage import coverage_lines, nothing_placed, trial_caveat
-    from shift3d.analysis.tables.report import sweep_report
+    from shift3d.analysis.tables.coverage import coverage_lines, nothing_placed, sweep_report, trial_caveat
     from shift3d.analysis.tables.stability import stability_lines
     from shift3d.sweep.planning.plan_view import skipped_lines
 

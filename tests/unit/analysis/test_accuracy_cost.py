@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 from frontier_by_hand import flagged, frontier_row
 
-from shift3d.analysis.tables.accuracy_cost import MEASURED, accuracy_cost, measured_presets, preset_table
+from shift3d.analysis.tables.accuracy.cost import MEASURED, accuracy_cost, measured_presets, preset_table
 from shift3d.store.frontier_table import frontier_table
 from shift3d.store.tables import write_table
 

@@ -20,8 +20,8 @@ from shift3d.analysis.figures.labels import LABEL
 from shift3d.analysis.figures.setting_marks import RING
 from shift3d.analysis.figures.work_precision import work_precision_figure
 from shift3d.analysis.html.pages import frontier_html, write_frontier_report
-from shift3d.analysis.tables.accuracy_time import frontier_lines
-from shift3d.analysis.tables.advice import advice
+from shift3d.analysis.tables.accuracy.advice import advice
+from shift3d.analysis.tables.accuracy.frontier import frontier_lines
 from shift3d.analysis.tables.table import factor, length, milliseconds, share
 from shift3d.errors import InputError
 from shift3d.store.frontier_table import frontier_table

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from shift3d.analysis.html.pages import write_stability_page
-from shift3d.analysis.tables.accuracy_cost import diagnostics
+from shift3d.analysis.tables.accuracy.cost import diagnostics
 from shift3d.analysis.tables.stability import stability_lines
 
 

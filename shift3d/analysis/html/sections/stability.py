@@ -8,7 +8,7 @@ from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.stability import stability_figure
 from shift3d.analysis.html.blocks import Block, Fold, Heading, Items, Paragraph, Picture, Section, Terms
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.accuracy_cost import accuracy_cost, diagnostics, preset_table
+from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_table
 from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstable_lines
 
 if TYPE_CHECKING:

@@ -39,7 +39,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.html.pages import write_stability_page
-    from shift3d.analysis.tables.accuracy_cost import diagnostics
+    from shift3d.analysis.tables.accuracy.cost import diagnostics
     from shift3d.analysis.tables.stability import stability_lines
     from shift3d.processor import configure_runtime
     from shift3d.store.resolve import as_location

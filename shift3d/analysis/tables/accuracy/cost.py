@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from shift3d.analysis.tables.accuracy_time import settings_table
+from shift3d.analysis.tables.accuracy.frontier import settings_table
 from shift3d.analysis.tables.table import Table
 from shift3d.wording import counted
 
@@ -35,7 +35,7 @@ def diagnostics(scores: pd.DataFrame) -> str:
     return f"{text}."
 
 
-MEASURED = Path(__file__).resolve().parent.parent / "measured" / "presets.json"
+MEASURED = Path(__file__).resolve().parents[2] / "measured" / "presets.json"
 """The presets' rows of a measured frontier: `docs/scripts/shipped.py` writes them from its folder."""
 _ERRORS = ("missed_hits", "false_hits", "wrong_surface")
 _HEADERS = ("time", "x paper", "missed", "wrong", "false", "p99", "max", "cosine", "step", "AUC")

@@ -1,0 +1,1 @@
+"""What accuracy costs in time: of a sweep, of the presets, of every setting of the frontier."""
