@@ -6,6 +6,7 @@ import contextlib
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -68,6 +69,8 @@ def ray_head(
     # The dashboard serves the Jobs API.
     command += [f"--include-dashboard={'true' if dashboard_port else 'false'}", "--dashboard-host=127.0.0.1"]
     command += [f"--dashboard-port={dashboard_port}"] if dashboard_port else []
+    # Without an agent there are no jobs, and another Ray of this machine may have the port that Ray takes for it.
+    command += [f"--dashboard-agent-listen-port={_free_port()}"]
     log = folder / "start.log"
     with log.open("w") as file:
         process = subprocess.Popen(
@@ -86,6 +89,12 @@ def ray_head(
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
 
 
 def _address(process: subprocess.Popen[bytes], log: Path) -> str:

@@ -14,10 +14,8 @@ from shift3d.scenes.street.build import pool
 @pytest.fixture
 def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    pool.cache_folder.cache_clear()
     pool.pool_vehicle.cache_clear()
     yield pool.cache_folder()
-    pool.cache_folder.cache_clear()
     pool.pool_vehicle.cache_clear()
 
 
