@@ -1,8 +1,7 @@
-"""What was measured: docs/measured/NAME.json holds figures, and once for all of them what they were measured at.
-
-``figures`` maps a name to value, unit, and where known interval and n. ``measured`` says the commit, the files that the
-figures depend on and their digest at that commit, machine, command, seconds. A commit of None is not recorded:
-``written_at`` then names the commit that wrote the figures down.
+"""What was measured: docs/measured/NAME.json maps the name of each figure to value, unit, interval, commit and command,
+and where known n. docs/measured/records/NAME.json says once for all of them the commit, the files that the figures
+depend on and their digest at that commit, machine, command, seconds. A commit of None is not recorded: ``written_at``
+then names the commit that wrote the figures down.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[3]
 MEASURED = ROOT / "docs" / "measured"
+_OF_RECORD = ("commit", "command")
 
 
 class NoGitError(Exception):
@@ -40,21 +40,34 @@ def _short(value: float | str) -> float | str:
 
 
 def read(name: str) -> dict[str, Any]:
-    """``measured`` and ``figures`` of an entry."""
-    found: dict[str, Any] = json.loads((MEASURED / f"{name}.json").read_text(encoding="utf-8"))
-    return found
+    """``measured``, the record, and ``figures`` of an entry."""
+    rows: dict[str, dict[str, Any]] = json.loads(_file(name).read_text(encoding="utf-8"))
+    figures = {
+        key: {part: one for part, one in row.items() if part not in _OF_RECORD and one not in (None, "")}
+        for key, row in rows.items()
+    }
+    return {"measured": json.loads(_record_file(name).read_text(encoding="utf-8")), "figures": figures}
 
 
 def write(name: str, figures: Mapping[str, Any], measured: Mapping[str, Any]) -> Path:
-    """Write an entry's file, a line a figure, whole or not at all."""
+    """Write an entry's figures, a line each, and then its record; each whole or not at all."""
     from shift3d.store.atomic import write_atomic
 
-    lines = [f"  {json.dumps(key)}: {json.dumps(one, ensure_ascii=False)}" for key, one in figures.items()]
-    head = json.dumps(measured, indent=1, ensure_ascii=False).replace("\n", "\n ")
-    body = ",\n".join(lines)
-    path = MEASURED / f"{name}.json"
-    write_atomic(path, f'{{\n "measured": {head},\n "figures": {{\n{body}\n }}\n}}\n'.encode())
-    return path
+    known = {part: measured.get(part) for part in _OF_RECORD}
+    rows = {key: {"value": None, "unit": "", "interval": None} | one | known for key, one in figures.items()}
+    body = ",\n".join(f" {json.dumps(key)}: {json.dumps(row, ensure_ascii=False)}" for key, row in rows.items())
+    _record_file(name).parent.mkdir(exist_ok=True)
+    write_atomic(_file(name), f"{{\n{body}\n}}\n".encode())
+    write_atomic(_record_file(name), (json.dumps(measured, indent=1, ensure_ascii=False) + "\n").encode())
+    return _file(name)
+
+
+def _file(name: str) -> Path:
+    return MEASURED / f"{name}.json"
+
+
+def _record_file(name: str) -> Path:
+    return MEASURED / "records" / f"{name}.json"
 
 
 def git(*words: str) -> str:
