@@ -51,7 +51,7 @@ _LEFT_OUT = "left_out"
 @dataclass(frozen=True)
 class Frozen:
     """What came of it. left_out: solutions by reason. unverified: hard objects that no verification has looked at.
-    largest_difference: between a score of the sweep and the same one of the frozen object; None: it was there already.
+    largest_difference: between a score of the sweep and the same one of the frozen object; None: none was scored again.
     """
 
     suite: FrozenSuite
@@ -201,22 +201,23 @@ class _Freezing:
     def scene(self, name: str, hard: pd.DataFrame) -> list[dict[str, Any]]:
         """Rows of the objects of one scene: from its file where there is one, which is written otherwise."""
         file = self.writing.scene_file(name)
-        if file.is_file():
-            rows: list[dict[str, Any]] = read_suite_table(file, "objects").to_pylist()
-            for row in rows:
-                self._register(row)
+        rows: list[dict[str, Any]] = read_suite_table(file, "objects").to_pylist() if file.is_file() else []
+        if rows and all(self._register(row) for row in rows):
             return rows
         rows = [row for solution in hard.to_dict("records") for row in self._pair(solution)]
         file.write_atomic(suite_table_bytes(suite_table("objects", rows)))
         return rows
 
-    def _register(self, row: Mapping[str, Any]) -> None:
-        """Note what a row of an earlier run refers to: its scene set and its background."""
+    def _register(self, row: Mapping[str, Any]) -> bool:
+        """Note what a row of an earlier run refers to, its scene set and its background; whether both are there."""
         (task,) = self.plan.tasks.starting_with(row["task_id"])
         self.writing.scene_set(self.plan.assets[task.assets].scenes)
         if self.writing.frames == "copied":
             name = background_file(row["background"])
+            if not (self.writing.to / name).is_file():
+                return False
             self.writing.digests[name] = blake2b((self.writing.to / name).read_bytes())
+        return True
 
     def _pair(self, hard: Mapping[str, Any]) -> list[dict[str, Any]]:
         """A solution's control and its own row."""

@@ -22,7 +22,7 @@ __all__ = ["SPEC_VERSION", "AttackSpec", "PlacementSpec", "TaskSpec", "TransferS
 
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
 SPEC_VERSION = 6
-# Tasks of the version before are read, under the ids that they had: their settings had other names.
+# Version 5 names some settings otherwise; its tasks are read and keep their ids.
 _READ_VERSIONS = (5, SPEC_VERSION)
 _FORMER_EFFECTS = {"silent_beams": "no_return_beams"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -99,8 +100,12 @@ def test_a_killed_freezing_goes_on_with_the_scenes_that_it_finished_to_the_same_
     monkeypatch.setattr(freezing, "score_box", last_scene_is_killed)
     with pytest.raises(Killed):
         freeze_suite(sweep, tmp_path / "killed", Choice())
+    shutil.copytree(tmp_path / "killed", tmp_path / "lost")
     resumed = freeze_suite(sweep, tmp_path / "killed", Choice())
     assert len(scored) == 4 + 2, "the first scene's objects are not scored again"
+    shutil.rmtree(tmp_path / "lost" / "backgrounds")
+    freeze_suite(sweep, tmp_path / "lost", Choice())
+    assert tree(tmp_path / "lost") == tree(tmp_path / "whole"), "a scene without its background is frozen once more"
     assert resumed.suite.digest == whole.suite.digest
     assert tree(tmp_path / "killed") == tree(tmp_path / "whole")
 

@@ -73,7 +73,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if frozen.unverified:
         print(f"not verified: {frozen.unverified}; shift3d verify {arguments.out} tells which are stable")
     if frozen.largest_difference is None:
-        print("the suite was there already")
+        print("every object was there already")
     else:
         print(f"scored again: the sweep's scores to {frozen.largest_difference:.1e}")
     return 0
