@@ -9,8 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-__all__ = ["BevWindow", "Detections", "Detector", "Proposals"]
-
 
 @dataclass(frozen=True)
 class BevWindow:

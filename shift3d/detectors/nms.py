@@ -10,8 +10,6 @@ from torch import Tensor
 from shift3d.detectors.base import Detections, Proposals
 from shift3d.geometry.iou import iou_bev
 
-__all__ = ["rotated_nms", "suppress"]
-
 MAX_BEFORE_NMS = 4096
 
 Array = npt.NDArray[np.float64]

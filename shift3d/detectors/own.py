@@ -26,8 +26,6 @@ from shift3d.detectors.names import OWN
 from shift3d.detectors.nms import suppress
 from shift3d.errors import InputError
 
-__all__ = ["OwnDetector", "load_own"]
-
 Model = Callable[[Tensor], Any]
 
 _WHOLE = BevWindow(0, 0, 1, 1, 0, 0, 1, 1)

@@ -20,8 +20,6 @@ from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.nms import suppress
 from shift3d.errors import InputError
 
-__all__ = ["TrainedDetector"]
-
 
 class TrainedDetector:
     """A trained network for inference on CPU.

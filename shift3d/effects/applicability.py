@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from shift3d.effects.base import DetectorFacts, Effect
     from shift3d.render.field.object_field import VehicleFrame
 
-__all__ = ["MEASURED_IMPACT", "NEEDS", "Choice", "MeasuredImpact", "choose", "effect_named"]
-
 MEASURED_IMPACT = Path(__file__).resolve().parent / "measured" / "effects.json"
 """The impact of each effect as measured by `sweeps/effects.yaml`."""
 IMPACT_BOUND = 0.01

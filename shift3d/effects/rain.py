@@ -18,8 +18,6 @@ from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import SensorModel
 
-__all__ = ["EFFECT", "Crossings", "Particles", "Precipitation", "Rain", "crossings", "drops", "extra_noise_m"]
-
 EXIT_M, DIVERGENCE_RAD = 0.01, 2e-3
 """Width of a beam where it leaves the sensor, and its full angle where the sensor states none (our choice: HDL-64E)."""
 DROP_ALBEDO = 0.024

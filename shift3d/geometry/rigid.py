@@ -10,16 +10,6 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 
-__all__ = [
-    "from_quaternion",
-    "heading_of",
-    "interpolated",
-    "inverse",
-    "moved",
-    "rotation_of_angles",
-    "validate_rigid",
-]
-
 Float = NDArray[np.float64]
 
 _TOLERANCE = 1e-3  # of R Rᵀ: published matrices and quaternions are float32, or rounded to six digits

@@ -12,8 +12,6 @@ from shift3d.scenes.labels import Conditions
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import SensorModel
 
-__all__ = ["EffectSettings", "SceneFacts", "with_settings"]
-
 
 @dataclass(frozen=True)
 class EffectSettings:

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.store.location import Location
 
-__all__ = ["UNITS_REMEDY", "chosen", "first_few", "names_in", "require_metres"]
-
 UNITS_REMEDY = "Convert the file: coordinates and ranges are metres, angles radians"
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
 

@@ -18,8 +18,6 @@ from shift3d.scenes.scene import Labels, Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
-__all__ = ["OpenPcdetScenes", "class_of"]
-
 _CLASSES = {
     "vehicle": "vehicle car van truck bus trailer construction_vehicle",
     "pedestrian": "pedestrian person",

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["MOST_RAW", "full_reflectance"]
-
 MOST_RAW = 1e5
 """Largest number that stands for full reflectance in any sensor's files."""
 STRAY_SHARE = 0.05

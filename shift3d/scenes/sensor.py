@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 
-__all__ = ["NoReturnBeams", "SensorModel"]
-
 
 @dataclass(frozen=True)
 class SensorModel:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from shift3d.training.detector.recipe import Recipe
     from shift3d.training.progress import Report
 
-__all__ = ["MODELS", "TrainOptions", "detector_recipe", "evaluate", "train"]
-
 MODELS = ("sdf", *DETECTOR_NAMES)
 ADAPTING_SHARE = 0.2
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"

@@ -15,8 +15,6 @@ from shift3d.scenes.street.build.pool import PoolVehicle
 from shift3d.scenes.street.raycast import hit_instance
 from shift3d.training.detector_scenes import TrainingScene
 
-__all__ = ["with_inserted_vehicles"]
-
 TRIES = 40
 GROUND_POINTS = 20
 CLEARANCE_M = 0.25

@@ -26,8 +26,6 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     import onnxruntime
 
-__all__ = ["OnnxDetector", "load_onnx", "onnx_detector"]
-
 _GUIDE = "See docs/guides/detectors.md, An ONNX file"
 _PROBE_POINTS = 2000
 _SATURATED = 2.0**-24

@@ -21,8 +21,6 @@ from shift3d.detectors.incremental.sparse_backbone import ROWS_AT_ONCE, SparseBa
 from shift3d.detectors.incremental.sparse_backward import SparseBackward
 from shift3d.processor import pad_to_bucket
 
-__all__ = ["ActivationCache"]
-
 
 class ActivationCache:
     """Activations of one window, recomputed where they changed and are needed.

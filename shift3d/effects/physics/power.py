@@ -12,21 +12,6 @@ from shift3d.effects.base import EffectContext, Returns
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.sensor import SensorModel
 
-__all__ = [
-    "LEAST_LOSS",
-    "PowerLimit",
-    "at_ranges",
-    "echo_power",
-    "least_power",
-    "loss",
-    "overlap",
-    "range_along",
-    "reach_m",
-    "survival",
-    "survival_draws",
-    "unchanged",
-]
-
 OVERLAP_FROM_M, OVERLAP_TO_M = 0.9, 1.0
 """Between these ranges the receiver comes to see what the laser lights (Hahner et al. 2021)."""
 LIMIT_ALBEDO = 0.9

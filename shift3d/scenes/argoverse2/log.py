@@ -18,21 +18,6 @@ from shift3d.geometry.rigid import from_quaternion, heading_of, interpolated, in
 from shift3d.scenes.labels import Labels
 from shift3d.store.location import Location
 
-__all__ = [
-    "CLASSES",
-    "Sweep",
-    "city_SE3_ego",
-    "column",
-    "ego_SE3_ego",
-    "feather_table",
-    "lidar_mounts",
-    "poses",
-    "read_labels",
-    "read_sweep",
-    "sweep_file",
-    "timestamps",
-]
-
 _AGAIN = "Copy it again"
 _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 

@@ -28,8 +28,6 @@ from shift3d.scenes.scene import Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
-__all__ = ["Argoverse2Scenes"]
-
 VEHICLE_HEIGHT_M = 0.33  # of the vehicle frame's origin, the rear axle, above the ground
 _SPLITS = ("val", "train", "test")
 _SECOND_NS = np.int64(10**9)

@@ -14,8 +14,6 @@ from shift3d.scenes.labels import Labels
 from shift3d.scenes.nuscenes.tables import indexed, pose_of, table_rows
 from shift3d.store.location import Location
 
-__all__ = ["boxes_of", "class_of", "read_annotations", "read_weather"]
-
 _CYCLES = ("vehicle.bicycle", "vehicle.motorcycle")
 
 

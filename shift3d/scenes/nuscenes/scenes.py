@@ -21,8 +21,6 @@ from shift3d.scenes.scene import Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
-__all__ = ["NuScenesScenes"]
-
 Float = NDArray[np.float64]
 
 LIDAR_HEIGHT_M = 1.84

@@ -16,8 +16,6 @@ from shift3d.errors import InputError
 from shift3d.geometry.rigid import from_quaternion
 from shift3d.store.location import Location
 
-__all__ = ["LidarFile", "Release", "indexed", "pose_of", "table_rows"]
-
 _SENSOR = "LIDAR_TOP"
 _PIECE = 2**20
 _AGAIN = "Copy it again"

@@ -8,8 +8,6 @@ from decimal import Decimal
 
 from shift3d.errors import InputError
 
-__all__ = ["BEAM_NAMES", "MOST_SENSORS", "PLAIN", "TRAFFIC", "WEATHER_STRENGTHS", "StreetOptions", "check_traffic"]
-
 TRAFFIC = ("family", "wide", "held_out")
 WEATHER_STRENGTHS = {"rain": ("rain_mm_h", 10.0), "fog": ("visibility_m", 100.0), "snow": ("snow_mm_h", 1.0)}
 """Of each weather: the field that says how strong it is, and what null stands for (our choice): heavy rain, thick

@@ -12,8 +12,6 @@ from shift3d.scenes.waymo.frame import component_file
 from shift3d.scenes.waymo.tables import by_key
 from shift3d.store.location import Location
 
-__all__ = ["CLASSES", "read_labels", "read_weather"]
-
 CLASSES = {1: ("VEHICLE", "vehicle"), 2: ("PEDESTRIAN", "pedestrian"), 3: ("SIGN", "other"), 4: ("CYCLIST", "cyclist")}
 """Types of boxes by number: the data set's name and the class here."""
 _OBJECT = "key.laser_object_id"

@@ -15,8 +15,6 @@ from shift3d.scenes.waymo.range_image import LaserCalibration, filled_poses, veh
 from shift3d.scenes.waymo.tables import FRAME, LASER, SEGMENT, Component, by_key, numbers
 from shift3d.store.location import Location
 
-__all__ = ["LASERS", "LaserFrame", "component_file", "read_calibrations", "read_frame", "read_vehicle_pose"]
-
 Float = NDArray[np.float64]
 
 LASERS = {"TOP": 1, "FRONT": 2, "SIDE_LEFT": 3, "SIDE_RIGHT": 4, "REAR": 5}

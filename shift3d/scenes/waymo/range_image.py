@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse, rotation_of_angles
 
-__all__ = ["LaserCalibration", "filled_poses", "inclinations", "range_image", "vehicle_SE3_pixels", "vehicle_beams"]
-
 Float = NDArray[np.float64]
 
 

@@ -28,8 +28,6 @@ from shift3d.scenes.waymo.frame import (
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
-__all__ = ["COMPONENTS", "WaymoScenes"]
-
 COMPONENTS = ("lidar", "lidar_calibration", "lidar_pose", "vehicle_pose")
 """What a frame is made of. A folder may lack labels (`lidar_box`) and weather (`stats`), a segment of it may not."""
 _OPTIONAL = ("lidar_box", "stats")

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.store.location import Location
 
-__all__ = ["FRAME", "LASER", "SEGMENT", "Component", "by_key", "numbers"]
-
 SEGMENT, FRAME, LASER = "key.segment_context_name", "key.frame_timestamp_micros", "key.laser_name"
 _ROWS_AT_ONCE = 8  # a row of `lidar` is up to 5 MB
 _BUFFER_BYTES = 2**20

@@ -18,8 +18,6 @@ from shift3d.training.detector.pasting import VehicleDatabase, pasted
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector_scenes import TrainingScene
 
-__all__ = ["Crop", "random_crop", "vehicle_centre", "window_around"]
-
 Floats = npt.NDArray[np.float32]
 STRIDE = 4
 TRIES = 6

@@ -19,8 +19,6 @@ from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.training.detector_scenes import network_points
 
-__all__ = ["SCORE_FLOOR", "Answer", "detect_frame", "detect_scenes"]
-
 # Waymo's second score cut-off. The detectors keep the best 4096 boxes before suppression whatever their score, and
 # where that many lie above 0.1 a lower floor costs nothing and brings nothing.
 SCORE_FLOOR = 0.01

@@ -18,8 +18,6 @@ from shift3d.store.atomic import write_atomic
 from shift3d.vehicles.family.parameters import ParameterTable, is_symmetric, parameter_table
 from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_family
 
-__all__ = ["KindFrame", "WideShapes", "in_frame", "kind_frames", "wide_shapes"]
-
 CHUNK = 100
 RESOLUTION_M, FACES = 0.035, 30_000
 KIND_MARGIN = 1.03

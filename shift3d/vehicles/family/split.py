@@ -8,8 +8,6 @@ from shift3d.errors import InputError
 from shift3d.vehicles.family.attributes import ATTRIBUTES
 from shift3d.vehicles.family.spec import BODY_TYPES, MORE_BODY_TYPES
 
-__all__ = ["SPLIT", "WIDE_BODY_TYPES", "FamilySplit"]
-
 WIDE_BODY_TYPES = (*BODY_TYPES, *MORE_BODY_TYPES, "trailer")
 _EVERY = (*WIDE_BODY_TYPES, *ATTRIBUTES)
 
