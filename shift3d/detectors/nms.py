@@ -16,11 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 def rotated_nms(
-    boxes: Array,
-    scores: Array,
-    iou_threshold: float,
-    max_kept: int = 500,
-    until: npt.NDArray[np.bool_] | None = None,
+    boxes: Array, scores: Array, iou_threshold: float, max_kept: int = 500, until: npt.NDArray[np.bool_] | None = None
 ) -> npt.NDArray[np.int64]:
     """Indices of the boxes kept, best score first; equal scores keep the lower index first.
 

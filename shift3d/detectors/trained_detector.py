@@ -108,11 +108,7 @@ class TrainedDetector:
         return IncrementalPillars(net, self._cells, window, self.proposals, self._proposals)
 
     def detect(
-        self,
-        points: Tensor,
-        window: BevWindow | None = None,
-        score_threshold: float = 0.1,
-        iou_threshold: float = 0.25,
+        self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
     ) -> Detections:
         """Boxes after suppression, best first; at most 4096 before and 500 after. Not differentiable.
 

@@ -117,8 +117,7 @@ class Crossings:
         Args:
             power, range_m: (K,) to outdo, and where to stop. arrival: (K,) the draws E.
 
-        Returns:
-            (K,) metres; infinite where there is none.
+        Returns: (K,) metres; infinite where there is none.
         """
         row = _index(power, _LEAST_POWER, _MOST_POWER, _POWERS)
         stop = _index(range_m, OVERLAP_FROM_M, _FAR_M, _RANGES)

@@ -31,8 +31,7 @@ def names_in(folder: Location) -> list[str]:
 def chosen(found: Sequence[str], names: Sequence[str] | None, where: str) -> list[str]:
     """The names asked for, in the order asked; None: all that were found.
 
-    Raises:
-        InputError: a name that was not found, or nothing at all.
+    Raises InputError: a name that was not found, or nothing at all.
     """
     known = set(found)
     for name in names or ():
@@ -48,8 +47,7 @@ def require_metres(ranges_m: NDArray[np.floating], where: str) -> None:
     """Refuse ranges (N,) > 0 that are no metres of a road scene: NaN, kilometres away, or the median below 0.5 m or
     beyond 150 m, as of centimetres, millimetres and kilometres.
 
-    Raises:
-        InputError: naming the first row, or the median. Source: our choice of the bounds.
+    Raises InputError: naming the first row, or the median. Source: our choice of the bounds.
     """
     if not len(ranges_m):
         raise InputError("no point with a positive range", where, "Use another frame")

@@ -49,8 +49,7 @@ class OpenPcdetScenes:
     there are four columns or more, reflectance. A label is ``x y z dx dy dz heading class``: geometric centre, heading
     counter-clockwise from +x.
 
-    Raises:
-        InputError: no folder points/, no file of the split, or a frame that it lists and nobody has.
+    Raises InputError: no folder points/, no file of the split, or a frame that it lists and nobody has.
     """
 
     dataset = "openpcdet"
@@ -88,11 +87,7 @@ class OpenPcdetScenes:
         return list(self._names)
 
     def load(self, name: str) -> Scene:
-        """One frame.
-
-        Raises:
-            InputError: naming the file, the line or row, and the remedy.
-        """
+        """One frame. Raises InputError: naming the file, the line or row, and the remedy."""
         if name not in self._names:
             raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._names)}")
         file = self.root / "points" / f"{name}.npy"

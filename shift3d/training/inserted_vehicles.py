@@ -65,11 +65,7 @@ def _free_place(
 ) -> npt.NDArray[np.float64] | None:
     """A box on the ground that touches no other and holds no point above the ground, or None."""
     for _ in range(TRIES):
-        distance, bearing, heading = (
-            rng.uniform(8, 60),
-            rng.uniform(-np.pi, np.pi),
-            rng.uniform(-np.pi, np.pi),
-        )
+        distance, bearing, heading = (rng.uniform(8, 60), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi))
         x, y = distance * np.cos(bearing), distance * np.sin(bearing)
         reach = np.hypot(size_m[0], size_m[1]) / 2
         spread = np.hypot(boxes[:, 0] - x, boxes[:, 1] - y)

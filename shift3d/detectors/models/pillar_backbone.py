@@ -155,12 +155,7 @@ class PillarBackboneNet(DetectorNet):
 
 def core_in_window(window: BevWindow) -> tuple[int, int, int, int]:
     """(y0, x0, height, width) of the core in the window's own cells."""
-    return (
-        window.core_y0 - window.y0,
-        window.core_x0 - window.x0,
-        window.core_num_y,
-        window.core_num_x,
-    )
+    return (window.core_y0 - window.y0, window.core_x0 - window.x0, window.core_num_y, window.core_num_x)
 
 
 def to_dense(part: nn.Module, dense: torch.dtype) -> None:

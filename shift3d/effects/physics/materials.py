@@ -47,8 +47,7 @@ def albedo_of(points: Tensor, theta: Tensor, vehicle: VehicleFrame) -> Tensor:
         theta: (6,) pose of the vehicle, scene frame.
         vehicle: its box `size_m`; materials keep their places on it when an attack changes the shape.
 
-    Returns:
-        (M,) float64 in [`DARKEST_ALBEDO`, `PAINT_ALBEDO`]. Not finite where the point or the pose is not.
+    Returns: (M,) float64 in [`DARKEST_ALBEDO`, `PAINT_ALBEDO`]. Not finite where the point or the pose is not.
 
     Constant: not differentiable. Source: our choice.
     """

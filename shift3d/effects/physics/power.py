@@ -35,8 +35,7 @@ def echo_power(albedo: Tensor, cosine: Tensor, range_m: Tensor, extinction_per_m
         albedo: (K,) in [0, 1]. cosine: (K,) of incidence, in [0, 1]. range_m: (K,), metres.
         extinction_per_m: alpha.
 
-    Returns:
-        (K,) in 1/m^2; 0 nearer than 0.9 m, whatever the range. Differentiable w.r.t. the first three.
+    Returns: (K,) in 1/m^2; 0 nearer than 0.9 m, whatever the range. Differentiable w.r.t. the first three.
 
     Source: reference equations of echo power (Rasshofer et al. 2011); constant as in `least_power`.
     """

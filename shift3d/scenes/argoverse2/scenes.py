@@ -50,8 +50,7 @@ class Argoverse2Scenes:
 
     Where a log has a map/, places have its drivable areas and heights (of float16: 3 to 6 cm); see `GroundMap`.
 
-    Raises:
-        InputError: no logs.
+    Raises InputError: no logs.
     """
 
     dataset = "argoverse2"
@@ -72,11 +71,7 @@ class Argoverse2Scenes:
         return list(self._listed)
 
     def load(self, name: str) -> Scene:
-        """One sweep.
-
-        Raises:
-            InputError: naming the file and the remedy.
-        """
+        """One sweep. Raises InputError: naming the file and the remedy."""
         log, timestamp = self._split(name)
         sweep, (up, down) = read_sweep(log, timestamp), lidar_mounts(log)
         points = (sweep.points - up).astype(np.float32)

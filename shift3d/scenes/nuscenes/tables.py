@@ -25,8 +25,7 @@ Row = dict[str, Any]
 def table_rows(file: Location) -> Iterator[Row]:
     """Rows of a table, a JSON array of objects, without holding the file: the largest have a gigabyte.
 
-    Raises:
-        InputError: the file is missing, cut short, or something else.
+    Raises InputError: the file is missing, cut short, or something else.
     """
     decoder, text = json.JSONDecoder(), ""
     try:

@@ -45,8 +45,7 @@ class StreetOptions:
         beams: one of :data:`BEAM_NAMES`: the street is seen by that sensor, in the place of the street's own, which
             says where things stand; None: by its own.
 
-    Raises:
-        InputError: for values out of range or settings that contradict each other, naming the field and the remedy.
+    Raises InputError: for values out of range or settings that contradict each other, naming the field and the remedy.
     """
 
     weather: str = "dry"
@@ -120,8 +119,7 @@ class StreetOptions:
     def from_tag(tag: str) -> StreetOptions:
         """The options that a tag stands for: ``StreetOptions.from_tag(options.tag) == options``.
 
-        Raises:
-            InputError: for what is no tag.
+        Raises InputError: for what is no tag.
         """
         match = _TAG.fullmatch(tag)
         try:

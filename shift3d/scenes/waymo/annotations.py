@@ -31,8 +31,7 @@ def read_labels(
     Args:
         points: (N, 3) scene frame. offset: (3,) of the scene's origin in the vehicle frame, metres.
 
-    Raises:
-        InputError: the component is missing, unreadable or without rows; an object twice; an unknown type.
+    Raises InputError: the component is missing, unreadable or without rows; an object twice; an unknown type.
     """
     component = component_file(root, "lidar_box", segment)
     table = component.rows([_OBJECT, *_FIELDS, _TYPE], timestamp)
@@ -56,8 +55,7 @@ def read_labels(
 def read_weather(root: Location, segment: str, timestamp: int) -> str:
     """ "rain" or "dry", as the segment's statistics have it; dry where they say nothing of this frame.
 
-    Raises:
-        InputError: the component is missing, unreadable or without rows.
+    Raises InputError: the component is missing, unreadable or without rows.
     """
     rows = component_file(root, "stats", segment).rows([_WEATHER], timestamp)
     return "rain" if "rain" in {str(word).lower() for word in rows[_WEATHER].to_pylist()} else "dry"

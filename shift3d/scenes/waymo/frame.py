@@ -53,9 +53,8 @@ def component_file(root: Location, component: str, segment: str) -> Component:
 def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[str]) -> list[LaserFrame]:
     """The frame as each of the lasers saw it, in the order of their numbers.
 
-    Raises:
-        InputError: a component is missing or unreadable; a laser has no row, or two, in one of them; images of a laser
-            differ in size.
+    Raises InputError: a component is missing or unreadable; a laser has no row, or two, in one of them; images of a
+    laser differ in size.
     """
     lidar = component_file(root, "lidar", segment)
     columns = [LASER, *(f"{image}.{part}" for image in _IMAGES for part in ("values", "shape"))]

@@ -34,8 +34,7 @@ class LaserCalibration:
 def inclinations(laser: LaserCalibration, height: int, where: str) -> Float:
     """(height,) inclinations of the image's rows, radians, the highest beam first.
 
-    Raises:
-        InputError: a table of another length, or angles that are no radians.
+    Raises InputError: a table of another length, or angles that are no radians.
     """
     if laser.beams_rad is None:
         low, high = laser.inclination_rad
@@ -57,8 +56,7 @@ def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
     Rows at the bottom of published images may be zero. The pixels of a column fire together, so that poses differ
     little along it. A column without any takes that of the nearest column.
 
-    Raises:
-        InputError: no pixel has a pose, or one has NaN.
+    Raises InputError: no pixel has a pose, or one has NaN.
 
     Source: our choice.
     """
@@ -121,10 +119,7 @@ def vehicle_beams(
 
 
 def range_image(
-    points: NDArray[np.floating],
-    origins: NDArray[np.floating],
-    pixel: NDArray[np.integer],
-    shape: tuple[int, int],
+    points: NDArray[np.floating], origins: NDArray[np.floating], pixel: NDArray[np.integer], shape: tuple[int, int]
 ) -> Float:
     """(H, W) ranges of points (N, 3) from their origins (N, 3) at their pixels (N, 2) row, column; 0 elsewhere.
 

@@ -52,8 +52,7 @@ class WaymoScenes:
     sensor. Points are motion compensated, to the frame's time. No firing times are stated by the data set. Reflectance
     is tanh of the intensity, which has no upper limit: the scale that detectors of this data set are trained on.
 
-    Raises:
-        InputError: no component lidar/, or an unknown laser.
+    Raises InputError: no component lidar/, or an unknown laser.
     """
 
     dataset = "waymo"
@@ -86,11 +85,7 @@ class WaymoScenes:
         return list(self._listed)
 
     def load(self, name: str) -> Scene:
-        """One frame.
-
-        Raises:
-            InputError: naming the component's file, the row's keys, and the remedy.
-        """
+        """One frame. Raises InputError: naming the component's file, the row's keys, and the remedy."""
         segment, timestamp = self._split(name)
         frames = read_frame(self.root, segment, timestamp, self.lasers)
         offset = self._origin(segment)

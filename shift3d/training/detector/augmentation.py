@@ -55,11 +55,7 @@ def vehicles_varied(
 
 
 def moved(
-    points: Floats,
-    boxes: Floats,
-    move: tuple[float, bool, float],
-    augmentation: Augmentation,
-    rng: np.random.Generator,
+    points: Floats, boxes: Floats, move: tuple[float, bool, float], augmentation: Augmentation, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Mirror, turn about the sensor, scale, shift, and tilt the ground. move: (angle, mirrored, scale)."""
     angle, flip, scale = move

@@ -42,10 +42,7 @@ class Crop:
 def window_around(grid: Grid, centre_xy: tuple[float, float], cells: int) -> BevWindow:
     """A square window near a centre, aligned to the stride, inside the grid; the core is all of it."""
     starts = []
-    for centre, origin, count in (
-        (centre_xy[0], grid.x_min_m, grid.num_x),
-        (centre_xy[1], grid.y_min_m, grid.num_y),
-    ):
+    for centre, origin, count in ((centre_xy[0], grid.x_min_m, grid.num_x), (centre_xy[1], grid.y_min_m, grid.num_y)):
         start = round(((centre - origin) / grid.cell_m - cells / 2) / STRIDE) * STRIDE
         starts.append(int(np.clip(start, 0, count - cells)))
     x0, y0 = starts

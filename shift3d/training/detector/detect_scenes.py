@@ -39,8 +39,7 @@ def detect_frame(detector: Detector, scenes: SceneSet, name: str, score_threshol
     In KITTI frames only cars count (vans and trucks are ignored: the detectors have one class for all three), boxes
     outside the camera's view are marked as unlabelled, and labels carry KITTI's difficulty.
 
-    Raises:
-        InputError: the scene cannot be read.
+    Raises InputError: the scene cannot be read.
     """
     start = perf_counter()
     scene = scenes.load(name)
@@ -89,8 +88,7 @@ def detect_scenes(
     open_detector, open_scenes: called once in every process; with several workers both must be picklable. Every
     process computes on one thread: with more, sums would be taken in another order and the bits would change.
 
-    Raises:
-        InputError: a scene cannot be read, or the detector not be opened.
+    Raises InputError: a scene cannot be read, or the detector not be opened.
     """
     names = open_scenes().names() if names is None else names
     if not names:

@@ -20,8 +20,7 @@ def answers_of(names: Iterable[str], folder: Path, detect: Callable[[list[str]],
 
     detect: names of the scenes that are missing to their answers, in that order.
 
-    Raises:
-        InputError: a file in ``folder`` is torn, or whatever ``detect`` raises.
+    Raises InputError: a file in ``folder`` is torn, or whatever ``detect`` raises.
     """
     names = list(names)
     coming = detect([name for name in names if not _file(folder, name).exists()])

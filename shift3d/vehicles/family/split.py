@@ -18,8 +18,7 @@ class FamilySplit:
 
     A vehicle is seen where its body type and all its attributes are; one thing held out makes it held out.
 
-    Raises:
-        InputError: for a name that is unknown or given twice, on both sides or on none, or no body type to train on.
+    Raises InputError: for a name that is unknown or given twice, on both sides or on none, or no body type to train on.
     """
 
     seen: tuple[str, ...]
