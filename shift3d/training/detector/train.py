@@ -31,13 +31,6 @@ from shift3d.training.progress import Report, averaged
 from shift3d.training.provenance import write_provenance
 from shift3d.vehicles.family.split import SPLIT
 
-__all__ = [
-    "export_weights",
-    "inserted_scene_files",
-    "mesh_scene_files",
-    "train_detector",
-]
-
 CURVE_POINTS = 30
 """About how many points of the curve stand in the provenance."""
 TRAFFIC = "wide"
