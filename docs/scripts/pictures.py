@@ -177,7 +177,7 @@ def _draw_points(axes: Axes, assets: Assets, spec: Any, solution: pd.Series) -> 
     """The rendered scene around the object from the sensor's height, the object's points in colour."""
     import torch
 
-    from shift3d.task.run import build_problem
+    from shift3d.task.problem import build_problem
 
     theta = torch.tensor([float(solution[name]) for name in POSE], dtype=torch.float64)
     problem = build_problem(spec, assets, theta)

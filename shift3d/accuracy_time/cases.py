@@ -15,10 +15,8 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.errors import InputError
 from shift3d.placement.sampling import Placement
 from shift3d.task.assets import Assets
-from shift3d.task.run import build_problem, place_vehicle
+from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.spec import TaskSpec
-
-__all__ = ["Case", "place_case", "problem_of"]
 
 
 @dataclass(frozen=True)

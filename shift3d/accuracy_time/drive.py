@@ -27,8 +27,6 @@ from shift3d.task.exchange import AssetsSpec
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.sources import vehicle_hash
 
-__all__ = ["FrontierPlan", "SceneGroup", "expected_minutes", "measure_frontier"]
-
 Tell = Callable[[str, float, bool], None]
 """Called with what is being measured, how many expected seconds are done with it, and whether it was known already."""
 

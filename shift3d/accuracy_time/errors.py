@@ -12,8 +12,6 @@ from shift3d.render.field.object_field import ObjectField
 from shift3d.render.rendering import Rendering
 from shift3d.task.differences import WRONG_SURFACE_M
 
-__all__ = ["THICK_M", "WRONG_SURFACE_M", "RenderingErrors", "TrueHits", "chord_lengths", "compare", "true_hits"]
-
 THICK_M = 0.02
 """Chords of this length and more must not be missed (the project's claim for the preset `standard`)."""
 _SAMPLE_M = 0.002

@@ -9,19 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "MISPLACED_M",
-    "ZERO_BELOW",
-    "dominators",
-    "dominators_of",
-    "drawable",
-    "effective_error_m",
-    "knee",
-    "misplaced",
-    "pareto_flags",
-    "warm_starts",
-]
-
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 

@@ -12,9 +12,6 @@ from shift3d.accuracy_time.measure import Outcome
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import turns, wanted_samples
 
-__all__ = ["CaseResult", "Instrument", "Repeats", "expected_seconds", "measure_case"]
-
-
 Tell = Callable[[str, float, bool], None]
 
 

@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-__all__ = ["Setting"]
-
 
 @dataclass(frozen=True)
 class Setting:

@@ -45,9 +45,6 @@ if TYPE_CHECKING:
     from shift3d.detectors.base import Detector
 
 
-__all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "precision_recall_figure", "write_evaluation"]
-
-
 def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
     """Waymo's precision-recall curves, 0-75 m: bird's-eye view and 3D, both levels, both IoU thresholds."""
     from matplotlib.figure import Figure

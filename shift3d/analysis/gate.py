@@ -23,8 +23,6 @@ from shift3d.suite.scoring import Scorer, score_suite
 from shift3d.suite.tables import suite_table, suite_table_bytes
 from shift3d.wording import counted
 
-__all__ = ["Acceptance", "GateSettings", "Outcome", "run_gate"]
-
 Acceptance = Literal["false", "true", "anyway"]
 _SHOWN = 8
 

@@ -17,8 +17,6 @@ from shift3d.sweep.planning.plan import Plan
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Sweep", "natural_by_task", "read_sweep", "sweep_of"]
-
 _TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
 _LATER = (
     "trajectories", "transfers", "bev_transfer", "choices", "shapes", "vehicle_pool", "retrieved", "patterns",

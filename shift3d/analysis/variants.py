@@ -14,8 +14,6 @@ from shift3d.store.schemas import GROUP_COLUMNS
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["SETTINGS", "Aucs", "Variant", "aucs_of_scores", "variants"]
-
 SETTINGS = ("alpha", "detector", "scored_by", "accuracy", "search", "effects")
 """What variants of one mode differ in."""
 

@@ -13,8 +13,6 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.attack.trials import Family, Search, Trials
 
-__all__ = ["descend_expectation"]
-
 SHIFT_M, TURN_RAD = 0.1, 0.02
 """Standard deviations of the placements that a loss is the mean over: a point of a beam's grid, a degree."""
 MOMENTA = (0.8, 0.95)

@@ -15,8 +15,6 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.attack.trials import Family, Search, Trials
 
-__all__ = ["draw_best", "evolve"]
-
 SIGMA = 0.3
 """First standard deviation of an evolution, in the variable's units (our choice)."""
 

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from shift3d.errors import InputError, empty_error
 
-__all__ = ["Command", "key_values", "run_command", "writable_folder"]
-
 
 @dataclass(frozen=True)
 class Command:

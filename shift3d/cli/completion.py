@@ -10,8 +10,6 @@ from typing import Any
 
 from shift3d.settings.folders import files, places, shipped
 
-__all__ = ["folder_words", "key_words", "overrides", "plan_words", "sweep_words"]
-
 _OUTPUTS = Path("outputs")
 _FOLDERS = ("out", "reuse")
 

@@ -12,8 +12,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from shift3d.errors import InputError, empty_error
 from shift3d.settings.folders import files, find, looked_in
 
-__all__ = ["JobSpec", "read_job", "take_job"]
-
 
 class JobSpec(BaseModel):
     """A launch spec that ``shift3d sweep`` itself reads; the others in jobs/ are read by the tools that they are for.

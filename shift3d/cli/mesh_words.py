@@ -9,8 +9,6 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     from shift3d.vehicles.mesh_frame import MeshFrame
 
-__all__ = ["FRAME_KEYS", "FRAME_TEXT", "FRAME_VALUES", "mesh_frame", "whole_number"]
-
 FRAME_KEYS = ("forward", "up", "unit", "length_m")
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 FRAME_VALUES = {"forward": _AXES, "up": _AXES, "unit": ("m", "cm", "mm", "in")}

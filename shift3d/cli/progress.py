@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from types import TracebackType
 
-__all__ = ["SecondsBar"]
-
 
 class SecondsBar:
     """A bar on stderr whose total is what the whole is expected to take; it corrects the expectation as it goes.

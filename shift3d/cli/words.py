@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
     from shift3d.store.location import Location
 
-__all__ = ["Request", "add_words", "read_words", "runner_of", "split_words", "take_folders"]
-
 
 @dataclass(frozen=True)
 class Request:

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CELL_SIZE_M", "BevGrid", "bev_grid"]
-
 CELL_SIZE_M = 10.0
 
 FloatArray = npt.NDArray[np.float64]

@@ -16,8 +16,6 @@ from shift3d.sweep.planning.plan import Plan
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["SweepObject", "SweepObjects", "scored_objects", "stable_objects"]
-
 
 @dataclass(frozen=True)
 class SweepObject:

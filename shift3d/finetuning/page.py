@@ -17,8 +17,6 @@ from shift3d.analysis.tables.table import Cell, Table, number
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA
 from shift3d.wording import counted
 
-__all__ = ["finetune_page", "gains_table", "seeds_table"]
-
 OBJECTS = {
     "baseline": "unchanged",
     "adversarial": "found against vanilla",

@@ -23,8 +23,6 @@ from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.store.user_cache import source_digest, user_cache
 from shift3d.wording import counted
 
-__all__ = ["build_reference", "load_reference", "reference_file"]
-
 CALIBRATED = 400
 """Members that are left out, one after the other, for the calibration: of more, these, spread over all."""
 _PROCESSES, _LEAST_FOR_PROCESSES = 2, 150

@@ -12,8 +12,6 @@ from scipy.spatial import cKDTree
 
 from shift3d.errors import InputError
 
-__all__ = ["POINTS", "Surface", "surface_of_mesh", "surface_of_points"]
-
 Array = NDArray[np.float64]
 POINTS = 4096
 """Points of a surface: 9 cm apart on a car. Against exact distances to triangles, means of 1.5 to 5 cm come out 0.5 to

@@ -13,8 +13,6 @@ from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.compose import Values
 from shift3d.settings.schema.config import AccuracyConfig, Config
 
-__all__ = ["FrontierConfig", "FrontierSweep", "MeasuredCase", "MeasuredSetting", "expand_settings", "validate_frontier"]
-
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
 _CROP = "crop_m"

@@ -20,8 +20,6 @@ from shift3d.settings.schema.config import Config
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-__all__ = ["Axis", "Composed", "compose_sweep", "sweep_names", "validate"]
-
 Values = dict[str, Any]
 _SMALL = "small"
 

@@ -9,8 +9,6 @@ from shift3d.errors import InputError
 from shift3d.settings.compose import Composed, Values, validate
 from shift3d.settings.schema.config import Config
 
-__all__ = ["expand"]
-
 
 def expand(composed: Composed) -> Iterator[Config]:
     """Checked settings of every combination; the last axis varies fastest, as in Hydra's BasicSweeper.

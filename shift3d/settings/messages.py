@@ -22,8 +22,6 @@ _UNIONS = (
     "tracking",
 )
 
-__all__ = ["choice_error", "from_hydra", "from_validation", "one_of", "unreadable"]
-
 
 def one_of(value: str, allowed: Iterable[str]) -> str:
     """``Did you mean 'suv'? One of: coupe, suv`` (the first sentence where something is close)."""

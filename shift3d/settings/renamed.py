@@ -7,8 +7,6 @@ from typing import Any
 
 from shift3d.errors import InputError
 
-__all__ = ["current_settings", "renamed_error"]
-
 _RENDER = "accuracy.render."
 _NAMES = {
     "accuracy.render.unchecked_m": "accuracy.render.final_newton_m",

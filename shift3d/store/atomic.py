@@ -15,10 +15,6 @@ from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = [
-    "DiskFullError", "UncertainError", "check_writable", "disk_error", "leftovers", "put_if_absent", "write_atomic",
-]  # fmt: skip
-
 _TEMPORARY = ".tmp-"
 # .tmp-<process>-<machine><one use>-<final name>; earlier programs left the middle part out.
 _OWNER = re.compile(r"\.tmp-(\d+)-(?:([0-9a-f]{8})[0-9a-f]{8}-)?")

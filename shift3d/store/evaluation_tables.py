@@ -10,8 +10,6 @@ import pyarrow as pa
 
 from shift3d.store.schemas import schema_of_columns
 
-__all__ = ["EVALUATION_SCHEMAS", "EVALUATION_SCHEMA_VERSION", "evaluation_table"]
-
 EVALUATION_SCHEMA_VERSION = 2
 
 _BOX = "x_m y_m z_m dx_m dy_m dz_m heading_rad"

@@ -16,8 +16,6 @@ import pyarrow.parquet as pq
 from shift3d.errors import InputError
 from shift3d.store.tables import check_table
 
-__all__ = ["FRONTIER_SCHEMA", "FRONTIER_SCHEMA_VERSION", "frontier_table", "machine_of", "read_frontier"]
-
 FRONTIER_SCHEMA_VERSION = 2
 _WITHOUT = {1: ("start", "grid", "gradient", "ratio_to_paper_chord", "attack_score")}
 """By older version: the columns that it did not have, all of which may be null."""

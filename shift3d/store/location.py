@@ -14,8 +14,6 @@ from typing import Any, TypeVar
 
 from shift3d.store import atomic
 
-__all__ = ["Location", "UncertainError"]
-
 UncertainError = atomic.UncertainError
 Item = TypeVar("Item")
 Result = TypeVar("Result")

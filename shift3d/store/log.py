@@ -21,12 +21,10 @@ import pyarrow as pa
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.store.location import Location, UncertainError
-from shift3d.store.log_entries import Commit, entry_name, entry_names, entry_of, read_entry, read_log
+from shift3d.store.log_entries import Commit, entry_name, entry_of, read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.store.tables import write_table
-
-__all__ = ["Commit", "CommitLog", "TakenOverError", "entry_names", "read_entry", "read_log"]
 
 _BEGINNINGS = 50
 

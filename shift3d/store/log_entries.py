@@ -18,8 +18,6 @@ from shift3d.store.migrations import steps
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SEGMENTS
 
-__all__ = ["Commit", "entry_name", "entry_names", "entry_of", "read_entry", "read_log"]
-
 _ENTRY = re.compile(r"\d{8}\.json")
 _TRIES = 5
 _RESTORE = "Restore the file from a copy, or remove the output folder and run the sweep again"

@@ -17,8 +17,6 @@ import pyarrow as pa
 from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
 
-__all__ = ["STEPS", "Step", "steps"]
-
 Values = dict[str, Any]
 
 

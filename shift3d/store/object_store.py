@@ -32,8 +32,6 @@ from shift3d.store.object_errors import explained
 if TYPE_CHECKING:
     from obstore.store import RetryConfig
 
-__all__ = ["SCHEMES", "ObjectLocation", "object_location"]
-
 SCHEMES = ("s3", "gs")
 _THREADS = 16
 _IN_ONE_PIECE = 32 * 2**20

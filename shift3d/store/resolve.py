@@ -11,8 +11,6 @@ from shift3d.errors import InputError
 from shift3d.store.local_files import LocalLocation
 from shift3d.store.location import Location
 
-__all__ = ["LocationLike", "as_location", "local_copy"]
-
 LocationLike = Location | Path | str
 """What functions that read or write a sweep's folder take: a location, a path, or either of them as text."""
 

@@ -8,9 +8,6 @@ from pathlib import Path
 
 import pyarrow as pa
 
-__all__ = ["AGGREGATES", "FOLLOW_UPS", "GROUP_COLUMNS", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS"]
-__all__ += ["ABOUT", "MEANINGS", "schema_of_columns"]
-
 _FILE = tomllib.loads((Path(__file__).parent / "tables.toml").read_text(encoding="utf-8"))
 SCHEMA_VERSION: int = _FILE["version"]
 _GROUPS: dict[str, str] = _FILE["groups"]

@@ -8,12 +8,10 @@ import pyarrow as pa
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
-from shift3d.store.log import Commit
+from shift3d.store.log_entries import Commit
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMAS
 from shift3d.store.tables import read_table
-
-__all__ = ["committed_rows"]
 
 
 def committed_rows(folder: LocationLike, entries: Sequence[Commit], name: str) -> pa.Table:

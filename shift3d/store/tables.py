@@ -16,8 +16,6 @@ from shift3d.store.migrations import steps
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 
-__all__ = ["check_table", "read_table", "table_bytes", "table_from_rows", "write_table"]
-
 _ROW_GROUP = 65_536
 _RESTORE = "Restore it from a copy, or remove the output folder and run the sweep again"
 

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.plan import Plan
     from shift3d.task.spec import TaskSpec
 
-__all__ = ["Frames", "Frozen", "freeze_suite"]
-
 Frames = Literal["copied", "referenced"]
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")

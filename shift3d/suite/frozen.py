@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from shift3d.scenes.sets import SceneSet
 
-__all__ = ["FrozenSuite", "background_file", "blake2b", "box_of", "manifest_bytes", "read_manifest", "read_suite"]
-
 _CHANGED = "Restore it from a copy, or freeze the suite again: scores on other objects cannot be compared"
 _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
 

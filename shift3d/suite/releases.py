@@ -16,8 +16,6 @@ from shift3d.suite.tables import SUITE_SCHEMAS, read_suite_table, suite_table, s
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Release", "accept_release", "last_release"]
-
 _NAME = re.compile(r"(\d{8})\.parquet")
 
 

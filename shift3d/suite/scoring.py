@@ -19,8 +19,6 @@ from shift3d.suite.frozen import FrozenSuite, box_of
 from shift3d.suite.tables import read_suite_table, suite_table, suite_table_bytes
 from shift3d.task.scoring import score_box
 
-__all__ = ["Scorer", "score_suite"]
-
 
 @dataclass
 class Scorer:

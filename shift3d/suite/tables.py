@@ -13,8 +13,6 @@ from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import schema_of_columns
 from shift3d.store.tables import check_table
 
-__all__ = ["SUITE_SCHEMAS", "SUITE_VERSION", "read_suite_table", "suite_table", "suite_table_bytes"]
-
 SUITE_VERSION = 1
 """Of the suite's files. A suite of another version is refused."""
 

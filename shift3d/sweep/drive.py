@@ -17,7 +17,8 @@ from shift3d.errors import InputError
 from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
 from shift3d.signals import stop_signals
 from shift3d.store.location import Location
-from shift3d.store.log import Commit, CommitLog, TakenOverError
+from shift3d.store.log import CommitLog, TakenOverError
+from shift3d.store.log_entries import Commit
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.execution.abort import AbortRule
 from shift3d.sweep.execution.progress import Progress
@@ -31,8 +32,6 @@ from shift3d.sweep.results.commit import Committer
 from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, write_final
 from shift3d.sweep.results.reuse import take_finished
 from shift3d.sweep.status import State, StatusWriter
-
-__all__ = ["SweepResult", "cheapest_first", "run_sweep"]
 
 
 def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:

@@ -6,14 +6,12 @@ from collections.abc import Callable, Sequence
 
 from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
 from shift3d.store.location import Location
-from shift3d.store.log import Commit
+from shift3d.store.log_entries import Commit
 from shift3d.store.tables import write_table
 from shift3d.sweep.drive import SweepResult, run_sweep
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.results.final import FinalTables, segments_in_plan_order
-
-__all__ = ["follow_up", "follow_up_tables"]
 
 Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
 

@@ -9,8 +9,6 @@ from shift3d.sweep.follow_up import follow_up
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.verification import verification_plan
 
-__all__ = ["measure_patterns", "patterns_kind"]
-
 
 def patterns_kind() -> TaskKind:
     """A task that measures another one's meshes."""

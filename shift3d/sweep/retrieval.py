@@ -19,8 +19,6 @@ from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.verification import verification_plan
 
-__all__ = ["build_pool", "pool_kind", "pool_plan", "retrieval_kind", "retrieve"]
-
 RunnerConfig = RayRunnerConfig | LocalRunnerConfig
 FOLDER = "retrieval"
 """Where retrievals lie in their sweep's folder, one a pool: a sweep's folders themselves, each with a log."""

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.wording import counted
@@ -27,8 +27,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.store.log import CommitLog
     from shift3d.sweep.execution.running import Running
-
-__all__ = ["State", "StatusWriter", "SweepStatus", "read_status", "status_lines"]
 
 _FILE = "status.json"
 _EVERY_S = 3.0

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from shift3d.errors import InputError
 from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
 from shift3d.store.location import Location
-from shift3d.store.log import Commit, read_log
+from shift3d.store.log_entries import Commit, read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.tables import read_table, write_table
 from shift3d.sweep.drive import SweepResult, run_sweep
@@ -20,8 +20,6 @@ from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.results.final import FinalTables, check_segments, segments_in_plan_order, write_final
 from shift3d.sweep.results.verified_scores import FOLDER
-
-__all__ = ["verification_kind", "verification_plan", "verify_sweep"]
 
 
 def verification_kind() -> TaskKind:

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from shift3d.effects.chain import EffectChain
     from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["as_vehicle", "build_problem", "place_vehicle"]
-
 
 def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings.

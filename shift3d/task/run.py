@@ -19,7 +19,7 @@ from shift3d.naturalness.measure import NaturalnessMeasure
 from shift3d.placement.sampling import NoPlacement
 from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
-from shift3d.task.assets import Assets, load_assets, score_precision, search_precision
+from shift3d.task.assets import Assets, score_precision, search_precision
 from shift3d.task.audit import AUDITED, audit
 from shift3d.task.exchange import TaskResult
 from shift3d.task.problem import as_vehicle, build_problem, place_vehicle
@@ -29,8 +29,6 @@ from shift3d.task.searching import best_of_draws, edited_vehicle, pose_limits, s
 from shift3d.task.spec import TaskSpec
 from shift3d.task.transfer import put_elsewhere
 from shift3d.vehicles.vehicle import Vehicle
-
-__all__ = ["build_problem", "load_assets", "place_vehicle", "run_task"]
 
 
 def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:

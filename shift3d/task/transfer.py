@@ -18,8 +18,6 @@ from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec, TransferScene
 from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["problems_elsewhere", "put_elsewhere"]
-
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 

@@ -11,8 +11,6 @@ from shift3d.seeding import generator
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Case", "falls", "hardest", "random_positions"]
-
 
 @dataclass(frozen=True)
 class Case:

@@ -17,18 +17,6 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.tasks import PlannedTask
     from shift3d.task.assets import Assets
 
-__all__ = [
-    "POSE",
-    "VIEW_M",
-    "Loaded",
-    "Rendered",
-    "best_box",
-    "oriented",
-    "render_again",
-    "simplified",
-    "thinned",
-]
-
 FloatArray = NDArray[np.float64]
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 VIEW_M = 10.0
@@ -95,7 +83,7 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
 
     from shift3d.attack.objective import SCORE_RADIUS_M, object_box
     from shift3d.attack.problem import measure
-    from shift3d.task.run import build_problem
+    from shift3d.task.problem import build_problem
 
     spec = task.spec
     theta = torch.tensor([float(solution[name]) for name in POSE], dtype=torch.float64)

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from shift3d.analysis.tables.effects import EffectImpact
 
-__all__ = ["effects_figure"]
-
 _LEAST_MS, _LEAST = 0.5, 1e-4
 
 

@@ -13,8 +13,6 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["LABEL", "PointLabel", "place_labels"]
-
 FloatArray = npt.NDArray[np.float64]
 
 LABEL = "point label"

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-__all__ = ["RING", "Style", "joined", "labels_of", "mark_settings", "same_as_presets", "styles_of"]
-
 FloatArray = npt.NDArray[np.float64]
 
 # Kelly's colours of maximum contrast without his yellows and greys, which are lost on white. Each method has a marker

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["stability_figure"]
-
 
 def stability_figure(verification: pd.DataFrame) -> Figure:
     """Scores against those of the reference, and margins against the least margin of the draws."""

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["work_precision_figure"]
-
 FloatArray = npt.NDArray[np.float64]
 
 

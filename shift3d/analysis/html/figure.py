@@ -9,8 +9,6 @@ import numpy as np
 
 from shift3d.analysis.html.blocks import Plot
 
-__all__ = ["DASHES", "LEGEND_BELOW", "axis", "band", "filled", "line", "plot", "plotly_library", "short"]
-
 DASHES = {
     "baseline": "solid",
     "random": "dot",

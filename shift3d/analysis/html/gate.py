@@ -17,8 +17,6 @@ from shift3d.analysis.html.sections.case_figures import dots, outline
 from shift3d.analysis.statistics.releases import Rates
 from shift3d.analysis.tables.gate import Comparison, measures_table, power_table, simulation_table, worst_table
 
-__all__ = ["GatePage", "gate_html"]
-
 _MEANING = {
     "hard object": "a solution of the sweep, in its scene, frozen when the suite was made",
     "control": "the unchanged vehicle of the same task, in the same scene",

@@ -25,8 +25,6 @@ from shift3d.store.resolve import LocationLike, as_location
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["frontier_html", "write_effects_page", "write_frontier_report", "write_stability_page"]
-
 
 def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
     """Diagrams, advice and the table of each scene set, and what the columns mean.

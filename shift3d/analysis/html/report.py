@@ -26,8 +26,6 @@ from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
 
-__all__ = ["report_page", "write_report"]
-
 
 def report_page(sweep: Sweep, cases: int = 4) -> str:
     """The page of a sweep; the same sweep to the same text. cases: hard cases to show, fewer where fewer fell."""

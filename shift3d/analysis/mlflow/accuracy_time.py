@@ -11,8 +11,6 @@ from shift3d.analysis.mlflow.measured import mirror_measured
 from shift3d.errors import InputError
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, machine_of, read_frontier
 
-__all__ = ["frontier_metrics", "mirror_frontier"]
-
 _FILES = ("frontier.parquet", "frontier.png", "report.html", "advice.txt")
 # What names a row is no metric of it.
 _NAMES = ("setting", "method", "knob", "knob_name", "preset", "start", "grid", "gradient", "scenes")

@@ -10,8 +10,6 @@ from typing import Any
 from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, runs_of
 from shift3d.errors import InputError
 
-__all__ = ["mirror_measured"]
-
 
 def mirror_measured(
     kind: str,

@@ -10,8 +10,6 @@ from shift3d.analysis.mlflow.auc_view import shared_views
 from shift3d.analysis.mlflow.client import patience
 from shift3d.errors import InputError
 
-__all__ = ["HOST", "open_port", "serve"]
-
 HOST = "127.0.0.1"
 _SHUTDOWN_S = 3  # for requests in flight, after SIGINT or SIGTERM
 

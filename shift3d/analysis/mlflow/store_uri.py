@@ -11,8 +11,6 @@ from shift3d.settings.messages import choice_error
 from shift3d.settings.schema.config import MlflowConfig, NoTrackingConfig
 from shift3d.store.atomic import check_writable
 
-__all__ = ["check_store", "check_tracking"]
-
 _SCHEMES = (
     "sqlite", "http", "https", "file", "postgresql", "mysql", "mssql", "databricks", "databricks-uc", "uc",
 )  # fmt: skip

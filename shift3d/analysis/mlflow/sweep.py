@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 
-__all__ = ["SweepRecord", "follow_up_metrics", "mirror"]
-
-
 def follow_up_metrics(tables: Mapping[str, pd.DataFrame]) -> dict[str, float]:
     """Metrics of the tables of ``final/`` that `shift3d patterns` and `shift3d retrieve` add; none of those missing.
 

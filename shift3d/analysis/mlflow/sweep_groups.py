@@ -16,8 +16,6 @@ from shift3d.analysis.variants import SETTINGS, variants
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MOST_GROUPS", "Group", "budget_points", "groups", "overall"]
-
 MOST_GROUPS = 200
 """Groups that get a run of their own: beyond that, MLflow's lists show nothing to anybody."""
 

@@ -13,8 +13,6 @@ from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, op
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-__all__ = ["GATE_EXPERIMENT", "TrainingCurves", "mirror_gate"]
-
 GATE_EXPERIMENT = "shift3d-gate"
 _FILES = ("verdict.json", "gate.parquet", "gate.html")
 

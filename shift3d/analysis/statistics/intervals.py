@@ -14,16 +14,6 @@ from shift3d.seeding import generator
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "Interval",
-    "difference_interval",
-    "mean_interval",
-    "ratio_interval",
-    "recall_band",
-    "resampled_band",
-    "vehicle_mean_interval",
-]
-
 FloatArray = NDArray[np.float64]
 _CONFIDENCE = 0.95
 _ENDS = ((1.0 - _CONFIDENCE) / 2.0, (1.0 + _CONFIDENCE) / 2.0)

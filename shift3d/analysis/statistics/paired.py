@@ -14,8 +14,6 @@ from shift3d.analysis.statistics.intervals import Interval, mean_interval
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Paired", "holm", "paired"]
-
 
 @dataclass(frozen=True)
 class Paired:

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-__all__ = ["auc_table", "natural_rows", "natural_sentence", "natural_table", "ratio_texts"]
-
-
 def natural_table(scores: pd.DataFrame) -> Table | None:
     """Count, AUC and its ratio to the baseline's over all adversarial shapes and over the natural ones.
 

@@ -16,8 +16,6 @@ from shift3d.task.spec import split_label
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ANY_SHAPE", "BudgetCurve", "budget_curves", "budget_table"]
-
 ANY_SHAPE = 100.0
 """The budget of a search without one: no percentile lies beyond it."""
 

@@ -20,8 +20,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["coverage_lines", "nothing_placed", "rows_by_status", "stage_times", "sweep_report", "trial_caveat"]
-
 
 def sweep_report(sweep: Sweep) -> str:
     """AUCs, also by budget, natural shapes, shapes in other scenes, choices, what ran, its time and its accuracy."""

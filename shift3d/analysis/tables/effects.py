@@ -22,16 +22,6 @@ from shift3d.store.atomic import write_atomic
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "LEAST_SCENES",
-    "MEANINGS",
-    "EffectImpact",
-    "effect_impacts",
-    "effect_milliseconds",
-    "effect_table",
-    "write_impact",
-]
-
 LEAST_SCENES = 8
 """Fewer say too little for `auto` to go by (our choice: at 8 the intervals hold in 88 % of the cases, not in 95 %)."""
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from shift3d.analysis.results import Sweep
 
-__all__ = ["TriedRule", "failure_rules", "rule_text", "rules_table"]
-
 _QUANTITIES = {
     "range_m": ("range", " m", 1.0, 0),
     "aspect_deg": ("angle to the line of sight", "°", 1.0, 0),

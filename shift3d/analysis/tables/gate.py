@@ -17,17 +17,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "Comparison",
-    "Measure",
-    "compare",
-    "measures_table",
-    "power_table",
-    "simulated_rates",
-    "simulation_table",
-    "worst_table",
-]
-
 _ROLES = {"hard": "hard objects", "control": "controls"}
 _LOSS = 0.02
 _POWERS = (0.8, 0.9)

@@ -14,8 +14,6 @@ from shift3d.evaluation.failure_rules import aspect_deg
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["NAMES", "Pattern", "pattern_groups", "patterns_table"]
-
 _GROUP = ["mode", "search", "lambda", "alpha", "detector"]
 _KEY = ["task_id"]
 NAMES = {

@@ -11,8 +11,6 @@ from shift3d.analysis.tables.table import Table, interval_text, number
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Kin", "kept", "pool_table", "retrieval_groups", "retrieval_table"]
-
 _POINTS = ((10, 30), (30, 100), (100, 300), (300, 1000), (1000, None))
 _GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
 _KEY = ["task_id", "scored_by"]

@@ -10,8 +10,6 @@ from shift3d.analysis.tables.table import Table, number
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MISSED_BELOW", "paired_scores", "sensor_table", "transfer_table"]
-
 _TRANSFER_GROUP = ["search", "lambda", "alpha", "detector", "scored_by"]
 
 

@@ -12,8 +12,6 @@ from shift3d.methods import METHODS
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MEANINGS", "stability_lines", "stability_table", "unstable_lines"]
-
 MEANINGS = {
     "verified": "solutions that were scored again",
     "unstable": "of these, score or margin to the baseline more than 0.02 from that at reference accuracy (float64)",

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from shift3d.analysis.statistics.intervals import Interval
 
-__all__ = ["Cell", "Table", "factor", "interval_text", "length", "milliseconds", "number", "share"]
-
 _UNITS_M = ((1.0, "m"), (1e-3, "mm"), (1e-6, "\N{MICRO SIGN}m"), (1e-9, "nm"))
 
 

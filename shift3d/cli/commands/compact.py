@@ -9,8 +9,6 @@ from shift3d.cli.commands.gc import sweeps_in
 from shift3d.cli.completion import folder_words
 from shift3d.wording import counted
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 Merges the commit log of a sweep into one entry and its segments into one file a table, so that they are read fast.
 Results, final tables and the resuming of the sweep stay as they are. A driver that runs is stopped by it at its next
@@ -31,7 +29,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.store.housekeeping import compact
-    from shift3d.store.log import read_log
+    from shift3d.store.log_entries import read_log
 
     for folder in sweeps_in(arguments.out):
         if arguments.dry_run:

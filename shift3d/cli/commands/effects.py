@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from shift3d.store.location import Location
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 How far does an effect move scores, and what does it cost? From the tables of a sweep that ran the same tasks
 without effects and with one of them at a time (make sweep SWEEP=effects). Prints the table, writes

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from shift3d.vehicles.fit import MeshFit
     from shift3d.vehicles.mesh_frame import MeshFrame
 
-__all__ = ["COMMAND"]
-
 _KEYS = ("out", "decoder", "steps", *FRAME_KEYS)
 
 _DESCRIPTION = """\

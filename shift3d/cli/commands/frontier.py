@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from shift3d.accuracy_time.settings import Setting
     from shift3d.settings.accuracy_time import FrontierSweep
 
-__all__ = ["COMMAND", "frontier_words", "groups_of", "plan_of"]
-
 _NAME = "accuracy_time"
 _WINDOW_M = 12.0  # of the truth's detector: wider than any setting's but the whole scene's
 _KITTI_FRAMES = 30
@@ -183,8 +181,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
     """The sweep's scenes, and KITTI's where they are asked for. Raises InputError for a folder without frames."""
     from shift3d.accuracy_time.drive import SceneGroup
     from shift3d.settings.catalogue.foreign import detector_layouts
-    from shift3d.settings.schema.config import KittiConfig
-    from shift3d.settings.schema.scenes import scene_set
+    from shift3d.settings.schema.scenes import KittiConfig, scene_set
     from shift3d.task.exchange import AssetsSpec
     from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 

@@ -12,8 +12,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.store.location import Location
 
-__all__ = ["COMMAND", "sweeps_in"]
-
 _DESCRIPTION = """\
 Removes from a sweep's folder (or s3://, gs://) what killed drivers left: segments that the commit log does not name,
 log entries that a compaction replaced, and temporary files. Safe while the sweep runs: files of the driver that may be

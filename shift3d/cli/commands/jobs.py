@@ -10,8 +10,6 @@ from shift3d.cli.command import Command
 from shift3d.errors import InputError
 from shift3d.settings.folders import files, looked_in, shown
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 Lists the launch specs: how a sweep is started on this machine, a Ray cluster, Kubernetes, Slurm or AWS. NAME prints one
 of them; its first lines say how it is used. Those of a folder jobs/ where the command runs come first."""

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
 
-__all__ = ["COMMAND", "add_tasks", "show", "show_places"]
-
-
 _DESCRIPTION = """\
 Says how many tasks a sweep has; which effects their scenes call for, with what each costs; how long it would take;
 with --tasks, every task in order with its id; with --places, in which scenes a car finds a place, and what refuses the

@@ -7,8 +7,6 @@ import argparse
 from shift3d.cli.command import Command
 from shift3d.cli.completion import folder_words
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 Writes OUT/report.html, one page that needs nothing but itself: the result in short, the hard cases in 3D, 50 solutions
 drawn at random over all tasks, AUC with bootstrap intervals beside the paper's, threshold-recall curves with bands,

@@ -14,8 +14,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.settings.schema.config import Config
 
-__all__ = ["COMMAND", "scenes_words"]
-
 _ACTIONS = ("list", "show")
 _WORDS = ("scene=", "scenes=", "scenes.", "attack.placement.")
 _SWEEP = "smoke"  # only its settings of scenes count; any would do

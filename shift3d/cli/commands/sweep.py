@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
 
-__all__ = ["COMMAND", "run_with"]
-
 _DESCRIPTION = """\
 Runs the sweep NAME (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
 or gs://BUCKET/PREFIX: workers then need no common folder.

@@ -8,8 +8,6 @@ from pathlib import Path
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
 
-__all__ = ["COMMAND"]
-
 _DEFAULT_URI = "sqlite:///mlflow.db"
 
 

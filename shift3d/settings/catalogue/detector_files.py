@@ -17,8 +17,6 @@ from shift3d.settings.schema.config import (
 if TYPE_CHECKING:
     pass
 
-__all__ = ["detector_hash", "file_hash", "scoring_detectors", "weights_file"]
-
 
 def weights_file(name: str, override: str | None) -> Path:
     """A detector's file of weights: the one given, or the one that ships. Raises InputError where it is missing."""

@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
     from shift3d.vehicles.sources import VehicleSource
 
-__all__ = ["Catalogue", "SceneEntry", "accuracy_settings", "read_catalogue", "scene_set", "vehicle_source"]
-
-
 # Precision of the detector while it is descended; what was found is scored in float32 or better whatever this
 # says. bfloat16 changes the direction of a step and nothing that is reported. A processor without instructions for
 # it plans with float32, which is faster there; the plan says which, so that all workers of a sweep do the same.

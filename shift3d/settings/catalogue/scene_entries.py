@@ -16,8 +16,6 @@ from shift3d.settings.catalogue.scene_cache import SceneEntry, keep_entry, kept_
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
-__all__ = ["scene_entries"]
-
 _FEW = 8
 """So many scenes are made for a preview, too: it takes seconds, and then the preview is exact."""
 

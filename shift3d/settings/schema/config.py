@@ -11,29 +11,7 @@ from shift3d.effects.applicability import NEEDS
 from shift3d.settings.names import Text
 from shift3d.settings.schema.attack import AttackConfig
 from shift3d.settings.schema.records import Count, NotNegative, Number, Positive, Record, Seed, Share
-from shift3d.settings.schema.scenes import KittiConfig, SceneConfig, StreetConfig, StreetOptionsConfig
-
-__all__ = [
-    "AccuracyConfig",
-    "Config",
-    "DeepSdfVehicleConfig",
-    "DetectorConfig",
-    "EffectsConfig",
-    "KittiConfig",
-    "LocalRunnerConfig",
-    "MeshReferenceConfig",
-    "MlflowConfig",
-    "NaturalnessConfig",
-    "NoReferenceConfig",
-    "NoTrackingConfig",
-    "RayRunnerConfig",
-    "SetReferenceConfig",
-    "StreetConfig",
-    "StreetOptionsConfig",
-    "VehicleConfig",
-    "VehicleSetConfig",
-    "WideReferenceConfig",
-]
+from shift3d.settings.schema.scenes import SceneConfig
 
 
 class VehicleSetConfig(Record):

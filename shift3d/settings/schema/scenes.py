@@ -17,20 +17,6 @@ if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
 
-__all__ = [
-    "Argoverse2Config",
-    "FramesConfig",
-    "KittiConfig",
-    "NuScenesConfig",
-    "OpenPcdetConfig",
-    "SceneConfig",
-    "StreetConfig",
-    "StreetOptionsConfig",
-    "WaymoConfig",
-    "scene_config",
-    "scene_set",
-]
-
 Metres = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
 
 if TYPE_CHECKING:

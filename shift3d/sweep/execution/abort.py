@@ -9,8 +9,6 @@ from shift3d.exit_codes import ExitCode
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.wording import counted
 
-__all__ = ["AbortRule", "AbortedError"]
-
 # A share of fewer tasks than this says little.
 _LEAST_TASKS = 50
 # Errors are alike when they begin alike: names and numbers of a single task come later.

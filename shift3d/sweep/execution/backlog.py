@@ -11,8 +11,6 @@ from collections.abc import Hashable, Sequence
 
 import numpy as np
 
-__all__ = ["Backlog"]
-
 # A task is quarantined after so many failures of a worker in which it was alone.
 _CHARGES = 2
 # A lost machine is not counted against the task, but so many lost machines are.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["BatchSizer"]
-
 
 class BatchSizer:
     """Grows from one task towards ``seconds`` of work a call, by what calls have taken so far.

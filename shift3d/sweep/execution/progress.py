@@ -9,8 +9,6 @@ from types import TracebackType
 from shift3d.sweep.execution.running import Running
 from shift3d.wording import counted
 
-__all__ = ["Progress"]
-
 _LONG_S = 5.0
 
 

@@ -16,8 +16,6 @@ from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.reproduce import reproduce_command
 
-__all__ = ["LocalRunner", "Runner", "make_runner"]
-
 
 class Runner(Protocol):
     """Runs tasks and yields outcomes as they come, in any order."""

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from shift3d.sweep.planning.tasks import PlannedTask
 
-__all__ = ["Running"]
-
 
 @dataclass(frozen=True)
 class Running:

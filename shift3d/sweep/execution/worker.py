@@ -26,8 +26,6 @@ from shift3d.sweep.planning.tasks import PlannedTask
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows"]
-
 # How often a task is tried, and the pause before each new try of I/O. A deterministic failure is tried
 # twice in case it was not deterministic after all; what the file system or the network did may pass.
 _DETERMINISTIC_TRIES = 2

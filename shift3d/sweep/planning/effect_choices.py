@@ -15,8 +15,6 @@ from shift3d.settings.schema.config import Config
 if TYPE_CHECKING:
     from shift3d.render.field.object_field import VehicleFrame
 
-__all__ = ["EffectChoices", "EffectLine", "effect_table"]
-
 
 @dataclass(frozen=True)
 class EffectLine:

@@ -22,8 +22,6 @@ from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.task.exchange import AssetsSpec
 from shift3d.wording import counted
 
-__all__ = ["check_folder", "default_folder", "open_folder", "read_plan", "read_spec"]
-
 _LIBRARIES = ("numpy", "torch", "trimesh", "embreex", "scipy", "pyarrow", "ray", "hydra-core", "pydantic")
 
 

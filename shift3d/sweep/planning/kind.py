@@ -11,8 +11,6 @@ from shift3d.settings.schema.config import Config
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["TaskKind", "shift3d_kind"]
-
 
 @dataclass(frozen=True)
 class TaskKind:
@@ -39,8 +37,8 @@ def shift3d_kind() -> TaskKind:
     import functools
 
     from shift3d.settings.catalogue.reading import read_catalogue
-    from shift3d.task.assets import prepare_reference
-    from shift3d.task.run import load_assets, run_task
+    from shift3d.task.assets import load_assets, prepare_reference
+    from shift3d.task.run import run_task
 
     preview = functools.partial(read_catalogue, preview=True)
     return TaskKind(

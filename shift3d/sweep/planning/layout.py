@@ -20,8 +20,6 @@ from shift3d.sweep.planning.effect_choices import EffectChoices
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
 from shift3d.task.spec import TaskSpec, TransferScene
 
-__all__ = ["Layouts"]
-
 Effects = tuple[str, ...]
 
 

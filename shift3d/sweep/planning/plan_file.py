@@ -24,8 +24,6 @@ from shift3d.sweep.planning.tasks import PlannedTask, Tasks
 from shift3d.sweep.planning.tasks_builder import tasks_of
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["plan_bytes", "read_tasks"]
-
 _SHARED = pa.dictionary(pa.int32(), pa.string())
 _SCHEMA = pa.schema(
     [

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.plan import Plan
     from shift3d.task.exchange import Row
 
-__all__ = ["reproduce_command", "with_command"]
-
 
 def reproduce_command(kind: TaskKind, plan: Plan) -> str:
     """The command up to the task's id; empty where a kind's tasks cannot be run one by one."""

@@ -11,8 +11,6 @@ from shift3d.store.migrations import steps
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 
-__all__ = ["read_spec"]
-
 
 def read_spec(folder: LocationLike) -> dict[str, Any]:
     """``spec.yaml`` of a sweep.

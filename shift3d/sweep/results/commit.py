@@ -10,8 +10,6 @@ from shift3d.store.log import CommitLog
 from shift3d.store.schemas import SEGMENTS
 from shift3d.sweep.execution.worker import BatchOutcome
 
-__all__ = ["Committer"]
-
 # Results that wait for their commit take no more memory than about this, whatever commit_seconds says.
 _MOST_BYTES = 64 * 2**20
 

@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 from shift3d.errors import InputError
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.methods import METHODS_OF_MODE
-from shift3d.store.log import Commit
+from shift3d.store.log_entries import Commit
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SEGMENTS
 from shift3d.store.segments import committed_rows
@@ -30,8 +30,6 @@ from shift3d.sweep.results.verified_scores import read_verification, with_verifi
 
 if TYPE_CHECKING:
     import pandas as pd
-
-__all__ = ["FinalTables", "check_segments", "committed_rows", "segments_in_plan_order", "write_final"]
 
 # The others come from commands of their own, and lie in folders of their own.
 _KEPT = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)

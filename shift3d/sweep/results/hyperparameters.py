@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["NEARLY_EQUAL", "RULE_KEYS", "Choice", "choice_rows", "choose_alphas", "choose_lambdas", "select_lambda"]
-
 NEARLY_EQUAL = 0.05
 """Losses this share above the lowest count as 'very similar' to it. Our choice: the paper gives no number."""
 RULE_KEYS = ("vehicle", "mode", "alpha", "detector", "accuracy", "search", "effects")

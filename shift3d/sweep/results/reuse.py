@@ -13,14 +13,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.store.log import CommitLog, read_log
+from shift3d.store.log import CommitLog
+from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike
 from shift3d.store.schemas import FOLLOW_UPS, SEGMENTS
+from shift3d.store.segments import committed_rows
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.spec_file import read_spec
-from shift3d.sweep.results.final import committed_rows
-
-__all__ = ["take_finished"]
 
 _TABLES = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
 _TASKS_A_COMMIT = 100_000

@@ -7,8 +7,6 @@ import pyarrow as pa
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.tables import read_table
 
-__all__ = ["FOLDER", "read_verification", "with_verification"]
-
 FOLDER = "verification"
 """Where a verification lies in its sweep's folder: a sweep's folder itself, with a log and final tables."""
 _KEY = ["task_id", "scored_by", "method", "replicate"]

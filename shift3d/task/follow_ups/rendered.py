@@ -16,8 +16,6 @@ from shift3d.task.assets import Assets
 from shift3d.task.problem import build_problem
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["POSE", "RenderedSolution", "render_solution"]
-
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 """Columns of a pose."""
 

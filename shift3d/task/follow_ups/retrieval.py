@@ -22,8 +22,6 @@ from shift3d.task.problem import build_problem
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["CONTROLS", "RetrievalAssets", "load_retrieval_assets", "retrieval_task"]
-
 CONTROLS = 3
 """Vehicles that are scored beside the retrieved one."""
 

@@ -29,8 +29,6 @@ from shift3d.task.spec import TaskSpec
 if TYPE_CHECKING:
     from shift3d.vehicles.sources import VehicleSource
 
-__all__ = ["PoolAssets", "load_pool_assets", "pool_task", "reconstructor_of"]
-
 OWN_IOU = 0.3
 """Bird's-eye overlap with a label from which on a box is a detection of it: cars park nearer than 5 m."""
 _VEHICLES, _COMPARED = 5, 1000

@@ -28,8 +28,6 @@ from shift3d.task.follow_ups.rescoring import Problems, Solution, Verified, veri
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["SCORE_TOLERANCE", "VerifyAssets", "load_verify_assets", "verified_rows", "verify_task"]
-
 SCORE_TOLERANCE = 0.02
 """How far a score may lie from that at reference accuracy, and a margin from its own."""
 _POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")

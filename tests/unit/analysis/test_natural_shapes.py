@@ -20,7 +20,7 @@ from shift3d.analysis.tables.auc import auc_table, natural_table
 from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.variants import variants
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final

@@ -36,7 +36,7 @@ from shift3d.analysis.variants import variants
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.methods import METHODS
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 

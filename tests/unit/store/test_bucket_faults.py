@@ -14,7 +14,8 @@ from faulty_proxy import FaultyProxy, faulty_proxy
 from shift3d.errors import InputError
 from shift3d.store import object_store
 from shift3d.store.location import Location, UncertainError
-from shift3d.store.log import CommitLog, TakenOverError, read_log
+from shift3d.store.log import CommitLog, TakenOverError
+from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table, table_from_rows, write_table
 

@@ -15,7 +15,8 @@ from shift3d.errors import InputError
 from shift3d.store.housekeeping import collect, compact, find_garbage
 from shift3d.store.local_files import LocalLocation
 from shift3d.store.location import Location
-from shift3d.store.log import CommitLog, TakenOverError, read_log
+from shift3d.store.log import CommitLog, TakenOverError
+from shift3d.store.log_entries import read_log
 from shift3d.store.object_store import ObjectLocation
 from shift3d.store.resolve import as_location
 from shift3d.store.segments import committed_rows

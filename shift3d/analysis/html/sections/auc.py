@@ -12,8 +12,6 @@ from shift3d.analysis.tables.sensors import sensor_table
 from shift3d.analysis.variants import Variant
 from shift3d.naturalness.calibration import NATURAL_RULE
 
-__all__ = ["auc", "auc_blocks", "sensors"]
-
 _LEAD = (
     "The same street and the same place, seen by another sensor from the same point. A baseline is one object under "
     "every sensor: what it loses is lost to the beams. An adversarial object was searched under its own beams. A miss "

@@ -18,8 +18,6 @@ from shift3d.store.schemas import GROUP_COLUMNS
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["EGO_M", "bev", "pooled_cells", "transfer_grid"]
-
 _SHOWN = 2  # grids in sight; the others fold
 EGO_M = (4.8, 2.0)
 """Length and width of the ego vehicle as it is drawn around the sensor, metres: a usual car's."""

@@ -14,8 +14,6 @@ from shift3d.analysis.html.blocks import Panels, TurnButtons
 from shift3d.analysis.html.figure import LEGEND_BELOW, axis, plot
 from shift3d.geometry.boxes import corners_bev
 
-__all__ = ["dots", "from_above", "outline", "turnable"]
-
 FloatArray = NDArray[np.float64]
 _EYE = {"x": 1.15, "y": 1.15, "z": 0.55}
 _LIGHT = {"ambient": 0.55, "diffuse": 0.7, "specular": 0.15, "roughness": 0.7}

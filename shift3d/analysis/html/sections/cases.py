@@ -23,8 +23,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.task.spec import TaskSpec
 
-__all__ = ["hard_cases"]
-
 _TITLE = "The hard cases"
 
 

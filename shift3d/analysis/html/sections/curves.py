@@ -18,8 +18,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["curves", "thresholds"]
-
 _TITLE = "Threshold-recall curves"
 _LEAD = (
     "Share of the inserted vehicles that are found with a score above the threshold; exact at every 0.005. Bands: "

@@ -11,8 +11,6 @@ from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
 
-__all__ = ["differences"]
-
 _PAIRS = (
     ("adversarial", "baseline"),
     ("random", "baseline"),

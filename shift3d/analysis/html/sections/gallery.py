@@ -13,8 +13,6 @@ from shift3d.analysis.results import Sweep
 from shift3d.errors import InputError
 from shift3d.sweep.planning.tasks import PlannedTask
 
-__all__ = ["gallery"]
-
 _COUNT = 50
 _SIZE_PX = (170, 105)
 _SPAN_M = 5.6

@@ -16,8 +16,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["case_path", "mean_path", "paths", "searched"]
-
 _TITLE = "The score along the steps"
 _MISSING = Paragraph("This sweep kept no scores along the steps.", "missing")
 _DASHES = ("dot", "dash", "dashdot", "longdash", "longdashdot")

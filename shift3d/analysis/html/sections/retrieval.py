@@ -21,8 +21,6 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["retrieval"]
-
 _TITLE = "Natural kin"
 _LEAD = (
     "Labelled vehicles of other scenes were cropped, and their shapes fitted to their points. The vehicle whose latent "

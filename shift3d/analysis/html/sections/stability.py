@@ -14,8 +14,6 @@ from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstabl
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["accuracy", "stability", "stability_blocks"]
-
 
 def accuracy(sweep: Sweep) -> Section:
     """The section: the audit of this sweep's own objects, and the presets as a frontier measured them."""

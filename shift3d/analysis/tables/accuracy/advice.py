@@ -15,8 +15,6 @@ from shift3d.analysis.tables.table import factor, length, milliseconds, share
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["advice"]
-
 _LADDER = ("draft", "standard", "reference")  # from the fastest to the most accurate; `paper` is what they replace
 _DEFAULT = "standard"
 

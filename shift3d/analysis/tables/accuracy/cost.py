@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-__all__ = ["MEASURED", "accuracy_cost", "diagnostics", "measured_presets", "preset_table"]
-
-
 def diagnostics(scores: pd.DataFrame) -> str:
     """How a sweep stood numerically, from the columns of its rows; each object counted once."""
     rows = scores[scores["max_residual_m"].notna()].drop_duplicates(["task_id", "method", "replicate"])

@@ -10,8 +10,6 @@ from shift3d.cli.command import Command, key_values
 from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
 
-__all__ = ["COMMAND"]
-
 _KEYS = ("detector", "weights", "to")
 
 _DESCRIPTION = """\

@@ -13,8 +13,6 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     from shift3d.analysis.detector_evaluation import KittiChoice, StreetChoice
 
-__all__ = ["COMMAND", "evaluate_words"]
-
 _STREET_KEYS = ("sensor", "split", "traffic")
 _KEYS = (
     *("detector", "scenes", "count", *_STREET_KEYS, "root", "weights", *FOREIGN_KEYS),

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from shift3d.finetuning.report import Tuned
     from shift3d.settings.schema.config import Config
 
-__all__ = ["COMMAND", "FinetuneRequest", "read_request", "steps_of"]
-
 _DESCRIPTION = """\
 Does a detector get better by training on the objects that fool it? Attacks it on training streets (sweep finetune),
 verifies what was found, fine-tunes it on the stable objects with every seed, and measures it on held-out streets: on

@@ -12,8 +12,6 @@ from shift3d.cli.mesh_words import whole_number
 from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, OWN
 from shift3d.errors import InputError
 
-__all__ = ["COMMAND", "KEYS"]
-
 KEYS = (
     *("suite", "detector", "weights", "module", *FOREIGN_KEYS, "against", "accept", "releases"),
     *("score_threshold", "level", "tolerance", "workers", "root", "mlflow", "out"),

@@ -11,8 +11,6 @@ from shift3d.errors import InputError
 from shift3d.methods import METHODS
 from shift3d.wording import counted
 
-__all__ = ["COMMAND"]
-
 _KEYS = ("to", "method", "count", "choose", "seed", "controls", "frames")
 _VALUES = {
     "method": tuple(METHODS),

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from shift3d.analysis.mlflow.training import TrainingCurves
     from shift3d.training.command import TrainOptions
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 Trains the shape model (model=sdf) or a detector (model=pointpillars, centerpoint, sst). Without more, it is the
 recipe of the shipped weights, from procedural data alone, and replaces them in shift3d/weights. With other

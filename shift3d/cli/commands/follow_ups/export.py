@@ -14,8 +14,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.store.location import Location
 
-__all__ = ["COMMAND"]
-
 _KEYS = ("task", "method", "replicate", "to", "overwrite")
 _VALUES = {"method": tuple(METHODS), "overwrite": ("true",)}
 
@@ -57,8 +55,8 @@ def _run(arguments: argparse.Namespace) -> int:
     plan = read_plan(out)
     task = _one_task(plan.tasks, values["task"], out)
     row = _solution(out, task.spec.task_id, values["method"], int(replicate))
+    from shift3d.task.assets import load_assets
     from shift3d.task.follow_ups.export import check_no_export, export_solution
-    from shift3d.task.run import load_assets
 
     target = writable_folder(values["to"], "to")
     if overwrite == "false":

@@ -11,8 +11,6 @@ from shift3d.cli.words import runner_of
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 What do the shapes have in common that a detector misses? The mesh of every baseline and of every adversarial shape of a
 finished sweep is measured as a data sheet has it: length, width, height, clearance, bonnet, windshield, overhangs. The

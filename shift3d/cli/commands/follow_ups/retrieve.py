@@ -15,8 +15,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.sweep.drive import SweepResult
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 Which vehicles in a log are like the shapes that a sweep found, and are they missed too? Every labelled vehicle of a set
 of scenes is cropped, and its shape is fitted to its points in the decoder's first 10 principal components. The vehicle

@@ -7,8 +7,6 @@ import argparse
 from shift3d.cli.command import Command
 from shift3d.cli.completion import folder_words
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 Says what the objects share that the detector misses: range, angle to the line of sight, tilt, length, width, height
 and ground clearance. A shallow regression tree finds rules on every other scene and every other vehicle of a finished

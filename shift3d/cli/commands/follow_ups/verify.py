@@ -11,8 +11,6 @@ from shift3d.cli.words import runner_of
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 Is a blind spot real, or a rounding? Every solution of a finished sweep is scored again: at reference accuracy
 (float64, along the decoder's linear pieces), with fresh noise on the beams that meet it, and a little off its

@@ -16,8 +16,6 @@ from shift3d.errors import InputError
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.token import require_token
 
-__all__ = ["connect"]
-
 # Counters and events of a private Ray, which go to a dashboard that is not there.
 _UNCOUNTED = {
     "enable_metrics_collection": False,

@@ -15,8 +15,6 @@ from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.sweep.execution.ray.token import require_token
 
-__all__ = ["submit_sweep"]
-
 _INSTALL = "Install its parts: pip install -c constraints.txt 'ray[default]'"
 
 

@@ -17,8 +17,6 @@ import time
 import traceback
 from dataclasses import dataclass
 
-__all__ = ["Logbook", "Whereabouts", "read_logbook"]
-
 # The task's place in its call (-1 between tasks), since when by the machine's monotonic clock, and the thread.
 _ENTRY = struct.Struct("<qdQ")
 _NAME = "shift3d-logbook"

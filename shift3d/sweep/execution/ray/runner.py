@@ -36,8 +36,6 @@ from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.reproduce import reproduce_command, with_command
 
-__all__ = ["RayRunner"]
-
 _HEARTBEAT_S = 0.5
 
 

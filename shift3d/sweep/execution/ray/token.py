@@ -11,8 +11,6 @@ from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["require_token", "token_file"]
-
 _MODE, _TOKEN, _PATH = "RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"
 
 
