@@ -9,8 +9,9 @@ from typing import Any, Literal, Self
 import yaml  # type: ignore[import-untyped]
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
+from shift3d.cli.completion import job_names
 from shift3d.errors import InputError, empty_error
-from shift3d.settings.folders import files, find, looked_in
+from shift3d.settings.folders import find, looked_in
 
 
 class JobSpec(BaseModel):
@@ -82,8 +83,3 @@ def read_job(name: str) -> JobSpec:
             first = error.errors()[0]
             what = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
         raise InputError(what, where=str(path), remedy=remedy) from error
-
-
-def job_names() -> list[str]:
-    """Names of the specs that ``job=`` takes."""
-    return [name for name, path in files("jobs").items() if "\nrunner:" in path.read_text()]

@@ -32,11 +32,3 @@ def mesh_frame(values: dict[str, str], where: str) -> MeshFrame:
     except ValueError as error:
         raise InputError(f"length_m={length!r} is not a length", where=where, remedy="Give length_m=4.5") from error
     return MeshFrame(**frame, length_m=length_m)
-
-
-def whole_number(values: dict[str, str], key: str, default: int, where: str) -> int:
-    """The positive whole number behind a key. Raises: InputError for anything else."""
-    text = values.get(key, str(default))
-    if not text.isdecimal() or int(text) < 1:
-        raise InputError(f"{key}={text!r} is not a number of {key}", where=where, remedy=f"Give {key}={default}")
-    return int(text)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from shift3d.cli.completion import plan_words
 from shift3d.errors import InputError, empty_error
 from shift3d.settings.folders import files
 
@@ -15,6 +13,12 @@ if TYPE_CHECKING:
     from shift3d.cli.job_spec import JobSpec
     from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
     from shift3d.store.location import Location
+
+
+SWEEP_WORDS = "the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs"
+SWEEP_METAVAR = "NAME | key=value"
+RUNNER = ("where it runs: settings of conf/runner", "runner=...")
+"""Help and metavar of the words of commands that `runner_of` reads."""
 
 
 @dataclass(frozen=True)
@@ -30,17 +34,6 @@ class Request:
     out: Location | None
     reuse: list[Location]
     job: JobSpec | None
-
-
-def add_words(parser: argparse.ArgumentParser, completer: Callable[..., list[str]] = plan_words) -> None:
-    """The words, as argparse and tab completion see them."""
-    words = parser.add_argument(
-        "words",
-        nargs="*",
-        metavar="NAME | key=value",
-        help="the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs",
-    )
-    words.completer = completer  # type: ignore[attr-defined]
 
 
 def read_words(words: Sequence[str]) -> Request:

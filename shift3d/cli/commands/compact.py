@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 
 from shift3d.cli.command import Command
-from shift3d.cli.commands.gc import sweeps_in
-from shift3d.cli.completion import folder_words
+from shift3d.cli.commands.gc import OUT, dry_run, sweeps_in
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
@@ -19,12 +18,6 @@ examples:
   shift3d compact outputs/default-1a2b3c4d5e6f7a8b --dry-run
   shift3d compact outputs/default-1a2b3c4d5e6f7a8b
   shift3d compact s3://bucket/runs/kitti"""
-
-
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
-    out.completer = folder_words  # type: ignore[attr-defined]
-    parser.add_argument("--dry-run", action="store_true", help="say what would be merged, and merge nothing")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -50,4 +43,6 @@ def _files(entries: int, segments: int) -> str:
     return f"{counted(entries, 'log entry', 'log entries')} and {counted(segments, 'segment')}"
 
 
-COMMAND = Command("compact", "merge a sweep's files into few", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "compact", "merge a sweep's files into few", _DESCRIPTION, _EPILOG, _run, OUT, options=dry_run("merged", "merge")
+)

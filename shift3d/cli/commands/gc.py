@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
-from shift3d.cli.completion import folder_words
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -23,12 +23,14 @@ examples:
   shift3d gc outputs/default-1a2b3c4d5e6f7a8b
   shift3d gc s3://bucket/runs/kitti"""
 _SHOWN = 20
+OUT = "output folder of a sweep, or its URL"
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
-    out.completer = folder_words  # type: ignore[attr-defined]
-    parser.add_argument("--dry-run", action="store_true", help="say what would be removed, and remove nothing")
+def dry_run(done: str, do: str) -> Callable[[argparse.ArgumentParser], object]:
+    """The option that says what would be done, and does nothing."""
+    return lambda parser: parser.add_argument(
+        "--dry-run", action="store_true", help=f"say what would be {done}, and {do} nothing"
+    )
 
 
 def sweeps_in(out: str) -> list[Location]:
@@ -69,4 +71,6 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("gc", "remove what killed drivers left", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "gc", "remove what killed drivers left", _DESCRIPTION, _EPILOG, _run, OUT, options=dry_run("removed", "remove")
+)

@@ -27,7 +27,7 @@ def _names(prefix: str = "", **_: Any) -> list[str]:
     return [name for name in files("jobs", "*") if name.startswith(prefix)]
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
+def _options(parser: argparse.ArgumentParser) -> None:
     name = parser.add_argument("name", nargs="?", metavar="NAME", help="print this one")
     name.completer = _names  # type: ignore[attr-defined]
 
@@ -56,4 +56,4 @@ def _summary(path: Path) -> str:
     return comment.removeprefix("# ").split(". ")[0]
 
 
-COMMAND = Command("jobs", "list the launch specs, or print one", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command("jobs", "list the launch specs, or print one", _DESCRIPTION, _EPILOG, _run, options=_options)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli import words
 from shift3d.cli.command import Command
+from shift3d.cli.completion import plan_words
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -38,11 +39,6 @@ def add_tasks(parser: argparse.ArgumentParser, when: str = "") -> None:
     """The options that list tasks and places. when: said before what they do."""
     parser.add_argument("--tasks", action="store_true", help=f"{when}list every task, with its id")
     parser.add_argument("--places", action="store_true", help=f"{when}count the places of each scene, up to 20 scenes")
-
-
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    words.add_words(parser)
-    add_tasks(parser)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -118,6 +114,9 @@ COMMAND = Command(
     "show what a sweep would run",
     _DESCRIPTION,
     _EPILOG,
-    _add_arguments,
     _run,
+    words=words.SWEEP_WORDS,
+    metavar=words.SWEEP_METAVAR,
+    complete=plan_words,
+    options=add_tasks,
 )

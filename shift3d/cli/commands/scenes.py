@@ -42,16 +42,6 @@ def scenes_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_
     return [word for word in known if word.startswith((*_WORDS, "out="))]
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    words = parser.add_argument(
-        "words",
-        nargs="*",
-        metavar="WORD",
-        help="list or show, then scenes=NAME scenes.root=PATH [scene=NAME] [out=FILE.png]",
-    )
-    words.completer = scenes_words  # type: ignore[attr-defined]
-
-
 def _run(arguments: argparse.Namespace) -> int:
     action, *words = arguments.words or [""]
     if action not in _ACTIONS:
@@ -123,4 +113,13 @@ def _show(config: Config, out: str | None) -> int:
     return 0
 
 
-COMMAND = Command("scenes", "what a data set holds", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "scenes",
+    "what a data set holds",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words="list or show, then scenes=NAME scenes.root=PATH [scene=NAME] [out=FILE.png]",
+    metavar="WORD",
+    complete=scenes_words,
+)
