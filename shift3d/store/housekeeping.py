@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
-from shift3d.store.log import CommitLog
+from shift3d.store.log import CommitLog, committed_rows
 from shift3d.store.log_entries import Commit, entry_names, read_entry, read_log
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.segments import committed_rows
 
 _SEGMENT = re.compile(r"\d{8}-(\d+-[0-9a-f]{8})-\w+\.parquet")
 

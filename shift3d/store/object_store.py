@@ -139,7 +139,6 @@ class ObjectLocation(Location):
 
     @property
     def name(self) -> str:
-        """See `Location`."""
         return self.key.rpartition("/")[2]
 
     @property
@@ -150,7 +149,6 @@ class ObjectLocation(Location):
         return ObjectLocation(self.scheme, self.bucket, f"{self.key}/{part}".strip("/"))
 
     def absolute(self) -> ObjectLocation:
-        """See `Location`."""
         return self
 
     def is_file(self) -> bool:
@@ -209,7 +207,6 @@ class ObjectLocation(Location):
             obstore.put(self._client, self.key, content, use_multipart=len(content) > _IN_ONE_PIECE)
 
     def put_if_absent(self, content: bytes) -> bool:
-        """See `Location`."""
         try:
             with _clear_errors(str(self)):
                 obstore.put(self._client, self.key, content, mode="create", use_multipart=False)
@@ -229,7 +226,6 @@ class ObjectLocation(Location):
             raise UncertainError(error.what, error.where, error.remedy) from error
 
     def delete(self) -> None:
-        """See `Location`."""
         with _clear_errors(str(self)), contextlib.suppress(FileNotFoundError):
             obstore.delete(self._client, self.key)
 
@@ -251,7 +247,6 @@ class ObjectLocation(Location):
         raise InputError(what, where=str(self), remedy=remedy)
 
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """See `Location`."""
         if len(items) < 2:
             return [function(item) for item in items]
         with ThreadPoolExecutor(_THREADS) as threads:

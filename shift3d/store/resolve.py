@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from shift3d.errors import InputError
-from shift3d.store.local_files import LocalLocation
-from shift3d.store.location import Location
+from shift3d.store.location import LocalLocation, Location
 
 LocationLike = Location | Path | str
 """What functions that read or write a sweep's folder take: a location, a path, or either of them as text."""

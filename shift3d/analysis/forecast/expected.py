@@ -15,9 +15,9 @@ import pyarrow.compute as pc
 
 from shift3d.analysis.tables.accuracy.cost import measured_presets
 from shift3d.effects.applicability import measured_impact
+from shift3d.store.log import committed_rows
 from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.segments import committed_rows
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import Tasks

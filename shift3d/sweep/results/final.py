@@ -17,10 +17,10 @@ import pyarrow.compute as pc
 from shift3d.errors import InputError
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.methods import METHODS_OF_MODE
+from shift3d.store.log import committed_rows
 from shift3d.store.log_entries import Commit
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SEGMENTS
-from shift3d.store.segments import committed_rows
 from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import TaskGroup

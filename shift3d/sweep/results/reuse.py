@@ -13,11 +13,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.store.log import CommitLog
+from shift3d.store.log import CommitLog, committed_rows
 from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike
 from shift3d.store.schemas import FOLLOW_UPS, SEGMENTS
-from shift3d.store.segments import committed_rows
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.spec_file import read_spec
 

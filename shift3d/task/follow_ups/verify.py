@@ -18,8 +18,7 @@ import numpy as np
 import torch
 
 from shift3d.errors import InputError
-from shift3d.store.local_files import LocalLocation
-from shift3d.store.location import Location
+from shift3d.store.location import LocalLocation, Location
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 from shift3d.task.assets import Assets, load_assets

@@ -133,7 +133,7 @@ def test_the_short_table_comes_first_with_intervals_and_agrees_with_the_folder(t
 
 def test_a_table_refuses_what_is_missing_or_not_finite() -> None:
     columns = {"detector": ["a"], "dataset": ["b"], "scene": ["c"], "scene_ms": [1.0], "detect_ms": [np.nan]}
-    with pytest.raises(ValueError, match="detect_ms"):
+    with pytest.raises(InputError, match="detect_ms"):
         evaluation_table("timings", columns)
     with pytest.raises(ValueError, match="scene_ms"):
         evaluation_table("timings", {key: value for key, value in columns.items() if key != "scene_ms"})
