@@ -5,12 +5,11 @@ from __future__ import annotations
 from shift3d.analysis.cases.rendered import Loaded
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
-from shift3d.analysis.html.sections.auc import auc, sensors
+from shift3d.analysis.html.sections.auc import auc, differences, sensors
 from shift3d.analysis.html.sections.bev import bev, transfer_grid
 from shift3d.analysis.html.sections.budgets import budgets
 from shift3d.analysis.html.sections.cases import hard_cases
 from shift3d.analysis.html.sections.curves import curves
-from shift3d.analysis.html.sections.differences import differences
 from shift3d.analysis.html.sections.effects import effects
 from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import in_short

@@ -12,6 +12,7 @@ import pytest
 
 from shift3d.analysis.detector_evaluation import write_evaluation
 from shift3d.analysis.tables.detector_tables import metric_table
+from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth
 from shift3d.evaluation.metrics import evaluate
 from shift3d.store.evaluation_tables import evaluation_table

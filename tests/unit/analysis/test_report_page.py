@@ -21,10 +21,9 @@ from shift3d.analysis.html.blocks import Section
 from shift3d.analysis.html.document import blocks_html, document
 from shift3d.analysis.html.figure import DASHES, plot
 from shift3d.analysis.html.report import write_report
-from shift3d.analysis.html.sections.auc import auc_blocks
+from shift3d.analysis.html.sections.auc import auc_blocks, differences
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
 from shift3d.analysis.html.sections.curves import curves
-from shift3d.analysis.html.sections.differences import differences
 from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import headline
 from shift3d.analysis.html.sections.overview import coverage
