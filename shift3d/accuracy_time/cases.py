@@ -48,8 +48,7 @@ def place_case(scenes: str, number: int, spec: TaskSpec, assets: Assets) -> Case
 
     number: of the case; scenes are tried from that one on, so that cases differ in their scene where they can.
 
-    Raises:
-        InputError: no scene has room there.
+    Raises: InputError: no scene has room there.
     """
     names = assets.scenes.names()
     for name in names[number % len(names) :] + names[: number % len(names)]:

@@ -84,8 +84,7 @@ def measure_frontier(
         folder: gets a folder ``measured/`` with a truth and a journal a case, by the hash of all that they depend on.
         again: forget what was measured. Truths are kept.
 
-    Raises:
-        InputError: assets that are missing, a case without a place, a disk that is full.
+    Raises: InputError: assets that are missing, a case without a place, a disk that is full.
     """
     measured = []
     for group in groups:

@@ -53,9 +53,8 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     """Score, compare, and write ``out``: gate.parquet (a row an object, worst first), verdict.json, gate.html, and the
     answers, so that a killed gate goes on where it stopped. The same call gives the same bytes, whatever the workers.
 
-    Raises:
-        InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's
-            folder, a damaged suite.
+    Raises: InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's
+    folder, a damaged suite.
     Source: our choice: the paper has no gate.
     """
     _check(suite, scorer, settings.rule)

@@ -59,8 +59,7 @@ def run_command(command: Command, words: Sequence[str]) -> int:
 def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[str], where: str) -> dict[str, str]:
     """Read ``key=value`` words.
 
-    Raises:
-        InputError: a word without '=', an unknown, repeated or empty key, or a required one that is missing.
+    Raises: InputError: a word without '=', an unknown, repeated or empty key, or a required one that is missing.
     """
     values: dict[str, str] = {}
     usage = "Give " + " ".join(f"{key}=..." for key in required)
@@ -118,8 +117,7 @@ def share(values: Mapping[str, str], key: str, default: float, where: str) -> fl
 def writable_folder(text: str, key: str = "out") -> Path:
     """The folder that a command writes to, found to be writable before the work begins. key: of the word that names it.
 
-    Raises:
-        InputError: it cannot be written to, or made.
+    Raises: InputError: it cannot be written to, or made.
     """
     from shift3d.store.atomic import check_writable
 

@@ -51,8 +51,7 @@ def _text(value: str | int | float | None) -> str:
 def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
     """The job that the last ``job=`` word names, and the words without any.
 
-    Raises:
-        InputError: see :func:`read_job`.
+    Raises: InputError: see :func:`read_job`.
     """
     named = [word.removeprefix("job=") for word in words if word.startswith("job=")]
     rest = [word for word in words if not word.startswith("job=")]
@@ -64,8 +63,7 @@ def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
 def read_job(name: str) -> JobSpec:
     """A spec by the name of its file in jobs/ (the current folder's first), or by the path of another file.
 
-    Raises:
-        InputError: there is none, another tool reads it, or it does not hold what a spec holds.
+    Raises: InputError: there is none, another tool reads it, or it does not hold what a spec holds.
     """
     remedy = f"One of: {', '.join(job_names())}, or the path of a file like them. {looked_in('jobs')}"
     named = Path(name).expanduser() if name.endswith((".yaml", ".yml")) else find("jobs", name)

@@ -9,8 +9,7 @@ from types import TracebackType
 class SecondsBar:
     """A bar on stderr whose total is what the whole is expected to take; it corrects the expectation as it goes.
 
-    Args:
-        seconds: expected in all.
+    Args: seconds: expected in all.
     """
 
     def __init__(self, seconds: float) -> None:

@@ -39,8 +39,7 @@ class Request:
 def read_words(words: Sequence[str]) -> Request:
     """Words to what they ask for.
 
-    Raises:
-        InputError: a folder that cannot be used, a job that there is not, or a sweep's folder that is damaged.
+    Raises: InputError: a folder that cannot be used, a job that there is not, or a sweep's folder that is damaged.
     """
     from shift3d.cli.job_spec import take_job
     from shift3d.sweep.planning.spec_file import read_spec
@@ -60,8 +59,7 @@ def read_words(words: Sequence[str]) -> Request:
 def split_words(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
     """Words to (name, overrides, out).
 
-    Raises:
-        InputError: out= is empty, or a URL that cannot be used.
+    Raises: InputError: out= is empty, or a URL that cannot be used.
     """
     name = "default"
     if words and "=" not in words[0] and not words[0].startswith(("+", "~")):
@@ -73,8 +71,7 @@ def split_words(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
 def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[str]]:
     """The folders that words name as ``key=FOLDER``, and the other words.
 
-    Raises:
-        InputError: one is empty, or a URL that cannot be used.
+    Raises: InputError: one is empty, or a URL that cannot be used.
     """
     from shift3d.store.resolve import as_location
 
@@ -87,8 +84,7 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
 def runner_of(words: Sequence[str], command: str) -> RayRunnerConfig | LocalRunnerConfig:
     """The runner that overrides describe, from what conf/ has, for a command on what a sweep has found.
 
-    Raises:
-        InputError: another setting than the runner's; what was searched is taken as it is.
+    Raises: InputError: another setting than the runner's; what was searched is taken as it is.
     """
     from shift3d.settings.compose import compose_sweep
     from shift3d.settings.expand import expand

@@ -113,9 +113,8 @@ def stable_objects(folder: LocationLike, detector: str, weights_hash: str, metho
     """The objects of a method that a detector may be fine-tuned on: those that are still hard at reference accuracy.
 
     weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_files.detector_hash`.
-    Raises:
-        InputError: as `scored_objects`; the sweep is not verified, has no stable object, attacked other weights, or ran
-            on streets of another split than train.
+    Raises: InputError: as `scored_objects`; the sweep is not verified, has no stable object, attacked other weights, or
+    ran on streets of another split than train.
     """
     found = scored_objects(folder, detector, (method,))
     where = str(found.folder)

@@ -72,9 +72,8 @@ def reference_file(source: ReferenceSource) -> Path:
 def build_reference(source: ReferenceSource, where: str) -> tuple[list[Member], Calibration]:
     """Build every member of a set and calibrate it; two processes and a progress bar where that takes long.
 
-    Raises:
-        InputError: a member that cannot be read; no members, or fewer than a calibration needs; members of sizes that
-            no vehicle has, as another unit gives them.
+    Raises: InputError: a member that cannot be read; no members, or fewer than a calibration needs; members of sizes
+    that no vehicle has, as another unit gives them.
     """
     builds = source.members()
     if len(builds) < FEWEST:

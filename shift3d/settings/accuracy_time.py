@@ -108,9 +108,8 @@ def validate_frontier(values: Values, where: str) -> FrontierSweep:
 def expand_settings(config: FrontierConfig) -> list[tuple[MeasuredSetting, AccuracyConfig]]:
     """Settings with ``over`` written out, and each one's accuracy, in the file's order.
 
-    Raises:
-        InputError: two settings of one name, an override that the renderer does not have or cannot take, a name
-            without a place for its value, or a name in ``quick`` that is none.
+    Raises: InputError: two settings of one name, an override that the renderer does not have or cannot take, a name
+    without a place for its value, or a name in ``quick`` that is none.
     """
     where, found = "frontier.settings", []
     for setting in config.settings:

@@ -13,8 +13,7 @@ from shift3d.settings.schema.config import Config
 def expand(composed: Composed) -> Iterator[Config]:
     """Checked settings of every combination; the last axis varies fastest, as in Hydra's BasicSweeper.
 
-    Raises:
-        InputError: a combination that the schema refuses, or settings of the runner or tracking as an axis.
+    Raises: InputError: a combination that the schema refuses, or settings of the runner or tracking as an axis.
     """
     where = f"sweep {composed.name}"
     for axis in composed.axes:

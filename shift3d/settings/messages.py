@@ -71,8 +71,7 @@ def from_hydra(
 ) -> InputError:
     """Hydra's message in our form: what, the names that exist, and the nearest one.
 
-    Args:
-        config: the settings without any override, for the names of fields. options: of a group, by its name.
+    Args: config: the settings without any override, for the names of fields. options: of a group, by its name.
     """
     text = str(error)
     # Of one option Hydra says that it did not find it, of one in a list that it could not load it.

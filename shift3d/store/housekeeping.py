@@ -44,8 +44,7 @@ def find_garbage(folder: LocationLike) -> Garbage:
     driver whose session is in the log: to the last one, which may be about to commit it and is left alone, or to an
     earlier one, which never can. No clock is needed.
 
-    Raises:
-        InputError: the log is damaged; nothing is garbage then.
+    Raises: InputError: the log is damaged; nothing is garbage then.
     """
     folder = as_location(folder)
     log, data = folder / "_log", folder / "data"
@@ -103,8 +102,7 @@ def compact(folder: LocationLike) -> Compacted:
     It opens a session, so a driver that runs is stopped at its next commit. The new entry makes the new segments count
     and the old ones not, in one step; only then are the old ones removed.
 
-    Raises:
-        InputError: the folder has no log, it is damaged, another driver began meanwhile, or the disk is full.
+    Raises: InputError: the folder has no log, it is damaged, another driver began meanwhile, or the disk is full.
     """
     folder = as_location(folder)
     entries = read_log(folder)

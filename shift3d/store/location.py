@@ -59,8 +59,7 @@ class Location(ABC):
     def open(self) -> Any:
         """A file's content as a binary file object that reads from any place of it, for files read in part.
 
-        Raises:
-            FileNotFoundError: there is none.
+        Raises: FileNotFoundError: there is none.
         """
 
     @abstractmethod
@@ -71,16 +70,14 @@ class Location(ABC):
     def names(self) -> list[str]:
         """Names of the files and folders in it, in order, without hidden ones; none where there is no such folder.
 
-        Raises:
-            NotADirectoryError: something else is there.
+        Raises: NotADirectoryError: something else is there.
         """
 
     @abstractmethod
     def write_atomic(self, content: bytes) -> None:
         """Write a file: whole, or as it was before.
 
-        Raises:
-            InputError: it cannot be written; the message says what to do.
+        Raises: InputError: it cannot be written; the message says what to do.
         """
 
     @abstractmethod
@@ -90,8 +87,7 @@ class Location(ABC):
         An answer may get lost after the file was created: then a second try finds it there. So writers whose place
         among others matters must put their own name into the content.
 
-        Raises:
-            UncertainError: nobody can say whether it was created. InputError: it was not, and cannot be.
+        Raises: UncertainError: nobody can say whether it was created. InputError: it was not, and cannot be.
         """
 
     @abstractmethod
@@ -106,8 +102,7 @@ class Location(ABC):
     def check_writable(self) -> None:
         """Make sure that `put_if_absent` has one winner here.
 
-        Raises:
-            InputError: it has not, or nothing can be written.
+        Raises: InputError: it has not, or nothing can be written.
         """
 
     @abstractmethod

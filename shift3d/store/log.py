@@ -45,8 +45,7 @@ class CommitLog:
     Attributes:
         entries: all of them, in order.
 
-    Raises:
-        InputError: the log cannot be read or written, or is another sweep's.
+    Raises: InputError: the log cannot be read or written, or is another sweep's.
     """
 
     def __init__(self, folder: LocationLike, spec_hash: str) -> None:
@@ -86,8 +85,7 @@ class CommitLog:
     def commit(self, done: tuple[str, ...], quarantined: tuple[str, ...], tables: dict[str, pa.Table]) -> Commit:
         """Write the segments, then the entry that makes them count.
 
-        Args:
-            done, quarantined: task ids. tables: segment tables by name; empty ones are left out.
+        Args: done, quarantined: task ids. tables: segment tables by name; empty ones are left out.
 
         Raises:
             TakenOverError: another driver wrote this entry; these rows are not part of the sweep.
@@ -190,8 +188,7 @@ def _driver_of(path: Location) -> str:
 def committed_rows(folder: LocationLike, entries: Sequence[Commit], name: str) -> pa.Table:
     """Every row of one table that was committed, in the order of the log.
 
-    Raises:
-        InputError: a segment is missing, torn, or of another length than was committed.
+    Raises: InputError: a segment is missing, torn, or of another length than was committed.
     """
     files = [(dict(entry.segments)[name], dict(entry.rows)[name]) for entry in entries if name in dict(entry.segments)]
     data = as_location(folder) / "data"

@@ -45,8 +45,7 @@ class Commit:
 def read_log(folder: LocationLike) -> list[Commit]:
     """The entries that count, in order: all of them, or from the last compaction on, which says what was before it.
 
-    Raises:
-        InputError: an entry is missing, torn, or of a schema version that this program cannot read.
+    Raises: InputError: an entry is missing, torn, or of a schema version that this program cannot read.
     """
     log = as_location(folder) / "_log"
     for _ in range(_TRIES):
@@ -58,8 +57,7 @@ def read_log(folder: LocationLike) -> list[Commit]:
 def entry_names(log: Location) -> list[str]:
     """Names of all entries that are there, those that a compaction replaced included, in order. log: the folder _log.
 
-    Raises:
-        InputError: a name that no driver gave.
+    Raises: InputError: a name that no driver gave.
     """
     names = [name for name in log.names() if name.endswith(".json") and name[0].isdigit()]
     for name in names:
@@ -87,8 +85,7 @@ def _read(log: Location, names: list[str]) -> list[Commit]:
 def read_entry(path: Location) -> Commit:
     """One entry.
 
-    Raises:
-        FileNotFoundError: it is not there. InputError: it is torn, or of a version that this program cannot read.
+    Raises: FileNotFoundError: it is not there. InputError: it is torn, or of a version that this program cannot read.
     """
     try:
         values = json.loads(path.read_bytes())

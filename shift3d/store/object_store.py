@@ -53,8 +53,7 @@ _ERRORS = (BaseError, OSError, ValueError, RuntimeError)
 def object_location(url: str) -> ObjectLocation:
     """``s3://bucket/prefix`` or ``gs://bucket/prefix`` as a location.
 
-    Raises:
-        InputError: another scheme, no bucket, or settings in the environment that cannot be used.
+    Raises: InputError: another scheme, no bucket, or settings in the environment that cannot be used.
     """
     scheme, _, rest = url.partition("://")
     bucket, _, prefix = rest.partition("/")
@@ -154,8 +153,7 @@ class ObjectLocation(Location):
     def is_file(self) -> bool:
         """See `Location`.
 
-        Raises:
-            InputError: the store cannot be asked.
+        Raises: InputError: the store cannot be asked.
         """
         try:
             self.size()

@@ -59,8 +59,7 @@ def _plain(value: Any) -> Any:
 def write_table(path: LocationLike, table: pa.Table) -> None:
     """Write a Parquet file atomically. The same table content gives the same bytes.
 
-    Raises:
-        InputError: the disk is full or not writable.
+    Raises: InputError: the disk is full or not writable.
     """
     as_location(path).write_atomic(table_bytes(table))
 
@@ -84,8 +83,7 @@ def read_table(
     filters: (column, operator, value) that rows must satisfy, as pyarrow has them. content: the file's bytes, where
     the caller has them.
 
-    Raises:
-        InputError: the file is missing, torn, or of another schema or version.
+    Raises: InputError: the file is missing, torn, or of another schema or version.
     """
     table, found, version = read_parquet(path, _RESTORE, filters, content)
     if found != name:
@@ -130,8 +128,7 @@ def read_parquet(
 def check_table(table: pa.Table, schema: pa.Schema, path: LocationLike) -> None:
     """Refuse a table that has not a schema's columns and types, or lacks values, or holds NaN or infinity.
 
-    Raises:
-        InputError: naming the file and the column.
+    Raises: InputError: naming the file and the column.
     """
     if table.schema.names != schema.names:
         lacking = [name for name in schema.names if name not in table.schema.names]

@@ -54,8 +54,7 @@ def choose_solutions(final: Location, choice: Choice) -> Chosen:
     Left out: what has no score or breaks a constraint, what a verification found unstable, and shapes that are not
     natural where that was measured.
 
-    Raises:
-        InputError: the sweep is not finished, has no such method, or nothing of it is eligible.
+    Raises: InputError: the sweep is not finished, has no such method, or nothing of it is eligible.
     """
     if not (final / "scores.parquet").is_file():
         raise InputError("the sweep is not finished", str(final), "Run its command again: it resumes")

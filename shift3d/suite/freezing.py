@@ -101,14 +101,12 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     The same sweep and choice give the same bytes, killed and resumed. ``suite.json`` is written last: a folder without
     it is no suite, and the same call goes on scene by scene; with it, nothing is written again.
 
-    Args:
-        frames: "copied" puts the scenes' points into the suite. "referenced" puts in where they come from: the gate
-            then needs the data set, or generates the streets again, and the suite holds nothing of recorded frames but
-            the points that an object moved.
+    Args: frames: "copied" puts the scenes' points into the suite. "referenced" puts in where they come from: the gate
+    then needs the data set, or generates the streets again, and the suite holds nothing of recorded frames but the
+    points that an object moved.
 
-    Raises:
-        InputError: see `choose_solutions`; another suite or something else in the folder; a scene, vehicle or detector
-            that is not the sweep's any more.
+    Raises: InputError: see `choose_solutions`; another suite or something else in the folder; a scene, vehicle or
+    detector that is not the sweep's any more.
     Source: our choice: the paper has no gate.
     """
     sweep, to = as_location(sweep), as_location(to)

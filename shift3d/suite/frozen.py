@@ -72,8 +72,7 @@ class FrozenSuite:
     def background(self, name: str) -> NDArray[np.float32]:
         """Points (N, 3) of a scene without the object, scene frame, metres.
 
-        Raises:
-            InputError: the file or frame is missing, or not what was frozen.
+        Raises: InputError: the file or frame is missing, or not what was frozen.
         """
         if self.manifest["frames"] == "copied":
             file = self.folder / background_file(name)
@@ -118,8 +117,7 @@ def read_suite(folder: LocationLike, root: str | None = None) -> FrozenSuite:
 
     root: of referenced frames, see `FrozenSuite`.
 
-    Raises:
-        InputError: no suite, one of another version, or a file that is missing or changed; the file is named.
+    Raises: InputError: no suite, one of another version, or a file that is missing or changed; the file is named.
     """
     folder = as_location(folder)
     path = folder / "suite.json"

@@ -70,8 +70,7 @@ def suite_table_bytes(table: pa.Table) -> bytes:
 def read_suite_table(path: LocationLike, name: str, content: bytes | None = None) -> pa.Table:
     """Read one of the files. content: its bytes, where the caller has them.
 
-    Raises:
-        InputError: the file is missing, torn, or of another schema or version.
+    Raises: InputError: the file is missing, torn, or of another schema or version.
     """
     table, kind, version = read_parquet(path, "Restore it from a copy, or freeze the suite again", content=content)
     if (kind, version) != (f"suite_{name}", str(SUITE_VERSION)):

@@ -40,8 +40,7 @@ def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
     A pose attack takes about two thirds of a shape attack's time and makes no mesh, so a sweep's first result is there
     sooner. Tasks of a vehicle stay together: a worker prepares each vehicle once. Otherwise in plan order.
 
-    Args:
-        positions: ascending.
+    Args: positions: ascending.
 
     Source: our choice.
     """

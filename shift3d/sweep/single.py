@@ -14,8 +14,7 @@ from shift3d.wording import counted
 def run_single(plan: Plan, kind: TaskKind, task_id: str) -> str:
     """Run the task whose id begins with ``task_id``, and return its scores and timings as text.
 
-    Raises:
-        InputError: no task of the plan, or several, have such an id. Whatever the task itself raises.
+    Raises: InputError: no task of the plan, or several, have such an id. Whatever the task itself raises.
     """
     found = plan.tasks.starting_with(task_id)
     if len(found) != 1:

@@ -110,8 +110,7 @@ class SweepStatus:
 def read_status(folder: LocationLike) -> SweepStatus:
     """The status of the sweep in ``folder``.
 
-    Raises:
-        InputError: the folder is not a sweep's, or its log is damaged.
+    Raises: InputError: the folder is not a sweep's, or its log is damaged.
     """
     folder = as_location(folder)
     spec = read_spec(folder)

@@ -36,8 +36,7 @@ def verification_plan(folder: LocationLike) -> Plan:
     Tasks of one vehicle in one scene share their baseline, which a worker scores again once: in this order they lie
     far apart, so that two workers do not begin it at the same time.
 
-    Raises:
-        InputError: the folder is not a sweep's, it has not finished, or nothing in it was scored.
+    Raises: InputError: the folder is not a sweep's, it has not finished, or nothing in it was scored.
     """
     folder = as_location(folder)
     plan = read_plan(folder)
@@ -59,8 +58,7 @@ def verify_sweep(folder: LocationLike, plan: Plan, runner: RayRunnerConfig | Loc
 
     Exactly once, resumable and to the same bytes, as a sweep. plan: of `verification_plan`.
 
-    Raises:
-        InputError: as `run_sweep`; a segment of the sweep is damaged, which is found before anything runs.
+    Raises: InputError: as `run_sweep`; a segment of the sweep is damaged, which is found before anything runs.
     """
     folder = as_location(folder)
     check_segments(folder, read_log(folder))

@@ -45,8 +45,7 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicl
     """The task's vehicle, placed at ``theta`` (6,), before the detector that scores it.
 
     vehicle: another one of the same decoder in its place.
-    Raises:
-        InputError: a scene or vehicle that cannot be loaded.
+    Raises: InputError: a scene or vehicle that cannot be loaded.
     """
     scene, beams = assets.scene(spec)
     settings = render_settings(spec)

@@ -37,8 +37,7 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
     A pure function of the spec and the content that its hashes name, on one thread: the same bytes wherever
     it runs. A scene with no place for the vehicle gives rows with status "no_placement" and no score.
 
-    Raises:
-        InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+    Raises: InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
     Source: SHIFT3D Algorithm 1, sections Setup and Evaluation Metrics.
     """
     start = time.perf_counter()

@@ -45,8 +45,7 @@ def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor, vehicle: Vehicle
     baseline under its own constraints; the shape stands on the ground at the same x, y and heading. A scene without
     room is a row without scores.
 
-    Raises:
-        InputError: a scene that cannot be loaded, or is not what the task was planned with.
+    Raises: InputError: a scene that cannot be loaded, or is not what the task was planned with.
     Source: SHIFT3D, Adversarial Shape Generation Results (10 distinct scenes, random yaw, the baseline under identical
         rotation and translation). That the height follows the shape is our choice, as in `attack.shape`.
     """

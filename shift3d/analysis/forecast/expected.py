@@ -94,8 +94,7 @@ class Expected:
 def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
     """Of each task whether one of some sweeps' folders has its result.
 
-    Raises:
-        InputError: a log cannot be read.
+    Raises: InputError: a log cannot be read.
     """
     done = np.zeros(len(tasks), dtype=bool)
     for folder in folders:
@@ -108,11 +107,9 @@ def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
 def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
     """What tasks will take one worker.
 
-    Args:
-        folders: of sweeps, finished or not; the first one that has run something says how long a task takes.
+    Args: folders: of sweeps, finished or not; the first one that has run something says how long a task takes.
 
-    Raises:
-        InputError: a folder is no sweep's, or damaged.
+    Raises: InputError: a folder is no sweep's, or damaged.
     """
     model = _Model()
     for folder in folders:
@@ -195,12 +192,10 @@ def expected_lines(
 ) -> str:
     """What is left to run of a plan, in words: time with some workers, and core-hours.
 
-    Args:
-        out: the folder that the sweep would write to, where it is known; others: those whose results it would take
-            over; timings: those that say how long tasks take, asked before these.
+    Args: out: the folder that the sweep would write to, where it is known; others: those whose results it would take
+    over; timings: those that say how long tasks take, asked before these.
 
-    Raises:
-        InputError: a folder of others or timings is no sweep's, or damaged.
+    Raises: InputError: a folder of others or timings is no sweep's, or damaged.
     """
     own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
     done = finished_in(plan.tasks, [*own, *others])

@@ -63,8 +63,7 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
 def write_report(folder: LocationLike, cases: int = 4) -> Location:
     """Write ``report.html`` into a finished sweep's folder, whole or not at all; returns its path.
 
-    Raises:
-        InputError: the folder is no finished sweep's, a table in it is damaged, or the disk is full.
+    Raises: InputError: the folder is no finished sweep's, a table in it is damaged, or the disk is full.
     """
     path = as_location(folder) / "report.html"
     path.write_atomic(report_page(read_sweep(folder), cases).encode())

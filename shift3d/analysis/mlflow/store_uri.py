@@ -26,8 +26,7 @@ def check_tracking(tracking: MlflowConfig | NoTrackingConfig) -> None:
 def check_store(uri: str, where: str = "tracking.uri") -> None:
     """Refuse a store that MLflow would refuse, and a file or folder that cannot be written. A server may be away.
 
-    Raises:
-        InputError: naming the schemes that there are, or the folder.
+    Raises: InputError: naming the schemes that there are, or the folder.
     """
     if not uri:
         raise InputError("no store is named", where=where, remedy="Give one, as sqlite:///mlflow.db")

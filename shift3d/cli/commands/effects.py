@@ -33,8 +33,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
 def _measured(path: Path) -> dict[str, float]:
     """Effect to milliseconds, of a benchmark's results.
 
-    Raises:
-        InputError: a file that holds none.
+    Raises: InputError: a file that holds none.
     """
     import json
 

@@ -85,7 +85,7 @@ def _run(arguments: argparse.Namespace) -> int:
         print("interrupted: the same command resumes", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not part:
-        from shift3d.analysis.mlflow.accuracy_time import mirror_frontier
+        from shift3d.analysis.mlflow.measured import mirror_frontier
 
         mirror(config.tracking, partial(mirror_frontier, folder))
     return 0
@@ -105,8 +105,7 @@ def _config(words: list[str]) -> FrontierSweep:
 def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[FrontierPlan, list[str]]:
     """What is measured, and the names of settings that this processor is no match for.
 
-    Raises:
-        InputError: a pattern that is none, or that no setting's name matches.
+    Raises: InputError: a pattern that is none, or that no setting's name matches.
     """
     from shift3d.accuracy_time.drive import FrontierPlan
     from shift3d.accuracy_time.run import Repeats

@@ -36,8 +36,7 @@ def dry_run(done: str, do: str) -> Callable[[argparse.ArgumentParser], object]:
 def sweeps_in(out: str) -> list[Location]:
     """A sweep's folder, and its verification's, which is a sweep itself.
 
-    Raises:
-        InputError: it is no sweep's folder.
+    Raises: InputError: it is no sweep's folder.
     """
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.spec_file import read_spec

@@ -52,8 +52,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
 
     places: count those of each scene.
 
-    Raises:
-        InputError: the sweep itself would be refused.
+    Raises: InputError: the sweep itself would be refused.
     """
     from shift3d.analysis.forecast.expected import expected_lines
     from shift3d.analysis.mlflow.store_uri import check_tracking

@@ -136,11 +136,9 @@ def _check_render(settings: dict[str, Any]) -> None:
 def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     """Load what tasks of these settings refer to, and hash it.
 
-    Args:
-        preview: scenes that would be made for their hash alone have none, see `scene_entries`.
+    Args: preview: scenes that would be made for their hash alone have none, see `scene_entries`.
 
-    Raises:
-        InputError: a missing file, or a scene that cannot be read.
+    Raises: InputError: a missing file, or a scene that cannot be read.
     """
     require_score_only(config)
     scenes = scene_set(config.scenes)

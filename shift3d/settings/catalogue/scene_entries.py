@@ -29,11 +29,9 @@ def scene_entries(
         preview: leave ``content_hash`` empty where many scenes would have to be made for it alone.
         skip_bad: leave out scenes that cannot be read. None: no setting of these scenes.
 
-    Returns:
-        the entries, and of each scene that is left out why.
+    Returns: the entries, and of each scene that is left out why.
 
-    Raises:
-        InputError: a scene cannot be read; with skip_bad, none can.
+    Raises: InputError: a scene cannot be read; with skip_bad, none can.
     """
     entries = {name: _known(scenes, name) for name in scenes.names()}
     unknown = [name for name, entry in entries.items() if entry is None or not entry.content_hash]

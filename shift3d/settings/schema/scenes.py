@@ -126,8 +126,7 @@ def scene_config(values: Mapping[str, Any]) -> SceneConfig:
 def scene_set(config: SceneConfig) -> SceneSet:
     """The scenes that settings describe. Readers are imported when their data set is asked for.
 
-    Raises:
-        InputError: a missing or unreadable folder.
+    Raises: InputError: a missing or unreadable folder.
     """
     if isinstance(config, StreetConfig):
         from shift3d.scenes.sets import StreetScenes

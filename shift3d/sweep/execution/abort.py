@@ -24,9 +24,8 @@ class AbortedError(InputError):
 class AbortRule:
     """Watches the outcomes of one run.
 
-    Args:
-        after: stop when the first so many tasks failed alike. share: stop when more than this part of at least 50 tasks
-            failed. None: never for this reason.
+    Args: after: stop when the first so many tasks failed alike. share: stop when more than this part of at least 50
+    tasks failed. None: never for this reason.
     """
 
     def __init__(self, after: int | None, share: float | None) -> None:

@@ -20,8 +20,7 @@ _LOSSES = 6
 class Backlog:
     """The tasks of a run that have no outcome yet and are in no worker's hands.
 
-    Args:
-        positions: to run, in this order. tried: attempts of earlier runs by position, so that numbers go on.
+    Args: positions: to run, in this order. tried: attempts of earlier runs by position, so that numbers go on.
     """
 
     def __init__(self, positions: Sequence[int] | np.ndarray, tried: dict[int, int] | None = None) -> None:

@@ -6,8 +6,7 @@ from __future__ import annotations
 class BatchSizer:
     """Grows from one task towards ``seconds`` of work a call, by what calls have taken so far.
 
-    Args:
-        seconds: aim for one call. most: largest batch.
+    Args: seconds: aim for one call. most: largest batch.
     """
 
     def __init__(self, seconds: float, most: int = 4096) -> None:

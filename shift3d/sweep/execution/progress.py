@@ -15,8 +15,7 @@ _LONG_S = 5.0
 class Progress:
     """A bar on stderr; where that is no terminal, a line now and then.
 
-    Args:
-        total: tasks of the sweep. finished: those that earlier runs finished. workers: shown beside the bar.
+    Args: total: tasks of the sweep. finished: those that earlier runs finished. workers: shown beside the bar.
     """
 
     def __init__(self, total: int, finished: int, workers: int) -> None:

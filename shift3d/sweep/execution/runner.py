@@ -30,8 +30,7 @@ class Runner(Protocol):
 
         An outcome without tasks may be yielded at any time: a chance for the caller to commit and to draw.
 
-        Args:
-            positions: of the tasks in the plan.
+        Args: positions: of the tasks in the plan.
         """
         ...
 
@@ -91,8 +90,7 @@ def make_runner(
 ) -> Runner:
     """The runner that the settings name.
 
-    Args:
-        tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
+    Args: tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
     """
     if isinstance(config, LocalRunnerConfig):
         return LocalRunner(kind, plan, config.commit_seconds, tried or {})

@@ -50,9 +50,8 @@ class Layouts:
 
         spec: what the tasks have in common.
 
-        Raises:
-            InputError: the scene is unknown, the set is empty or too small for the transfers, or an effect is forced
-                that a scene has no data for.
+        Raises: InputError: the scene is unknown, the set is empty or too small for the transfers, or an effect is
+        forced that a scene has no data for.
         """
         elsewhere = config.attack.search_scenes + config.attack.transfer_scenes
         transfers = elsewhere if config.mode == "shape" else 0

@@ -74,11 +74,9 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
     Combinations that ask for the same task (a pose attack under several lambda) give one task, at its first
     place in the order. Scenes vary fastest.
 
-    Returns:
-        the plan, and the settings of its first task (for ``runner`` and ``tracking``).
+    Returns: the plan, and the settings of its first task (for ``runner`` and ``tracking``).
 
-    Raises:
-        InputError: unknown names, unreadable scenes or weights, or an empty sweep.
+    Raises: InputError: unknown names, unreadable scenes or weights, or an empty sweep.
     """
     where = f"sweep {composed.name}"
     catalogues: dict[str, tuple[Catalogue, int]] = {}

@@ -121,8 +121,7 @@ def read_tasks(content: bytes, where: str) -> Tasks:
 
     where: the file's path, for the error.
 
-    Raises:
-        InputError: it is no plan, damaged, or an id in it is not its task's.
+    Raises: InputError: it is no plan, damaged, or an id in it is not its task's.
     """
     import pyarrow.parquet as pq
 

@@ -15,8 +15,7 @@ from shift3d.store.schemas import SCHEMA_VERSION
 def read_spec(folder: LocationLike) -> dict[str, Any]:
     """``spec.yaml`` of a sweep.
 
-    Raises:
-        InputError: there is none, it cannot be read, or it is of another schema version.
+    Raises: InputError: there is none, it cannot be read, or it is of another schema version.
     """
     path = as_location(folder) / "spec.yaml"
     try:

@@ -73,8 +73,7 @@ def task_ids(
 ) -> pa.Array:
     """The id of each task, an Arrow array of strings.
 
-    Args:
-        template, task_scene: int32, of each task: indices into ``templates`` and ``task_scenes``.
+    Args: template, task_scene: int32, of each task: indices into ``templates`` and ``task_scenes``.
     """
     texts = [_task_scene_parts(found) for found in task_scenes]
     order = np.argsort(template, kind="stable")

@@ -17,8 +17,7 @@ _MOST_BYTES = 64 * 2**20
 class Committer:
     """Collects outcomes and commits them.
 
-    Args:
-        log: the sweep's log. every_s: a commit takes place when this long has passed since the last one.
+    Args: log: the sweep's log. every_s: a commit takes place when this long has passed since the last one.
 
     Attributes:
         busy: an outcome is being taken in or committed; whoever interrupts then cannot know which.
@@ -40,8 +39,7 @@ class Committer:
     def add(self, outcome: BatchOutcome) -> None:
         """Take an outcome in, and commit where it is time.
 
-        Raises:
-            TakenOverError, InputError: see ``CommitLog.commit``.
+        Raises: TakenOverError, InputError: see ``CommitLog.commit``.
         """
         self.busy = True
         self._done += outcome.done

@@ -52,8 +52,7 @@ class FinalTables:
 def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
     """Write every table of ``final/`` from the commit log.
 
-    Raises:
-        InputError: a segment is missing, torn or of another length than was committed; the disk is full.
+    Raises: InputError: a segment is missing, torn or of another length than was committed; the disk is full.
     """
     folder = as_location(folder)
     tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in _KEPT}
@@ -103,8 +102,7 @@ def _by_effects_requested(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
 def segments_in_plan_order(folder: LocationLike, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
     """One segment table of everything committed, rows by the position of their task in the plan.
 
-    Raises:
-        InputError: a segment is missing, torn, of another length than was committed, or of another plan.
+    Raises: InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """
     return _in_plan_order(name, committed_rows(folder, entries, name), plan)
 

@@ -25,11 +25,9 @@ _SCENE = ["dataset", "scene"]
 def select_lambda(mean_loss: Mapping[float, float]) -> float:
     """The lambda with the lowest mean adversarial loss, or a larger one whose loss is nearly equal to it.
 
-    Args:
-        mean_loss: lambda to the mean of L_adv over the scenes that were scored under every lambda.
+    Args: mean_loss: lambda to the mean of L_adv over the scenes that were scored under every lambda.
 
-    Raises:
-        ValueError: no lambda.
+    Raises: ValueError: no lambda.
     """
     if not mean_loss:
         raise ValueError("no lambda to choose from")

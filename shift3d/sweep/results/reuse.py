@@ -30,8 +30,7 @@ def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
     The other sweep may have any name, be unfinished or be running: what it has committed counts, what it gave up on
     does not. A task's rows are committed with it or not at all, so that a driver that is killed here loses nothing.
 
-    Raises:
-        InputError: the folder is no sweep's, of another schema version, or damaged; as `CommitLog.commit`.
+    Raises: InputError: the folder is no sweep's, of another schema version, or damaged; as `CommitLog.commit`.
     """
     spec, entries = read_spec(other), read_log(other)
     foreign = [entry for entry in entries if entry.spec_hash != spec["spec_hash"]]

@@ -16,8 +16,7 @@ _TAKEN = ("score_reference", "stable")
 def read_verification(folder: LocationLike) -> pa.Table | None:
     """The finished verification of the sweep in ``folder``; None where there is none.
 
-    Raises:
-        InputError: it is damaged, or of another version.
+    Raises: InputError: it is damaged, or of another version.
     """
     path = as_location(folder) / FOLDER / "final" / "verification.parquet"
     return read_table(path, "verification") if path.is_file() else None

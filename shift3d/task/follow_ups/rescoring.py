@@ -76,8 +76,7 @@ class Problems:
     def of(spec: TaskSpec, assets: Assets, solution: Solution) -> Problems:
         """The task's problems, the vehicle of a solution at its pose.
 
-        Raises:
-            InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+        Raises: InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
         """
         settings = accuracy_settings(AccuracyConfig(name="reference", render={}))
         reference = dataclasses.replace(spec, accuracy="reference", accuracy_settings=settings)

@@ -44,8 +44,7 @@ class VerifyAssets:
     def solutions(self, spec: TaskSpec) -> list[Solution]:
         """Every solution of a task with its scores, the baseline first; none where nothing could be placed.
 
-        Raises:
-            InputError: tables that are missing, damaged, or lack the baseline.
+        Raises: InputError: tables that are missing, damaged, or lack the baseline.
         """
         rows = {name: self._rows(name, spec.task_id) for name in ("scores", "solutions")}
         scores: dict[tuple[str, int], dict[str, float]] = {}
@@ -103,8 +102,7 @@ class VerifyAssets:
 def load_verify_assets(spec: AssetsSpec) -> VerifyAssets:
     """Load what the verification of a sweep's tasks shares.
 
-    Raises:
-        InputError: as `load_assets`.
+    Raises: InputError: as `load_assets`.
     """
     assert spec.results is not None
     return VerifyAssets(load_assets(spec), as_location(spec.results))
@@ -115,8 +113,7 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
 
     A pure function of the spec, the solutions and the content that the spec's hashes name, on one thread.
 
-    Raises:
-        InputError: tables, a scene or a vehicle that cannot be loaded or are not those of the sweep.
+    Raises: InputError: tables, a scene or a vehicle that cannot be loaded or are not those of the sweep.
     Source: our choice: the paper scores once.
     """
     solutions = held.solutions(spec)

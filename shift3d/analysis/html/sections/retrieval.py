@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from shift3d.analysis.cases.chosen import random_positions
 from shift3d.analysis.cases.rendered import Loaded
@@ -15,9 +16,6 @@ from shift3d.analysis.html.sections.curves import RecallCurve, recall_plot
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.retrieval import kept, pool_table, retrieval_table
 from shift3d.errors import InputError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _TITLE = "Natural kin"
 _LEAD = (

@@ -50,8 +50,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     from shift3d.analysis.gate import GateSettings, run_gate
+    from shift3d.analysis.mlflow.measured import mirror_gate
     from shift3d.analysis.mlflow.store_uri import check_store
-    from shift3d.analysis.mlflow.training import mirror_gate
     from shift3d.analysis.statistics.releases import Rule
     from shift3d.store.resolve import as_location
     from shift3d.suite.frozen import read_suite

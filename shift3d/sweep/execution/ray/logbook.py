@@ -62,8 +62,7 @@ class Logbook:
 def read_logbook(path: str, pid: int) -> Whereabouts:
     """What another process of this machine is at.
 
-    Raises:
-        OSError: there is no such process any more.
+    Raises: OSError: there is no such process any more.
     """
     # Held, so that no other process can get its number before the signal.
     process = os.pidfd_open(pid) if hasattr(os, "pidfd_open") else None

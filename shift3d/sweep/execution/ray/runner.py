@@ -44,8 +44,7 @@ class RayRunner:
 
     tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
 
-    Raises:
-        InputError: the cluster cannot be reached, or has no room for a worker; a file that travels cannot be read.
+    Raises: InputError: the cluster cannot be reached, or has no room for a worker; a file that travels cannot be read.
     """
 
     def __init__(

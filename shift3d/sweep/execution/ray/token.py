@@ -24,8 +24,7 @@ def require_token(private: bool) -> bool:
 
     Source: our choice. Ray would make a token by itself, in a file that everybody on the machine can read.
 
-    Raises:
-        InputError: the file cannot be made or read, holds no token, or others can read it too.
+    Raises: InputError: the file cannot be made or read, holds no token, or others can read it too.
     """
     if os.environ.get(_MODE, "token").lower() != "token":
         return False

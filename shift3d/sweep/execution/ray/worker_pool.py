@@ -55,8 +55,7 @@ class WorkerPool:
         start: starts an actor. config: how many there shall be (None: as many as there is room for), and their size.
         most: no more than this.
 
-    Raises:
-        InputError: there is no room for one.
+    Raises: InputError: there is no room for one.
     """
 
     def __init__(self, ray: Any, start: Callable[[], Any], config: RayRunnerConfig, memory_mb: float, most: int):
