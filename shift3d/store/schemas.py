@@ -51,6 +51,8 @@ def _names(*groups: str) -> tuple[str, ...]:
 
 SPEC_COLUMNS = _names("task", "settings")
 """Columns that the spec of a task determines: filled in by the sweep."""
+POSE_COLUMNS = _names("pose")
+"""x, y, z, yaw, pitch and roll of an object, in the order of theta (6,)."""
 GROUP_COLUMNS = _names("group")
 """What distinguishes the groups of tasks that a curve, an AUC or a grid is taken over."""
 # Written by commits, task by task. A table that a folder does not have is empty: those that came later than the first

@@ -13,7 +13,6 @@ from shift3d.store.tables import read_table
 if TYPE_CHECKING:
     import pandas as pd
 
-CHOICES = ("random", "hardest")
 _KEY = ["task_id", "method", "replicate"]
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pyarrow as pa
-import torch
 from numpy.typing import NDArray
 
 import shift3d
@@ -24,8 +23,8 @@ from shift3d.suite.frozen import FrozenSuite, background_file, blake2b, manifest
 from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, read_suite_table, suite_table, suite_table_bytes
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.task.assets import Assets, load_assets, score_precision
+from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.follow_ups.verify import SCORE_TOLERANCE
-from shift3d.task.problem import build_problem
 from shift3d.task.scoring import score_box
 
 if TYPE_CHECKING:
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
     from shift3d.task.spec import TaskSpec
 
 Frames = Literal["copied", "referenced"]
-_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
 _SCENE = "unfinished-"
 """Begins the names of files that hold the objects of one scene until the suite is whole."""
@@ -237,12 +235,8 @@ def _object(
     spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, writing: _Writing
 ) -> tuple[dict[str, Any], float]:
     """A solution's row without its role, and what the attacked detector makes of it."""
-    theta = torch.tensor([solution[name] for name in _POSE], dtype=torch.float64)
-    problem = build_problem(spec, assets, theta, assets.drawn_vehicle(spec, solution))
-    scene = assets.scene(spec)[0]
-    code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
-    with torch.no_grad():
-        rendering = problem.insert(code, theta)
+    found = render_solution(spec, solution, assets)
+    problem, theta, rendering, scene = found.problem, found.theta, found.rendering, assets.scene(spec)[0]
     box, radius_m = object_box(theta, problem.vehicle.size_m, problem.ground_z_m), spec.attack.detection_radius_m
     detectors = {spec.detector: problem.detector}
     score = score_box(rendering.points, box, problem.ground_z_m, radius_m, detectors)[spec.detector].score

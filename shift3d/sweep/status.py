@@ -26,7 +26,7 @@ from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.store.log import CommitLog
-    from shift3d.sweep.execution.running import Running
+    from shift3d.sweep.execution.worker import Running
 
 _FILE = "status.json"
 _EVERY_S = 3.0

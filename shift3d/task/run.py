@@ -161,9 +161,9 @@ def _random(
     """A shape as far from the baseline's code as the solution, a pose within its limits, or both; None without one."""
     if spec.mode == "pose":
         drawn = random_pose(problem, rng, pose_limits(spec))
-        return None if drawn is None else (problem.code0, drawn[0])
+        return None if drawn is None else (problem.code0, drawn)
     code = random_code(problem.code0, distance, rng)
     if spec.mode == "shape":
         return code, on_ground(code, problem, SNAP_M)
     drawn = random_pose(replace(problem, code0=code, space=None), rng, pose_limits(spec))
-    return None if drawn is None else (code, drawn[0])
+    return None if drawn is None else (code, drawn)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from types import TracebackType
 
-from shift3d.sweep.execution.running import Running
+from shift3d.sweep.execution.worker import Running
 from shift3d.wording import counted
 
 _LONG_S = 5.0

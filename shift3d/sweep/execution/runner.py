@@ -9,12 +9,10 @@ from typing import Protocol
 import numpy as np
 
 from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
-from shift3d.sweep.execution.batches import BatchSizer
-from shift3d.sweep.execution.running import Running
-from shift3d.sweep.execution.worker import BatchOutcome, Worker
-from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.execution.backlog import BatchSizer
+from shift3d.sweep.execution.worker import BatchOutcome, Running, Worker
+from shift3d.sweep.planning.kind import TaskKind, reproduce_command
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.planning.reproduce import reproduce_command
 
 
 class Runner(Protocol):

@@ -71,8 +71,9 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     tables["bev"] = table_from_rows("bev", bev_rows(scored))
     steps = {group.template.attack.steps for group in plan.tasks.groups()}
     tables["choices"] = table_from_rows("choices", choice_rows(scored, plan.sweep, steps))
+    reach_m = max(group.template.placement.max_range_m for group in plan.tasks.groups())
     transfers = _by_effects_requested(tables["transfers"].to_pandas(), plan)
-    tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
+    tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, reach_m))
     skipped = [{"sweep": plan.sweep, "scene": name, "why": why} for name, why in plan.skipped.items()]
     tables["skipped_scenes"] = table_from_rows("skipped_scenes", skipped)
     for name, table in tables.items():
@@ -89,26 +90,17 @@ def check_segments(folder: LocationLike, entries: Sequence[Commit]) -> None:
         committed_rows(folder, entries, name)
 
 
-def _reach_m(plan: Plan) -> float:
-    """How far from the sensor a vehicle may stand."""
-    return max(group.template.placement.max_range_m for group in plan.tasks.groups())
-
-
 def _by_effects_requested(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     """Scores with the effects that were asked for; where several settings lead to one task, a row for each."""
     return scored.assign(effects=plan.tasks.effects_requested_of(scored["task_id"])).explode("effects")
 
 
 def segments_in_plan_order(folder: LocationLike, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
-    """One segment table of everything committed, rows by the position of their task in the plan.
+    """One segment table of everything committed, rows by their task's place in the plan, within a task as it gave them.
 
     Raises: InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """
-    return _in_plan_order(name, committed_rows(folder, entries, name), plan)
-
-
-def _in_plan_order(name: str, table: pa.Table, plan: Plan) -> pa.Table:
-    """Rows by the position of their task in the plan; within a task as the task gave them."""
+    table = committed_rows(folder, entries, name)
     found = pc.index_in(table["task_id"], value_set=plan.tasks.ids)
     if found.null_count:
         what = f"{found.null_count} rows of {name} are of tasks that the plan does not have"
@@ -144,7 +136,7 @@ def _auc_rows(scored: pd.DataFrame, plan: Plan) -> list[dict[str, Any]]:
                 "tasks_planned": planned.get(tuple(group[name] for name in _PLAN_GROUP), 0),
                 "mean_adversarial_loss": _mean(members["adversarial_loss"]),
                 "mean_latent_distance": _mean(members["latent_distance"]),
-                "selected": chosen.get(_rule_key(group), group["lambda"]) == group["lambda"],
+                "selected": chosen.get(tuple(group[name] for name in RULE_KEYS), group["lambda"]) == group["lambda"],
             }
         )
     return rows + _gaps(rows, planned, _planned_methods(plan))
@@ -195,7 +187,3 @@ def _gaps(
                 losses = {"mean_adversarial_loss": None, "mean_latent_distance": None, "selected": False}
                 gaps.append({**group, "method": method, **empty, **losses})
     return gaps
-
-
-def _rule_key(group: dict[str, Any]) -> tuple[Any, ...]:
-    return tuple(group[name] for name in RULE_KEYS)

@@ -20,8 +20,9 @@ from shift3d.render.rendering import Rendering
 from shift3d.scenes.kitti.writing import frame_files, velodyne_bytes
 from shift3d.scenes.scene import Scene
 from shift3d.store.atomic import write_atomic
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.task.assets import Assets
-from shift3d.task.follow_ups.rendered import POSE, render_solution
+from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import vehicle_mesh
 
@@ -137,7 +138,7 @@ def _box_json(
         "frame": "lidar",
         "units": _UNITS,
         "class": "vehicle",
-        "pose": {name: float(solution[name]) for name in POSE},
+        "pose": {name: float(solution[name]) for name in POSE_COLUMNS},
         "object_points": object_points,
         "task_id": spec.task_id,
         "vehicle": spec.vehicle,

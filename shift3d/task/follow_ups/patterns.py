@@ -32,7 +32,7 @@ def patterns_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
         if found.method in ("baseline", "adversarial")
     ]
     spent: Row = {"method": "patterns", "stage": "measure", "milliseconds": 1e3 * (time.perf_counter() - start)}
-    return TaskResult([], [], [spent | {"calls": len(rows)}], patterns=rows)
+    return TaskResult(timings=[spent | {"calls": len(rows)}], patterns=rows)
 
 
 def _measured(spec: TaskSpec, held: VerifyAssets, found: Solution) -> Row:

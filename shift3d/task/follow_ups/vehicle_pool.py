@@ -83,7 +83,7 @@ def pool_task(spec: TaskSpec, held: PoolAssets) -> TaskResult:
         {"method": "pool", "stage": stage, "milliseconds": 1e3 * seconds, "calls": len(crops)}
         for stage, seconds in spent.items()
     ]
-    return TaskResult([], [], timings, vehicle_pool=rows)
+    return TaskResult(timings=timings, vehicle_pool=rows)
 
 
 def _row(reconstructor: Reconstructor, crop: Crop, truth: trimesh.Trimesh | None) -> Row:

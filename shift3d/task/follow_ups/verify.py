@@ -11,7 +11,7 @@ robust: under every draw of noise and pose at least half of the margin is left. 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ import torch
 from shift3d.errors import InputError
 from shift3d.store.location import LocalLocation, Location
 from shift3d.store.resolve import as_location
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.store.tables import read_table
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
@@ -29,7 +30,6 @@ from shift3d.vehicles.vehicle import Vehicle
 
 SCORE_TOLERANCE = 0.02
 """How far a score may lie from that at reference accuracy, and a margin from its own."""
-_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
 @dataclass
@@ -56,7 +56,7 @@ class VerifyAssets:
                 row["method"],
                 row["replicate"],
                 torch.tensor(np.asarray(row["latent_code"], dtype=np.float32)),
-                torch.tensor([row[name] for name in _POSE], dtype=torch.float64),
+                torch.tensor([row[name] for name in POSE_COLUMNS], dtype=torch.float64),
                 scores[row["method"], row["replicate"]],
                 self._other_vehicle(spec, row),
             )
@@ -118,7 +118,7 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
     """
     solutions = held.solutions(spec)
     if not solutions:
-        return TaskResult([], [], [])
+        return TaskResult()
     own = Problems.of(spec, held.assets, solutions[0])
     rows: list[Row] = []
     timings: list[Row] = []
@@ -134,18 +134,15 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
             for stage, spent in verified.milliseconds.items()
             if new
         ]
-    return TaskResult([], [], timings, rows)
+    return TaskResult(timings=timings, verification=rows)
 
 
 def verified_rows(solution: Solution, verified: Verified, start: Solution, baseline: Verified) -> list[Row]:
     """A row a detector, without the columns that the spec determines. start, baseline: the task's own baseline."""
-    found = verified.found
+    found = asdict(verified.found)
     same: Row = {
-        "hits_reference": found.hits,
-        "missed_hits": found.missed_hits,
-        "false_hits": found.false_hits,
-        "wrong_surface": found.wrong_surface,
-        "depth_error_max_m": found.depth_error_max_m,
+        "hits_reference": found.pop("hits"),
+        **found,
         "unresolved_beams": verified.unresolved,
         "unresolved_reference": verified.unresolved_reference,
     }

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from shift3d.analysis.cases.chosen import Case, falls, random_positions
-from shift3d.analysis.cases.rendered import POSE, Loaded, oriented
+from shift3d.analysis.cases.rendered import Loaded, oriented
 from shift3d.analysis.html.blocks import Panels, Paragraph, Picture, Section
 from shift3d.analysis.html.scene_figures import side_by_side
 from shift3d.analysis.results import Sweep
 from shift3d.errors import InputError
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.sweep.planning.tasks import PlannedTask
 
 _COUNT = 50
@@ -60,7 +61,7 @@ def _picture(sweep: Sweep, task: PlannedTask, loaded: Loaded) -> bytes:
     meshes, towards_sensor = [], []
     for method in _RGB:
         row = rows[rows["method"] == method].iloc[0]
-        theta = row[list(POSE)].to_numpy(dtype=np.float64)
+        theta = row[list(POSE_COLUMNS)].to_numpy(dtype=np.float64)
         mesh = loaded.mesh(task, row, _RESOLUTION).copy()
         mesh.vertices = oriented(mesh.vertices, theta)
         meshes.append(mesh)

@@ -27,7 +27,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.results import read_sweep
     from shift3d.analysis.tables.patterns import pattern_groups, patterns_table
     from shift3d.processor import configure_runtime
-    from shift3d.sweep.patterns import measure_patterns
+    from shift3d.sweep.follow_up import measure_patterns
 
     configure_runtime()
     result = measure_patterns(arguments.out, runner_of(arguments.words, "patterns"))

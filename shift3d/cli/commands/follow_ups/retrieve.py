@@ -34,18 +34,19 @@ that their box does not fit, are flagged and never retrieved."""
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
     from shift3d.processor import configure_runtime
+    from shift3d.settings.catalogue.reading import read_catalogue
     from shift3d.settings.compose import compose_sweep
     from shift3d.store.resolve import as_location
+    from shift3d.sweep.follow_up import solved_tasks
     from shift3d.sweep.planning.folder import default_folder
     from shift3d.sweep.planning.plan import make_plan
-    from shift3d.sweep.retrieval import build_pool, pool_kind, pool_plan, retrieve
-    from shift3d.sweep.verification import verification_plan
+    from shift3d.sweep.retrieval import build_pool, pool_plan, retrieve
 
     configure_runtime()
     folder = as_location(arguments.out)
-    verification_plan(folder)  # whether it has finished, before anything is made
+    solved_tasks(folder)  # whether it has finished, before anything is made
     named, words = take_folders("pool", arguments.words)
-    made, config = make_plan(compose_sweep("retrieval", words), pool_kind().catalogue)
+    made, config = make_plan(compose_sweep("retrieval", words), read_catalogue)
     plan = pool_plan(made)
     pool = named[-1] if named else default_folder(plan)
     print(f"fitting the labelled vehicles of {counted(len(plan.tasks), 'scene')} into {pool}", flush=True)

@@ -35,12 +35,12 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.tables.stability import stability_lines
     from shift3d.processor import configure_runtime
     from shift3d.store.resolve import as_location
-    from shift3d.sweep.verification import verification_plan, verify_sweep
+    from shift3d.sweep.follow_up import solved_tasks, verify_sweep
 
     configure_runtime()
     folder = as_location(arguments.out)
     runner = runner_of(arguments.words, "verify")
-    plan = verification_plan(folder)
+    plan = solved_tasks(folder)
     print(f"verifying {counted(len(plan.tasks), 'task')} of {folder}", flush=True)
     result = verify_sweep(folder, plan, runner)
     if result.final is None:
