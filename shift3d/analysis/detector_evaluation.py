@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,6 +28,7 @@ from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
 from shift3d.evaluation.breakdown import breakdown
 from shift3d.evaluation.metrics import RANGES_M, Metric, evaluate
+from shift3d.progress_bar import progress_bar
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.options import StreetOptions
@@ -158,7 +158,8 @@ def evaluate_detector(
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
     found = answers_of(scene_names, out / "scenes", detect)
-    answers = list(_with_progress(found, len(scene_names), f"{name}, {workers} at a time"))
+    label = f"{name}, {workers} at a time"
+    answers = list(progress_bar(found, desc=label, total=len(scene_names), unit="scene", smoothing=0.1))
     return write_evaluation(name, scenes.dataset, answers, out)
 
 
@@ -188,12 +189,3 @@ def _claim(file: Path, spec: dict[str, object]) -> None:
     if file.exists() and file.read_bytes() != content:
         raise InputError("holds another evaluation", str(file.parent), "Give another out=, or remove the folder")
     write_atomic(file, content)
-
-
-def _with_progress(answers: Iterator[Answer], total: int, label: str) -> Iterator[Answer]:
-    from tqdm import tqdm
-
-    terminal = sys.stderr.isatty()
-    yield from tqdm(
-        answers, label, total, unit="scene", mininterval=0.2 if terminal else 15.0, dynamic_ncols=True, smoothing=0.1
-    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 import shift3d
 from shift3d.attack.objective import object_box
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.suite.choosing import Choice, Chosen, choose_solutions
@@ -160,17 +160,14 @@ def _objects(
 ) -> tuple[list[dict[str, Any]], dict[str, int], float | None]:
     """Rows of ``objects.parquet``, scene by scene, a control before what was made of it; what was left out; the
     largest difference of scores, None where every scene was there already."""
-    from tqdm import tqdm
-
     known = chosen.scores[chosen.scores["scored_by"] == chosen.scores["detector"]]
     keys = zip(known["task_id"], known["method"], known["replicate"], strict=True)
     freezing = _Freezing(plan, writing, dict(zip(keys, known["score"], strict=True)), chosen.controls)
-    slow = {} if sys.stderr.isatty() else {"mininterval": 15.0}
     objects: dict[str, dict[str, Any]] = {}
     left_out: Counter[str] = Counter()
     # Scene by scene, so that each is loaded once.
     scenes = chosen.hard.groupby(["dataset", "scene"], sort=True)
-    with tqdm(total=len(chosen.hard), desc="freezing", unit="object", dynamic_ncols=True, **slow) as progress:
+    with progress_bar(total=len(chosen.hard), desc="freezing", unit="object") as progress:
         for (dataset, scene), hard in scenes:
             for row in freezing.scene(f"{dataset}/{scene}", hard):
                 if row["role"] == _LEFT_OUT:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar
 from shift3d.scenes.facts import SceneFacts
 from shift3d.settings.catalogue.scene_cache import SceneEntry, keep_entry, kept_entry
 
@@ -61,23 +61,11 @@ def _look(scenes: SceneSet, names: Sequence[str], skip_bad: bool | None) -> list
 
     skip_bad: the error of one that cannot be read stands in its place.
     """
-    from tqdm import tqdm
-
-    terminal = sys.stderr.isatty()
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         try:
-            return list(
-                tqdm(
-                    threads.map(lambda name: _look_at(scenes, name, skip_bad), names),
-                    desc="looking at scenes",
-                    total=len(names),
-                    unit="scene",
-                    delay=1.0,  # nothing is shown of what is done at once
-                    dynamic_ncols=True,
-                    mininterval=0.2 if terminal else 15.0,
-                    file=sys.stderr,
-                )
-            )
+            work = threads.map(lambda name: _look_at(scenes, name, skip_bad), names)
+            # delay: nothing is shown of what is done at once
+            return list(progress_bar(work, desc="looking at scenes", total=len(names), unit="scene", delay=1.0))
         except BaseException:
             threads.shutdown(cancel_futures=True)
             raise
