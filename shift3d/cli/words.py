@@ -11,7 +11,7 @@ from shift3d.settings.folders import files
 
 if TYPE_CHECKING:
     from shift3d.cli.job_spec import JobSpec
-    from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
+    from shift3d.settings.schema.config import RunnerConfig
     from shift3d.store.location import Location
 
 
@@ -81,7 +81,7 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
     return [as_location(folder) for folder in named], [word for word in words if not word.startswith(f"{key}=")]
 
 
-def runner_of(words: Sequence[str], command: str) -> RayRunnerConfig | LocalRunnerConfig:
+def runner_of(words: Sequence[str], command: str) -> RunnerConfig:
     """The runner that overrides describe, from what conf/ has, for a command on what a sweep has found.
 
     Raises: InputError: another setting than the runner's; what was searched is taken as it is.

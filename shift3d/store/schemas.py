@@ -63,6 +63,8 @@ SEGMENTS = (
 )
 FOLLOW_UPS = ("verification", "vehicle_pool", "retrieved", "patterns")
 """Those that commands of their own make of a sweep that has finished."""
+SWEPT = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
+"""Those that a sweep itself makes."""
 # Computed from the plan and the scores when a sweep has finished.
 AGGREGATES = tuple(name for name in _FILE["tables"] if name not in SEGMENTS)
 _TYPES = {name: kind for name, (kind, _, _) in _COLUMNS.items()}

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import RunnerConfig
 from shift3d.signals import stop_signals
 from shift3d.store.location import Location
 from shift3d.store.log import CommitLog, TakenOverError
@@ -53,7 +53,6 @@ def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
     return positions[np.argsort(2 * runs + is_shape[template], kind="stable")]
 
 
-RunnerConfig = RayRunnerConfig | LocalRunnerConfig
 Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
 
 

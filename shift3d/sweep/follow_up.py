@@ -10,12 +10,12 @@ import numpy as np
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import RunnerConfig
 from shift3d.store.location import Location
 from shift3d.store.log_entries import Commit, read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.tables import read_table, write_table
-from shift3d.sweep.drive import SweepResult, run_sweep
+from shift3d.sweep.drive import Finish, SweepResult, run_sweep
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
@@ -23,9 +23,6 @@ from shift3d.sweep.results.final import FinalTables, check_segments, segments_in
 from shift3d.sweep.results.verified_scores import FOLDER
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.spec import TaskSpec
-
-RunnerConfig = RayRunnerConfig | LocalRunnerConfig
-Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
 
 
 def solved_tasks(folder: LocationLike) -> Plan:

@@ -10,10 +10,11 @@ import dataclasses
 import hashlib
 
 from shift3d.errors import InputError
+from shift3d.settings.schema.config import RunnerConfig
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.drive import SweepResult, run_sweep
-from shift3d.sweep.follow_up import RunnerConfig, follow_up, follow_up_kind, follow_up_tables, solved_tasks
+from shift3d.sweep.follow_up import follow_up, follow_up_kind, follow_up_tables, solved_tasks
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
 

@@ -230,6 +230,9 @@ class LocalRunnerConfig(Record):
     abort_share: Share | None
 
 
+RunnerConfig = RayRunnerConfig | LocalRunnerConfig
+
+
 class MlflowConfig(Record):
     """An MLflow store."""
 
@@ -258,7 +261,7 @@ class Config(Record):
     accuracy: AccuracyConfig
     effects: EffectsConfig
     naturalness: Annotated[NaturalnessConfig, Field(discriminator="kind")]
-    runner: Annotated[RayRunnerConfig | LocalRunnerConfig, Field(discriminator="kind")]
+    runner: Annotated[RunnerConfig, Field(discriminator="kind")]
     tracking: Annotated[MlflowConfig | NoTrackingConfig, Field(discriminator="kind")]
     size: Literal["full", "small"] = "full"
     mode: Literal["shape", "pose", "shape_pose"]

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import LocalRunnerConfig, RunnerConfig
 from shift3d.sweep.execution.backlog import BatchSizer
 from shift3d.sweep.execution.worker import BatchOutcome, Running, Worker
 from shift3d.sweep.planning.kind import TaskKind, reproduce_command
@@ -82,7 +82,7 @@ class LocalRunner:
 def make_runner(
     kind: TaskKind,
     plan: Plan,
-    config: RayRunnerConfig | LocalRunnerConfig,
+    config: RunnerConfig,
     tasks_left: int,
     tried: dict[int, int] | None = None,
 ) -> Runner:

@@ -20,7 +20,7 @@ from shift3d.methods import METHODS_OF_MODE
 from shift3d.store.log import committed_rows
 from shift3d.store.log_entries import Commit
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SEGMENTS
+from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SWEPT
 from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import TaskGroup
@@ -30,9 +30,6 @@ from shift3d.sweep.results.verified_scores import read_verification, with_verifi
 
 if TYPE_CHECKING:
     import pandas as pd
-
-# The others come from commands of their own, and lie in folders of their own.
-_KEPT = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
 
 _PLAN_GROUP = GROUP_COLUMNS[:11]  # what a task alone determines, and the detector that scores it
 
@@ -55,7 +52,7 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     Raises: InputError: a segment is missing, torn or of another length than was committed; the disk is full.
     """
     folder = as_location(folder)
-    tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in _KEPT}
+    tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in SWEPT}
     if (verification := read_verification(folder)) is not None:
         tables["scores"] = with_verification(tables["scores"], verification)
         tables["verification"] = verification
@@ -86,7 +83,7 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
 
 def check_segments(folder: LocationLike, entries: Sequence[Commit]) -> None:
     """Read what `write_final` would read, before work that ends with it. Raises: InputError as it does."""
-    for name in _KEPT:
+    for name in SWEPT:
         committed_rows(folder, entries, name)
 
 

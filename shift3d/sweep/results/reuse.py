@@ -16,11 +16,10 @@ from shift3d.errors import InputError
 from shift3d.store.log import CommitLog, committed_rows
 from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike
-from shift3d.store.schemas import FOLLOW_UPS, SEGMENTS
+from shift3d.store.schemas import SWEPT
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.spec_file import read_spec
 
-_TABLES = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
 _TASKS_A_COMMIT = 100_000
 
 
@@ -44,7 +43,7 @@ def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
     wanted = np.flatnonzero(there & here)
     if not len(wanted):
         return 0
-    tables = {name: _renamed(committed_rows(other, entries, name), plan.sweep) for name in _TABLES}
+    tables = {name: _renamed(committed_rows(other, entries, name), plan.sweep) for name in SWEPT}
     for start in range(0, len(wanted), _TASKS_A_COMMIT):
         ids = plan.tasks.ids.take(pa.array(wanted[start : start + _TASKS_A_COMMIT]))
         own = {name: table.filter(pc.is_in(table["task_id"], value_set=ids)) for name, table in tables.items()}
