@@ -23,11 +23,11 @@ import torch
 from torch import Tensor
 
 from shift3d.geometry.se3 import object_from_scene, scene_R_object
-from shift3d.render.beams import Beams
+from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.culling import Rays, object_rays, rows_of
 from shift3d.render.field.linearization import Linearization, linearize
 from shift3d.render.field.object_field import ObjectField
-from shift3d.render.rendering import FirstHits, GrazingShare
+from shift3d.render.rendering import GrazingShare
 from shift3d.render.solvers.corrector import NEWTON_SLOPE
 
 _POLISH_M = 0.002

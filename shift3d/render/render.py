@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render.beams import Beams
+from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.field.sdf_grid import SdfGrid, vehicle_size
 from shift3d.render.implicit import surface_points, wants_gradient
-from shift3d.render.rendering import FirstHits, Rendering
+from shift3d.render.rendering import Rendering
 from shift3d.render.settings import STANDARD, RenderSettings
 from shift3d.render.solvers import paper, piecewise_linear, search, sphere_tracing
 from shift3d.render.solvers.search import WarmStart

@@ -28,8 +28,9 @@ from extreme_cases import SETTINGS, Case, along_beam, decoders, distance_m, make
 from torch import Tensor
 
 from shift3d.render import Beams, render
+from shift3d.render.beams import FirstHits
 from shift3d.render.field.object_field import ObjectField
-from shift3d.render.rendering import FirstHits, Rendering
+from shift3d.render.rendering import Rendering
 from shift3d.render.solvers import search, sphere_tracing
 
 PATIENCE_S = 20.0

@@ -18,13 +18,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from shift3d.render.beams import Beams
+from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.culling import Rays, rays_in_box, rows_of
 from shift3d.render.field.bounding_box import VerifiedBox, verified_box
 from shift3d.render.field.linearization import Linearization
 from shift3d.render.field.object_field import LiveUnits, ObjectField, either
 from shift3d.render.field.sdf_grid import SdfGrid
-from shift3d.render.rendering import FirstHits
 from shift3d.render.settings import RenderSettings
 from shift3d.render.solvers.corrector import correct, predict
 from shift3d.render.solvers.ray_samples import RaySamples

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from shift3d.render.beams import Beams
+from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.culling import Rays, rays_in_box
 from shift3d.render.field.bounding_box import verified_box
 from shift3d.render.field.object_field import ObjectField
-from shift3d.render.rendering import FirstHits
 from shift3d.render.settings import RenderSettings
 from shift3d.render.solvers.ray_samples import RaySamples
 from shift3d.render.solvers.roots import find_roots
