@@ -22,7 +22,8 @@ class StepRecord:
     least_slope: smallest |e . grad g| of this step's hits, infinite where no gradient was taken. non_finite: NaN and
     infinities among the moved points, the proposals, the loss and the gradient; 0 by construction. within_budget: False
     for a shape that was found to lie beyond the budget of naturalness, see `trials.Search.natural`.
-    milliseconds: by stage (render, detector, backward, constraints).
+    milliseconds: by stage (placement, render, detector, constraints, backward, naturalness), over every place that
+    the loss is the mean over.
     """
 
     step: int

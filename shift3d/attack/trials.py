@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -104,24 +105,29 @@ class Trials:
         A loss that does not depend on the variable (no hit, no overlapping proposal) has the gradient 0.
         """
         variable = variable.detach().clone().requires_grad_(self._differentiable)
+        start = time.perf_counter()
         code, theta = self._search.parameters(variable)
+        spent: dict[str, float] = defaultdict(float, placement=1e3 * (time.perf_counter() - start))
         penalty = self._search.penalty(variable)
         poses = [(0, theta), *((0, theta + shift) for shift in shifts)]
         poses += [(index, place.stands(code)) for index, place in enumerate(self._places) if index]
         losses: list[Tensor] = []
-        gradient, spent_ms, first = None, 0.0, None
+        gradient, first = None, None
         for number, (index, pose) in enumerate(poses):
             problem = self._places[index].problem
             measured = measure(problem, code, pose, self._warm[index], incremental=self._incremental[index])
             if index or first is None:  # a shifted pose is no place to start from
                 self._warm[index] = measured.rendering.warm
             first = first or measured
+            for stage, milliseconds in measured.milliseconds.items():
+                spent[stage] += milliseconds
             losses.append(measured.adversarial + penalty)
             if with_gradient:
                 part, part_ms = _gradient(losses[-1], variable, 1.0 / len(poses), more=number < len(poses) - 1)
-                gradient, spent_ms = part if gradient is None else gradient + part, spent_ms + part_ms
+                gradient = part if gradient is None else gradient + part
+                spent["backward"] += part_ms
         assert first is not None
-        record = self._with_budget(self._record(code, theta, losses, gradient, first, spent_ms), code, variable)
+        record = self._with_budget(self._record(code, theta, losses, gradient, first, spent), code, variable)
         self.trace.append(record)
         self.variables.append(variable.detach())
         self._tried.append((self._problem.vehicle, code.detach().clone(), theta.detach().clone()))
@@ -144,7 +150,10 @@ class Trials:
         if record.step == 0 or not record.valid or not (lowest or self._every_step):
             return record
         if self._search.natural is not None:
-            record = replace(record, within_budget=self._search.natural(code.detach()))
+            start = time.perf_counter()
+            within = self._search.natural(code.detach())
+            spent = {"naturalness": 1e3 * (time.perf_counter() - start)}
+            record = replace(record, within_budget=within, milliseconds=record.milliseconds | spent)
         if record.valid and lowest:
             self._lowest, self.held = record.loss, variable.detach()
         return record
@@ -156,7 +165,7 @@ class Trials:
         losses: Sequence[Tensor],
         gradient: Tensor | None,
         measured: Measurement,
-        backward_ms: float,
+        spent: Mapping[str, float],
     ) -> StepRecord:
         rendering = measured.rendering
         loss = torch.stack([loss.detach() for loss in losses]).mean() if len(losses) > 1 else losses[0].detach()
@@ -175,7 +184,7 @@ class Trials:
             least_slope=rendering.grazing.least_slope,
             non_finite=measured.non_finite
             + sum(count_non_finite(part) for part in (loss, gradient) if part is not None),
-            milliseconds={**measured.milliseconds, "backward": backward_ms},
+            milliseconds=dict(spent),
         )
 
 

@@ -9,8 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-__all__ = ["BevWindow", "Detections", "Detector", "Proposals"]
-
 
 @dataclass(frozen=True)
 class BevWindow:
@@ -70,11 +68,7 @@ class Detector(Protocol):
         ...
 
     def detect(
-        self,
-        points: Tensor,
-        window: BevWindow | None = None,
-        score_threshold: float = 0.1,
-        iou_threshold: float = 0.25,
+        self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
     ) -> Detections:
         """Boxes after rotated suppression. Not differentiable."""
         ...

@@ -16,8 +16,6 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow
 
-__all__ = ["WAYMO_GRID", "Grid", "Pillars", "assign_pillars", "cells_of", "full_window"]
-
 
 @dataclass(frozen=True)
 class Grid:

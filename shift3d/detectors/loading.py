@@ -13,8 +13,6 @@ from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
-__all__ = ["detector_of", "load_detector"]
-
 
 def load_detector(
     name: str = "pointpillars", path: Path | str | None = None, precision: Precision = "float32"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-__all__ = ["DETECTOR_NAMES", "FOREIGN", "ONNX", "OWN", "DetectorName", "ForeignName", "TrainedName"]
-
 TrainedName = Literal["pointpillars", "centerpoint", "sst", "sst_small"]
 ForeignName = Literal["openpcdet", "mmdet3d"]
 DetectorName = Literal[TrainedName, ForeignName, "own", "onnx"]

@@ -10,19 +10,13 @@ from torch import Tensor
 from shift3d.detectors.base import Detections, Proposals
 from shift3d.geometry.iou import iou_bev
 
-__all__ = ["rotated_nms", "suppress"]
-
 MAX_BEFORE_NMS = 4096
 
 Array = npt.NDArray[np.float64]
 
 
 def rotated_nms(
-    boxes: Array,
-    scores: Array,
-    iou_threshold: float,
-    max_kept: int = 500,
-    until: npt.NDArray[np.bool_] | None = None,
+    boxes: Array, scores: Array, iou_threshold: float, max_kept: int = 500, until: npt.NDArray[np.bool_] | None = None
 ) -> npt.NDArray[np.int64]:
     """Indices of the boxes kept, best score first; equal scores keep the lower index first.
 

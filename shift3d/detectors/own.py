@@ -26,8 +26,6 @@ from shift3d.detectors.names import OWN
 from shift3d.detectors.nms import suppress
 from shift3d.errors import InputError
 
-__all__ = ["OwnDetector", "load_own"]
-
 Model = Callable[[Tensor], Any]
 
 _WHOLE = BevWindow(0, 0, 1, 1, 0, 0, 1, 1)
@@ -64,11 +62,7 @@ class OwnDetector:
         return Proposals(boxes.detach().float(), logits, torch.arange(len(logits)))
 
     def detect(
-        self,
-        points: Tensor,
-        window: BevWindow | None = None,
-        score_threshold: float = 0.1,
-        iou_threshold: float = 0.25,
+        self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
     ) -> Detections:
         """See `Detector`."""
         with torch.no_grad():
@@ -80,9 +74,8 @@ def load_own(module: Path, weights: Path | None, precision: Precision = "float32
 
     precision: "float64" makes the parameters of a torch module float64; the others leave them as they are.
 
-    Raises:
-        InputError: naming the file and its line: it is missing, fails, has no ``load``, or the model's answer is not
-            what `OwnDetector` says, differs between two calls, or does not depend on the points differentiably.
+    Raises InputError: naming the file and its line: it is missing, fails, has no ``load``, or the model's answer is not
+    what `OwnDetector` says, differs between two calls, or does not depend on the points differentiably.
     """
     if not module.is_file():
         raise InputError("no such file", str(module), "Give detector.module=FILE.py")

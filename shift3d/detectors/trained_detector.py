@@ -20,8 +20,6 @@ from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.nms import suppress
 from shift3d.errors import InputError
 
-__all__ = ["TrainedDetector"]
-
 
 class TrainedDetector:
     """A trained network for inference on CPU.
@@ -110,11 +108,7 @@ class TrainedDetector:
         return IncrementalPillars(net, self._cells, window, self.proposals, self._proposals)
 
     def detect(
-        self,
-        points: Tensor,
-        window: BevWindow | None = None,
-        score_threshold: float = 0.1,
-        iou_threshold: float = 0.25,
+        self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
     ) -> Detections:
         """Boxes after suppression, best first; at most 4096 before and 500 after. Not differentiable.
 

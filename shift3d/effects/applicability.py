@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from shift3d.effects.base import DetectorFacts, Effect
     from shift3d.render.field.object_field import VehicleFrame
 
-__all__ = ["MEASURED_IMPACT", "NEEDS", "Choice", "MeasuredImpact", "choose", "effect_named"]
-
 MEASURED_IMPACT = Path(__file__).resolve().parent / "measured" / "effects.json"
 """The impact of each effect as measured by `sweeps/effects.yaml`."""
 IMPACT_BOUND = 0.01
@@ -75,9 +73,7 @@ NEEDS: Mapping[str, Need] = {
         "Give effects.limit_range_m",
     ),
     "range_noise": Need(
-        lambda scene: scene.sensor.range_noise_m is not None,
-        "it states no range noise",
-        "Give effects.range_noise_m",
+        lambda scene: scene.sensor.range_noise_m is not None, "it states no range noise", "Give effects.range_noise_m"
     ),
 }
 """Every effect by its name, in the order of the physics, with the data without which it means nothing."""
@@ -114,18 +110,14 @@ class Choice:
 
 
 def choose(
-    wanted: str | Sequence[str],
-    scene: SceneFacts,
-    vehicle: VehicleFrame,
-    detector: DetectorFacts,
+    wanted: str | Sequence[str], scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts
 ) -> list[Choice]:
     """Effects for a scene, in their order; those that the scene has no data for are not mentioned.
 
     Args:
         wanted: "auto", "none", or names: these are used whether the scene calls for them or not.
 
-    Raises:
-        InputError: an unknown name; an effect that the scene has no data for.
+    Raises InputError: an unknown name; an effect that the scene has no data for.
     """
     if wanted == "auto":
         return _applicable(scene, vehicle, detector)

@@ -27,8 +27,6 @@ from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Scene
 from shift3d.seeding import generator
 
-__all__ = ["Cast", "DetectorFacts", "Effect", "EffectContext", "Insertion", "Returns"]
-
 
 @dataclass(frozen=True)
 class DetectorFacts:

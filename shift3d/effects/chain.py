@@ -24,8 +24,6 @@ from shift3d.render.solvers.search import WarmStart
 from shift3d.scenes.facts import EffectSettings, with_settings
 from shift3d.scenes.scene import Scene
 
-__all__ = ["NO_RETURN_M", "SCENE_ALBEDO", "EffectChain"]
-
 NO_RETURN_M = 1e4
 """Where rows rest that bring nothing back, along their beam: beyond every detector's grid, so that the number and the
 order of rows never change (incremental inference and files rely on it)."""

@@ -18,8 +18,6 @@ from shift3d.render.implicit import cosine_of_incidence
 from shift3d.render.render import render
 from shift3d.scenes.facts import SceneFacts
 
-__all__ = ["EFFECT", "LEAST_FOOTPRINT_M", "PLACEMENT_LIMIT_M", "PULSE_M", "SUB_RAY_SHARE", "Divergence", "strongest"]
-
 PULSE_M = 0.75
 """Echoes of one beam nearer to each other than this merge: c t / 2 of a pulse of 5 ns (our choice)."""
 SUB_RAY_SHARE = 2.0 / 3.0

@@ -26,8 +26,6 @@ from shift3d.effects.physics.power import (
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
-__all__ = ["EFFECT", "PULSE_S", "Fog", "SoftEcho", "backscatter_per_m", "extinction_per_m", "soft_echo"]
-
 PULSE_S = 20e-9
 """tau, half the length of the sin^2 pulse: its width at half height."""
 TARGET_REFLECTIVITY = 1e-6

@@ -14,8 +14,6 @@ from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import NoReturnBeams
 
-__all__ = ["EFFECT", "NoReturnCast"]
-
 
 class NoReturnCast:
     """Rows after the scene's points, one for each beam without a return, in the order of `Scene.no_return`.

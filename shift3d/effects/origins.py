@@ -9,8 +9,6 @@ from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
-__all__ = ["EFFECT", "Origins"]
-
 
 class Origins:
     """Every beam starts where its own sensor, or its own pixel's pose, was: `Scene.origins`, row by row.

@@ -18,8 +18,6 @@ from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import SensorModel
 
-__all__ = ["EFFECT", "Crossings", "Particles", "Precipitation", "Rain", "crossings", "drops", "extra_noise_m"]
-
 EXIT_M, DIVERGENCE_RAD = 0.01, 2e-3
 """Width of a beam where it leaves the sensor, and its full angle where the sensor states none (our choice: HDL-64E)."""
 DROP_ALBEDO = 0.024
@@ -119,8 +117,7 @@ class Crossings:
         Args:
             power, range_m: (K,) to outdo, and where to stop. arrival: (K,) the draws E.
 
-        Returns:
-            (K,) metres; infinite where there is none.
+        Returns: (K,) metres; infinite where there is none.
         """
         row = _index(power, _LEAST_POWER, _MOST_POWER, _POWERS)
         stop = _index(range_m, OVERLAP_FROM_M, _FAR_M, _RANGES)

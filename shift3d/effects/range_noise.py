@@ -10,8 +10,6 @@ from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, Re
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
-__all__ = ["EFFECT", "LEAST_NOISE_M", "RangeNoise"]
-
 LEAST_NOISE_M = 2e-6
 """Noise below this is lost in what points are stored in: half a step of float32 at 50 m (our choice)."""
 

@@ -14,8 +14,6 @@ from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import SensorModel
 
-__all__ = ["EFFECT", "FAR_M", "LEAST_LOSS", "STEEP_RAD", "RayDrop"]
-
 FAR_M = 50.0
 """Far end of the placements (the paper's 15 to 50 m): no object is farther."""
 STEEP_RAD = math.radians(80.0)

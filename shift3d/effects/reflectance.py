@@ -10,8 +10,6 @@ from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, Re
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
-__all__ = ["EFFECT", "Reflectance"]
-
 
 class Reflectance:
     """albedo * cosine of incidence, on the object's rows.

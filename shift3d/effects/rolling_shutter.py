@@ -15,8 +15,6 @@ from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.labels import Conditions
 
-__all__ = ["ASSUMED_NOISE_M", "EFFECT", "RollingShutter", "relative_velocity"]
-
 ASSUMED_NOISE_M = 0.02
 """Range noise of a sensor that states none. Our choice: what data sheets of spinning sensors give."""
 

@@ -12,8 +12,6 @@ from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Scene
 
-__all__ = ["EFFECT", "SecondReturns", "beam_numbers"]
-
 _NONE_YET = 256
 """More than any return number, which is a uint8."""
 

@@ -8,8 +8,6 @@ from shift3d.effects.rain import Particles, Precipitation
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
-__all__ = ["EFFECT", "Snow", "flakes"]
-
 FLAKE_WIDTH = 1.5
 """Of a flake over the drop that it melts to, as a disc without holes (our choice: 1 mm/h then gives a visibility of
 0.9 km and 2.5 mm/h of 0.6 km, where weather services set the bounds of moderate snow, 1 km and 0.5 km)."""

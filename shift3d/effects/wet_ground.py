@@ -14,8 +14,6 @@ from shift3d.effects.physics.power import PowerLimit, echo_power, unchanged
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
-__all__ = ["EFFECT", "GROUND_BAND_M", "WATER_INDEX", "WetGround", "reflected", "trapped", "wet_albedo"]
-
 WATER_INDEX = 1.33
 GROUND_BAND_M = 0.3
 """Height about the nominal ground within which a point is taken for ground."""

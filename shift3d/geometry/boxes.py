@@ -20,8 +20,7 @@ def validate_boxes(boxes: NDArray[np.floating], where: str) -> None:
         boxes: (N, 7).
         where: named in the error.
 
-    Raises:
-        InputError: naming the first offending row and column.
+    Raises InputError: naming the first offending row and column.
     """
     if boxes.ndim != 2 or boxes.shape[1] != 7:
         raise InputError(f"boxes must be (N, 7), not {boxes.shape}", where, "Give x, y, z, dx, dy, dz, heading.")
@@ -68,8 +67,7 @@ def points_in_boxes(
         boxes: (M, 7).
         margin_m: each face is moved outwards by this much.
 
-    Returns:
-        (M, N) bool; points on a face are inside.
+    Returns: (M, N) bool; points on a face are inside.
     """
     points = np.asarray(points)
     inside = np.zeros((len(boxes), len(points)), dtype=np.bool_)

@@ -79,8 +79,7 @@ def iou_bev(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float:
     Args:
         a: (N, 7) boxes; b: (M, 7) boxes, same frame.
 
-    Returns:
-        (N, M) float64 in [0, 1]. Boxes without area overlap nothing (0, never NaN).
+    Returns: (N, M) float64 in [0, 1]. Boxes without area overlap nothing (0, never NaN).
     """
     a, b = _as_boxes(a), _as_boxes(b)
     result = np.zeros((len(a), len(b)))

@@ -10,16 +10,6 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 
-__all__ = [
-    "from_quaternion",
-    "heading_of",
-    "interpolated",
-    "inverse",
-    "moved",
-    "rotation_of_angles",
-    "validate_rigid",
-]
-
 Float = NDArray[np.float64]
 
 _TOLERANCE = 1e-3  # of R Rᵀ: published matrices and quaternions are float32, or rounded to six digits
@@ -28,8 +18,7 @@ _TOLERANCE = 1e-3  # of R Rᵀ: published matrices and quaternions are float32, 
 def from_quaternion(wxyz: NDArray[np.floating], translation_m: NDArray[np.floating], where: str) -> Float:
     """Quaternions (..., 4), scalar first, and translations (..., 3), metres, as (..., 4, 4).
 
-    Raises:
-        InputError: a quaternion whose length differs from 1 by more than a thousandth, or NaN.
+    Raises InputError: a quaternion whose length differs from 1 by more than a thousandth, or NaN.
     """
     q, t = np.asarray(wxyz, np.float64), np.asarray(translation_m, np.float64)
     length = np.linalg.norm(q, axis=-1)
@@ -62,8 +51,7 @@ def rotation_of_angles(roll: NDArray[np.floating], pitch: NDArray[np.floating], 
 def validate_rigid(dst_SE3_src: Float, where: str) -> None:
     """Refuse what is no rotation with a translation.
 
-    Raises:
-        InputError: NaN, a mirror image, or axes that are not at right angles and of length 1.
+    Raises InputError: NaN, a mirror image, or axes that are not at right angles and of length 1.
     """
     rotation = dst_SE3_src[:3, :3]
     with np.errstate(invalid="ignore", over="ignore"):

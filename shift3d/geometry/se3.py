@@ -21,8 +21,7 @@ def scene_R_object(pose: Tensor) -> Tensor:
     Args:
         pose: (6,) x, y, z in metres, yaw, pitch, roll in radians.
 
-    Returns:
-        (3, 3) rotation Rz(yaw) Ry(pitch) Rx(roll), dtype of ``pose``.
+    Returns: (3, 3) rotation Rz(yaw) Ry(pitch) Rx(roll), dtype of ``pose``.
 
     Differentiable with respect to ``pose`` (its translation does not enter).
     Source: SHIFT3D supplement, Pose Transformation; sense of the angles: our choice, see the module.

@@ -230,11 +230,7 @@ def _near(beams: Beams, theta: Tensor, size: Tensor) -> Tensor:
 
 
 def pose_on_plane(
-    xy: tuple[float, float],
-    yaw: float,
-    height_m: float,
-    attitude: tuple[float, float],
-    object_height_m: float,
+    xy: tuple[float, float], yaw: float, height_m: float, attitude: tuple[float, float], object_height_m: float
 ) -> Tensor:
     """(6,) float64 pose whose box stands with the middle of its bottom on a plane of this height and attitude."""
     pitch, roll = attitude

@@ -16,8 +16,6 @@ from shift3d.render.beams import Beams
 from shift3d.render.culling import clip_to_box, object_rays
 from shift3d.scenes.ground_map import GroundMap
 
-__all__ = ["Survey", "survey"]
-
 CAR_SIZE_M = (4.5, 1.8, 1.5)
 FREE = "free"
 

@@ -10,8 +10,6 @@ import numpy as np
 from shift3d.scenes.scene import Scene
 from shift3d.wording import counted
 
-__all__ = ["scene_lines"]
-
 
 def scene_lines(scene: Scene) -> list[str]:
     """``name: value`` lines of what a scene has, and of what it lacks."""

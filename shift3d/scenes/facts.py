@@ -12,8 +12,6 @@ from shift3d.scenes.labels import Conditions
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import SensorModel
 
-__all__ = ["EffectSettings", "SceneFacts", "with_settings"]
-
 
 @dataclass(frozen=True)
 class EffectSettings:
@@ -38,11 +36,7 @@ class EffectSettings:
     object_speed_m_s: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no scene can be.
-
-        Raises:
-            InputError: naming the setting and the remedy.
-        """
+        """Refuse what no scene can be. Raises InputError: naming the setting and the remedy."""
         for name, value in self.overrides().items():
             least, strictly = (-1e3, False) if name == "object_speed_m_s" else (0.0, name in _POSITIVE)
             if not np.isfinite(value) or value < least or (strictly and value == 0.0):

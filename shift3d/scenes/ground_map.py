@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 
-__all__ = ["GroundMap", "estimate_ground_z", "search_ground_z"]
-
 _NEAR_M, _FAR_M = 4.0, 12.0
 _BAND_M, _LAYER_M, _REFINED_M = 0.35, 0.05, 0.15
 _FEWEST = 500

@@ -54,16 +54,13 @@ class Labels:
         Args:
             where: the scene, named in the error.
 
-        Raises:
-            InputError: naming the field, the row and the remedy.
+        Raises InputError: naming the field, the row and the remedy.
         """
         validate_boxes(self.boxes, f"{where}, labels.boxes")
         count = len(self.boxes)
         if len(self.classes) != count:
             raise InputError(
-                f"{len(self.classes)} classes for {count} boxes",
-                f"{where}, labels.classes",
-                "Give one class a box.",
+                f"{len(self.classes)} classes for {count} boxes", f"{where}, labels.classes", "Give one class a box."
             )
         if self.names and len(self.names) != count:
             raise InputError(
@@ -115,11 +112,7 @@ class Conditions:
     motion_compensated: bool = True
 
     def validate(self, where: str) -> None:
-        """Refuse conditions out of range.
-
-        Raises:
-            InputError: naming the field and the remedy.
-        """
+        """Refuse conditions out of range. Raises InputError: naming the field and the remedy."""
         if self.weather not in WEATHERS:
             raise InputError(
                 f"unknown weather {self.weather!r}",
@@ -132,13 +125,9 @@ class Conditions:
                 raise InputError(f"{rate} mm/h", f"{where}, conditions.{name}", "Give a finite rate of at least 0.")
         if not self.visibility_m > 0.0:
             raise InputError(
-                f"{self.visibility_m} m",
-                f"{where}, conditions.visibility_m",
-                "Give a positive distance (inf: clear).",
+                f"{self.visibility_m} m", f"{where}, conditions.visibility_m", "Give a positive distance (inf: clear)."
             )
         if self.ego_velocity_m_s is not None and not np.isfinite(self.ego_velocity_m_s).all():
             raise InputError(
-                f"{self.ego_velocity_m_s}",
-                f"{where}, conditions.ego_velocity_m_s",
-                "Give finite numbers, or None.",
+                f"{self.ego_velocity_m_s}", f"{where}, conditions.ego_velocity_m_s", "Give finite numbers, or None."
             )

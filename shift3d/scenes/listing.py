@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.store.location import Location
 
-__all__ = ["UNITS_REMEDY", "chosen", "first_few", "names_in", "require_metres"]
-
 UNITS_REMEDY = "Convert the file: coordinates and ranges are metres, angles radians"
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
 
@@ -33,8 +31,7 @@ def names_in(folder: Location) -> list[str]:
 def chosen(found: Sequence[str], names: Sequence[str] | None, where: str) -> list[str]:
     """The names asked for, in the order asked; None: all that were found.
 
-    Raises:
-        InputError: a name that was not found, or nothing at all.
+    Raises InputError: a name that was not found, or nothing at all.
     """
     known = set(found)
     for name in names or ():
@@ -50,8 +47,7 @@ def require_metres(ranges_m: NDArray[np.floating], where: str) -> None:
     """Refuse ranges (N,) > 0 that are no metres of a road scene: NaN, kilometres away, or the median below 0.5 m or
     beyond 150 m, as of centimetres, millimetres and kilometres.
 
-    Raises:
-        InputError: naming the first row, or the median. Source: our choice of the bounds.
+    Raises InputError: naming the first row, or the median. Source: our choice of the bounds.
     """
     if not len(ranges_m):
         raise InputError("no point with a positive range", where, "Use another frame")

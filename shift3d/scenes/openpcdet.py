@@ -18,8 +18,6 @@ from shift3d.scenes.scene import Labels, Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
-__all__ = ["OpenPcdetScenes", "class_of"]
-
 _CLASSES = {
     "vehicle": "vehicle car van truck bus trailer construction_vehicle",
     "pedestrian": "pedestrian person",
@@ -51,8 +49,7 @@ class OpenPcdetScenes:
     there are four columns or more, reflectance. A label is ``x y z dx dy dz heading class``: geometric centre, heading
     counter-clockwise from +x.
 
-    Raises:
-        InputError: no folder points/, no file of the split, or a frame that it lists and nobody has.
+    Raises InputError: no folder points/, no file of the split, or a frame that it lists and nobody has.
     """
 
     dataset = "openpcdet"
@@ -90,11 +87,7 @@ class OpenPcdetScenes:
         return list(self._names)
 
     def load(self, name: str) -> Scene:
-        """One frame.
-
-        Raises:
-            InputError: naming the file, the line or row, and the remedy.
-        """
+        """One frame. Raises InputError: naming the file, the line or row, and the remedy."""
         if name not in self._names:
             raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._names)}")
         file = self.root / "points" / f"{name}.npy"

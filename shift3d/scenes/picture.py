@@ -70,14 +70,7 @@ def draw_view(
     height = (scene.points[front][:, 2] - scene.ground_z_m)[order]
     size = point_size * np.clip(25.0 / depth[front][order], 0.3, 3.0) ** 2
     axes.scatter(
-        image[front][order, 0],
-        image[front][order, 1],
-        s=size,
-        c=height,
-        cmap="viridis_r",
-        vmin=-0.5,
-        vmax=3,
-        lw=0,
+        image[front][order, 0], image[front][order, 1], s=size, c=height, cmap="viridis_r", vmin=-0.5, vmax=3, lw=0
     )
     for box, name in zip(scene.labels.boxes, scene.labels.classes, strict=True):
         corners, far = _project(corners_3d(box[None])[0], eye, camera)

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["MOST_RAW", "full_reflectance"]
-
 MOST_RAW = 1e5
 """Largest number that stands for full reflectance in any sensor's files."""
 STRAY_SHARE = 0.05
@@ -31,9 +29,8 @@ def full_reflectance(
     Args:
         values: (N,) of one file, finite. where: the file, for errors. remedy: what to do where no scale fits.
 
-    Raises:
-        InputError: a maximum out of range; more than `STRAY_SHARE` of the values not on that scale, or on none:
-            naming file and row.
+    Raises InputError: a maximum out of range; more than `STRAY_SHARE` of the values not on that scale, or on none:
+    naming file and row.
 
     Source: our choice; mixed scales turned whole frames into fog in a public simulator.
     """

@@ -67,9 +67,8 @@ class Scene:
     def validate(self) -> None:
         """Refuse a scene that cannot be rendered into.
 
-        Raises:
-            InputError: naming scene, field, row and remedy. Checked are: shapes and dtypes of every field, NaN
-                and infinite values, at least one point with a beam, labels and conditions.
+        Raises InputError: naming scene, field, row and remedy. Checked are: shapes and dtypes of every field, NaN and
+        infinite values, at least one point with a beam, labels and conditions.
         """
         where = f"scene {self.scene_id}"
         if not self.scene_id or not self.dataset:

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 
-__all__ = ["NoReturnBeams", "SensorModel"]
-
 
 @dataclass(frozen=True)
 class SensorModel:
@@ -31,11 +29,7 @@ class SensorModel:
     power_spread: float = 0.0
 
     def validate(self, where: str) -> None:
-        """Refuse what no sensor has.
-
-        Raises:
-            InputError: naming the field and the remedy.
-        """
+        """Refuse what no sensor has. Raises InputError: naming the field and the remedy."""
         for name, most in (("range_noise_m", 10.0), ("divergence_rad", 0.1), ("limit_range_m", 1e5)):
             value = getattr(self, name)
             if value is not None and not 0.0 < value <= most:
@@ -62,11 +56,7 @@ class NoReturnBeams:
         return len(self.directions)
 
     def validate(self, where: str) -> None:
-        """Refuse beams without a direction.
-
-        Raises:
-            InputError: naming the field, the row and the remedy.
-        """
+        """Refuse beams without a direction. Raises InputError: naming the field, the row and the remedy."""
         count = len(self.directions)
         for name, values, shape in (
             ("origins", self.origins, (count, 3)),

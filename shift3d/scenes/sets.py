@@ -40,11 +40,7 @@ class SceneSet(Protocol):
         ...
 
     def load(self, name: str) -> Scene:
-        """The validated scene of a name.
-
-        Raises:
-            InputError: for an unknown name or a bad frame.
-        """
+        """The validated scene of a name. Raises InputError: for an unknown name or a bad frame."""
         ...
 
     def configured(self, name: str) -> tuple[str, SceneFacts] | None:
@@ -67,8 +63,7 @@ class StreetScenes:
         start: first index.
         options: what scenes state and show beyond that; off by default.
 
-    Raises:
-        InputError: for an unknown sensor or split, a count below 1, or held-out traffic on split train.
+    Raises InputError: for an unknown sensor or split, a count below 1, or held-out traffic on split train.
     """
 
     placement_sector_rad = (0.0, float(np.pi))
@@ -87,9 +82,7 @@ class StreetScenes:
                 raise InputError(f"unknown {field} {value!r}", "street scenes", f"Choose from {', '.join(choices)}.")
         if count < 1 or start < 0 or seed < 0:
             raise InputError(
-                f"count={count}, start={start}, seed={seed}",
-                "street scenes",
-                "Give count >= 1, start >= 0, seed >= 0.",
+                f"count={count}, start={start}, seed={seed}", "street scenes", "Give count >= 1, start >= 0, seed >= 0."
             )
         check_traffic(options.traffic, split)
         self.sensor, self.seed, self.count, self.split, self.start = sensor, seed, count, split, start

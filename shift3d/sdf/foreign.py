@@ -15,8 +15,6 @@ from shift3d.sdf.decoder import Decoder, decoder_from_tensors
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork, NetworkSpecs
 from shift3d.sdf.tensors import LARGEST_INPUT, check_magnitude, checked_tensors, described, is_plain
 
-__all__ = ["Experiment", "experiment_files", "load_experiment", "load_foreign_decoder"]
-
 _NETWORK = "deep_sdf_decoder"
 _LAYOUT = "Give a folder in the original DeepSDF layout"
 _KNOWN_SPECS = {

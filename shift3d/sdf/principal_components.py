@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
-__all__ = ["principal_components"]
-
 Array = NDArray[np.float64]
 
 

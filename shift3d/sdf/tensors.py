@@ -14,8 +14,6 @@ from torch import Tensor, nn
 
 from shift3d.errors import InputError
 
-__all__ = ["LARGEST_INPUT", "check_magnitude", "checked_tensors", "described", "is_plain", "without_subnormals"]
-
 LARGEST_INPUT = 100.0
 """Of a code's entries and of coordinates in the unit sphere: trained codes stay below 1."""
 _LARGEST_VALUE = 1e30

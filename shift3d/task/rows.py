@@ -102,8 +102,12 @@ class Rows:
             shares = [step.grazing_gradient for step in steps if step.grazing_gradient is not None]
             share = math.fsum(shares) / len(shares) if shares else None
             self._descent[method] = {"least_slope": slope, "grazing_gradient": share, "non_finite": met}
+        self.search_time("adversarial", found)
+
+    def search_time(self, method: str, found: AttackResult) -> None:
+        """The time that a search took, by stage."""
         for stage, milliseconds in found.milliseconds().items():
-            self.time("adversarial", stage, milliseconds, len(found.trace))
+            self.time(method, stage, milliseconds, len(found.trace))
 
     def transfers(self, rows: Iterable[Row]) -> None:
         """What became of the adversarial shape in other scenes."""

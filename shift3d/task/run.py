@@ -131,6 +131,7 @@ def _candidates(
             yield Candidate("random", index, *drawn)
     if spec.attack.random_search:
         best = best_of_draws(spec, replace(problem, detector=searched), assets, distance)
+        rows.search_time("random_search", best)
         drawn_as = _other_than(problem, best)
         yield Candidate("random_search", 0, best.latent_code, best.theta, best.best_step, best.status, drawn_as)
     if spec.attack.edit and spec.mode != "pose":

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from shift3d.training.detector.recipe import Recipe
     from shift3d.training.progress import Report
 
-__all__ = ["MODELS", "TrainOptions", "detector_recipe", "evaluate", "train"]
-
 MODELS = ("sdf", *DETECTOR_NAMES)
 ADAPTING_SHARE = 0.2
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
@@ -70,8 +68,7 @@ def train(model: str, options: TrainOptions, report: Report | None = None) -> Pa
         model: one of MODELS. Detectors see meshes of the wide family's seen kinds, nothing that the decoder made.
         report: is given the curves' points after every checkpoint.
 
-    Raises:
-        InputError: unknown model, or an option that is not for it; a checkpoint of another recipe in ``out``.
+    Raises InputError: unknown model, or an option that is not for it; a checkpoint of another recipe in ``out``.
     """
     if model not in MODELS:
         raise InputError(f"unknown model {model!r}", "model=", f"Choose from {', '.join(MODELS)}")
@@ -109,8 +106,7 @@ def evaluate(model: str) -> int:
 
     Detectors have :func:`shift3d.analysis.detector_evaluation.evaluate_detector`.
 
-    Raises:
-        InputError: another model, or missing weights.
+    Raises InputError: another model, or missing weights.
     """
     if model != "sdf":
         remedy = f"Give model=sdf, or detector={model} scenes=street" if model in MODELS else "Give model=sdf"

@@ -11,8 +11,6 @@ import torch
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 
-__all__ = ["DEVICES", "Compute", "choose_compute"]
-
 DEVICES = ("auto", "cpu", "cuda")
 
 

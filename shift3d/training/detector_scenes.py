@@ -13,8 +13,6 @@ import numpy.typing as npt
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
 
-__all__ = ["TrainingScene", "cache_scenes", "cut_scene", "from_scene", "load_cached", "network_points"]
-
 KEPT_RADIUS_M = 80.0
 EVERYWHERE_RAD = (0.0, float(np.pi))
 MARGIN_M = 0.1  # mirrors and antennas stand out of a box

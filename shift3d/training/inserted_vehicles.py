@@ -15,8 +15,6 @@ from shift3d.scenes.street.build.pool import PoolVehicle
 from shift3d.scenes.street.raycast import hit_instance
 from shift3d.training.detector_scenes import TrainingScene
 
-__all__ = ["with_inserted_vehicles"]
-
 TRIES = 40
 GROUND_POINTS = 20
 CLEARANCE_M = 0.25
@@ -67,11 +65,7 @@ def _free_place(
 ) -> npt.NDArray[np.float64] | None:
     """A box on the ground that touches no other and holds no point above the ground, or None."""
     for _ in range(TRIES):
-        distance, bearing, heading = (
-            rng.uniform(8, 60),
-            rng.uniform(-np.pi, np.pi),
-            rng.uniform(-np.pi, np.pi),
-        )
+        distance, bearing, heading = (rng.uniform(8, 60), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi))
         x, y = distance * np.cos(bearing), distance * np.sin(bearing)
         reach = np.hypot(size_m[0], size_m[1]) / 2
         spread = np.hypot(boxes[:, 0] - x, boxes[:, 1] - y)

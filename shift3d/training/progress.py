@@ -9,8 +9,6 @@ from types import FrameType
 
 from shift3d.signals import stop_signals
 
-__all__ = ["CurvePoint", "Report", "StopRequest", "Stopwatch", "averaged", "stop_on_signal"]
-
 CurvePoint = tuple[int, Mapping[str, float]]
 """A step (1 for the first), and values by name: parts of the loss, the learning rate."""
 Report = Callable[[Sequence[CurvePoint]], None]

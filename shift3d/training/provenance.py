@@ -15,8 +15,6 @@ from shift3d import __version__
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 
-__all__ = ["refuse_tuned_scenes", "versions", "write_provenance"]
-
 
 def versions() -> dict[str, str]:
     """Versions of what computes."""

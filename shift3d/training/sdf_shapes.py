@@ -33,9 +33,7 @@ def training_specs(shapes: int, seed: int) -> list[VehicleSpec]:
     return family(shapes, seed)
 
 
-def _sampled(
-    task: tuple[VehicleSpec, int, int, int],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
+def _sampled(task: tuple[VehicleSpec, int, int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     spec, samples, seed, index = task
     result = sample_sdf(build_mesh(spec), samples, generator("sdf samples", seed, index))
     order = generator("sdf sample order", seed, index).permutation(len(result.points))

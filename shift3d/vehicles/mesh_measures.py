@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["DEFINITIONS", "Measures", "measure_mesh"]
-
 FloatArray = NDArray[np.float64]
 _STEP_M, _STEPS = 0.01, 5
 _MIDDLE_M = 0.25

@@ -2,7 +2,5 @@
 
 from __future__ import annotations
 
-__all__ = ["WIDE"]
-
 WIDE = "wide"
 """The set of the parametric decoder, in `weights/wide`; a user's folder of that name is ./wide."""

@@ -15,8 +15,6 @@ from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.samples import SdfSamples
 from shift3d.vehicles.mesh_frame import AXES, MeshFrame
 
-__all__ = ["better_frame", "frames_along", "turned"]
-
 STEPS, POINTS_A_STEP, SAMPLES = 40, 256, 2_000
 CLEARLY = 0.9
 """Share of the given orientation's error below which another is better. Of ten cars that the shipped decoder does not

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.vehicles.vehicle import CODE_LENGTH, described, read_tensors, tensor_of
 
-__all__ = ["BoxOfParameters", "parameter_tensors", "read_parameters"]
-
 
 @dataclass(frozen=True)
 class BoxOfParameters:

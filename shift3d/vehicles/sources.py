@@ -23,8 +23,6 @@ from shift3d.vehicles.names import WIDE
 from shift3d.vehicles.parameter_box import BoxOfParameters, read_parameters
 from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles, family_vehicles
 
-__all__ = ["DeepSdfVehicles", "VehicleSet", "VehicleSource", "space_hash", "vehicle_hash"]
-
 _T = TypeVar("_T")
 MEASURED_RESOLUTION = 129
 """Grid nodes along the unit sphere's cube when a vehicle's box is measured; 257 gives the same to 2 mm."""

@@ -12,8 +12,6 @@ from torch import Tensor
 from shift3d.detectors.base import Detections, Detector
 from shift3d.errors import InputError
 
-__all__ = ["TOLERANCE", "Disagreement", "largest_disagreement", "require_agreement"]
-
 TOLERANCE = 1e-3
 _SAME_OBJECT_M = 2.0
 """Boxes after suppression whose centres are this near are of one object. Which of two boxes with equal scores is kept

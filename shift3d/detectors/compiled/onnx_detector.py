@@ -26,8 +26,6 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     import onnxruntime
 
-__all__ = ["OnnxDetector", "load_onnx", "onnx_detector"]
-
 _GUIDE = "See docs/guides/detectors.md, An ONNX file"
 _PROBE_POINTS = 2000
 _SATURATED = 2.0**-24
@@ -75,11 +73,7 @@ class OnnxDetector:
         return Proposals(torch.from_numpy(boxes[kept]).float(), logits, torch.from_numpy(kept))
 
     def detect(
-        self,
-        points: Tensor,
-        window: BevWindow | None = None,
-        score_threshold: float = 0.1,
-        iou_threshold: float = 0.25,
+        self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
     ) -> Detections:
         """See `Detector`."""
         return suppress(self.proposals(points, window), score_threshold, iou_threshold)
@@ -95,10 +89,9 @@ def load_onnx(path: Path) -> OnnxDetector:
 def onnx_detector(content: bytes, where: str) -> OnnxDetector:
     """The detector of an ONNX file's content, tried on random points.
 
-    Raises:
-        InputError: naming the file: it is no ONNX, has data in other files, operators that ONNX Runtime lacks,
-            other inputs or outputs than the module says, or answers that are no scores or differ between two calls;
-            the packages of the extra onnx are not installed.
+    Raises InputError: naming the file: it is no ONNX, has data in other files, operators that ONNX Runtime lacks, other
+    inputs or outputs than the module says, or answers that are no scores or differ between two calls; the packages of
+    the extra onnx are not installed.
     """
     require_packages("onnx", "onnxruntime")
     import onnxruntime

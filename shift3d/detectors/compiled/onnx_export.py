@@ -18,8 +18,6 @@ from shift3d.detectors.models.network import DetectorNet
 from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
 from shift3d.errors import InputError
 
-__all__ = ["OPSET", "PointsToScores", "onnx_bytes"]
-
 OPSET = 18
 """The first one whose ScatterElements can add and take the maximum."""
 

@@ -6,8 +6,6 @@ import importlib.util
 
 from shift3d.errors import InputError
 
-__all__ = ["require_packages"]
-
 
 def require_packages(*names: str) -> None:
     """Raises InputError with the command that installs them, where a package is missing."""

@@ -18,8 +18,6 @@ from shift3d.detectors.models.weights import wrong_values
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
-__all__ = ["load_foreign_net"]
-
 _SHOWN = 3
 _PLAIN = "Where it was trained, save the tensors alone: torch.save({'state_dict': model.state_dict()}, FILE)"
 _STATES = ("model_state", "state_dict", "model_state_dict")

@@ -20,8 +20,6 @@ from shift3d.detectors.models.network import Precision
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 
-__all__ = ["CONFIGS_OWN", "ForeignDetector", "foreign_layout", "load_foreign"]
-
 CONFIGS_OWN = Choices()
 _IOU = 0.25
 

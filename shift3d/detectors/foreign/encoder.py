@@ -12,8 +12,6 @@ from shift3d.detectors.grid import Grid, Pillars
 from shift3d.detectors.models.folding import folded_linear
 from shift3d.detectors.models.pillar_net import decorate
 
-__all__ = ["ForeignEncoder", "foreign_inputs"]
-
 
 def foreign_inputs(points: Tensor, pillars: Pillars, grid: Grid, inputs: PillarInputs) -> Tensor:
     """Place, constants, offset to the pillar's mean, offset to its centre in x, y, z: (K, columns), by pillar.

@@ -15,8 +15,6 @@ from shift3d.detectors.models.centre_heads import decode_centres
 from shift3d.detectors.models.folding import folded_sequence
 from shift3d.detectors.models.heads import BoxHeads, map_rows
 
-__all__ = ["CentreTower", "ForeignAnchorHeads", "MapHeads"]
-
 
 class ForeignAnchorHeads(BoxHeads):
     """1x1 convolutions for the vehicle's logit, the box and the direction of every anchor, those of all classes."""

@@ -12,8 +12,6 @@ from pydantic import BaseModel, ConfigDict
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.backbone import BackboneSpec
 
-__all__ = ["Anchor", "AnchorHead", "Branch", "CentreHead", "Frame", "Layout", "PillarInputs"]
-
 
 class _Values(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

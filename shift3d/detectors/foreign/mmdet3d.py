@@ -18,8 +18,6 @@ from shift3d.detectors.foreign.values import Section
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.backbone import BackboneSpec
 
-__all__ = ["mmdet3d_layout"]
-
 _CHANNELS = ("x", "y", "z", "intensity", "timestamp")
 _BOX_BRANCHES = (("reg", 2), ("height", 1), ("dim", 3), ("rot", 2))
 _GIVE = "Give the values of voxel_layer there, too: without them the encoder takes another grid's"

@@ -16,8 +16,6 @@ from shift3d.detectors.grid import Grid, Pillars
 from shift3d.detectors.models.network import Precision, arithmetic
 from shift3d.detectors.models.pillar_backbone import PillarBackboneNet, core_in_window, to_dense
 
-__all__ = ["ForeignNet"]
-
 
 class ForeignNet(PillarBackboneNet):
     """PointPillars or CenterPoint on pillars by a layout, in the model's own frame. For inference alone."""

@@ -18,8 +18,6 @@ from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.backbone import BackboneSpec
 from shift3d.errors import InputError
 
-__all__ = ["openpcdet_layout", "read_yaml"]
-
 _BASE = "_BASE_CONFIG_"
 _FAR_M = 1e6
 _BOX_BRANCHES = (("center", 2), ("center_z", 1), ("dim", 3), ("rot", 2))

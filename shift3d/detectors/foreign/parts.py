@@ -10,8 +10,6 @@ from shift3d.detectors.foreign.values import Section
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.backbone import BackboneSpec
 
-__all__ = ["Choices", "backbone_of", "channel_values", "frame_of", "grid_of", "vehicle_class"]
-
 VEHICLE_CLASSES = ("Car", "car", "Vehicle", "vehicle")
 
 

@@ -15,8 +15,6 @@ from typing import Any
 from shift3d.detectors.foreign.values import Unread
 from shift3d.errors import InputError
 
-__all__ = ["read_python_config"]
-
 _BASE, _DELETE = "_base_", "_delete_"
 _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,

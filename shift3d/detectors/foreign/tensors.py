@@ -9,8 +9,6 @@ from torch import Tensor
 
 from shift3d.detectors.foreign.layout import AnchorHead, Branch, CentreHead, Layout
 
-__all__ = ["Entry", "entries"]
-
 Shape = tuple[int, ...]
 _NORM = ("weight", "bias", "running_mean", "running_var")
 

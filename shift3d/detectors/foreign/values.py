@@ -9,8 +9,6 @@ from typing import Any, NoReturn
 
 from shift3d.errors import InputError
 
-__all__ = ["Section", "Unread"]
-
 _REQUIRED: Any = object()
 
 

@@ -12,18 +12,6 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "ActiveSites",
-    "MapShape",
-    "SiteIndices",
-    "empty_set",
-    "fine_cells",
-    "pooled",
-    "reached",
-    "sources",
-    "whole_set",
-]
-
 ActiveSites = npt.NDArray[np.bool_]
 SiteIndices = npt.NDArray[np.int64]
 

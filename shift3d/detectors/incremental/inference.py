@@ -15,8 +15,6 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Detector, Proposals
 
-__all__ = ["IncrementalInference", "WholeWindow", "copied_but_for", "incremental_inference"]
-
 T = TypeVar("T")
 
 

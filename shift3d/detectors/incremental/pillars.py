@@ -25,8 +25,6 @@ from shift3d.detectors.incremental.sparse_backbone import SparseBackbone
 from shift3d.detectors.incremental.sparse_backward import SparseBackward
 from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
 
-__all__ = ["IncrementalPillars"]
-
 Plain = Callable[[Tensor, BevWindow], Proposals]
 Boxed = Callable[[Tensor, Tensor, BevWindow], Proposals]
 _Rectangle = tuple[int, int, int, int]

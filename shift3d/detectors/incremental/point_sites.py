@@ -10,8 +10,6 @@ from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid, Pillars, cells_of
 from shift3d.detectors.incremental.active_sites import ActiveSites, MapShape, SiteIndices, empty_set
 
-__all__ = ["PointSites", "contains"]
-
 
 def contains(outer: BevWindow, inner: BevWindow) -> bool:
     """Whether one window lies in another."""

@@ -16,8 +16,6 @@ from shift3d.detectors.incremental.active_sites import ActiveSites, MapShape, em
 from shift3d.detectors.models.backbone import Backbone
 from shift3d.detectors.models.heads import BoxHeads
 
-__all__ = ["ROWS_AT_ONCE", "SparseBackbone"]
-
 ROWS_AT_ONCE = 1024
 """Neighbourhoods gathered at once, at most: 9 MB of float32 at 256 channels, which the caches hold."""
 

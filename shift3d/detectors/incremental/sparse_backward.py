@@ -12,8 +12,6 @@ from shift3d.detectors.incremental.active_sites import ActiveSites, MapShape, Si
 from shift3d.detectors.incremental.sparse_backbone import ROWS_AT_ONCE, SparseBackbone
 from shift3d.processor import pad_to_bucket
 
-__all__ = ["SparseBackward"]
-
 
 @dataclass(frozen=True)
 class SparseBackward:

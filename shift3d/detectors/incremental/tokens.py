@@ -22,8 +22,6 @@ from shift3d.detectors.incremental.point_sites import PointSites, contains
 from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.models.token_windows import Tokens
 
-__all__ = ["IncrementalTokens"]
-
 Plain = Callable[[Tensor, BevWindow], Proposals]
 
 

@@ -11,8 +11,6 @@ from shift3d.detectors.models.anchors import WAYMO_ANCHORS, AnchorSpec, anchor_b
 from shift3d.detectors.models.box_coding import decode_boxes
 from shift3d.detectors.models.heads import BoxHeads
 
-__all__ = ["AnchorHeads"]
-
 
 class AnchorHeads(BoxHeads):
     """1x1 convolutions for class, box and direction. The anchors' size is part of the weights."""

@@ -11,8 +11,6 @@ from torch import Tensor
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid
 
-__all__ = ["WAYMO_ANCHORS", "AnchorSpec", "anchor_boxes"]
-
 
 @dataclass(frozen=True)
 class AnchorSpec:

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-__all__ = ["WAYMO_BACKBONE", "Backbone", "BackboneSpec"]
-
 
 @dataclass(frozen=True)
 class BackboneSpec:
@@ -58,11 +56,7 @@ def _block(in_channels: int, channels: int, stride: int, layers: int) -> nn.Sequ
     modules: list[nn.Module] = []
     for index in range(layers + 1):
         source, step = (in_channels, stride) if index == 0 else (channels, 1)
-        modules += [
-            nn.Conv2d(source, channels, 3, step, padding=1, bias=False),
-            _norm(channels),
-            nn.ReLU(inplace=True),
-        ]
+        modules += [nn.Conv2d(source, channels, 3, step, padding=1, bias=False), _norm(channels), nn.ReLU(inplace=True)]
     return nn.Sequential(*modules)
 
 

@@ -10,8 +10,6 @@ from math import pi
 import torch
 from torch import Tensor
 
-__all__ = ["DIRECTION_OFFSET_RAD", "decode_boxes", "direction_bins", "encode_boxes"]
-
 DIRECTION_OFFSET_RAD = pi / 4
 """Bin 0 is heading in [pi/4, 5 pi/4). Put there so that no bin ends at an anchor's heading. Source: SECOND's
 public config."""

@@ -7,8 +7,6 @@ from shift3d.detectors.models.backbone import WAYMO_BACKBONE, BackboneSpec
 from shift3d.detectors.models.centre_heads import CentreHeads
 from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
 
-__all__ = ["CenterPointNet"]
-
 
 class CenterPointNet(PillarBackboneNet):
     """Points -> heat map and box of every cell of the window's core.

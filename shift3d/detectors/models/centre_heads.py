@@ -12,8 +12,6 @@ from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.heads import BoxHeads
 
-__all__ = ["CENTRE_CODES", "CentreHeads", "decode_centres", "encode_centres"]
-
 CENTRE_CODES = 8
 """Offset from the cell's centre in x and y (cells), z (metres), log of the three sizes (metres), sine and cosine."""
 MAX_LOG_SIZE = 5.0

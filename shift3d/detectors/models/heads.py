@@ -11,8 +11,6 @@ from torch import Tensor, nn
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid
 
-__all__ = ["BoxHeads", "map_rows", "proposal_indices"]
-
 
 class BoxHeads(nn.Module, ABC):
     """1x1 convolutions on the features of every cell: one for class logits, others for boxes.

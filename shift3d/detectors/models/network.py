@@ -13,8 +13,6 @@ from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.heads import BoxHeads
 
-__all__ = ["DetectorNet", "Precision", "arithmetic"]
-
 Precision = Literal["float32", "bfloat16", "float64"]
 
 

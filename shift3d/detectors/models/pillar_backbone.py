@@ -17,8 +17,6 @@ from shift3d.detectors.models.folding import folded_sequence
 from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
 from shift3d.detectors.models.pillar_net import PillarNet, decorate
 
-__all__ = ["PillarBackboneNet", "PillarEncoder", "core_in_window", "to_dense"]
-
 # Memory layout of the backbone at inference, contiguous elsewhere. The gradient of a core comes back in contiguous
 # slices; in float32 with channels last that made the backward pass slower by 1.4 to 1.5 (415 to 460 ms against 296 to
 # 305 on one core, the weights frozen), the forward pass the same within noise. The bfloat16 kernels want it.
@@ -157,12 +155,7 @@ class PillarBackboneNet(DetectorNet):
 
 def core_in_window(window: BevWindow) -> tuple[int, int, int, int]:
     """(y0, x0, height, width) of the core in the window's own cells."""
-    return (
-        window.core_y0 - window.y0,
-        window.core_x0 - window.x0,
-        window.core_num_y,
-        window.core_num_x,
-    )
+    return (window.core_y0 - window.y0, window.core_x0 - window.x0, window.core_num_y, window.core_num_x)
 
 
 def to_dense(part: nn.Module, dense: torch.dtype) -> None:

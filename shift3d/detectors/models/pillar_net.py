@@ -13,8 +13,6 @@ from torch import Tensor, nn
 from shift3d.detectors.grid import Grid, Pillars
 from shift3d.detectors.models.folding import folded_linear
 
-__all__ = ["DECORATED_CHANNELS", "FEATURE_SCALE", "PillarNet", "decorate", "segment_mean"]
-
 DECORATED_CHANNELS = 8
 FEATURE_SCALE = (0.03, 0.03, 1.0, 6.0, 6.0, 3.0, 6.0, 6.0)
 """Constant gains that bring the eight inputs to like magnitude (our choice: the published net feeds metres).

@@ -8,8 +8,6 @@ from shift3d.detectors.models.anchors import WAYMO_ANCHORS, AnchorSpec
 from shift3d.detectors.models.backbone import WAYMO_BACKBONE, BackboneSpec
 from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
 
-__all__ = ["PointPillarsNet"]
-
 
 class PointPillarsNet(PillarBackboneNet):
     """Points -> logits, codes, direction logits of every anchor in the window's core.

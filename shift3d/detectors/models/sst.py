@@ -24,8 +24,6 @@ from shift3d.detectors.models.token_windows import Tokens
 from shift3d.detectors.models.voxel_encoder import VoxelEncoder, decorate_with_height
 from shift3d.detectors.models.window_transformer import SST_TRANSFORMER, TransformerSpec, WindowTransformer
 
-__all__ = ["SST_SMALL_SPEC", "SST_SPEC", "SstNet", "SstSpec"]
-
 
 @dataclass(frozen=True)
 class SstSpec:

@@ -15,8 +15,6 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-__all__ = ["Bucket", "Tokens", "WindowGroups", "aligned_span", "gather_rows", "group_by_window"]
-
 Ints = npt.NDArray[np.int64]
 
 

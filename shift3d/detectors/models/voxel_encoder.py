@@ -12,8 +12,6 @@ from torch import Tensor, nn
 from shift3d.detectors.grid import Grid, Pillars
 from shift3d.detectors.models.pillar_net import FEATURE_SCALE, decorate
 
-__all__ = ["VoxelEncoder", "decorate_with_height"]
-
 VOXEL_CHANNELS = 9
 VOXEL_FEATURE_SCALE = (*FEATURE_SCALE, 0.5)
 

@@ -18,8 +18,6 @@ from shift3d.detectors.models.pointpillars import PointPillarsNet
 from shift3d.detectors.models.sst import SST_SMALL_SPEC, SstNet
 from shift3d.errors import InputError
 
-__all__ = ["ANCHOR_SIZE", "NETWORKS", "WEIGHTS_FOLDER", "load_network", "load_weights", "wrong_values"]
-
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[2] / "weights"
 NETWORKS: dict[str, Callable[[], DetectorNet]] = {
     "pointpillars": PointPillarsNet,

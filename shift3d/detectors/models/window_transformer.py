@@ -16,8 +16,6 @@ from torch import Tensor, nn
 from shift3d.detectors.models.token_windows import Tokens, WindowGroups, aligned_span, gather_rows, group_by_window
 from shift3d.processor import pad_to_bucket
 
-__all__ = ["SST_TRANSFORMER", "EncoderLayer", "TransformerSpec", "WindowTransformer", "position_codes"]
-
 
 @dataclass(frozen=True)
 class TransformerSpec:

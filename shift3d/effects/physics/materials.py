@@ -15,8 +15,6 @@ from torch import Tensor
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.render.field.object_field import VehicleFrame
 
-__all__ = ["DARKEST_ALBEDO", "GLASS_ALBEDO", "PAINT_ALBEDO", "TYRE_ALBEDO", "albedo_of"]
-
 PAINT_ALBEDO, GLASS_ALBEDO, TYRE_ALBEDO = 0.4, 0.05, 0.04
 """Diffuse, near infrared, our choice: mid-grey paint, as the procedural street gives its vehicles where it draws none;
 glass, which lets most of the light through and mirrors the rest away: what dirt and tint scatter back is left; carbon
@@ -49,8 +47,7 @@ def albedo_of(points: Tensor, theta: Tensor, vehicle: VehicleFrame) -> Tensor:
         theta: (6,) pose of the vehicle, scene frame.
         vehicle: its box `size_m`; materials keep their places on it when an attack changes the shape.
 
-    Returns:
-        (M,) float64 in [`DARKEST_ALBEDO`, `PAINT_ALBEDO`]. Not finite where the point or the pose is not.
+    Returns: (M,) float64 in [`DARKEST_ALBEDO`, `PAINT_ALBEDO`]. Not finite where the point or the pose is not.
 
     Constant: not differentiable. Source: our choice.
     """

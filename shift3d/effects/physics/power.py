@@ -12,21 +12,6 @@ from shift3d.effects.base import EffectContext, Returns
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.sensor import SensorModel
 
-__all__ = [
-    "LEAST_LOSS",
-    "PowerLimit",
-    "at_ranges",
-    "echo_power",
-    "least_power",
-    "loss",
-    "overlap",
-    "range_along",
-    "reach_m",
-    "survival",
-    "survival_draws",
-    "unchanged",
-]
-
 OVERLAP_FROM_M, OVERLAP_TO_M = 0.9, 1.0
 """Between these ranges the receiver comes to see what the laser lights (Hahner et al. 2021)."""
 LIMIT_ALBEDO = 0.9
@@ -50,8 +35,7 @@ def echo_power(albedo: Tensor, cosine: Tensor, range_m: Tensor, extinction_per_m
         albedo: (K,) in [0, 1]. cosine: (K,) of incidence, in [0, 1]. range_m: (K,), metres.
         extinction_per_m: alpha.
 
-    Returns:
-        (K,) in 1/m^2; 0 nearer than 0.9 m, whatever the range. Differentiable w.r.t. the first three.
+    Returns: (K,) in 1/m^2; 0 nearer than 0.9 m, whatever the range. Differentiable w.r.t. the first three.
 
     Source: reference equations of echo power (Rasshofer et al. 2011); constant as in `least_power`.
     """

@@ -15,8 +15,6 @@ from shift3d.render.culling import Box, Rays, rays_in_box
 from shift3d.render.field.bounding_box import verified_box
 from shift3d.render.field.object_field import ObjectField
 
-__all__ = ["at_silhouettes", "sub_rays"]
-
 _LEAST_STEP_M = 0.002
 _ON_FACE = 0.05
 """A sub-ray meets a face where the field is less than this share of the cone's radius (our choice: of the sub-rays at a

@@ -18,21 +18,6 @@ from shift3d.geometry.rigid import from_quaternion, heading_of, interpolated, in
 from shift3d.scenes.labels import Labels
 from shift3d.store.location import Location
 
-__all__ = [
-    "CLASSES",
-    "Sweep",
-    "city_SE3_ego",
-    "column",
-    "ego_SE3_ego",
-    "feather_table",
-    "lidar_mounts",
-    "poses",
-    "read_labels",
-    "read_sweep",
-    "sweep_file",
-    "timestamps",
-]
-
 _AGAIN = "Copy it again"
 _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 
@@ -40,8 +25,7 @@ _POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 def feather_table(file: Location, columns: Sequence[str]) -> pa.Table:
     """The columns of a file; others are not read.
 
-    Raises:
-        InputError: the file is missing, no Feather file or cut short, lacks a column, or has no rows.
+    Raises InputError: the file is missing, no Feather file or cut short, lacks a column, or has no rows.
     """
     try:
         with contextlib.closing(file.open()) as handle:
@@ -157,8 +141,7 @@ def lidar_mounts(log: Location) -> tuple[Float, Float]:
 def ego_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64]) -> Float:
     """(N, 4, 4) from the vehicle at each of the times after a sweep's start to the vehicle at its start.
 
-    Raises:
-        InputError: the poses are missing, damaged, out of order, or of another time.
+    Raises InputError: the poses are missing, damaged, out of order, or of another time.
     """
     result: Float = inverse(city_SE3_ego(log, timestamp)[0]) @ city_SE3_ego(log, timestamp, offset_ns)
     return result
@@ -182,8 +165,7 @@ def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offs
     Args:
         points: (N, 3) scene frame; they are counted. offset: (3,) of the scene's origin in the vehicle frame, metres.
 
-    Raises:
-        InputError: the file is damaged, or has an unknown category.
+    Raises InputError: the file is damaged, or has an unknown category.
     """
     file = log / "annotations.feather"
     if not file.is_file():

@@ -15,8 +15,6 @@ from shift3d.scenes.ground_map import GroundMap
 from shift3d.scenes.listing import names_in
 from shift3d.store.location import Location
 
-__all__ = ["map_files", "read_ground_map"]
-
 Float = NDArray[np.float64]
 
 _HEIGHTS, _RASTER, _OUTLINES = "_ground_height_surface____", "___img_Sim2_city.json", "log_map_archive_"

@@ -28,8 +28,6 @@ from shift3d.scenes.scene import Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
-__all__ = ["Argoverse2Scenes"]
-
 VEHICLE_HEIGHT_M = 0.33  # of the vehicle frame's origin, the rear axle, above the ground
 _SPLITS = ("val", "train", "test")
 _SECOND_NS = np.int64(10**9)
@@ -52,8 +50,7 @@ class Argoverse2Scenes:
 
     Where a log has a map/, places have its drivable areas and heights (of float16: 3 to 6 cm); see `GroundMap`.
 
-    Raises:
-        InputError: no logs.
+    Raises InputError: no logs.
     """
 
     dataset = "argoverse2"
@@ -74,11 +71,7 @@ class Argoverse2Scenes:
         return list(self._listed)
 
     def load(self, name: str) -> Scene:
-        """One sweep.
-
-        Raises:
-            InputError: naming the file and the remedy.
-        """
+        """One sweep. Raises InputError: naming the file and the remedy."""
         log, timestamp = self._split(name)
         sweep, (up, down) = read_sweep(log, timestamp), lidar_mounts(log)
         points = (sweep.points - up).astype(np.float32)

@@ -99,9 +99,8 @@ def read_points(
     Args:
         reflectance_max: what the file calls full reflectance; None: 1. Reflectance is divided by it and cut to 0..1.
 
-    Raises:
-        InputError: where the file is missing, empty, not a whole number of 16-byte records, holds NaN, infinity or a
-            point beyond FARTHEST_M, no point away from the sensor, or reflectances on another scale.
+    Raises InputError: where the file is missing, empty, not a whole number of 16-byte records, holds NaN, infinity or a
+    point beyond FARTHEST_M, no point away from the sensor, or reflectances on another scale.
     """
     try:
         raw = as_location(path).read_bytes()
@@ -141,9 +140,8 @@ def read_points(
 def read_calibration(path: LocationLike) -> Calibration:
     """The matrices of camera 2.
 
-    Raises:
-        InputError: where the file is missing, a needed line is missing, there twice or malformed, or the matrices are
-            no rotation and no camera's projection.
+    Raises InputError: where the file is missing, a needed line is missing, there twice or malformed, or the matrices
+    are no rotation and no camera's projection.
     """
     found: dict[str, Float] = {}
     for number, line in enumerate(_read_lines(path, "calibration"), start=1):
@@ -189,8 +187,7 @@ def _checked(found: dict[str, Float], path: LocationLike) -> Calibration:
 def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel]:
     """Labels in file order, DontCare rows left out.
 
-    Raises:
-        InputError: where the file is missing or a row is malformed.
+    Raises InputError: where the file is missing or a row is malformed.
     """
     labels = []
     for number, line in enumerate(_read_lines(path, "label"), start=1):
@@ -214,11 +211,7 @@ def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel
 
 
 def read_ground_z(path: LocationLike) -> float:
-    """Height of the ground in the LiDAR frame, metres.
-
-    Raises:
-        InputError: where the file holds anything else.
-    """
+    """Height of the ground in the LiDAR frame, metres. Raises InputError: where the file holds anything else."""
     words = " ".join(_read_lines(path, "ground")).split()
     values = _numbers(words, str(path))
     if len(values) != 1 or abs(values[0]) > FARTHEST_M:
@@ -236,8 +229,7 @@ def lidar_box(size_hwl: list[float], bottom_camera: list[float], rotation_y: flo
         bottom_camera: centre of the box's BOTTOM in the rectified camera frame (y points down).
         rotation_y: about the camera's y axis; 0 means the nose points along camera x (to the right).
 
-    Returns:
-        (7,) with the geometric centre; the small roll and pitch between camera and LiDAR is dropped.
+    Returns: (7,) with the geometric centre; the small roll and pitch between camera and LiDAR is dropped.
     """
     height, width, length = size_hwl
     nose = np.array([np.cos(rotation_y), 0.0, -np.sin(rotation_y)])

@@ -77,8 +77,7 @@ class KittiScenes:
     (:attr:`~shift3d.scenes.scene.Scene.has_beam`). Labels cover camera 2's view only, 0.70 rad to either side of
     +x: objects are placed within 0.6 rad, so that most of the vehicle stays inside.
 
-    Raises:
-        InputError: where folders are missing; without keep_bad, where frames are, or a label file has no frame.
+    Raises InputError: where folders are missing; without keep_bad, where frames are, or a label file has no frame.
     """
 
     dataset = "kitti"
@@ -98,9 +97,7 @@ class KittiScenes:
         for part in ("velodyne", "calib"):
             if part not in parts:
                 raise InputError(
-                    f"no folder training/{part}",
-                    str(root),
-                    "Give the folder that holds KITTI's training/ folder.",
+                    f"no folder training/{part}", str(root), "Give the folder that holds KITTI's training/ folder."
                 )
         self._has_labels = "label_2" in parts
         found = _stems(self.folder / "velodyne", ".bin")
@@ -122,11 +119,7 @@ class KittiScenes:
         return list(self._names)
 
     def load(self, name: str) -> Scene:
-        """One frame.
-
-        Raises:
-            InputError: naming the file, the line or row, and the remedy.
-        """
+        """One frame. Raises InputError: naming the file, the line or row, and the remedy."""
         if name not in self._names:
             raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {first_few(self._names)}.")
         points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin", self.reflectance_max)
@@ -162,8 +155,7 @@ class KittiScenes:
     def label_rows(self, name: str) -> list[KittiLabel]:
         """The labels of one frame, in the order of the scene's, with what they say about the image.
 
-        Raises:
-            InputError: the label file is missing or malformed.
+        Raises InputError: the label file is missing or malformed.
         """
         calibration = self.camera_view(name).calibration
         return read_labels(self.folder / "label_2" / f"{name}.txt", calibration)

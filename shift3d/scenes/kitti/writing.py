@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from shift3d.geometry.boxes import corners_3d
 from shift3d.scenes.kitti.files import GROUND, Calibration
 
-__all__ = ["CALIBRATION", "frame_files", "label_line", "velodyne_bytes"]
-
 _P2 = np.array([[721.5377, 0.0, 609.5593, 0.0], [0.0, 721.5377, 172.854, 0.0], [0.0, 0.0, 1.0, 0.0]])
 _CAMERA_R_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 CALIBRATION = Calibration(_P2, np.block([[_CAMERA_R_LIDAR, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))

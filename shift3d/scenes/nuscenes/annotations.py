@@ -14,8 +14,6 @@ from shift3d.scenes.labels import Labels
 from shift3d.scenes.nuscenes.tables import indexed, pose_of, table_rows
 from shift3d.store.location import Location
 
-__all__ = ["boxes_of", "class_of", "read_annotations", "read_weather"]
-
 _CYCLES = ("vehicle.bicycle", "vehicle.motorcycle")
 
 
@@ -29,8 +27,7 @@ def class_of(category: str) -> str:
 def read_annotations(folder: Location, samples: set[str]) -> dict[str, list[dict[str, Any]]]:
     """Annotations of samples by sample, each with its ``category``; empty where the release has none (test split).
 
-    Raises:
-        InputError: a table is missing or damaged, or an annotation's instance or category is.
+    Raises InputError: a table is missing or damaged, or an annotation's instance or category is.
     """
     file = folder / "sample_annotation.json"
     found: dict[str, list[dict[str, Any]]] = {sample: [] for sample in samples}
@@ -70,8 +67,7 @@ def boxes_of(
 def read_weather(folder: Location, samples: set[str]) -> dict[str, str]:
     """ "rain" or "dry" of samples, by the words with which their drives are described.
 
-    Raises:
-        InputError: a table is missing or damaged.
+    Raises InputError: a table is missing or damaged.
     """
     rows = indexed(folder / "sample.json", lambda row: row.get("token") in samples)
     drives = indexed(folder / "scene.json")

@@ -21,8 +21,6 @@ from shift3d.scenes.scene import Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
-__all__ = ["NuScenesScenes"]
-
 Float = NDArray[np.float64]
 
 LIDAR_HEIGHT_M = 1.84
@@ -51,8 +49,7 @@ class NuScenesScenes:
     and one with `effects.object_speed_m_s` is met by each sweep where it was then. Points of a sweep are motion
     compensated by the data set. Poses lack height, roll and pitch.
 
-    Raises:
-        InputError: neither tables nor files, or several versions to choose from.
+    Raises InputError: neither tables nor files, or several versions to choose from.
     """
 
     dataset = "nuscenes"
@@ -81,11 +78,7 @@ class NuScenesScenes:
         return list(self._listed)
 
     def load(self, name: str) -> Scene:
-        """One key frame.
-
-        Raises:
-            InputError: naming the file and the remedy.
-        """
+        """One key frame. Raises InputError: naming the file and the remedy."""
         if self._tables is None:
             return self._alone(name)
         release = self._release

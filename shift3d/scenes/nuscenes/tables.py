@@ -16,8 +16,6 @@ from shift3d.errors import InputError
 from shift3d.geometry.rigid import from_quaternion
 from shift3d.store.location import Location
 
-__all__ = ["LidarFile", "Release", "indexed", "pose_of", "table_rows"]
-
 _SENSOR = "LIDAR_TOP"
 _PIECE = 2**20
 _AGAIN = "Copy it again"
@@ -27,8 +25,7 @@ Row = dict[str, Any]
 def table_rows(file: Location) -> Iterator[Row]:
     """Rows of a table, a JSON array of objects, without holding the file: the largest have a gigabyte.
 
-    Raises:
-        InputError: the file is missing, cut short, or something else.
+    Raises InputError: the file is missing, cut short, or something else.
     """
     decoder, text = json.JSONDecoder(), ""
     try:

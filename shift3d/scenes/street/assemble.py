@@ -34,15 +34,13 @@ def street_scene(split: str, seed: int, index: int, sensor_name: str, options: S
             Others' beams leave the same point, and see the same things in the same places.
         options: what the scene states and shows beyond that, the street being the same; and whose vehicles it has.
 
-    Returns:
-        A scene with reflectance, firing times and, of one sensor, range-image indices. Rows: the main sensor's first
-        returns, row by row of its range image, the same with and without other returns and sensors; then second
-        returns in that order, or each side sensor's returns. Labelled are vehicles, pedestrians and cyclists with at
-        least one point in their box. Of a sensor that moves, boxes are those of time 0, and what counts is
-        where points were at time 0: points given in the frame of the moving sensor lie beside them.
+    Returns: A scene with reflectance, firing times and, of one sensor, range-image indices. Rows: the main sensor's
+    first returns, row by row of its range image, the same with and without other returns and sensors; then second
+    returns in that order, or each side sensor's returns. Labelled are vehicles, pedestrians and cyclists with at least
+    one point in their box. Of a sensor that moves, boxes are those of time 0, and what counts is where points were at
+    time 0: points given in the frame of the moving sensor lie beside them.
 
-    Raises:
-        InputError: for an unknown split or sensor, or held-out traffic on streets to train on.
+    Raises InputError: for an unknown split or sensor, or held-out traffic on streets to train on.
 
     Source: our choice.
     """

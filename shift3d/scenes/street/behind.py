@@ -38,8 +38,7 @@ def second_returns(
     Args:
         sweep: first hits; range_m, kept: (rows, columns) as finished.
 
-    Returns:
-        The beams' cells (row and column (K,), row by row), ranges (K,) and reflectances (K,), float32.
+    Returns: The beams' cells (row and column (K,), row by row), ranges (K,) and reflectances (K,), float32.
 
     Source: our choice, from the physics.
     """

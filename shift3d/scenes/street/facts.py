@@ -11,8 +11,6 @@ from shift3d.scenes.street.options import StreetOptions
 from shift3d.scenes.street.returns import sensor_model
 from shift3d.scenes.street.sensors import companions, sensor_named
 
-__all__ = ["street_facts"]
-
 
 def street_facts(scene_id: str, sensor_name: str, options: StreetOptions) -> SceneFacts:
     """The facts of a street scene by its sensor and options; effects decide on them as on those of the made scene.

@@ -8,8 +8,6 @@ from decimal import Decimal
 
 from shift3d.errors import InputError
 
-__all__ = ["BEAM_NAMES", "MOST_SENSORS", "PLAIN", "TRAFFIC", "WEATHER_STRENGTHS", "StreetOptions", "check_traffic"]
-
 TRAFFIC = ("family", "wide", "held_out")
 WEATHER_STRENGTHS = {"rain": ("rain_mm_h", 10.0), "fog": ("visibility_m", 100.0), "snow": ("snow_mm_h", 1.0)}
 """Of each weather: the field that says how strong it is, and what null stands for (our choice): heavy rain, thick
@@ -47,8 +45,7 @@ class StreetOptions:
         beams: one of :data:`BEAM_NAMES`: the street is seen by that sensor, in the place of the street's own, which
             says where things stand; None: by its own.
 
-    Raises:
-        InputError: for values out of range or settings that contradict each other, naming the field and the remedy.
+    Raises InputError: for values out of range or settings that contradict each other, naming the field and the remedy.
     """
 
     weather: str = "dry"
@@ -122,8 +119,7 @@ class StreetOptions:
     def from_tag(tag: str) -> StreetOptions:
         """The options that a tag stands for: ``StreetOptions.from_tag(options.tag) == options``.
 
-        Raises:
-            InputError: for what is no tag.
+        Raises InputError: for what is no tag.
         """
         match = _TAG.fullmatch(tag)
         try:

@@ -32,8 +32,7 @@ class Intersector:
         Args:
             origins, directions: (N, 3) float32, directions of unit length.
 
-        Returns:
-            range_m (N,), infinite where there is no hit; face (N,), -1 there; cosine (N,) of incidence.
+        Returns: range_m (N,), infinite where there is no hit; face (N,), -1 there; cosine (N,) of incidence.
         """
         out = self._scene.run(origins, directions, output=1)
         face: NDArray[np.int32] = out["primID"]
@@ -50,11 +49,7 @@ def beam_directions(sensor_name: str) -> Float32:
     elevation = np.asarray(sensor.elevations_rad)[:, None]
     azimuth = sensor.azimuths_rad()[None]
     directions = np.stack(
-        (
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation) + 0.0 * azimuth,
-        ),
+        (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation) + 0.0 * azimuth),
         axis=-1,
     )
     return directions.astype(np.float32)
@@ -231,8 +226,7 @@ def hit_instance(
     Args:
         starts: (3,) or (N, 3), scene frame; directions: (N, 3). The others as of `Sweep.cast_instance`.
 
-    Returns:
-        range_m (N,), infinite where there is no hit, material and cosine (N,).
+    Returns: range_m (N,), infinite where there is no hit, material and cosine (N,).
     """
     local = np.ascontiguousarray(directions @ scene_R_object.astype(np.float32))
     origin = ((starts - position) @ scene_R_object).astype(np.float32)
@@ -250,8 +244,7 @@ def through_ellipsoid(
     Args:
         starts: (3,) or (N, 3), scene frame; directions: (N, 3) float64 unit vectors.
 
-    Returns:
-        met (N,) bool, whether the ray's line meets it; enter and leave (N,), ranges, negative behind the start.
+    Returns: met (N,) bool, whether the ray's line meets it; enter and leave (N,), ranges, negative behind the start.
     """
     scaled, offset = directions / radii, (starts - centre) / radii
     a = (scaled * scaled).sum(axis=1)

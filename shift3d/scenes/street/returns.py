@@ -40,10 +40,7 @@ def sensor_model(sensor: Sensor) -> SensorModel:
 
 
 def finish(
-    sweep: Hits,
-    paint: dict[int, Paint],
-    rng: np.random.Generator,
-    share: NDArray[np.float64] | float = 1.0,
+    sweep: Hits, paint: dict[int, Paint], rng: np.random.Generator, share: NDArray[np.float64] | float = 1.0
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
     """Ranges as a sensor reports them.
 
@@ -52,8 +49,7 @@ def finish(
         paint: of vehicles, by item number; everything else has its material's albedo.
         share: of each beam's light that gets there and back; the rest met something in front.
 
-    Returns:
-        range_m, reflectance (both float32) and kept (bool), in the shape of the hits.
+    Returns: range_m, reflectance (both float32) and kept (bool), in the shape of the hits.
 
     Source: our choice; noise acts along the beam only, and power falls with range squared and incidence.
     """

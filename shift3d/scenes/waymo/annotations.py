@@ -12,8 +12,6 @@ from shift3d.scenes.waymo.frame import component_file
 from shift3d.scenes.waymo.tables import by_key
 from shift3d.store.location import Location
 
-__all__ = ["CLASSES", "read_labels", "read_weather"]
-
 CLASSES = {1: ("VEHICLE", "vehicle"), 2: ("PEDESTRIAN", "pedestrian"), 3: ("SIGN", "other"), 4: ("CYCLIST", "cyclist")}
 """Types of boxes by number: the data set's name and the class here."""
 _OBJECT = "key.laser_object_id"
@@ -33,8 +31,7 @@ def read_labels(
     Args:
         points: (N, 3) scene frame. offset: (3,) of the scene's origin in the vehicle frame, metres.
 
-    Raises:
-        InputError: the component is missing, unreadable or without rows; an object twice; an unknown type.
+    Raises InputError: the component is missing, unreadable or without rows; an object twice; an unknown type.
     """
     component = component_file(root, "lidar_box", segment)
     table = component.rows([_OBJECT, *_FIELDS, _TYPE], timestamp)
@@ -58,8 +55,7 @@ def read_labels(
 def read_weather(root: Location, segment: str, timestamp: int) -> str:
     """ "rain" or "dry", as the segment's statistics have it; dry where they say nothing of this frame.
 
-    Raises:
-        InputError: the component is missing, unreadable or without rows.
+    Raises InputError: the component is missing, unreadable or without rows.
     """
     rows = component_file(root, "stats", segment).rows([_WEATHER], timestamp)
     return "rain" if "rain" in {str(word).lower() for word in rows[_WEATHER].to_pylist()} else "dry"

@@ -15,8 +15,6 @@ from shift3d.scenes.waymo.range_image import LaserCalibration, filled_poses, veh
 from shift3d.scenes.waymo.tables import FRAME, LASER, SEGMENT, Component, by_key, numbers
 from shift3d.store.location import Location
 
-__all__ = ["LASERS", "LaserFrame", "component_file", "read_calibrations", "read_frame", "read_vehicle_pose"]
-
 Float = NDArray[np.float64]
 
 LASERS = {"TOP": 1, "FRONT": 2, "SIDE_LEFT": 3, "SIDE_RIGHT": 4, "REAR": 5}
@@ -55,9 +53,8 @@ def component_file(root: Location, component: str, segment: str) -> Component:
 def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[str]) -> list[LaserFrame]:
     """The frame as each of the lasers saw it, in the order of their numbers.
 
-    Raises:
-        InputError: a component is missing or unreadable; a laser has no row, or two, in one of them; images of a laser
-            differ in size.
+    Raises InputError: a component is missing or unreadable; a laser has no row, or two, in one of them; images of a
+    laser differ in size.
     """
     lidar = component_file(root, "lidar", segment)
     columns = [LASER, *(f"{image}.{part}" for image in _IMAGES for part in ("values", "shape"))]

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse, rotation_of_angles
 
-__all__ = ["LaserCalibration", "filled_poses", "inclinations", "range_image", "vehicle_SE3_pixels", "vehicle_beams"]
-
 Float = NDArray[np.float64]
 
 
@@ -36,8 +34,7 @@ class LaserCalibration:
 def inclinations(laser: LaserCalibration, height: int, where: str) -> Float:
     """(height,) inclinations of the image's rows, radians, the highest beam first.
 
-    Raises:
-        InputError: a table of another length, or angles that are no radians.
+    Raises InputError: a table of another length, or angles that are no radians.
     """
     if laser.beams_rad is None:
         low, high = laser.inclination_rad
@@ -59,8 +56,7 @@ def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
     Rows at the bottom of published images may be zero. The pixels of a column fire together, so that poses differ
     little along it. A column without any takes that of the nearest column.
 
-    Raises:
-        InputError: no pixel has a pose, or one has NaN.
+    Raises InputError: no pixel has a pose, or one has NaN.
 
     Source: our choice.
     """
@@ -123,10 +119,7 @@ def vehicle_beams(
 
 
 def range_image(
-    points: NDArray[np.floating],
-    origins: NDArray[np.floating],
-    pixel: NDArray[np.integer],
-    shape: tuple[int, int],
+    points: NDArray[np.floating], origins: NDArray[np.floating], pixel: NDArray[np.integer], shape: tuple[int, int]
 ) -> Float:
     """(H, W) ranges of points (N, 3) from their origins (N, 3) at their pixels (N, 2) row, column; 0 elsewhere.
 

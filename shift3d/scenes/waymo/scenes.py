@@ -28,8 +28,6 @@ from shift3d.scenes.waymo.frame import (
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
-__all__ = ["COMPONENTS", "WaymoScenes"]
-
 COMPONENTS = ("lidar", "lidar_calibration", "lidar_pose", "vehicle_pose")
 """What a frame is made of. A folder may lack labels (`lidar_box`) and weather (`stats`), a segment of it may not."""
 _OPTIONAL = ("lidar_box", "stats")
@@ -54,8 +52,7 @@ class WaymoScenes:
     sensor. Points are motion compensated, to the frame's time. No firing times are stated by the data set. Reflectance
     is tanh of the intensity, which has no upper limit: the scale that detectors of this data set are trained on.
 
-    Raises:
-        InputError: no component lidar/, or an unknown laser.
+    Raises InputError: no component lidar/, or an unknown laser.
     """
 
     dataset = "waymo"
@@ -88,11 +85,7 @@ class WaymoScenes:
         return list(self._listed)
 
     def load(self, name: str) -> Scene:
-        """One frame.
-
-        Raises:
-            InputError: naming the component's file, the row's keys, and the remedy.
-        """
+        """One frame. Raises InputError: naming the component's file, the row's keys, and the remedy."""
         segment, timestamp = self._split(name)
         frames = read_frame(self.root, segment, timestamp, self.lasers)
         offset = self._origin(segment)

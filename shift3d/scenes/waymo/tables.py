@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.store.location import Location
 
-__all__ = ["FRAME", "LASER", "SEGMENT", "Component", "by_key", "numbers"]
-
 SEGMENT, FRAME, LASER = "key.segment_context_name", "key.frame_timestamp_micros", "key.laser_name"
 _ROWS_AT_ONCE = 8  # a row of `lidar` is up to 5 MB
 _BUFFER_BYTES = 2**20
@@ -36,8 +34,7 @@ class Component:
     def timestamps(self) -> list[int]:
         """Frames that have rows, microseconds, ascending.
 
-        Raises:
-            InputError: the file cannot be read, or has no rows.
+        Raises InputError: the file cannot be read, or has no rows.
         """
         with self._opened((SEGMENT, FRAME)) as parquet:
             keys = self._checked(parquet.read(columns=[SEGMENT, FRAME]))
@@ -48,8 +45,7 @@ class Component:
     def rows(self, columns: Sequence[str], timestamp: int | None = None) -> pa.Table:
         """The rows of one frame, or all of a component that has no frames. Reads the columns and row groups it needs.
 
-        Raises:
-            InputError: the file cannot be read, lacks a column, has no rows at all, or rows of another segment.
+        Raises InputError: the file cannot be read, lacks a column, has no rows at all, or rows of another segment.
         """
         keys = [SEGMENT] if timestamp is None else [SEGMENT, FRAME]
         wanted = [*keys, *(name for name in columns if name not in keys)]
@@ -117,8 +113,7 @@ def _integers(column: pa.ChunkedArray, file: Location) -> NDArray[np.int64]:
 def numbers(value: Any, size: int | None, where: str) -> NDArray[np.float64]:
     """A list of numbers of any width as float64. size: how many; None: any number.
 
-    Raises:
-        InputError: nothing, something else, or another number of them.
+    Raises InputError: nothing, something else, or another number of them.
     """
     try:
         found: NDArray[np.float64] = np.asarray(value.values.to_numpy(zero_copy_only=False), np.float64)
@@ -132,8 +127,7 @@ def numbers(value: Any, size: int | None, where: str) -> NDArray[np.float64]:
 def by_key(table: pa.Table, key: str, where: str) -> Mapping[Any, dict[str, Any]]:
     """Rows by the values of a key, each a dictionary of columns to Arrow scalars.
 
-    Raises:
-        InputError: two rows of one key.
+    Raises InputError: two rows of one key.
     """
     found: dict[Any, dict[str, Any]] = {}
     for row in range(table.num_rows):

@@ -18,17 +18,6 @@ from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.focal import focal_loss
 from shift3d.training.detector.recipe import Recipe
 
-__all__ = [
-    "IGNORED",
-    "NEGATIVE",
-    "POSITIVE",
-    "AnchorObjective",
-    "AnchorTargets",
-    "assign_anchors",
-    "nearest_bev_iou",
-    "sine_code_difference",
-]
-
 IGNORED, NEGATIVE, POSITIVE = -1, 0, 1
 POSITIVE_IOU = 0.55
 NEGATIVE_IOU = 0.40

@@ -12,8 +12,6 @@ import numpy.typing as npt
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.training.detector.recipe import Augmentation
 
-__all__ = ["moved", "thinned", "vehicles_varied"]
-
 Floats = npt.NDArray[np.float32]
 MARGIN_M = 0.1  # mirrors and antennas stand out of a box
 LINE_SPACING_DEG = (0.25, 0.6)
@@ -57,11 +55,7 @@ def vehicles_varied(
 
 
 def moved(
-    points: Floats,
-    boxes: Floats,
-    move: tuple[float, bool, float],
-    augmentation: Augmentation,
-    rng: np.random.Generator,
+    points: Floats, boxes: Floats, move: tuple[float, bool, float], augmentation: Augmentation, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Mirror, turn about the sensor, scale, shift, and tilt the ground. move: (angle, mirrored, scale)."""
     angle, flip, scale = move

@@ -16,8 +16,6 @@ from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.focal import heat_map_loss
 from shift3d.training.detector.recipe import Recipe
 
-__all__ = ["CentreObjective", "CentreTargets", "assign_centres", "gaussian_radius"]
-
 LEAST_OVERLAP = 0.1
 LEAST_RADIUS = 2
 

@@ -18,8 +18,6 @@ from shift3d.training.detector.pasting import VehicleDatabase, pasted
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector_scenes import TrainingScene
 
-__all__ = ["Crop", "random_crop", "vehicle_centre", "window_around"]
-
 Floats = npt.NDArray[np.float32]
 STRIDE = 4
 TRIES = 6
@@ -44,10 +42,7 @@ class Crop:
 def window_around(grid: Grid, centre_xy: tuple[float, float], cells: int) -> BevWindow:
     """A square window near a centre, aligned to the stride, inside the grid; the core is all of it."""
     starts = []
-    for centre, origin, count in (
-        (centre_xy[0], grid.x_min_m, grid.num_x),
-        (centre_xy[1], grid.y_min_m, grid.num_y),
-    ):
+    for centre, origin, count in ((centre_xy[0], grid.x_min_m, grid.num_x), (centre_xy[1], grid.y_min_m, grid.num_y)):
         start = round(((centre - origin) / grid.cell_m - cells / 2) / STRIDE) * STRIDE
         starts.append(int(np.clip(start, 0, count - cells)))
     x0, y0 = starts

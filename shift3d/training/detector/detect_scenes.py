@@ -19,8 +19,6 @@ from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.training.detector_scenes import network_points
 
-__all__ = ["SCORE_FLOOR", "Answer", "detect_frame", "detect_scenes"]
-
 # Waymo's second score cut-off. The detectors keep the best 4096 boxes before suppression whatever their score, and
 # where that many lie above 0.1 a lower floor costs nothing and brings nothing.
 SCORE_FLOOR = 0.01
@@ -41,8 +39,7 @@ def detect_frame(detector: Detector, scenes: SceneSet, name: str, score_threshol
     In KITTI frames only cars count (vans and trucks are ignored: the detectors have one class for all three), boxes
     outside the camera's view are marked as unlabelled, and labels carry KITTI's difficulty.
 
-    Raises:
-        InputError: the scene cannot be read.
+    Raises InputError: the scene cannot be read.
     """
     start = perf_counter()
     scene = scenes.load(name)
@@ -91,8 +88,7 @@ def detect_scenes(
     open_detector, open_scenes: called once in every process; with several workers both must be picklable. Every
     process computes on one thread: with more, sums would be taken in another order and the bits would change.
 
-    Raises:
-        InputError: a scene cannot be read, or the detector not be opened.
+    Raises InputError: a scene cannot be read, or the detector not be opened.
     """
     names = open_scenes().names() if names is None else names
     if not names:

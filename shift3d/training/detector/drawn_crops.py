@@ -17,8 +17,6 @@ from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector_scenes import TrainingScene, load_cached
 
-__all__ = ["EpochCrops", "RandomCrops", "epoch_steps"]
-
 LEAST_POINTS = 10
 """Of a crop: a batch norm has no statistics of a single point."""
 TRIES = 50

@@ -6,8 +6,6 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-__all__ = ["focal_loss", "heat_map_loss"]
-
 FOCAL_ALPHA = 0.25
 FOCAL_GAMMA = 2.0
 HEAT_BETA = 4.0

@@ -18,8 +18,6 @@ from torch import Tensor
 
 from shift3d.detectors.models.sst import SstNet, SstSpec
 
-__all__ = ["doubled", "grown"]
-
 _LEAST_SHARE = 0.3
 _NORMS = ("norm_attention", "norm_feed_forward")
 

@@ -27,8 +27,6 @@ from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle
 from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
 
-__all__ = ["CHECKPOINT", "SHIPPED_DATA", "recompute_statistics", "train_on_scenes"]
-
 
 def recompute_statistics(net: DetectorNet, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> None:
     """Set every batch norm's mean and variance to those of this batch, in place; weights stay.

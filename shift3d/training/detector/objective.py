@@ -15,8 +15,6 @@ from shift3d.training.detector.centre_objective import CentreObjective
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.recipe import Recipe
 
-__all__ = ["Objective", "batch_loss", "objective_of"]
-
 
 class Objective(Protocol):
     """Targets of one kind of heads, and the loss against them."""

@@ -18,8 +18,6 @@ from shift3d.geometry.boxes import points_in_boxes
 from shift3d.training.detector.recipe import Augmentation
 from shift3d.training.detector_scenes import TrainingScene, load_cached
 
-__all__ = ["VehicleDatabase", "behind_box", "pasted"]
-
 Floats = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 MARGIN_M = 0.1  # mirrors and antennas stand out of a box

@@ -15,8 +15,6 @@ from shift3d.detectors.models.pointpillars import PointPillarsNet
 from shift3d.detectors.models.sst import SstNet, SstSpec
 from shift3d.errors import InputError
 
-__all__ = ["Augmentation", "Range", "Recipe"]
-
 Range = tuple[float, float]
 """(low, high) of a uniform draw; equal ends are a constant."""
 

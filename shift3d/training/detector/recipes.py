@@ -11,8 +11,6 @@ from shift3d.detectors.models.sst import SST_SMALL_SPEC, SST_SPEC
 from shift3d.errors import InputError
 from shift3d.training.detector.recipe import Augmentation, Recipe
 
-__all__ = ["RECIPES", "changed", "one_cycle", "scaled_to_steps"]
-
 # Attention costs by the token and the dense layers by the cell, so that small crops around vehicles teach most for the
 # time; weight decay is the published one, the peak rates fit batches of two (our choice).
 _SST_SMALL = Recipe(

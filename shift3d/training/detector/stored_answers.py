@@ -14,16 +14,13 @@ from shift3d.evaluation.frames import DetectedFrame, Found, Truth
 from shift3d.store.atomic import write_atomic
 from shift3d.training.detector.detect_scenes import Answer
 
-__all__ = ["answers_of", "read_answer", "write_answer"]
-
 
 def answers_of(names: Iterable[str], folder: Path, detect: Callable[[list[str]], Iterator[Answer]]) -> Iterator[Answer]:
     """The answer of every scene, in order: from ``folder`` where it lies there, else detected and written there.
 
     detect: names of the scenes that are missing to their answers, in that order.
 
-    Raises:
-        InputError: a file in ``folder`` is torn, or whatever ``detect`` raises.
+    Raises InputError: a file in ``folder`` is torn, or whatever ``detect`` raises.
     """
     names = list(names)
     coming = detect([name for name in names if not _file(folder, name).exists()])

@@ -8,7 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from safetensors.torch import save
 from torch import Tensor
 from tqdm import tqdm
 
@@ -19,7 +18,7 @@ from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.build.fleet import fleet_of
 from shift3d.scenes.street.options import StreetOptions
 from shift3d.seeding import generator
-from shift3d.store.atomic import write_atomic
+from shift3d.store.safetensors_file import write_safetensors
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute
 from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
@@ -30,13 +29,6 @@ from shift3d.training.inserted_vehicles import with_inserted_vehicles
 from shift3d.training.progress import Report, averaged
 from shift3d.training.provenance import write_provenance
 from shift3d.vehicles.family.split import SPLIT
-
-__all__ = [
-    "export_weights",
-    "inserted_scene_files",
-    "mesh_scene_files",
-    "train_detector",
-]
 
 CURVE_POINTS = 30
 """About how many points of the curve stand in the provenance."""
@@ -132,8 +124,7 @@ def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = 
     batch statistics stay float32: variances go beyond what float16 holds.
     """
     tensors = {name: _stored(tensor.detach().cpu(), halved).contiguous() for name, tensor in net.state_dict().items()}
-    # One entry: safetensors writes several in another order each time.
-    write_atomic(file, save(tensors, metadata={"recipe": repr(recipe)}))
+    write_safetensors(file, tensors, {"recipe": repr(recipe)})
 
 
 def _stored(tensor: Tensor, halved: bool) -> Tensor:

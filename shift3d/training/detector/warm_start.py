@@ -13,8 +13,6 @@ from shift3d.detectors.models.weights import ANCHOR_SIZE, WEIGHTS_FOLDER, load_n
 from shift3d.training.detector.growing import grown
 from shift3d.training.detector.recipe import Recipe
 
-__all__ = ["start_file", "start_state", "with_anchor_size"]
-
 HEADS = "heads."
 
 

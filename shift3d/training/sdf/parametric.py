@@ -25,8 +25,6 @@ from shift3d.training.compute import Compute
 from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
 from shift3d.training.sdf.wide_shapes import WideShapes, wide_shapes
 
-__all__ = ["CHECKPOINT", "ParametricRecipe", "train_parametric", "train_wide"]
-
 CHECKPOINT = "parametric.pt"
 CURVE_STEPS = 100
 

@@ -23,8 +23,6 @@ from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_vehicle
 from shift3d.vehicles.parameter_box import BoxOfParameters
 from shift3d.vehicles.vehicle_set import KnownCodes, fitted, write_vehicle_set
 
-__all__ = ["export_parametric", "generalisation_cm", "parametric_decoder"]
-
 LEAST_MEMBERS = 8
 """Fewest members of a kind in the training that make it a vehicle of the set."""
 TRIMMED = 0.02

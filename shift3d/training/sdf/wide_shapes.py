@@ -18,8 +18,6 @@ from shift3d.store.atomic import write_atomic
 from shift3d.vehicles.family.parameters import ParameterTable, is_symmetric, parameter_table
 from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_family
 
-__all__ = ["KindFrame", "WideShapes", "in_frame", "kind_frames", "wide_shapes"]
-
 CHUNK = 100
 RESOLUTION_M, FACES = 0.035, 30_000
 KIND_MARGIN = 1.03
@@ -112,9 +110,7 @@ def in_frame(spec: WideSpec, frame: KindFrame, mesh: trimesh.Trimesh) -> trimesh
     return trimesh.Trimesh((mesh.vertices + offset) / frame.scale_m, mesh.faces, process=False)
 
 
-def _sampled(
-    task: tuple[WideSpec, KindFrame, int, int, int],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _sampled(task: tuple[WideSpec, KindFrame, int, int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     spec, frame, samples, seed, index = task
     unit = in_frame(spec, frame, build_wide_mesh(spec, RESOLUTION_M, FACES))
     points, distances = sample_sdf_within(unit, samples, generator("wide sdf samples", seed, index))

@@ -13,8 +13,6 @@ from shift3d.vehicles.family.parts import tail as tail_parts
 from shift3d.vehicles.family.parts.part import Part, roof_half_m, roof_z_m, side_half_m, x_of
 from shift3d.vehicles.family.spec import VehicleSpec
 
-__all__ = ["ATTRIBUTES", "Attribute"]
-
 Draw = Callable[[VehicleSpec, np.random.Generator], tuple[VehicleSpec, tuple[Part, ...]]]
 _WITH_TAILGATE = ("hatchback", "beach_wagon", "suv", "minivan", "van", "city_car", "kei_car")
 _CARS = ("coupe", "sports_car", "suv", "beach_wagon", "sedan", "hatchback", "city_car", "minivan")

@@ -12,8 +12,6 @@ from shift3d.vehicles.family.parts.part import x_of
 from shift3d.vehicles.family.solid import Grid
 from shift3d.vehicles.family.spec import VehicleSpec
 
-__all__ = ["Alcove", "BoxBody", "Trailer"]
-
 Array = NDArray[np.float32]
 
 

@@ -12,22 +12,6 @@ from numpy.typing import NDArray
 
 from shift3d.vehicles.family.solid import Grid, smooth_max, smooth_min
 
-__all__ = [
-    "Bounds",
-    "Distance",
-    "Point",
-    "add",
-    "ball",
-    "block",
-    "cut",
-    "disc",
-    "pair",
-    "ring",
-    "rod",
-    "thick",
-    "wedge",
-]
-
 Array = NDArray[np.float32]
 Point = tuple[float, float, float]
 Bounds = tuple[Point, Point]

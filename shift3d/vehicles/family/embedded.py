@@ -14,8 +14,6 @@ from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.vehicles.family.spec import BODY_TYPES, CAB_TYPES, VehicleSpec
 
-__all__ = ["RANGES", "Range", "TypeRanges", "draw_spec", "family", "sample_spec"]
-
 Range = tuple[float, float]
 
 

@@ -18,8 +18,6 @@ from shift3d.vehicles.family.parts.damage import PANELS, Dents, MissingPanels
 from shift3d.vehicles.family.split import WIDE_BODY_TYPES
 from shift3d.vehicles.family.wide import WideSpec
 
-__all__ = ["ParameterTable", "is_symmetric", "named_parameters", "parameter_table"]
-
 MOST_DENTS = 6
 _LOPSIDED = ("ladder", "spare_wheel", "roof_box", "tail_bicycles", "dented", "missing_panels")
 

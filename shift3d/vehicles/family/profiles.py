@@ -51,12 +51,7 @@ def lower_body(spec: VehicleSpec) -> Polygon:
         corners.append((length - 0.07, spec.tail_z_m))
     else:
         corners.append((length - 0.02, min(spec.tail_z_m, spec.deck_z_m)))
-    corners += [
-        (length, tail_bumper_z),
-        (length, low + 0.22),
-        (length - 0.10, low + 0.10),
-        (length - 0.55, low),
-    ]
+    corners += [(length, tail_bumper_z), (length, low + 0.22), (length - 0.10, low + 0.10), (length - 0.55, low)]
     return [*corners, (0.50, low)]
 
 

@@ -20,17 +20,6 @@ import numpy as np
 
 from shift3d.errors import InputError
 
-__all__ = [
-    "CLEARANCE_TOLERANCE_M",
-    "PUBLISHED",
-    "QUANTITIES",
-    "TRAILERS",
-    "PublishedModel",
-    "published_range",
-    "typical_range",
-    "tyre_diameter_m",
-]
-
 INCH_M = 0.0254
 CLEARANCE_TOLERANCE_M = 0.01
 """Makers state ground clearance empty or laden, which differ by about 2 cm, and few state it at all."""

@@ -73,9 +73,7 @@ def bowed(grid: Grid, spec: VehicleSpec, field: Array) -> Array:
     half = spec.length_m / 2
     t = np.minimum(grid.y / (spec.width_m / 2), 1.1) ** 2
     stretch = np.where(
-        grid.x[:, None] > 0,
-        1.0 / (1.0 - spec.front_bow_m / half * t),
-        1.0 / (1.0 - spec.rear_bow_m / half * t),
+        grid.x[:, None] > 0, 1.0 / (1.0 - spec.front_bow_m / half * t), 1.0 / (1.0 - spec.rear_bow_m / half * t)
     )
     position = (grid.x[:, None] * stretch - grid.x[0]) / grid.step_m
     lower = np.clip(np.floor(position).astype(np.int64), 0, len(grid.x) - 2)
@@ -121,9 +119,7 @@ def body_field(grid: Grid, spec: VehicleSpec) -> Array:
     if spec.body_type == "convertible":
         return _open_cabin(grid, spec, lower, flanks)
     cabin = smooth_max(
-        bowed(grid, spec, polygon_field(grid, spec, profiles.glasshouse(spec), 0.03)),
-        flanks,
-        1.2 * spec.edge_radius_m,
+        bowed(grid, spec, polygon_field(grid, spec, profiles.glasshouse(spec), 0.03)), flanks, 1.2 * spec.edge_radius_m
     )
     body = smooth_min(lower, cabin, 0.05)
     if spec.body_type == "pickup":

@@ -20,15 +20,7 @@ BODY_TYPES: tuple[str, ...] = (
     "pickup",
 )
 """Of the embedded family, in the order in which it takes turns."""
-MORE_BODY_TYPES: tuple[str, ...] = (
-    "city_car",
-    "minivan",
-    "kei_car",
-    "limousine",
-    "high_roof_van",
-    "box_van",
-    "camper",
-)
+MORE_BODY_TYPES: tuple[str, ...] = ("city_car", "minivan", "kei_car", "limousine", "high_roof_van", "box_van", "camper")
 """Of the wide family alone; a trailer has no cab and is no `VehicleSpec`."""
 CAB_TYPES: tuple[str, ...] = ("pickup", "box_van", "camper")
 """What ends behind the cab: a bed or a frame follows."""
@@ -81,16 +73,8 @@ class VehicleSpec:
             value = getattr(self, field.name)
             if isinstance(value, float) and not 0.0 <= value < 20.0:
                 raise InputError(f"{value} m", where=f"VehicleSpec.{field.name}", remedy="a length from 0 to 20 m")
-        order = [
-            0.0,
-            self.cowl_s_m,
-            self.roof_front_s_m,
-            self.roof_rear_s_m,
-            self.backlight_s_m,
-            self.length_m,
-        ]
+        order = [0.0, self.cowl_s_m, self.roof_front_s_m, self.roof_rear_s_m, self.backlight_s_m, self.length_m]
         if any(a >= b for a, b in itertools.pairwise(order)):
             raise InputError(
-                "the roof line must run nose, cowl, roof front, roof rear, rear window, tail",
-                where="VehicleSpec.*_s_m",
+                "the roof line must run nose, cowl, roof front, roof rear, rear window, tail", where="VehicleSpec.*_s_m"
             )

@@ -8,8 +8,6 @@ from shift3d.errors import InputError
 from shift3d.vehicles.family.attributes import ATTRIBUTES
 from shift3d.vehicles.family.spec import BODY_TYPES, MORE_BODY_TYPES
 
-__all__ = ["SPLIT", "WIDE_BODY_TYPES", "FamilySplit"]
-
 WIDE_BODY_TYPES = (*BODY_TYPES, *MORE_BODY_TYPES, "trailer")
 _EVERY = (*WIDE_BODY_TYPES, *ATTRIBUTES)
 
@@ -20,8 +18,7 @@ class FamilySplit:
 
     A vehicle is seen where its body type and all its attributes are; one thing held out makes it held out.
 
-    Raises:
-        InputError: for a name that is unknown or given twice, on both sides or on none, or no body type to train on.
+    Raises InputError: for a name that is unknown or given twice, on both sides or on none, or no body type to train on.
     """
 
     seen: tuple[str, ...]

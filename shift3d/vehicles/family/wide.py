@@ -24,8 +24,6 @@ from shift3d.vehicles.family.spec import VehicleSpec
 from shift3d.vehicles.family.split import SPLIT, WIDE_BODY_TYPES
 from shift3d.vehicles.family.wide_ranges import BOXES, TRAILER, wide_ranges
 
-__all__ = ["CYCLE", "Side", "WideSpec", "build_wide_mesh", "draw_wide", "wide_family", "wide_field", "wide_vehicle"]
-
 Side = Literal["seen", "held_out"]
 CYCLE = (
     "hatchback", "suv", "sedan", "beach_wagon", "city_car", "suv", "van", "coupe", "hatchback", "minivan", "sedan",

@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 from shift3d.vehicles.family.embedded import RANGES, Range, TypeRanges
 from shift3d.vehicles.family.published import TRAILERS, published_range
 
-__all__ = ["BOXES", "TRAILER", "BoxRanges", "TrailerRanges", "wide_ranges"]
-
 WIDENED = 0.25
 """Of its width a range of shares is extended by at either end."""
 

@@ -100,7 +100,7 @@ def test_the_shape_attack_lowers_the_loss(problem: AttackProblem) -> None:
     # The record is the loss of what is returned.
     again = measure(problem, result.latent_code, result.theta)
     assert float(again.adversarial) == pytest.approx(result.best.adversarial_loss, rel=1e-3)
-    assert set(result.milliseconds()) == {"render", "detector", "constraints", "backward"}
+    assert set(result.milliseconds()) == {"placement", "render", "detector", "constraints", "backward"}
 
 
 def test_lambda_holds_the_shape_back(problem: AttackProblem) -> None:

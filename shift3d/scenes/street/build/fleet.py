@@ -17,8 +17,6 @@ from shift3d.seeding import derive_seed
 if TYPE_CHECKING:
     from shift3d.vehicles.family.wide import WideSpec
 
-__all__ = ["Fleet", "fleet_of"]
-
 WIDE_RESOLUTION_M = 0.06
 _WITHOUT_GLASS = ("trailer", "box_van", "camper")
 """Boxes: at the height of a car's windows they have sheet metal."""

@@ -139,12 +139,7 @@ def _grid_lines(edges: list[float]) -> Float:
 def sample_waves(rng: np.random.Generator, strength: float) -> tuple[Wave, ...]:
     """Hills of 60 to 160 m and bumps of 6 to 20 m; strength 1 gives amplitudes of about 0.25 m and 2 cm."""
     waves = []
-    for low, high, amplitude in (
-        (60.0, 160.0, 0.25),
-        (60.0, 160.0, 0.2),
-        (6.0, 20.0, 0.015),
-        (6.0, 20.0, 0.01),
-    ):
+    for low, high, amplitude in ((60.0, 160.0, 0.25), (60.0, 160.0, 0.2), (6.0, 20.0, 0.015), (6.0, 20.0, 0.01)):
         k = 2 * np.pi / rng.uniform(low, high)
         angle = rng.uniform(0.0, 2 * np.pi)
         size = strength * amplitude * rng.uniform(0.2, 1.0)

@@ -49,8 +49,7 @@ class FloorPlan:
     def place(self, item: Item, margin_m: float = 0.2) -> bool:
         """Add an item unless its floor rectangle, grown by the margin, meets another one.
 
-        Returns:
-            Whether it was added.
+        Returns: Whether it was added.
         """
         length, width, height = item.size_m
         grown = np.array([[item.x, item.y, 0, length + 2 * margin_m, width + 2 * margin_m, height, item.heading_rad]])

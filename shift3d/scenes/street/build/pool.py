@@ -45,10 +45,7 @@ class PoolVehicle:
 
 @lru_cache(maxsize=512)
 def pool_vehicle(split: str, number: int) -> PoolVehicle:
-    """Vehicle ``number`` (modulo the size of the pool) of a split; the splits share no seed.
-
-    Source: our choice.
-    """
+    """Vehicle ``number`` (modulo the size of the pool) of a split; the splits share no seed. Source: our choice."""
     number %= POOL_SIZES[split]
     vertices, faces, body_type = _cached_mesh(split, number)
     low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)

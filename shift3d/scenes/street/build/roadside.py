@@ -73,16 +73,7 @@ def _line_backdrop(plan: FloorPlan, ground: Ground, rng: np.random.Generator, si
         height = rng.uniform(4.0, 14.0) if kind == "building" else rng.uniform(3.0, 8.0)
         if kind != "gap":
             v = side * (base + depth / 2 + rng.uniform(0.0, 6.0))
-            _add(
-                plan,
-                ground,
-                kind,
-                u + length / 2,
-                v,
-                float(rng.normal(0.0, 0.1)),
-                (length, depth, height),
-                rng,
-            )
+            _add(plan, ground, kind, u + length / 2, v, float(rng.normal(0.0, 0.1)), (length, depth, height), rng)
         u += length + rng.uniform(0.5, 5.0)
 
 
@@ -101,16 +92,7 @@ def _trees_and_poles(plan: FloorPlan, ground: Ground, rng: np.random.Generator, 
         _add(plan, ground, "pole", u, side * (kerb + 0.1), toward_road, size, rng)
     for _ in range(int(rng.integers(1, 6))):
         u, heading = rng.uniform(-60.0, 60.0), rng.choice((0.0, np.pi)) + rng.normal(0.0, 0.1)
-        _add(
-            plan,
-            ground,
-            "sign",
-            u,
-            side * (kerb + 0.2),
-            heading,
-            (0.1, 0.7, float(rng.uniform(2.0, 3.2))),
-            rng,
-        )
+        _add(plan, ground, "sign", u, side * (kerb + 0.2), heading, (0.1, 0.7, float(rng.uniform(2.0, 3.2))), rng)
 
 
 def _tree_at(plan: FloorPlan, ground: Ground, u: float, v: float, rng: np.random.Generator) -> None:

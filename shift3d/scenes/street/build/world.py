@@ -103,8 +103,7 @@ class World:
         Args:
             starts, directions: (N, 3) float64, scene frame. from_m: (N,) range from which on they are looked for.
 
-        Returns:
-            Hits of shape (N,), ranges from the starts.
+        Returns: Hits of shape (N,), ranges from the starts.
         """
         aims, begins = directions.astype(np.float32), starts + from_m[:, None] * directions
         range_m, face, cosine = self.mesh.first_hit(begins.astype(np.float32), aims)

@@ -12,8 +12,6 @@ from shift3d.vehicles.family.parts.part import side_half_m, x_of
 from shift3d.vehicles.family.solid import Grid
 from shift3d.vehicles.family.spec import VehicleSpec
 
-__all__ = ["PANELS", "Dents", "MissingPanels"]
-
 Array = NDArray[np.float32]
 PANELS = ("hood", "front_door_left", "front_door_right", "front_fender_left", "front_fender_right", "bumper")
 

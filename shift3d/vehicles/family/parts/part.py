@@ -12,8 +12,6 @@ from shift3d.vehicles.family.csg import Bounds
 from shift3d.vehicles.family.solid import Grid
 from shift3d.vehicles.family.spec import VehicleSpec
 
-__all__ = ["Part", "roof_half_m", "roof_z_m", "side_half_m", "x_of"]
-
 
 class Part(Protocol):
     """Something that is added to a vehicle or taken out of it; lengths in metres, frame as in `solid`."""

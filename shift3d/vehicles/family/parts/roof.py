@@ -13,8 +13,6 @@ from shift3d.vehicles.family.parts.part import roof_half_m, roof_z_m, x_of
 from shift3d.vehicles.family.solid import Grid, smooth_max
 from shift3d.vehicles.family.spec import VehicleSpec
 
-__all__ = ["Ladder", "RoofBox", "RoofRack", "RoofRails"]
-
 Array = NDArray[np.float32]
 BAR_M = 0.02
 """Radius of rails and bars: tubes and profiles are 3 to 5 cm wide."""

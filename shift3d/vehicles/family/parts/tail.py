@@ -13,8 +13,6 @@ from shift3d.vehicles.family.parts.part import roof_half_m, side_half_m, x_of
 from shift3d.vehicles.family.solid import Grid, smooth_max
 from shift3d.vehicles.family.spec import VehicleSpec
 
-__all__ = ["Bicycles", "Canopy", "LetDownGate", "OpenTailgate", "SpareWheel"]
-
 Array = NDArray[np.float32]
 
 

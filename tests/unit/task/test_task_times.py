@@ -1,0 +1,21 @@
+"""Where a task's time goes: every search that it makes says so by stage, that of the comparison among them."""
+
+from __future__ import annotations
+
+from short_tasks import make_spec
+
+from shift3d.task.assets import Assets
+from shift3d.task.run import run_task
+from shift3d.task.spec import AttackSpec
+
+
+def test_the_times_of_the_comparison_stand_beside_those_of_the_search(assets: Assets) -> None:
+    attack = AttackSpec(steps=2, search="expectation", placements=2, noise_replicates=0, random_search=1)
+    result = run_task(make_spec(attack=attack), assets)
+    spent = {(row["method"], row["stage"]): row for row in result.timings}
+    # Of the search the baseline and one step, each at two places; the draws are never descended from.
+    assert spent["adversarial", "backward"]["milliseconds"] > 0.0
+    assert spent["random_search", "render"]["calls"] == 1 + 2 + 1  # baseline, draws, and the winner's own score
+    assert ("random_search", "backward") not in spent
+    stages = sum(row["milliseconds"] for (_, stage), row in spent.items() if stage != "total")
+    assert 0.0 < stages <= spent["adversarial", "total"]["milliseconds"]
