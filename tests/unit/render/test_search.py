@@ -139,11 +139,13 @@ def test_a_hidden_unit_that_is_on_at_some_hits_alone_is_kept() -> None:
     """A wall with a bump of 6 cm in the way of some beams, between the places that a search surveys beforehand."""
     centre, eye = torch.tensor([0.0, 0.035, 0.03], dtype=torch.float64), torch.eye(3, dtype=torch.float64)
     first, first_bias = torch.cat((eye, -eye)), torch.cat((-centre, centre))
-    bump = torch.tensor([-1.0, -1.0, -1.0, -1.0, -1.0, -1.0])
-    wall = torch.tensor([-1.0, 0.0, 0.0, 1.0, 0.0, 0.0])  # -x
-    hidden = torch.stack((bump, wall, -wall)).double()
-    out = torch.tensor([[-1.0, 1.0, -1.0]], dtype=torch.float64)
-    biases = [first_bias, torch.tensor([0.024, 0.0, 0.0], dtype=torch.float64), torch.zeros(1, dtype=torch.float64)]
+    hidden, out = torch.zeros(64, 6, dtype=torch.float64), torch.zeros(1, 64, dtype=torch.float64)
+    hidden[0, 0], hidden[0, 3], hidden[63] = -1.0, 1.0, -1.0
+    hidden[1, 0], hidden[1, 3] = 1.0, -1.0  # the wall at x = 0, outside in front of it; the last unit is the bump
+    out[0, 0], out[0, 1], out[0, 63] = 1.0, -1.0, -1.0
+    bias = torch.zeros(64, dtype=torch.float64)
+    bias[63] = 0.024
+    biases = [first_bias, bias, torch.zeros(1, dtype=torch.float64)]
     field, frame = Field([first, hidden, out], biases, skip_layer=-1), Frame(scale_m=2.5)
     beams = Beams.from_arrays(*sector_scan((10.0, 0.0875, 0.075), half_angle_rad=0.02, rays=32, far_m=30.0))
     theta = torch.tensor([10.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
