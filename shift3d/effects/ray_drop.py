@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import DetectorFacts, Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
 from shift3d.effects.physics.power import echo_power, least_power, survival, survival_draws
 from shift3d.render.field.object_field import VehicleFrame
@@ -23,7 +23,7 @@ LEAST_LOSS = 0.01
 """Share of lost echoes there below which nothing is to be seen: the weakest of the object's some hundred points."""
 
 
-class RayDrop:
+class RayDrop(Effect):
     """An echo of the object comes back with the probability that its power gives, `power.survival`.
 
     power = albedo cos(incidence) / range^2 (`power.echo_power`), least power = 0.9 / limit_range_m^2; a row is kept
@@ -65,7 +65,7 @@ class RayDrop:
         """One uniform draw for every row of the beams."""
         sensor = context.scene.sensor
         if sensor is None or not _has_limit(sensor):
-            return _unchanged
+            return unchanged
         drawn = survival_draws(context)
 
         def step(returns: Returns) -> Returns:
@@ -73,10 +73,6 @@ class RayDrop:
             return returns.without(lost) if bool(lost.any()) else returns
 
         return step
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """Never: what the sensor lost of the scene is not in its points."""
-        return False
 
 
 def _has_limit(sensor: SensorModel) -> bool:
@@ -92,10 +88,6 @@ def _survival(returns: Returns, sensor: SensorModel) -> Tensor:
 def _power(albedo: float, cosine: float, range_m: float) -> Tensor:
     rho, cos, r = torch.tensor([albedo, cosine, range_m], dtype=torch.float64)
     return echo_power(rho, cos, r)
-
-
-def _unchanged(returns: Returns) -> Returns:
-    return returns
 
 
 EFFECT = RayDrop()

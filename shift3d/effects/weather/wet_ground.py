@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
-from shift3d.effects.physics.power import PowerLimit, echo_power, unchanged
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
+from shift3d.effects.physics.power import PowerLimit, echo_power
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
@@ -63,7 +63,7 @@ def wet_albedo(albedo: Tensor, cosine: Tensor, index: float = WATER_INDEX) -> Te
     return through * albedo * through / index**2 / (1.0 - albedo * trapped(index))
 
 
-class WetGround:
+class WetGround(WeatherEffect):
     """The scene's ground, seen through a film of water: its albedo and reflectance fall, and echoes below the sensor's
     least power are lost.
 
@@ -81,15 +81,13 @@ class WetGround:
     """
 
     name = "wet_ground"
-    kind: Kind = "returns"
     reads_incidence = False
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Rain that is not in the points yet, ground in view, and a limit below which its echoes are lost."""
         conditions = scene.conditions
-        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not scene.ground_in_view:
-            return None
-        if scene.sensor.limit_range_m is None:
+        known = scene.ground_in_view and scene.sensor.limit_range_m is not None
+        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not known:
             return None
         cosine = torch.tensor([1.73 / _TYPICAL_M], dtype=torch.float64)
         share = float(wet_albedo(torch.tensor([_DRY_ALBEDO], dtype=torch.float64), cosine)) / _DRY_ALBEDO
@@ -101,20 +99,11 @@ class WetGround:
     def bind(self, context: EffectContext) -> ReturnsStep:
         """Two draws a beam."""
         conditions, sensor = context.scene.conditions, context.scene.sensor
-        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points:
-            return unchanged
-        if sensor is None or sensor.limit_range_m is None:
+        known = sensor is not None and sensor.limit_range_m is not None
+        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not known:
             return unchanged
         limit, ground_z_m = PowerLimit.of(context, self.name), context.scene.ground_z_m
-
-        def step(returns: Returns) -> Returns:
-            return _wetted(returns, limit, ground_z_m)
-
-        return step
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """Where the scene's points are those of dry ground."""
-        return not context.scene.conditions.weather_in_points
+        return lambda returns: _wetted(returns, limit, ground_z_m)
 
 
 def _wetted(returns: Returns, limit: PowerLimit, ground_z_m: float) -> Returns:
