@@ -58,28 +58,14 @@ class Labels:
         """
         validate_boxes(self.boxes, f"{where}, labels.boxes")
         count = len(self.boxes)
-        if len(self.classes) != count:
-            raise InputError(
-                f"{len(self.classes)} classes for {count} boxes", f"{where}, labels.classes", "Give one class a box."
-            )
-        if self.names and len(self.names) != count:
-            raise InputError(
-                f"{len(self.names)} names for {count} boxes",
-                f"{where}, labels.names",
-                "Give one name a box, or none at all.",
-            )
-        if self.kinds and len(self.kinds) != count:
-            raise InputError(
-                f"{len(self.kinds)} kinds for {count} boxes",
-                f"{where}, labels.kinds",
-                "Give one kind a box, or none at all.",
-            )
+        for name, one in (("classes", "class"), ("names", "name"), ("kinds", "kind")):
+            values = getattr(self, name)
+            if len(values) != count and (values or name == "classes"):
+                remedy = f"Give one {one} a box" + ("." if name == "classes" else ", or none at all.")
+                raise InputError(f"{len(values)} {name} for {count} boxes", f"{where}, labels.{name}", remedy)
         if self.num_points.shape != (count,):
-            raise InputError(
-                f"shape {self.num_points.shape} for {count} boxes",
-                f"{where}, labels.num_points",
-                "Give one count a box.",
-            )
+            what = f"shape {self.num_points.shape} for {count} boxes"
+            raise InputError(what, f"{where}, labels.num_points", "Give one count a box.")
         if (self.num_points < 0).any():
             row = int(np.argmax(self.num_points < 0))
             raise InputError(

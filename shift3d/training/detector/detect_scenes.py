@@ -14,7 +14,8 @@ import torch
 
 from shift3d.detectors.base import Detector
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth
-from shift3d.scenes.kitti.scenes import CameraView, KittiScenes
+from shift3d.scenes.kitti.files import Calibration
+from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.training.detector_scenes import network_points
@@ -54,7 +55,7 @@ def detect_frame(detector: Detector, scenes: SceneSet, name: str, score_threshol
     return Answer(frame, 1e3 * (loaded - start), 1e3 * (done - loaded))
 
 
-def _found(boxes: np.ndarray, scores: np.ndarray, view: CameraView | None) -> Found:
+def _found(boxes: np.ndarray, scores: np.ndarray, view: Calibration | None) -> Found:
     if view is None:
         return Found(boxes, scores, np.ones(len(boxes), dtype=bool), np.full(len(boxes), np.nan))
     return Found(boxes, scores, view.in_view(boxes), view.height_px(boxes))
