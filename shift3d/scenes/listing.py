@@ -58,7 +58,7 @@ def read_lines(file: Location, kind: str) -> list[str]:
 
 def refuse_not_finite(rows: NDArray[Any], where: str, remedy: str = "Repair or drop those rows") -> None:
     """Refuse rows (N, ...) with NaN or infinity. Raises InputError: naming how many there are, and the first."""
-    bad = ~np.isfinite(rows).reshape(len(rows), -1).all(axis=1)
+    bad = ~np.isfinite(rows).all(axis=tuple(range(1, rows.ndim)))
     if bad.any():
         what = f"{counted(int(bad.sum()), 'row')} with NaN or infinity, first is row {int(bad.argmax())}"
         raise InputError(what, where, remedy)

@@ -105,8 +105,8 @@ def _read() -> dict[str, Sensor]:
 
 BEAMS = _read()
 SHORT32 = BEAMS.pop("short32")
-"""A short-range sensor for the corners of the car. `BEAMS`: those whose beams any street can be seen with; noise, steps of
-range and losses that are not published are those of the HDL-64E (our choice)."""
+"""A short-range sensor for the corners of the car. `BEAMS`: those whose beams any street can be seen with; noise, steps
+of range and losses that are not published are those of the HDL-64E (our choice)."""
 HDL64, WAYMO_TOP, AV2_PAIR = BEAMS["hdl64"], BEAMS["waymo_top"], BEAMS["av2_pair"]
 SENSORS = {sensor.name: sensor for sensor in (HDL64, WAYMO_TOP)}
 """Sensors with streets of their own."""
