@@ -38,12 +38,6 @@ class Experiment:
     epoch: int | None
 
 
-def load_foreign_decoder(folder: Path | str, checkpoint: str = "latest") -> tuple[Decoder | DeepSdfNetwork, Tensor]:
-    """Decoder and codes (N, code) of `load_experiment`."""
-    experiment = load_experiment(folder, checkpoint)
-    return experiment.decoder, experiment.codes
-
-
 def experiment_file_names(checkpoint: str = "latest") -> tuple[str, str, str]:
     """Of specs.json, the network's weights and the codes, below an experiment's folder."""
     return "specs.json", f"ModelParameters/{checkpoint}.pth", f"LatentCodes/{checkpoint}.pth"

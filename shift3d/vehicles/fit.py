@@ -16,11 +16,10 @@ from shift3d.sdf.autodecode import autodecode
 from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
 from shift3d.sdf.samples import SdfSamples, sample_sdf
 from shift3d.seeding import generator
-from shift3d.vehicles.mesh_files import MeshFile, find_meshes
+from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.mesh_vehicle import MeshVehicle, read_mesh_vehicle
 from shift3d.vehicles.orientation import better_frame, turned
-from shift3d.vehicles.side_by_side import write_side_by_side
+from shift3d.vehicles.picture import write_side_by_side
 from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
 
 SAMPLES, STEPS, POINTS_A_STEP = 50_000, 300, 1_024

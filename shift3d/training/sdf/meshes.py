@@ -17,9 +17,8 @@ from shift3d.errors import InputError
 from shift3d.sdf.samples import sample_sdf
 from shift3d.seeding import generator
 from shift3d.training.sdf_shapes import ShapeSamples
-from shift3d.vehicles.mesh_files import MeshFile, find_meshes
+from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.mesh_vehicle import MeshVehicle, read_mesh_vehicle
 
 
 @dataclass(frozen=True)

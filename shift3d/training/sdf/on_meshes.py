@@ -22,10 +22,9 @@ from shift3d.training.sdf.export import CODE_NORM
 from shift3d.training.sdf.meshes import MeshShapes, mesh_shapes
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
 from shift3d.vehicles.fit import PICTURES
-from shift3d.vehicles.mesh_files import MeshFile
+from shift3d.vehicles.mesh_files import MeshFile, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.mesh_vehicle import read_mesh_vehicle
-from shift3d.vehicles.side_by_side import write_side_by_side
+from shift3d.vehicles.picture import write_side_by_side
 from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
 
 STEPS = 5_000

@@ -18,6 +18,7 @@ from shift3d.vehicles.family import profiles
 from shift3d.vehicles.family.spec import VehicleSpec
 
 Array = NDArray[np.float32]
+Corner = NDArray[np.float64]
 # Not exactly zero: a grid point that lies on the surface would give triangles without area.
 LEVELS_M = (1.37e-5, 2.9e-4, -3.1e-4, 6.7e-4, -7.1e-4, 1.9e-3)
 
@@ -43,20 +44,17 @@ def smooth_min(a: Array, b: Array, radius_m: float) -> Array:
     return -smooth_max(-a, -b, radius_m)
 
 
-def make_grid(spec: VehicleSpec, resolution_m: float) -> Grid:
-    """The half grid of a vehicle, with three cells of margin, and y = 0 among its planes."""
+def half_grid(low: Corner, high: Corner, resolution_m: float) -> Grid:
+    """The half grid of a solid between two corners (x, y, z), three cells of margin, y = 0 among its planes."""
     margin = 3.0 * resolution_m
 
-    def axis(low: float, high: float) -> Array:
-        cells = int(np.ceil((high - low) / resolution_m))
-        return np.asarray(low + resolution_m * np.arange(cells + 1), np.float32)
+    def axis(first: float, last: float) -> Array:
+        cells = int(np.ceil((last - first) / resolution_m))
+        return np.asarray(first + resolution_m * np.arange(cells + 1), np.float32)
 
-    half = spec.length_m / 2 + margin
+    reach = float(max(-low[1], high[1])) + margin
     return Grid(
-        x=axis(-half, half),
-        y=axis(0.0, spec.width_m / 2 + margin),
-        z=axis(-margin, spec.height_m + margin),
-        step_m=resolution_m,
+        axis(low[0] - margin, high[0] + margin), axis(0.0, reach), axis(low[2] - margin, high[2] + margin), resolution_m
     )
 
 
@@ -153,7 +151,8 @@ def vehicle_field(spec: VehicleSpec, resolution_m: float) -> tuple[Grid, Array]:
 
     Source: our choice: the paper takes its vehicles from ShapeNet.
     """
-    grid = make_grid(spec, resolution_m)
+    high = np.array([spec.length_m / 2, spec.width_m / 2, spec.height_m])
+    grid = half_grid(high * (-1.0, -1.0, 0.0), high, resolution_m)
     return grid, car_field(grid, spec)
 
 
