@@ -20,11 +20,11 @@ from shift3d.training.detector.anchor_objective import (
     POSITIVE,
     AnchorObjective,
     assign_anchors,
+    focal_loss,
     nearest_bev_iou,
     sine_code_difference,
 )
 from shift3d.training.detector.crops import random_crop
-from shift3d.training.detector.focal import focal_loss
 from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle, scaled_to_steps
