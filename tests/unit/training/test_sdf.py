@@ -37,7 +37,7 @@ def test_training_that_was_interrupted_ends_in_the_same_weights(
     whole = read_checkpoint(sdf.train_sdf(prepared(tmp_path / "whole", shapes), TINY, checkpoint_every=3))
     assert whole is not None
     cut = prepared(tmp_path / "cut", shapes)
-    write = sdf.write_checkpoint
+    write = loop.write_checkpoint
 
     def write_then_die(path: Path, state: dict[str, object]) -> None:
         write(path, state)
