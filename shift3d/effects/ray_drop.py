@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor
 
 from shift3d.effects.base import DetectorFacts, Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
@@ -51,7 +50,7 @@ class RayDrop(Effect):
         limit_m = scene.sensor.limit_range_m
         if limit_m is None or not _has_limit(scene.sensor):
             return None
-        power = _power(DARKEST_ALBEDO, math.cos(STEEP_RAD), FAR_M)
+        power = echo_power(*torch.tensor([DARKEST_ALBEDO, math.cos(STEEP_RAD), FAR_M], dtype=torch.float64).unbind())
         lost = 1.0 - float(survival(power, scene.sensor))
         if not lost >= LEAST_LOSS:
             return None
@@ -69,7 +68,8 @@ class RayDrop(Effect):
         drawn = survival_draws(context)
 
         def step(returns: Returns) -> Returns:
-            lost = returns.on_object & returns.returned & ~(drawn[returns.row] < _survival(returns, sensor))
+            power = echo_power(returns.albedo, returns.cosine, returns.range_m.detach())
+            lost = returns.on_object & returns.returned & ~(drawn[returns.row] < survival(power, sensor))
             return returns.without(lost) if bool(lost.any()) else returns
 
         return step
@@ -78,16 +78,6 @@ class RayDrop(Effect):
 def _has_limit(sensor: SensorModel) -> bool:
     """Whether there is a least power above 0: the law takes its logarithm."""
     return sensor.limit_range_m is not None and math.isfinite(sensor.limit_range_m)
-
-
-def _survival(returns: Returns, sensor: SensorModel) -> Tensor:
-    """(K,) float64: probability that each echo is detected, in clear air; a constant."""
-    return survival(echo_power(returns.albedo, returns.cosine, returns.range_m.detach()), sensor)
-
-
-def _power(albedo: float, cosine: float, range_m: float) -> Tensor:
-    rho, cos, r = torch.tensor([albedo, cosine, range_m], dtype=torch.float64)
-    return echo_power(rho, cos, r)
 
 
 EFFECT = RayDrop()

@@ -13,14 +13,6 @@ from shift3d.geometry.boxes import validate_boxes
 WEATHERS = ("dry", "rain", "fog", "snow")
 
 
-def _no_boxes() -> NDArray[np.float64]:
-    return np.zeros((0, 7), dtype=np.float64)
-
-
-def _no_counts() -> NDArray[np.int32]:
-    return np.zeros(0, dtype=np.int32)
-
-
 @dataclass(frozen=True)
 class Labels:
     """Labelled objects of one scene.
@@ -34,9 +26,9 @@ class Labels:
         kinds: M body types with attributes ("sedan", "suv+roof_box"; "" for what is no vehicle); empty where unknown.
     """
 
-    boxes: NDArray[np.float64] = field(default_factory=_no_boxes)
+    boxes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
     classes: tuple[str, ...] = ()
-    num_points: NDArray[np.int32] = field(default_factory=_no_counts)
+    num_points: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     names: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
 

@@ -115,7 +115,8 @@ def _fit(file: MeshFile, frame: MeshFrame, decoder: Decoder, steps: int, out: Pa
         **vehicle.facts(),
         "sha256": file.sha256(),
         "chamfer_cm": round(100.0 * done.chamfer_m, 3),
-        "better_orientation": better and {**_axes(better[0]), "chamfer_cm": round(100.0 * better[1], 3)},
+        "better_orientation": better
+        and {"forward": better[0].forward, "up": better[0].up, "chamfer_cm": round(100.0 * better[1], 3)},
         "code_norm": round(float(np.linalg.norm(code)), 4),
         "seconds": round(time.monotonic() - start, 1),
     }
@@ -134,7 +135,3 @@ def _better(
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
     chamfer_m = fitted(done.name, done.body_type, decoder, code, samples.scale_m, mesh).chamfer_m
     return (other, chamfer_m) if chamfer_m < done.chamfer_m else None
-
-
-def _axes(frame: MeshFrame) -> dict[str, str]:
-    return {"forward": frame.forward, "up": frame.up}

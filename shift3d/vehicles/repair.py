@@ -149,7 +149,8 @@ def _pieces(mesh: trimesh.Trimesh) -> NDArray[np.int64]:
 def _turned(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimesh, RepairReport]:
     """Pieces that are inside out turned, unless they are cavities: those lie within another piece."""
     piece = _pieces(mesh)
-    volume = np.bincount(piece, weights=_signed_volumes(mesh))
+    a, b, c = np.moveaxis(np.asarray(mesh.triangles, np.float64), 1, 0)
+    volume = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)))  # six times, about the origin
     faces = np.array(mesh.faces)
     flipped = 0
     for index in np.flatnonzero(volume < 0.0):
@@ -161,12 +162,6 @@ def _turned(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimes
         flipped += 1
     turned = trimesh.Trimesh(mesh.vertices, faces, process=False)
     return turned, replace(report, flipped_pieces=flipped)
-
-
-def _signed_volumes(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
-    """Six times the signed volume between every face and the origin, (F,)."""
-    a, b, c = np.moveaxis(np.asarray(mesh.triangles, np.float64), 1, 0)
-    return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)), np.float64)
 
 
 def sided_share(mesh: trimesh.Trimesh) -> float:

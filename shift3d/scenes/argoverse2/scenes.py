@@ -73,6 +73,7 @@ class Argoverse2Scenes(RecordedScenes):
         require_metres(np.linalg.norm(points - origins, axis=1), str(sweep_file(log, timestamp)))
         city_SE3_scene = city_SE3_ego(log, timestamp)[0]
         city_SE3_scene[:3, 3] += city_SE3_scene[:3, :3] @ up
+        driven = ego_SE3_ego(log, timestamp, np.array([_SECOND_NS // 10]))[0, :3, 3] * 10.0  # over a tenth of a second
         scene = Scene(
             scene_id=name,
             dataset=self.dataset,
@@ -82,7 +83,7 @@ class Argoverse2Scenes(RecordedScenes):
             labels=read_labels(log, timestamp, points, up),
             reflectance=sweep.reflectance,
             time_s=(sweep.offset_ns * 1e-9).astype(np.float32),
-            conditions=Conditions(ego_velocity_m_s=_velocity(log, timestamp)),
+            conditions=Conditions(ego_velocity_m_s=(float(driven[0]), float(driven[1]), float(driven[2]))),
             ground_map=read_ground_map(log, city_SE3_scene),
         )
         scene.validate()
@@ -125,9 +126,3 @@ def _origins(log: Location, timestamp: int, sweep: Sweep, up: np.ndarray, down: 
     poses = ego_SE3_ego(log, timestamp, times)
     mounts = np.where(sweep.is_up[:, None], up, down)
     return moved(mounts, poses[which])
-
-
-def _velocity(log: Location, timestamp: int) -> tuple[float, float, float]:
-    """Of the vehicle over the tenth of a second after the sweep's start, m/s."""
-    driven = ego_SE3_ego(log, timestamp, np.array([_SECOND_NS // 10]))[0, :3, 3] * 10.0
-    return (float(driven[0]), float(driven[1]), float(driven[2]))

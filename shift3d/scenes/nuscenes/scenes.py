@@ -108,13 +108,15 @@ class NuScenesScenes(RecordedScenes):
         if self._tables is None:
             files = [_stem_file(self.root, name)]
         else:
-            files = [self.root / part for part in self._paths(name)] + self._table_files
+            files = (
+                [self.root / file.filename for file in self._files(name)] if name in self._release.key_frames else []
+            )
+            files += [self._tables / table for table in self._table_names]
         return ("nuscenes", name, self.sweeps, *(f"{file.absolute()}: {file.version()}" for file in files))
 
     @functools.cached_property
-    def _table_files(self) -> list[Location]:
-        assert self._tables is not None
-        return [self._tables / name for name in self._tables.names()]
+    def _table_names(self) -> list[str]:
+        return [] if self._tables is None else self._tables.names()
 
     @functools.cached_property
     def _listed(self) -> list[str]:
@@ -160,9 +162,6 @@ class NuScenesScenes(RecordedScenes):
         while len(files) < self.sweeps and files[-1].previous in release.lidar:
             files.append(release.lidar[files[-1].previous])
         return files
-
-    def _paths(self, name: str) -> list[str]:
-        return [file.filename for file in self._files(name)] if name in self._release.key_frames else []
 
     def _alone(self, name: str) -> Scene:
         if name not in self._stems:

@@ -5,7 +5,6 @@ Answers are kept on disk, a small file a scene, so that an interrupted evaluatio
 
 from __future__ import annotations
 
-import io
 import multiprocessing
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
@@ -25,7 +24,7 @@ from shift3d.scenes.kitti.files import Calibration
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
-from shift3d.store.atomic import write_atomic
+from shift3d.store.arrays import write_arrays
 from shift3d.training.detector_scenes import network_points
 
 # Waymo's second score cut-off. The detectors keep the best 4096 boxes before suppression whatever their score, and
@@ -170,9 +169,8 @@ def _file(folder: Path, name: str) -> Path:
 def write_answer(file: Path, answer: Answer) -> None:
     """Write one answer atomically. Raises InputError on a full disk."""
     truth, found = answer.frame.truth, answer.frame.found
-    content = io.BytesIO()
-    np.savez(
-        content,
+    write_arrays(
+        file,
         scene=np.array(answer.frame.scene),
         milliseconds=np.array([answer.scene_ms, answer.detect_ms]),
         truth_boxes=truth.boxes,
@@ -186,7 +184,6 @@ def write_answer(file: Path, answer: Answer) -> None:
         labelled=found.labelled,
         image_height_px=found.image_height_px,
     )
-    write_atomic(file, content.getvalue())
 
 
 def read_answer(file: Path) -> Answer:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from safetensors.torch import save
-from torch import Tensor
 from tqdm import tqdm
 
 from shift3d.detectors.models.network import DetectorNet
@@ -124,13 +123,12 @@ def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = 
     halved: matrices and kernels are stored in float16, to 2^-11 of each value (our choice: half the bytes). Biases and
     batch statistics stay float32: variances go beyond what float16 holds.
     """
-    tensors = {name: _stored(tensor.detach().cpu(), halved).contiguous() for name, tensor in net.state_dict().items()}
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
+    if halved:
+        large = {name for name, tensor in tensors.items() if tensor.is_floating_point() and tensor.dim() >= 2}
+        tensors |= {name: tensors[name].half() for name in large}
     # One entry: safetensors writes several in another order each time.
     write_atomic(file, save(tensors, metadata={"recipe": repr(recipe)}))
-
-
-def _stored(tensor: Tensor, halved: bool) -> Tensor:
-    return tensor.half() if halved and tensor.is_floating_point() and tensor.dim() >= 2 else tensor
 
 
 def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:
