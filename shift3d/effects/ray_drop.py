@@ -50,7 +50,8 @@ class RayDrop(Effect):
         limit_m = scene.sensor.limit_range_m
         if limit_m is None or not _has_limit(scene.sensor):
             return None
-        power = echo_power(*torch.tensor([DARKEST_ALBEDO, math.cos(STEEP_RAD), FAR_M], dtype=torch.float64).unbind())
+        albedo, cosine, far = torch.tensor([DARKEST_ALBEDO, math.cos(STEEP_RAD), FAR_M], dtype=torch.float64)
+        power = echo_power(albedo, cosine, far)
         lost = 1.0 - float(survival(power, scene.sensor))
         if not lost >= LEAST_LOSS:
             return None

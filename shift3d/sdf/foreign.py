@@ -148,11 +148,8 @@ def _codes(content: dict[str, Any], length: int, path: Path) -> Tensor:
     if isinstance(found, dict):
         found = found.get("weight")
     if isinstance(found, list | tuple) and found and all(is_plain(code) for code in found):
-        found = (
-            torch.stack([code.detach().reshape(-1) for code in found])
-            if len({code.numel() for code in found}) == 1
-            else None
-        )
+        alike = len({code.numel() for code in found}) == 1
+        found = torch.stack([code.detach().reshape(-1) for code in found]) if alike else None
     if not is_plain(found) or found.ndim < 2 or not len(found):
         raise InputError("no table of latent_codes", where=str(path), remedy="latent_codes: N x code, or a list")
     table: Tensor = found.detach().reshape(len(found), -1).float()
@@ -197,12 +194,8 @@ def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> Decode
         raise InputError(what, where=str(path), remedy="Give the specs.json that it was trained with")
     if architecture := specs.published():
         return decoder_from_tensors(tensors, architecture, str(path))
-    tensors = checked_tensors(
-        tensors,
-        specs.shapes(),
-        str(path),
-        {name: name.replace("layers.", "lin").replace("norms.", "bn") for name in tensors},
-    )
+    called = {name: name.replace("layers.", "lin").replace("norms.", "bn") for name in tensors}
+    tensors = checked_tensors(tensors, specs.shapes(), str(path), called)
     network = DeepSdfNetwork(specs).eval().requires_grad_(False)
     network.load_state_dict(tensors)
     layers = [(tensors[f"layers.{layer}.weight"], tensors[f"layers.{layer}.bias"]) for layer in range(specs.layers)]

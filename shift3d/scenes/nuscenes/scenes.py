@@ -108,10 +108,10 @@ class NuScenesScenes(RecordedScenes):
         if self._tables is None:
             files = [_stem_file(self.root, name)]
         else:
-            files = (
-                [self.root / file.filename for file in self._files(name)] if name in self._release.key_frames else []
-            )
-            files += [self._tables / table for table in self._table_names]
+            parts = self._files(name) if name in self._release.key_frames else []
+            files = [self.root / part.filename for part in parts] + [
+                self._tables / table for table in self._table_names
+            ]
         return ("nuscenes", name, self.sweeps, *(f"{file.absolute()}: {file.version()}" for file in files))
 
     @functools.cached_property

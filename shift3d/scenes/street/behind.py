@@ -61,12 +61,8 @@ def _through(
 ) -> tuple[NDArray[np.intp], Hits, Float]:
     """Flat cells of beams that foliage or glass lets through, what they meet next, and the share that passes."""
     glass = sweep.material == Material.GLASS
-    passing = np.array(
-        [
-            paint[number].glass_loss ** 2 if number in paint else 0.0
-            for number in range(max(int(sweep.item.max()), 0) + 1)
-        ]
-    )
+    items = range(max(int(sweep.item.max()), 0) + 1)
+    passing = np.array([paint[number].glass_loss ** 2 if number in paint else 0.0 for number in items])
     share = np.where(glass, passing[np.maximum(sweep.item, 0)], 0.0)
     leaves = _in_leaves(world, sweep)
     share[leaves] = rng.uniform(0.0, 1.0, int(leaves.sum()))
