@@ -19,9 +19,7 @@ BAR_M = 0.02
 SUNK_M = 0.08  # feet go on into the roof
 
 
-def _cross_bar(
-    grid: Grid, field: Array, bounds: Bounds, car: VehicleSpec, s_m: float, edge_m: float, z_m: float
-) -> None:
+def _cross_bar(grid: Grid, field: Array, bounds: Bounds, car: VehicleSpec, s_m: float, y_m: float, z_m: float) -> None:
     """A bar across the roof at s, `y_m` to either side, and its two feet."""
     x, radius = x_of(car, s_m), thick(grid, BAR_M)
     add(grid, field, bounds, rod((x, -y_m, z_m), (x, y_m, z_m), radius))
@@ -152,7 +150,6 @@ class RoofBox:
             low - 1.0, high + 1.0, 0.02,
         )  # fmt: skip
         add(grid, field, bounds, lambda x, y, z: smooth_max(whole(x, y, z), nose(x, y, z), 0.06))
-        radius = thick(grid, BAR_M)
         edge = min(max(half + abs(self.y_m), 0.4), roof_half_m(car) - 0.06)
         for share in (0.22, 0.78):
             s = self.from_s_m + share * self.length_m
