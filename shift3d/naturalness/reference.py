@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.naturalness.calibration import Calibration
 from shift3d.naturalness.surface import POINTS, Surface
-from shift3d.store.atomic import write_atomic
+from shift3d.store.safetensors_file import write_safetensors
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -187,17 +187,12 @@ def left_out_cm(reference: ReferenceSet, number: int) -> tuple[float, float]:
 
 def write_reference(path: Path, members: Sequence[Member], calibration: Calibration) -> None:
     """Keep a reference set in a file, atomically."""
-    from safetensors.numpy import save
-
     tensors: dict[str, NDArray[Any]] = {
         name: np.stack([np.asarray(getattr(member, name)) for member in members]) for name in _TENSORS
     }
     tensors |= {"calibration_mean_cm": calibration.mean_cm, "calibration_p95_cm": calibration.p95_cm}
-    # One text: a file's order of several is another one every time.
     facts = {"format": FORMAT, "names": [member.name for member in members]}
-    metadata = {"reference": json.dumps(facts)}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, save(tensors, metadata=metadata))
+    write_safetensors(path, tensors, {"reference": json.dumps(facts)})
 
 
 def read_reference(path: Path) -> ReferenceSet:

@@ -19,7 +19,7 @@ from torch.nn.utils import parametrizations
 from shift3d.errors import InputError
 from shift3d.sdf.field import Field
 from shift3d.sdf.tensors import check_magnitude, checked_tensors, read_safetensors, without_subnormals
-from shift3d.store.atomic import write_atomic
+from shift3d.store.safetensors_file import write_safetensors
 
 CODE_LENGTH = 256
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "weights" / "sdf.safetensors"
@@ -164,16 +164,14 @@ class Decoder(nn.Module):
 
 
 def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None = None) -> None:
-    """Write the decoder's folded float32 weights to a safetensors file. Raises: InputError, see `write_atomic`."""
-    from safetensors.torch import save
-
+    """Write the decoder's folded float32 weights to a safetensors file. Raises: InputError, see `write_safetensors`."""
     tensors = {}
     for index, layer in enumerate(decoder.layers):
         weight, bias = _parameters(layer)
         tensors[f"layers.{index}.weight"] = without_subnormals(weight.detach().float()).contiguous()
         tensors[f"layers.{index}.bias"] = bias.detach().float().contiguous()
     architecture = json.dumps(vars(decoder.architecture), sort_keys=True)
-    write_atomic(path, save(tensors, metadata={"architecture": architecture, **(metadata or {})}))
+    write_safetensors(path, tensors, {"architecture": architecture, **(metadata or {})})
 
 
 def load_decoder(path: Path | str | None = None) -> Decoder:

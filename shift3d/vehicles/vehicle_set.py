@@ -21,6 +21,7 @@ from shift3d.sdf.decoder import Decoder, save_decoder
 from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.store.atomic import write_atomic
+from shift3d.store.safetensors_file import write_safetensors
 from shift3d.vehicles.parameter_box import BoxOfParameters, parameter_tensors
 
 VEHICLES_FILE, DECODER_FILE, FACTS_FILE = "vehicles.safetensors", "sdf.safetensors", "sdf.json"
@@ -95,7 +96,6 @@ def write_vehicle_set(
     made of.
     Raises: InputError without vehicles, or when two have one name.
     """
-    from safetensors.numpy import save
 
     if len({vehicle.name for vehicle in vehicles}) != len(vehicles) or not vehicles:
         raise InputError("no vehicles, or two of one name", where=str(out), remedy="one file for every vehicle")
@@ -120,4 +120,4 @@ def write_vehicle_set(
     types = list(known.body_types)
     family = {"body_types": types, "names": list(baselines), "count": len(types), "source": "meshes"}
     metadata = {"baselines": json.dumps(baselines), "family": json.dumps(family)}
-    write_atomic(folder / VEHICLES_FILE, save(tensors, metadata=metadata))
+    write_safetensors(folder / VEHICLES_FILE, tensors, metadata)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import stat
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from ray._private import ray_constants
 
 STARTS = """
 import sys
@@ -31,6 +33,7 @@ ray.shutdown()
 """
 
 USED = ("gcs_server", "raylet/raylet")
+AGENT = ray_constants.DEFAULT_DASHBOARD_AGENT_LISTEN_PORT
 UNUSED = ("dashboard/dashboard.py", "log_monitor.py", "monitor.py")
 
 
@@ -70,11 +73,17 @@ def descendants(of: int) -> Iterator[int]:
             yield from descendants(int(child))
 
 
-def listening(process: int) -> set[str]:
-    """Addresses (hex, as in /proc/net) that a process listens on."""
+def answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def listening(process: int) -> set[tuple[str, int]]:
+    """Addresses (hex, as in /proc/net) and ports that a process listens on."""
     inodes = {str(link.readlink()) for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()}
     rows = [row.split() for kind in ("tcp", "tcp6") for row in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]]
-    return {row[1].partition(":")[0] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in inodes}
+    local = [row[1].split(":") for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in inodes]
+    return {(address, int(port, 16)) for address, port in local}
 
 
 def joins(ray: PrivateRay, home: Path, **more: str) -> subprocess.CompletedProcess[str]:
@@ -87,7 +96,14 @@ def test_it_listens_on_loopback_alone(private_ray: PrivateRay) -> None:
     processes = list(descendants(private_ray.process.pid))
     found = set().union(*(listening(process) for process in processes))
     loopback = {"0100007F", "0000000000000000FFFF00000100007F", "00000000000000000000000001000000"}
-    assert found and found <= loopback
+    assert found and {address for address, _ in found} <= loopback
+
+
+def test_it_leaves_the_port_of_a_heads_agent_alone(private_ray: PrivateRay) -> None:
+    own = {number for process in descendants(private_ray.process.pid) for _, number in listening(process)}
+    if answers(AGENT) and AGENT not in own:
+        pytest.skip("another Ray of this machine holds the port")
+    assert own and AGENT not in own
 
 
 def test_it_has_no_process_that_a_sweep_has_no_use_for(private_ray: PrivateRay) -> None:

@@ -8,7 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from safetensors.torch import save
 from tqdm import tqdm
 
 from shift3d.detectors.models.network import DetectorNet
@@ -18,7 +17,7 @@ from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.build.fleet import fleet_of
 from shift3d.scenes.street.options import StreetOptions
 from shift3d.seeding import generator
-from shift3d.store.atomic import write_atomic
+from shift3d.store.safetensors_file import write_safetensors
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute
 from shift3d.training.detector.loop import CHECKPOINT, SHIPPED_DATA, train_on_scenes
@@ -127,8 +126,7 @@ def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = 
     if halved:
         large = {name for name, tensor in tensors.items() if tensor.is_floating_point() and tensor.dim() >= 2}
         tensors |= {name: tensors[name].half() for name in large}
-    # One entry: safetensors writes several in another order each time.
-    write_atomic(file, save(tensors, metadata={"recipe": repr(recipe)}))
+    write_safetensors(file, tensors, {"recipe": repr(recipe)})
 
 
 def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:

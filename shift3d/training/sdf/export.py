@@ -15,6 +15,7 @@ from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder, save_decoder
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.store.atomic import write_atomic
+from shift3d.store.safetensors_file import write_safetensors
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.provenance import versions
 from shift3d.training.sdf_shapes import shape_scales, training_specs
@@ -79,8 +80,6 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
     Raises: InputError when the checkpoint is missing or unreadable.
     Source: SHIFT3D section "Experiments": five representative vehicles, scaled to realistic dimensions.
     """
-    from safetensors.numpy import save
-
     state = read_checkpoint(Path(checkpoint))
     if state is None:
         raise InputError("no such checkpoint", where=str(checkpoint), remedy='make train ARGS="model=sdf"')
@@ -117,6 +116,6 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
     }
     save_decoder(decoder, target / "sdf.safetensors", {"step": str(state["step"]), "recipe": json.dumps(recipe)})
     metadata = {"baselines": json.dumps(baselines), "family": json.dumps(family_facts), "step": str(state["step"])}
-    write_atomic(target / "vehicles.safetensors", save(tensors, metadata=metadata))
+    write_safetensors(target / "vehicles.safetensors", tensors, metadata)
     write_atomic(target / "sdf.json", (json.dumps(provenance, indent=1) + "\n").encode())
     return provenance

@@ -50,3 +50,16 @@ def test_files_that_the_architecture_names_are_there() -> None:
         if not {name.rstrip("/"), f"shift3d/{name.rstrip('/')}"} & known and not re.search(r"[A-Z]{4}", name)
     ]
     assert missing == []
+
+
+def test_files_that_code_and_settings_name_are_there() -> None:
+    """Help, messages, comments: a page or a settings file that a text sends a reader to."""
+    texts = [path for room in ("shift3d", "conf", "sweeps", "jobs") for path in (ROOT / room).rglob("*.[py]*")]
+    named = {
+        (name, str(path.relative_to(ROOT)))
+        for path in texts
+        if path.suffix in (".py", ".yaml")
+        for name in re.findall(r"\b(?:docs|sweeps|conf|jobs)/[a-z_0-9/]+\.(?:md|yaml)\b", path.read_text("utf-8"))
+    }
+    assert len(named) > 10
+    assert sorted(pair for pair in named if not (ROOT / pair[0]).exists()) == []

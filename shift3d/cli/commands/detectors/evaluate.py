@@ -34,7 +34,7 @@ view and 3D, by Waymo's definition (LEVEL_1, LEVEL_2, range bins) and KITTI's (4
 moderate and hard where labels have them), at IoU 0.7 and 0.5. Prints, first, AP, APH, recall, flips and the
 errors of boxes with 95 % intervals (scenes resampled), and the same by range, heading, number of points and
 kind of vehicle. Writes a folder: metrics, breakdown, vehicles, curves, detections, truth and timings as Parquet
-(docs/models.md says what a row is), curves.png, spec.json.
+(docs/why/models.md says what a row is), curves.png, spec.json.
 All but the timings are the same bytes whatever the number of workers. The same command again resumes.
 
 model=sdf measures the shape model instead: its distance to vehicles, trained on and unseen."""

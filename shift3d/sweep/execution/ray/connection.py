@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import math
 import os
@@ -60,7 +61,7 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
             ray.init(address=config.address, **quiet)
         else:
             workers = min(config.workers or os.cpu_count() or 1, max(tasks_left, 1))
-            with _on_loopback(), _deaf_to_sigterm():
+            with _on_loopback(), _agent_on_any_port(), _deaf_to_sigterm():
                 ray.init(
                     address="local",
                     num_cpus=max(1, math.ceil(workers * config.cpus_per_worker)),
@@ -124,6 +125,23 @@ def _deaf_to_sigterm() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _agent_on_any_port() -> Iterator[None]:
+    """Keep the agent of a Ray that is about to start off port 52365, for which ``ray.init`` has no word.
+
+    A cluster's head on this machine wants that port, and takes no jobs without it.
+    """
+    from ray._private.parameter import RayParams
+
+    before = RayParams.__init__
+    on_any = functools.partialmethod(before, dashboard_agent_listen_port=0)
+    RayParams.__init__ = on_any  # type: ignore[assignment, method-assign]
+    try:
+        yield
+    finally:
+        RayParams.__init__ = before  # type: ignore[method-assign]
 
 
 @contextlib.contextmanager
