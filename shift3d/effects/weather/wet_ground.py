@@ -37,7 +37,7 @@ def reflected(cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
 
 
 @functools.cache
-def trapped(index: float = WATER_INDEX) -> float:
+def trapped() -> float:
     """R_wa: share of diffuse light from below that the water's surface throws back.
 
     As light takes the same way in both directions and spreads by n^2, 1 - R_wa = (1 - R_aw) / n^2 with R_aw of
@@ -45,11 +45,11 @@ def trapped(index: float = WATER_INDEX) -> float:
     """
     node, weight = np.polynomial.legendre.leggauss(64)
     cosine = torch.from_numpy(0.5 * (node + 1.0))
-    entering = float(((1.0 - reflected(cosine, index)) * cosine * torch.from_numpy(weight)).sum())
-    return 1.0 - entering / index**2
+    entering = float(((1.0 - reflected(cosine)) * cosine * torch.from_numpy(weight)).sum())
+    return 1.0 - entering / WATER_INDEX**2
 
 
-def wet_albedo(albedo: Tensor, cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
+def wet_albedo(albedo: Tensor, cosine: Tensor) -> Tensor:
     """Apparent albedo (K,) of a diffuse ground under water, T_aw rho T_wa / (1 - rho R_wa).
 
     T_aw = 1 - R(incidence) enters the water. T_wa leaves it back to where it came from: the same transmission, and
@@ -59,8 +59,8 @@ def wet_albedo(albedo: Tensor, cosine: Tensor, index: float = WATER_INDEX) -> Te
     Args:
         albedo: (K,) of the dry ground. cosine: (K,) of incidence on the water.
     """
-    through = 1.0 - reflected(cosine, index)
-    return through * albedo * through / index**2 / (1.0 - albedo * trapped(index))
+    through = 1.0 - reflected(cosine)
+    return through * albedo * through / WATER_INDEX**2 / (1.0 - albedo * trapped())
 
 
 class WetGround(WeatherEffect):

@@ -81,7 +81,6 @@ class SdfRun(DecoderRun):
 def train_sdf(
     out_dir: Path | str,
     recipe: SdfRecipe | None = None,
-    threads: int = 1,
     checkpoint_every: int = 1000,
     samples: ShapeSamples | None = None,
     compute: Compute | None = None,
@@ -92,20 +91,20 @@ def train_sdf(
     Args:
         out_dir: holds the sampled shapes, the checkpoint and `progress.json`; the same folder and recipe resume.
         recipe: default the shipped one.
-        threads: of the arithmetic; another number rounds differently and changes nothing else.
         checkpoint_every: steps between checkpoints; no influence on the result. SIGINT and SIGTERM also write one.
         samples: of the shapes to train on; default the family's. The recipe's `shapes` and `source` are then theirs.
-        compute: default the CPU with `threads` threads. report: is given the curve's points after every checkpoint.
+        compute: default the CPU, one thread; another number of threads rounds differently and changes nothing else.
+        report: is given the curve's points after every checkpoint.
     Returns: the finished checkpoint.
     Raises: InputError when `out_dir` holds another recipe's training; KeyboardInterrupt when asked to stop.
     Source: Park et al. 2019, section 4; see the module for what is ours.
     """
     recipe = recipe or SdfRecipe()
     out = Path(out_dir)
-    compute = compute or choose_compute("cpu", threads)
+    compute = compute or choose_compute("cpu")
     compute.prepare()
     if samples is None:
-        samples = shape_samples(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", threads)
+        samples = shape_samples(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", compute.threads)
     if (len(samples.points), samples.source) != (recipe.shapes, recipe.source):
         raise InputError("samples of other shapes than the recipe's", where=str(out), remedy="those of its source")
     file = out / "sdf.pt"

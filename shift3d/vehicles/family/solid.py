@@ -177,20 +177,19 @@ def car_field(grid: Grid, spec: VehicleSpec) -> Array:
     return field
 
 
-def build_mesh(spec: VehicleSpec, resolution_m: float = 0.025, faces: int | None = None) -> trimesh.Trimesh:
+def build_mesh(spec: VehicleSpec, resolution_m: float = 0.025) -> trimesh.Trimesh:
     """A watertight mesh of the vehicle.
 
     Args:
         spec: the vehicle; its length, width and height hold exactly for the mesh's axis-aligned box.
         resolution_m: grid spacing, metres; 0.025 shows every part, 0.05 is enough for ray casting from metres away.
-        faces: where given, the mesh is simplified to about this many triangles (10,000 look the same in a scan).
     Returns: mesh in the object frame (x forward, y left, z up, origin at the centre of its box), metres.
     Raises: InputError for a spec that cannot be built.
     Differentiable w.r.t.: nothing. Source: our choice: the paper takes its vehicles from ShapeNet.
     """
     spec.validate()
     grid, half = vehicle_field(spec, resolution_m)
-    return sized_mesh(mirrored(half), grid.step_m, (spec.length_m, spec.width_m, spec.height_m), faces)
+    return sized_mesh(mirrored(half), grid.step_m, (spec.length_m, spec.width_m, spec.height_m))
 
 
 def mirrored(half: Array) -> Array:

@@ -202,6 +202,8 @@ def wide_family(count: int, seed: int, side: Side = "seen") -> list[WideSpec]:
 def build_wide_mesh(spec: WideSpec, resolution_m: float = 0.025, faces: int | None = None) -> trimesh.Trimesh:
     """A watertight mesh of a wide vehicle; arguments and frame as of `solid.build_mesh`.
 
+    faces: where given, the mesh is simplified to about this many triangles (10,000 look the same in a scan).
+
     Its box has the spec's size_m. Bars and tubes thinner than the grid shows are drawn 1.5 steps thick.
     Raises: InputError for a spec that cannot be built.
     """

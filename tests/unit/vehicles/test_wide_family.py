@@ -60,6 +60,13 @@ def test_every_kind_is_one_closed_body_of_the_stated_size(kind: str, monkeypatch
     assert spec.kind == kind
 
 
+def test_simplified_mesh_stays_closed_and_near() -> None:
+    fine, simple = build_wide_mesh(drawn("suv"), 0.04), build_wide_mesh(drawn("suv"), 0.04, faces=6000)
+    assert simple.is_watertight
+    assert len(simple.faces) <= 6100
+    assert simple.volume == pytest.approx(fine.volume, rel=0.01)
+
+
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind.endswith(ONE_SIDED)])
 def test_what_has_no_sides_of_its_own_is_mirror_symmetric(kind: str) -> None:
     mesh = build_wide_mesh(drawn(kind), 0.08)
