@@ -36,8 +36,7 @@ from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
-from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, detect_scenes
-from shift3d.training.detector.stored_answers import answers_of
+from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, answers_of, detect_scenes
 from shift3d.training.provenance import refuse_tuned_scenes
 from shift3d.wording import counted
 

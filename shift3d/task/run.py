@@ -24,7 +24,7 @@ from shift3d.task.audit import AUDITED, audit
 from shift3d.task.exchange import TaskResult
 from shift3d.task.problem import as_vehicle, build_problem, place_vehicle
 from shift3d.task.rows import Rows
-from shift3d.task.scoring import SCORED_FROM_EMPTY, Candidate, EmptyScene, score_object
+from shift3d.task.scoring import SCORED_NEARBY, Candidate, Nearby, score_object
 from shift3d.task.searching import best_of_draws, edited_vehicle, pose_limits, search_task
 from shift3d.task.spec import TaskSpec
 from shift3d.task.transfer import put_elsewhere
@@ -54,11 +54,12 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
             rows.time("baseline", "effects_once", 1e3 * (time.perf_counter() - start_effects))
         searched = assets.detector_of(spec.detector, search_precision(spec))
         others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
-        empty, radius_m = EmptyScene(), spec.attack.detection_radius_m
+        nearby, radius_m = Nearby(), spec.attack.detection_radius_m
         for candidate in _candidates(spec, problem, searched, assets, rows):
-            scene = empty if candidate.method in SCORED_FROM_EMPTY else None
+            start_from = nearby if candidate.method in SCORED_NEARBY else None
             there = _there(spec, assets, problem, candidate.vehicle)
-            scored = score_object(there, candidate.code, candidate.theta, radius_m, others, scene)
+            scored = score_object(there, candidate.code, candidate.theta, radius_m, others, start_from)
+            nearby.note(candidate.method, scored)
             # The reference would only be held against itself.
             audited = candidate.method in AUDITED and problem.settings != REFERENCE
             checked = audit(spec, assets, there, candidate, scored) if audited else None

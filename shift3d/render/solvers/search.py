@@ -112,7 +112,7 @@ def first_hits(
         box = verified_box(field, size_m, settings.box_margin_m)
         coarse = SdfGrid.coarse(field, box.box, torch.empty(0, 3, dtype=torch.float64))
         state = WarmStart.of(beams, theta, rays_in_box(beams, theta, box.box), coarse, box, settings)
-    state = _searched(state, field.sliced(state.live), settings)
+    state = _surveyed(_searched(state, field.sliced(state.live), settings), field, settings)
     hit = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
     index = state.rays.index
     return FirstHits(index[hit], state.range_m[hit], state.residual_m[hit], index[state.undecided]), state
@@ -184,6 +184,20 @@ def _searched(state: WarmStart, field: ObjectField, settings: RenderSettings) ->
     # What lies closer together tells a later rendering little more.
     samples = state.samples.before(range_m.nan_to_num(nan=torch.inf)).thinned(settings.step_m / 2)
     return replace(state, range_m=range_m, samples=samples, undecided=undecided)
+
+
+def _surveyed(state: WarmStart, field: ObjectField, settings: RenderSettings) -> WarmStart:
+    """The hits of a first search, corrected where a survey at some of them finds units on that were left out."""
+    hit = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
+    if state.live is None or state.age > 0 or len(hit) == 0:
+        return state
+    rays, range_m = state.rays.select(hit), state.range_m[hit]
+    live = either(state.live, field.survey(rays.at(range_m)[::_SURVEYED])[1])
+    if live is None or all(torch.equal(new, old) for new, old in zip(live, state.live, strict=True)):
+        return state
+    found = correct(rays, range_m, torch.full_like(range_m, _FALL), field.sliced(live), settings, _GRID_REACH_M)
+    good = torch.isfinite(found.range_m)
+    return replace(state.with_hits(hit[good], found.range_m[good], found.residual_m[good]), live=live)
 
 
 def _traced(state: WarmStart, chosen: Tensor, field: ObjectField, settings: RenderSettings) -> WarmStart:

@@ -11,7 +11,7 @@ robust: under every draw of noise and pose at least half of the margin is left. 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -124,7 +124,9 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
     timings: list[Row] = []
     baseline: Verified | None = None
     for solution in solutions:
-        problems = own if solution.vehicle is None else Problems.of(spec, held.assets, solution)
+        problems = own
+        if solution.vehicle is not None:
+            problems = replace(Problems.of(spec, held.assets, solution), nearby=own.nearby)
         verified, new = held.verified(spec, solution, problems)
         baseline = baseline or verified
         known = {"method": solution.method, "replicate": solution.replicate}

@@ -57,13 +57,6 @@ def street(**options: Any) -> StreetConfig:
 def test_a_tag_tells_the_options(values: dict[str, Any], tag: str) -> None:
     options = StreetOptions(**values)
     assert options.tag == tag
-    assert StreetOptions.from_tag(tag) == options
-
-
-@pytest.mark.parametrize("tag", ["fog50", "-fog", "-fog050", "-fog1e2", "-image-model", "-returns1", "-fog.", "-ego0"])
-def test_what_no_options_would_write_is_no_tag(tag: str) -> None:
-    with pytest.raises(InputError, match="names no options"):
-        StreetOptions.from_tag(tag)
 
 
 @pytest.mark.parametrize(("values", "what", "remedy"), WRONG)

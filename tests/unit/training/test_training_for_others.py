@@ -17,7 +17,7 @@ from safetensors.torch import load_file
 from shift3d.cli.commands.detectors.train import _options, _recipe_words
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.models.backbone import BackboneSpec
-from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import PointPillarsNet
 from shift3d.detectors.models.sst import SstNet, SstSpec
 from shift3d.detectors.models.window_transformer import TransformerSpec
 from shift3d.errors import InputError

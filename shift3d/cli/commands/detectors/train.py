@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from typing import TYPE_CHECKING, Any
@@ -214,13 +213,10 @@ def _train_on_meshes(values: dict[str, str]) -> int:
 
         chamfer_cm = sorted(train_wide(options.out, options.compute(), options.count, options.steps, report))
     else:
-        from shift3d.training.sdf.on_meshes import SAMPLES_A_SHAPE, STEPS, train_on_meshes
+        from shift3d.training.sdf.on_meshes import STEPS, train_on_meshes
 
-        threads, steps = options.threads or os.cpu_count() or 1, options.steps or STEPS
-        compute = options.compute()
-        vehicles = train_on_meshes(
-            values["vehicles"], frame, options.out, threads, steps, SAMPLES_A_SHAPE, compute=compute, report=report
-        )
+        steps = options.steps or STEPS
+        vehicles = train_on_meshes(values["vehicles"], frame, options.out, options.compute(), steps, report)
         chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
     _finish(curves)
     print(
