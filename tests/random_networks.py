@@ -3,9 +3,8 @@
 import torch
 
 from shift3d.detectors.models.backbone import BackboneSpec
-from shift3d.detectors.models.centerpoint import CenterPointNet
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import CenterPointNet, PointPillarsNet
 from shift3d.detectors.models.sst import SstNet, SstSpec
 from shift3d.detectors.models.window_transformer import TransformerSpec
 from shift3d.sdf.decoder import Architecture, Decoder

@@ -55,6 +55,12 @@ def full_window(grid: Grid) -> BevWindow:
     return BevWindow(0, 0, grid.num_x, grid.num_y, 0, 0, grid.num_x, grid.num_y)
 
 
+def core_cells(window: BevWindow) -> tuple[Tensor, Tensor]:
+    """(h,) lines and (w,) columns of the window's core, int64, in the full grid."""
+    lines = torch.arange(window.core_y0, window.core_y0 + window.core_num_y)
+    return lines, torch.arange(window.core_x0, window.core_x0 + window.core_num_x)
+
+
 def cells_of(
     points: Tensor, grid: Grid, window: BevWindow
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.bool_]]:

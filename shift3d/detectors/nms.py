@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from shift3d.detectors.base import Detections, Proposals
+from shift3d.detectors.base import BevWindow, Detections, Detector, Proposals
 from shift3d.geometry.iou import iou_bev
 
 MAX_BEFORE_NMS = 4096
@@ -69,3 +71,31 @@ def suppress(
     last = None if until is None else until[candidates]
     kept = rotated_nms(boxes, scores[candidates], iou_threshold, until=last)
     return Detections(boxes[kept], scores[candidates][kept])
+
+
+class SuppressedProposals(Detector):
+    """A detector whose boxes are its proposals after suppression."""
+
+    @abstractmethod
+    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
+        """See `Detector`."""
+
+    def candidates(self, found: Proposals, window: BevWindow | None) -> Tensor | None:
+        """(A,) bool, the proposals that may be kept; None: all."""
+        return None
+
+    def detect(
+        self,
+        points: Tensor,
+        window: BevWindow | None = None,
+        score_threshold: float = 0.1,
+        iou_threshold: float = 0.25,
+    ) -> Detections:
+        """Boxes after suppression, best first; at most 4096 before and 500 after. Not differentiable.
+
+        In a window, suppression sees the core's proposals alone.
+        Source: the public Waymo config (thresholds 0.1 and 0.25, 4096 and 500).
+        """
+        with torch.no_grad():
+            found = self.proposals(points, window)
+            return suppress(found, score_threshold, iou_threshold, self.candidates(found, window))

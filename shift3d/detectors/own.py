@@ -20,10 +20,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from shift3d.detectors.base import BevWindow, Detections, Proposals
+from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.models.network import Precision
 from shift3d.detectors.names import OWN
-from shift3d.detectors.nms import suppress
+from shift3d.detectors.nms import SuppressedProposals
 from shift3d.errors import InputError
 
 Model = Callable[[Tensor], Any]
@@ -33,7 +33,7 @@ _GUIDE = "See docs/guides/detectors.md"
 _PROBE_POINTS = 2000
 
 
-class OwnDetector:
+class OwnDetector(SuppressedProposals):
     """A model of points (N, 3) behind the `Detector` interface. It sees the whole scene in every call.
 
     Args:
@@ -60,13 +60,6 @@ class OwnDetector:
             answer = self._model(points.to(self._dtype))
         boxes, logits = _checked(answer, self._where)
         return Proposals(boxes.detach().float(), logits, torch.arange(len(logits)))
-
-    def detect(
-        self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
-    ) -> Detections:
-        """See `Detector`."""
-        with torch.no_grad():
-            return suppress(self.proposals(points), score_threshold, iou_threshold)
 
 
 def load_own(module: Path, weights: Path | None, precision: Precision = "float32") -> OwnDetector:
@@ -121,9 +114,8 @@ def _imported(path: Path) -> Any:
 
 def _try(detector: OwnDetector, where: str) -> None:
     draw = torch.Generator().manual_seed(0)
-    points = torch.rand(_PROBE_POINTS, 3, generator=draw) * torch.tensor([80.0, 80.0, 3.0]) - torch.tensor(
-        [40.0, 40.0, 0]
-    )
+    reach, corner = torch.tensor([80.0, 80.0, 3.0]), torch.tensor([40.0, 40.0, 0.0])
+    points = torch.rand(_PROBE_POINTS, 3, generator=draw) * reach - corner
     points.requires_grad_()
     first, second = detector.proposals(points), detector.proposals(points)
     if not first.logits.requires_grad:

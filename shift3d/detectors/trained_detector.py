@@ -7,7 +7,7 @@ from math import ceil, floor, isfinite
 import torch
 from torch import Tensor
 
-from shift3d.detectors.base import BevWindow, Detections, Proposals
+from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.grid import full_window
 from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow
 from shift3d.detectors.incremental.pillars import IncrementalPillars
@@ -17,11 +17,11 @@ from shift3d.detectors.models.heads import proposal_indices
 from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
 from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
 from shift3d.detectors.models.sst import SstNet
-from shift3d.detectors.nms import suppress
+from shift3d.detectors.nms import SuppressedProposals
 from shift3d.errors import InputError
 
 
-class TrainedDetector:
+class TrainedDetector(SuppressedProposals):
     """A trained network for inference on CPU.
 
     precision: "float32" (default); "bfloat16" takes the large products in half the bytes (an approximation: its
@@ -107,16 +107,5 @@ class TrainedDetector:
             self._cells = SparseBackbone(net.backbone, net.heads, self._dtype)
         return IncrementalPillars(net, self._cells, window, self.proposals, self._proposals)
 
-    def detect(
-        self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
-    ) -> Detections:
-        """Boxes after suppression, best first; at most 4096 before and 500 after. Not differentiable.
-
-        In a window, suppression sees the core's proposals alone.
-        Source: the public Waymo config (thresholds 0.1 and 0.25, 4096 and 500).
-        """
-        window = window or full_window(self.grid)
-        with torch.no_grad():
-            found = self.proposals(points, window)
-            candidates = self._net.heads.candidates(found.logits, self._net.head_window(window))
-        return suppress(found, score_threshold, iou_threshold, candidates)
+    def candidates(self, found: Proposals, window: BevWindow | None) -> Tensor | None:
+        return self._net.heads.candidates(found.logits, self._net.head_window(window or full_window(self.grid)))

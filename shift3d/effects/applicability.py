@@ -77,6 +77,7 @@ NEEDS: Mapping[str, Need] = {
     ),
 }
 """Every effect by its name, in the order of the physics, with the data without which it means nothing."""
+_WEATHER = ("wet_ground", "fog", "rain", "snow")
 
 
 def _ego_moves(scene: SceneFacts) -> bool:
@@ -157,7 +158,7 @@ def _applicable(scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFact
 
 def effect_named(name: str) -> Effect:
     """The effect of a name in `NEEDS`; its module is imported here."""
-    effect: Effect = importlib.import_module(f"shift3d.effects.{name}").EFFECT
+    effect: Effect = importlib.import_module(f"shift3d.effects.{'weather.' if name in _WEATHER else ''}{name}").EFFECT
     return effect
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, FootprintStep, Insertion, Kind, Returns
+from shift3d.effects.base import DetectorFacts, Effect, EffectContext, FootprintStep, Insertion, Kind, Returns
 from shift3d.effects.chain import SCENE_ALBEDO
 from shift3d.effects.physics.materials import albedo_of
 from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
@@ -29,7 +29,7 @@ LEAST_FOOTPRINT_M = 0.02
 """A cone no wider than this at that range counts as a line (our choice: the usual range noise)."""
 
 
-class Divergence:
+class Divergence(Effect):
     """Beams whose cone crosses a silhouette, or touches the object that the axis misses, are looked at with 7 sub-rays.
 
     The axis and a hexagon about it, of equal weight, are cast by the same renderer. Each echo has the power
@@ -49,7 +49,6 @@ class Divergence:
 
     name = "divergence"
     kind: Kind = "footprint"
-    reads_incidence = False
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the cone is wider than `LEAST_FOOTPRINT_M` at the farthest place."""
@@ -59,15 +58,10 @@ class Divergence:
         return f"a beam is {100.0 * width:.0f} cm wide at {PLACEMENT_LIMIT_M:.0f} m"
 
     def bind(self, context: EffectContext) -> FootprintStep:
-        """See `Effect`."""
         sensor = context.scene.sensor
         if sensor is None or not sensor.divergence_rad:
             return lambda returns, insertion: returns
         return _Footprint(context, SUB_RAY_SHARE * sensor.divergence_rad / 2.0)
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """See `Effect`: no returns step."""
-        return False
 
 
 def strongest(range_m: Tensor, power: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import Cast, CastStep, DetectorFacts, EffectContext, Kind
+from shift3d.effects.base import Cast, CastStep, DetectorFacts, Effect, EffectContext, Kind
 from shift3d.effects.chain import NO_RETURN_M
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
@@ -15,7 +15,7 @@ from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.sensor import NoReturnBeams
 
 
-class NoReturnCast:
+class NoReturnCast(Effect):
     """Rows after the scene's points, one for each beam without a return, in the order of `Scene.no_return`.
 
     They rest `NO_RETURN_M` out and return only where they meet the object. They start in their own places, unless the
@@ -27,23 +27,17 @@ class NoReturnCast:
 
     name = "no_return_beams"
     kind: Kind = "cast"
-    reads_incidence = False
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`. The facts do not tell where the beams point, so any is a reason."""
         return f"{scene.no_return_beams} beams without a return may meet the object" if scene.no_return_beams else None
 
     def bind(self, context: EffectContext) -> CastStep:
-        """See `Effect`."""
         no_return = context.scene.no_return
         if no_return is None or len(no_return) == 0:
             return lambda cast: cast
         own = torch.from_numpy(context.scene.origins.copy()).double()
         return lambda cast: _with_rows(cast, no_return, own)
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """See `Effect`: no returns step."""
-        return False
 
 
 def _with_rows(cast: Cast, no_return: NoReturnBeams, own: Tensor) -> Cast:

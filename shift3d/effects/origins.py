@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from shift3d.effects.base import CastStep, DetectorFacts, EffectContext, Kind
+from shift3d.effects.base import CastStep, DetectorFacts, Effect, EffectContext, Kind
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
 
-class Origins:
+class Origins(Effect):
     """Every beam starts where its own sensor, or its own pixel's pose, was: `Scene.origins`, row by row.
 
     Without it all beams start in the scene's origin, as from one sensor (`Beams.of_main_sensor`). Leaves the returns
@@ -20,22 +20,16 @@ class Origins:
 
     name = "origins"
     kind: Kind = "cast"
-    reads_incidence = False
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`. However small the distance between the places: the facts do not tell it."""
         return "its beams start in more than 1 place" if scene.origins > 1 else None
 
     def bind(self, context: EffectContext) -> CastStep:
-        """See `Effect`."""
         scene = context.scene
         if bool((scene.origins == scene.origins[:1]).all()):
             return lambda cast: cast
         return lambda cast: replace(cast, beams=Beams.from_scene(scene))
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """See `Effect`: no returns step."""
-        return False
 
 
 EFFECT = Origins()

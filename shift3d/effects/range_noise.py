@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import DetectorFacts, Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
@@ -14,7 +14,7 @@ LEAST_NOISE_M = 2e-6
 """Noise below this is lost in what points are stored in: half a step of float32 at 50 m (our choice)."""
 
 
-class RangeNoise:
+class RangeNoise(Effect):
     """range + sigma times a standard normal draw, along the beam and nowhere else.
 
     Changed are the object's points that come back; ranges may then lie in front of the surface or behind it. Left as
@@ -30,7 +30,6 @@ class RangeNoise:
 
     name = "range_noise"
     kind: Kind = "returns"
-    reads_incidence = False
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where the sensor states a noise that float32 can hold."""
@@ -44,7 +43,7 @@ class RangeNoise:
         sensor = context.scene.sensor
         sigma_m = 0.0 if sensor is None else sensor.range_noise_m or 0.0
         if sigma_m == 0.0:
-            return _unchanged
+            return unchanged
         drawn = context.draws(self.name).standard_normal(len(context.beams))
         noise_m = sigma_m * torch.from_numpy(drawn)
 
@@ -56,17 +55,9 @@ class RangeNoise:
 
         return step
 
-    def on_scene(self, context: EffectContext) -> bool:
-        """Never: the scene's own points are measured ones."""
-        return False
-
 
 def _length(metres: float) -> str:
     return f"{1e3 * metres:.3g} mm" if metres < 1.0 else f"{metres:.3g} m"
-
-
-def _unchanged(returns: Returns) -> Returns:
-    return returns
 
 
 EFFECT = RangeNoise()

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import DetectorFacts, Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
 from shift3d.effects.physics.power import echo_power, least_power, survival, survival_draws
 from shift3d.render.field.object_field import VehicleFrame
@@ -23,7 +22,7 @@ LEAST_LOSS = 0.01
 """Share of lost echoes there below which nothing is to be seen: the weakest of the object's some hundred points."""
 
 
-class RayDrop:
+class RayDrop(Effect):
     """An echo of the object comes back with the probability that its power gives, `power.survival`.
 
     power = albedo cos(incidence) / range^2 (`power.echo_power`), least power = 0.9 / limit_range_m^2; a row is kept
@@ -51,7 +50,8 @@ class RayDrop:
         limit_m = scene.sensor.limit_range_m
         if limit_m is None or not _has_limit(scene.sensor):
             return None
-        power = _power(DARKEST_ALBEDO, math.cos(STEEP_RAD), FAR_M)
+        albedo, cosine, far = torch.tensor([DARKEST_ALBEDO, math.cos(STEEP_RAD), FAR_M], dtype=torch.float64)
+        power = echo_power(albedo, cosine, far)
         lost = 1.0 - float(survival(power, scene.sensor))
         if not lost >= LEAST_LOSS:
             return None
@@ -65,37 +65,20 @@ class RayDrop:
         """One uniform draw for every row of the beams."""
         sensor = context.scene.sensor
         if sensor is None or not _has_limit(sensor):
-            return _unchanged
+            return unchanged
         drawn = survival_draws(context)
 
         def step(returns: Returns) -> Returns:
-            lost = returns.on_object & returns.returned & ~(drawn[returns.row] < _survival(returns, sensor))
+            power = echo_power(returns.albedo, returns.cosine, returns.range_m.detach())
+            lost = returns.on_object & returns.returned & ~(drawn[returns.row] < survival(power, sensor))
             return returns.without(lost) if bool(lost.any()) else returns
 
         return step
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """Never: what the sensor lost of the scene is not in its points."""
-        return False
 
 
 def _has_limit(sensor: SensorModel) -> bool:
     """Whether there is a least power above 0: the law takes its logarithm."""
     return sensor.limit_range_m is not None and math.isfinite(sensor.limit_range_m)
-
-
-def _survival(returns: Returns, sensor: SensorModel) -> Tensor:
-    """(K,) float64: probability that each echo is detected, in clear air; a constant."""
-    return survival(echo_power(returns.albedo, returns.cosine, returns.range_m.detach()), sensor)
-
-
-def _power(albedo: float, cosine: float, range_m: float) -> Tensor:
-    rho, cos, r = torch.tensor([albedo, cosine, range_m], dtype=torch.float64)
-    return echo_power(rho, cos, r)
-
-
-def _unchanged(returns: Returns) -> Returns:
-    return returns
 
 
 EFFECT = RayDrop()

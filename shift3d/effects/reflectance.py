@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import torch
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import DetectorFacts, Effect, EffectContext, Kind, Returns, ReturnsStep
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
 
-class Reflectance:
+class Reflectance(Effect):
     """albedo * cosine of incidence, on the object's rows.
 
     Convention: reflectance is the echo's power times range squared, scaled so that a white diffuse (Lambertian)
@@ -42,10 +42,6 @@ class Reflectance:
     def bind(self, context: EffectContext) -> ReturnsStep:
         """Nothing is drawn."""
         return _reported
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """Never: the scene's own points have theirs."""
-        return False
 
 
 def _reported(returns: Returns) -> Returns:

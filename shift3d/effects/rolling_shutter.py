@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import Cast, CastStep, DetectorFacts, EffectContext, Kind
+from shift3d.effects.base import Cast, CastStep, DetectorFacts, Effect, EffectContext, Kind
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.labels import Conditions
@@ -19,7 +19,7 @@ ASSUMED_NOISE_M = 0.02
 """Range noise of a sensor that states none. Our choice: what data sheets of spinning sensors give."""
 
 
-class RollingShutter:
+class RollingShutter(Effect):
     """The object is displaced by d = v t at the time t that a beam fires; its pose belongs to time 0 of the scene.
 
     v is the velocity of the object, less that of the sensor where points are not motion compensated: there each return
@@ -35,7 +35,6 @@ class RollingShutter:
 
     name = "rolling_shutter"
     kind: Kind = "cast"
-    reads_incidence = False
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the displacement over a scan exceeds the range noise.
@@ -49,7 +48,6 @@ class RollingShutter:
         return f"up to {speed:.1f} m/s over {scene.scan_s:.3g} s: {moved:.2f} m, range noise {noise:.2f} m"
 
     def bind(self, context: EffectContext) -> CastStep:
-        """See `Effect`."""
         velocity = relative_velocity(context)
         scene = context.scene
         if scene.time_s is None or not velocity.any():
@@ -58,10 +56,6 @@ class RollingShutter:
         no_return = None if scene.no_return is None else scene.no_return.time_s
         no_return_times = None if no_return is None else torch.from_numpy(no_return.copy()).double()
         return lambda cast: _displaced(cast, times, no_return_times, torch.from_numpy(velocity))
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """See `Effect`: no returns step."""
-        return False
 
 
 def relative_velocity(context: EffectContext) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import DetectorFacts, Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Scene
@@ -16,7 +16,7 @@ _NONE_YET = 256
 """More than any return number, which is a uint8."""
 
 
-class SecondReturns:
+class SecondReturns(Effect):
     """One return a beam from an opaque object: later ones bring nothing back where an earlier one is on it too.
 
     An insertion moves every return whose beam meets the object; two returns of a beam behind it then lie in the same
@@ -33,7 +33,6 @@ class SecondReturns:
 
     name = "second_returns"
     kind: Kind = "returns"
-    reads_incidence = False
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where beams have more than one return that can be paired."""
@@ -45,7 +44,7 @@ class SecondReturns:
         """Rows are paired here, once. Nothing is drawn."""
         scene, count = context.scene, len(context.beams)
         if scene.return_number is None or scene.range_image_index is None:
-            return _unchanged
+            return unchanged
         number = torch.zeros(count, dtype=torch.long)  # beams that had no return have one at most
         number[: len(scene.points)] = torch.from_numpy(scene.return_number.astype(np.int64))
         beam = torch.from_numpy(beam_numbers(scene, count))
@@ -55,10 +54,6 @@ class SecondReturns:
             return returns.without(later) if bool(later.any()) else returns
 
         return step
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """Never: it is the object that stops beams."""
-        return False
 
 
 def _behind(beam: Tensor, number: Tensor, on_object: Tensor, count: int) -> Tensor:
@@ -90,10 +85,6 @@ def beam_numbers(scene: Scene, count: int) -> NDArray[np.int64]:
     beams = np.arange(count)
     beams[rows] = rows[first]
     return beams
-
-
-def _unchanged(returns: Returns) -> Returns:
-    return returns
 
 
 EFFECT = SecondReturns()

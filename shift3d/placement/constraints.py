@@ -12,6 +12,8 @@ from shift3d.render.beams import Beams
 from shift3d.render.culling import Box
 from shift3d.render.field.object_field import ObjectField
 
+_TOUCHING_M = 0.004
+
 
 @dataclass(frozen=True)
 class Constraints:
@@ -146,8 +148,6 @@ def snap_to_ground(
     theta: Tensor,
     size_m: Tensor,
     reach_m: float = 0.3,
-    tolerance_m: float = 0.004,
-    iterations: int = 8,
 ) -> Tensor | None:
     """The pose with z moved until the object just touches the original points; None if that takes too far.
 
@@ -160,12 +160,12 @@ def snap_to_ground(
     Source: our choice: the paper places with a six-dof pose and leaves the method open.
     """
     snapped = theta.detach().double().clone()
-    for _ in range(iterations):
+    for _ in range(8):
         metric, _ = distances(field, points, snapped, size_m, reach_m)
         if len(metric) == 0:
             return None
         clearance = float(metric.min())
-        if abs(clearance) <= tolerance_m:
+        if abs(clearance) <= _TOUCHING_M:
             return snapped
         snapped[2] -= clearance
         if abs(float(snapped[2] - theta[2])) > reach_m:

@@ -26,7 +26,6 @@ from shift3d.placement.ground import MAX_SLOPE, ground_under
 from shift3d.render.beams import Beams
 from shift3d.render.culling import Box, rays_in_box
 from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
-from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
 from shift3d.render.settings import STANDARD, RenderSettings
@@ -111,7 +110,6 @@ def place(
     constraints: Constraints = PAPER_CONSTRAINTS,
     settings: RenderSettings = STANDARD,
     others: Tensor | None = None,
-    space: SdfGrid | None = None,
     ground_map: GroundMap | None = None,
 ) -> Placement | NoPlacement:
     """A random place that satisfies every constraint.
@@ -125,7 +123,7 @@ def place(
     Places where no ground was found are searched for it again, thoroughly, if no other one served: so a scene with room
     on plain ground has the places that it has without that search.
 
-    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of; `space` an SDF grid of this field.
+    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of.
     With a `ground_map` the footprint's corners stand where it allows, and its heights take the place of ground_z_m.
     Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
@@ -142,7 +140,7 @@ def place(
         if theta is None:
             return "contact"
         with torch.no_grad():
-            rendering = render(beams, sdf, theta, vehicle, settings, grid=space)
+            rendering = render(beams, sdf, theta, vehicle, settings)
         held = check(metric, _near(beams, theta, size), theta, size, rendering.object_points, constraints)
         if not held.valid:
             return "points" if not held.points_ok else "overlap" if not held.overlap_ok else "contact"

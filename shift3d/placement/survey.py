@@ -46,14 +46,13 @@ def survey(
     constraints: Constraints,
     others: Tensor | None = None,
     ground_map: GroundMap | None = None,
-    size_m: tuple[float, float, float] = CAR_SIZE_M,
 ) -> Survey:
     """Try as many places as `limits` allow attempts, with the tests of `sampling.place` that need no rendering.
 
     A free place may still be refused for a shape: it may touch nothing, reach into something, or return fewer points
     than beams meet its box. Deterministic. Source: our choice.
     """
-    size, whole = torch.tensor(size_m, dtype=torch.float64), replace(limits, attempts=1)
+    size, whole = torch.tensor(CAR_SIZE_M, dtype=torch.float64), replace(limits, attempts=1)
     site = Site.of(beams, ground_z_m, others, ground_map)
     rng, places, outcomes = np.random.default_rng(0), [], []
     for _ in range(limits.attempts):

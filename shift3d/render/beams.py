@@ -1,4 +1,4 @@
-"""LiDAR beams of a scene: where each starts, where it points, how far it went."""
+"""LiDAR beams of a scene: where each starts, where it points, how far it went; and where they first meet an object."""
 
 from __future__ import annotations
 
@@ -78,6 +78,30 @@ class Beams:
         carries = torch.isfinite(ranges) & (ranges > 0)
         directions = torch.where(carries[:, None], offset / ranges.clamp_min(1e-300)[:, None], 0.0)
         return Beams(points_t, origins_t, directions, torch.where(carries, ranges, 0.0), carries)
+
+
+@dataclass(frozen=True)
+class FirstHits:
+    """First crossings of g = 0, found by either renderer.
+
+    Attributes:
+        index: (M,) beams that hit, ascending.
+        range_m: (M,) float64 distance of the crossing from the sensor.
+        residual_m: (M,) float64 |metric g| there.
+        unresolved: (U,) beams that could not be decided, ascending: sensor inside the object, or out of
+            iterations. They stay where they are.
+    """
+
+    index: Tensor
+    range_m: Tensor
+    residual_m: Tensor
+    unresolved: Tensor
+
+    @staticmethod
+    def none() -> FirstHits:
+        """No hit and nothing unresolved."""
+        index, value = torch.empty(0, dtype=torch.long), torch.empty(0, dtype=torch.float64)
+        return FirstHits(index, value, value, index)
 
 
 def _origins(origins: np.ndarray | Tensor, points: Tensor) -> Tensor:

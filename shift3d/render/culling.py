@@ -14,12 +14,15 @@ SPHERE_RADIUS_M = 7.0
 """Radius of the sphere around the object outside which beams are left alone. Source: SHIFT3D, Setup."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Box:
     """Axis-aligned box in the object frame: lower and upper corner (3,), float64, metres."""
 
     lower: Tensor
     upper: Tensor
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Box) and torch.equal(self.lower, other.lower) and torch.equal(self.upper, other.upper)
 
     def grown(self, margin_m: float) -> Box:
         """The box with every face moved out."""
@@ -56,6 +59,14 @@ class Rays:
     def select(self, rows: Tensor) -> Rays:
         """Some of the rays, by row or by mask."""
         return Rays(*(part[rows] for part in (self.index, self.origins, self.directions, self.near_m, self.far_m)))
+
+
+def rows_of(index: Tensor, among: Tensor) -> Tensor:
+    """(M,) where each of some numbers (M,) stands among others (K,), ascending; -1 where it does not."""
+    if len(among) == 0:
+        return torch.full_like(index, -1)
+    at = torch.searchsorted(among, index).clamp_max(len(among) - 1)
+    return torch.where(among[at] == index, at, -1)
 
 
 def beams_near(beams: Beams, centre: Tensor, radius_m: float) -> Tensor:

@@ -23,11 +23,10 @@ import torch
 from torch import Tensor
 
 from shift3d.geometry.se3 import object_from_scene, scene_R_object
-from shift3d.render.beams import Beams
-from shift3d.render.culling import Rays, object_rays
+from shift3d.render.beams import Beams, FirstHits
+from shift3d.render.culling import Rays, object_rays, rows_of
 from shift3d.render.field.linearization import Linearization, linearize
 from shift3d.render.field.object_field import ObjectField
-from shift3d.render.first_hits import FirstHits
 from shift3d.render.rendering import GrazingShare
 from shift3d.render.solvers.corrector import NEWTON_SLOPE
 
@@ -92,7 +91,7 @@ def _at_all(hits: FirstHits, known: Linearization | None, field: ObjectField, ra
     """
     if known is None or len(known) == 0:
         return linearize(field, rays, hits.range_m)
-    row = known.rows_of(hits.index)
+    row = rows_of(hits.index, known.index)
     at_hit = (row >= 0) & (known.range_m[row] == hits.range_m)
     missing = torch.nonzero(~at_hit).squeeze(1)
     kept = known.select(row[at_hit])

@@ -8,15 +8,14 @@ import torch
 from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.render.beams import Beams
+from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.field.sdf_grid import SdfGrid, vehicle_size
-from shift3d.render.first_hits import FirstHits
 from shift3d.render.implicit import surface_points, wants_gradient
 from shift3d.render.rendering import Rendering
 from shift3d.render.settings import STANDARD, RenderSettings
-from shift3d.render.solvers import paper, piecewise_linear, sphere_tracing
-from shift3d.render.solvers.search import WarmStart, cold_start, warm_start
+from shift3d.render.solvers import paper, piecewise_linear, search, sphere_tracing
+from shift3d.render.solvers.search import WarmStart
 
 
 def render(
@@ -54,31 +53,18 @@ def render(
     state = None
     if settings.final_newton_m and not wants_gradient(theta, metric.depends_on_code()):
         settings = settings.with_(final_newton_m=0.0)
+    grid, size = grid if settings.sdf_grid else None, vehicle_size(vehicle)
     with torch.no_grad():
         if settings.solver == "paper":
             hits = paper.first_hits(beams, metric, theta, settings)
+        elif settings.solver == "piecewise_linear" and metric.piecewise_linear():
+            hits = piecewise_linear.first_hits(beams, metric, theta, size, settings)
+        elif settings.solver == "plain_sphere_tracing":
+            hits = sphere_tracing.first_hits(beams, metric, theta, size, settings)
         else:
-            hits, state = _fast(beams, metric, theta, vehicle, settings, warm, grid)
+            warm = warm if settings.warm_start else None
+            hits, state = search.first_hits(beams, metric, theta, size, settings, warm, grid)
     return assemble(beams, hits, metric, theta, settings, state)
-
-
-def _fast(
-    beams: Beams,
-    metric: ObjectField,
-    theta: Tensor,
-    vehicle: VehicleFrame,
-    settings: RenderSettings,
-    warm: WarmStart | None,
-    grid: SdfGrid | None,
-) -> tuple[FirstHits, WarmStart | None]:
-    grid, size = grid if settings.sdf_grid else None, vehicle_size(vehicle)
-    if settings.solver == "piecewise_linear" and metric.piecewise_linear():
-        return piecewise_linear.first_hits(beams, metric, theta, size, settings), None
-    if settings.solver == "plain_sphere_tracing":
-        return sphere_tracing.first_hits(beams, metric, theta, size, settings), None
-    if warm is None or not settings.warm_start:
-        return cold_start(beams, metric, theta, size, settings, grid)
-    return warm_start(beams, metric, theta, size, warm, settings, grid)
 
 
 def assemble(

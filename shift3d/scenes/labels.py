@@ -13,14 +13,6 @@ from shift3d.geometry.boxes import validate_boxes
 WEATHERS = ("dry", "rain", "fog", "snow")
 
 
-def _no_boxes() -> NDArray[np.float64]:
-    return np.zeros((0, 7), dtype=np.float64)
-
-
-def _no_counts() -> NDArray[np.int32]:
-    return np.zeros(0, dtype=np.int32)
-
-
 @dataclass(frozen=True)
 class Labels:
     """Labelled objects of one scene.
@@ -34,9 +26,9 @@ class Labels:
         kinds: M body types with attributes ("sedan", "suv+roof_box"; "" for what is no vehicle); empty where unknown.
     """
 
-    boxes: NDArray[np.float64] = field(default_factory=_no_boxes)
+    boxes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
     classes: tuple[str, ...] = ()
-    num_points: NDArray[np.int32] = field(default_factory=_no_counts)
+    num_points: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     names: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
 
@@ -58,28 +50,14 @@ class Labels:
         """
         validate_boxes(self.boxes, f"{where}, labels.boxes")
         count = len(self.boxes)
-        if len(self.classes) != count:
-            raise InputError(
-                f"{len(self.classes)} classes for {count} boxes", f"{where}, labels.classes", "Give one class a box."
-            )
-        if self.names and len(self.names) != count:
-            raise InputError(
-                f"{len(self.names)} names for {count} boxes",
-                f"{where}, labels.names",
-                "Give one name a box, or none at all.",
-            )
-        if self.kinds and len(self.kinds) != count:
-            raise InputError(
-                f"{len(self.kinds)} kinds for {count} boxes",
-                f"{where}, labels.kinds",
-                "Give one kind a box, or none at all.",
-            )
+        for name, one in (("classes", "class"), ("names", "name"), ("kinds", "kind")):
+            values = getattr(self, name)
+            if len(values) != count and (values or name == "classes"):
+                remedy = f"Give one {one} a box" + ("." if name == "classes" else ", or none at all.")
+                raise InputError(f"{len(values)} {name} for {count} boxes", f"{where}, labels.{name}", remedy)
         if self.num_points.shape != (count,):
-            raise InputError(
-                f"shape {self.num_points.shape} for {count} boxes",
-                f"{where}, labels.num_points",
-                "Give one count a box.",
-            )
+            what = f"shape {self.num_points.shape} for {count} boxes"
+            raise InputError(what, f"{where}, labels.num_points", "Give one count a box.")
         if (self.num_points < 0).any():
             row = int(np.argmax(self.num_points < 0))
             raise InputError(

@@ -1,17 +1,67 @@
-"""Names of the scenes of a data set: choosing, and saying which there are."""
+"""What readers of recorded scenes share: names, files read as bytes and text, and bounds of what is metres."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterable, Sequence
+from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
+from shift3d.wording import counted
 
 UNITS_REMEDY = "Convert the file: coordinates and ranges are metres, angles radians"
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
+
+
+class RecordedScenes(ABC):
+    """A `SceneSet` of files: nothing is known of a scene but by these. Objects are placed all around, if not said."""
+
+    dataset: str
+    placement_sector_rad: tuple[float, float] = (0.0, float(np.pi))
+
+    @property
+    @abstractmethod
+    def _listed(self) -> Sequence[str]:
+        """The names of the scenes."""
+
+    def names(self) -> list[str]:
+        """Names of the scenes. Raises InputError: files that list them are damaged, or an unknown one is wanted."""
+        return list(self._listed)
+
+    def configured(self, name: str) -> None:
+        """See `SceneSet`: a scene must be loaded."""
+        return
+
+
+def read_bytes(file: Location, kind: str) -> bytes:
+    """A file's content. kind: what it is, for errors. Raises InputError: it is missing, or cannot be read."""
+    try:
+        return file.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"the {kind} is missing", str(file), "Add it, or leave the scene out") from error
+    except OSError as error:
+        raise InputError(f"the {kind} cannot be read ({error.strerror})", str(file), "Check the folder") from error
+
+
+def read_lines(file: Location, kind: str) -> list[str]:
+    """Lines of a text file. Raises: as `read_bytes`, and where it is no text."""
+    try:
+        return read_bytes(file, kind).decode().splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"the {kind} is no text", str(file), "Copy it again") from error
+
+
+def refuse_not_finite(rows: NDArray[Any], where: str, remedy: str = "Repair or drop those rows") -> None:
+    """Refuse rows (N, ...) with NaN or infinity. Raises InputError: naming how many there are, and the first."""
+    bad = ~np.isfinite(rows).all(axis=tuple(range(1, rows.ndim)))
+    if bad.any():
+        what = f"{counted(int(bad.sum()), 'row')} with NaN or infinity, first is row {int(bad.argmax())}"
+        raise InputError(what, where, remedy)
 
 
 def first_few(names: Collection[str]) -> str:
@@ -28,19 +78,19 @@ def names_in(folder: Location) -> list[str]:
         return []
 
 
-def chosen(found: Sequence[str], names: Sequence[str] | None, where: str) -> list[str]:
-    """The names asked for, in the order asked; None: all that were found.
+def chosen(found: Iterable[str], names: Sequence[str] | None, where: str, count: int | None = None) -> list[str]:
+    """The names asked for, in the order asked; None: the first `count` that are found, all of them without one.
 
     Raises InputError: a name that was not found, or nothing at all.
     """
-    known = set(found)
+    known = list(islice(found, count if names is None else None))
     for name in names or ():
         if name not in known:
             remedy = f"Choose from: {first_few(known)}" if known else "Check its name"
             raise InputError(f"no scene {name!r}", where, remedy)
-    if not found:
+    if not known:
         raise InputError("no scenes", where, "Give another folder")
-    return list(found) if names is None else list(names)
+    return known if names is None else list(names)
 
 
 def require_metres(ranges_m: NDArray[np.floating], where: str) -> None:

@@ -10,9 +10,17 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
-from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.ground_map import search_ground_z
-from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
+from shift3d.scenes.listing import (
+    RecordedScenes,
+    chosen,
+    first_few,
+    names_in,
+    read_bytes,
+    read_lines,
+    refuse_not_finite,
+    require_metres,
+)
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.scenes.scene import Labels, Scene
 from shift3d.store.location import Location
@@ -32,7 +40,7 @@ def class_of(name: str) -> str:
     return _CLASS_OF.get(name.lower(), "other")
 
 
-class OpenPcdetScenes:
+class OpenPcdetScenes(RecordedScenes):
     """Frames under a folder or bucket with points/NAME.npy, labels/NAME.txt and ImageSets/SPLIT.txt.
 
     Args:
@@ -53,7 +61,6 @@ class OpenPcdetScenes:
     """
 
     dataset = "openpcdet"
-    placement_sector_rad = (0.0, float(np.pi))
 
     def __init__(
         self,
@@ -82,9 +89,9 @@ class OpenPcdetScenes:
             found = listed
         self._names = chosen(found, names, str(self.root / "points"))[:count]
 
-    def names(self) -> list[str]:
-        """Names of the frames."""
-        return list(self._names)
+    @property
+    def _listed(self) -> list[str]:
+        return self._names
 
     def load(self, name: str) -> Scene:
         """One frame. Raises InputError: naming the file, the line or row, and the remedy."""
@@ -107,10 +114,6 @@ class OpenPcdetScenes:
         scene.validate()
         return scene
 
-    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
-        """See `SceneSet`: nothing is known of a frame but by its files."""
-        return None
-
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """See `SceneSet`: the versions of the frame's files and what is said about them."""
         files = (self.root / "points" / f"{name}.npy", self.root / "labels" / f"{name}.txt")
@@ -119,7 +122,7 @@ class OpenPcdetScenes:
 
     def _listed_in(self, split: str) -> list[str]:
         file = self.root / "ImageSets" / f"{split}.txt"
-        words = [line.strip() for line in _lines(file, "list of frames")]
+        words = [line.strip() for line in read_lines(file, "list of frames")]
         found = list(dict.fromkeys(word for word in words if word))
         if not found:
             raise InputError("it lists no frames", str(file), "Give another scenes.split, or null")
@@ -145,7 +148,7 @@ class OpenPcdetScenes:
             return Labels()
         file = self.root / "labels" / f"{name}.txt"
         boxes, names = [], []
-        for number, line in enumerate(_lines(file, "label file"), start=1):
+        for number, line in enumerate(read_lines(file, "label file"), start=1):
             words = line.split()
             if not words:
                 continue
@@ -159,10 +162,9 @@ class OpenPcdetScenes:
 
 def _read_points(file: Location) -> NDArray[np.float64]:
     """(N, C) float64 of a .npy file, C >= 3. Raises InputError: it is missing, damaged, or something else."""
+    content = read_bytes(file, "frame")
     try:
-        values = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputError("the frame is missing", str(file), "Add it, or leave it out") from error
+        values = np.load(io.BytesIO(content), allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise InputError(
             f"not a readable .npy file of numbers ({str(error)[:80]})", str(file), "Copy it again"
@@ -170,20 +172,9 @@ def _read_points(file: Location) -> NDArray[np.float64]:
     if not isinstance(values, np.ndarray) or values.ndim != 2 or values.shape[1] < 3 or values.dtype.kind not in "fiu":
         shape = getattr(values, "shape", "no shape")
         raise InputError(f"{shape}, not rows of x, y, z and reflectance", str(file), "Give a float32 array (N, 4)")
-    if not np.isfinite(values).all():
-        row = int((~np.isfinite(values).all(axis=1)).argmax())
-        raise InputError(f"row {row} has NaN or infinity", str(file), "Repair or drop those rows")
+    refuse_not_finite(values, str(file))
     numbers: NDArray[np.float64] = values.astype(np.float64)
     return numbers
-
-
-def _lines(file: Location, kind: str) -> list[str]:
-    try:
-        return file.read_text().splitlines()
-    except FileNotFoundError as error:
-        raise InputError(f"the {kind} is missing", str(file), "Add it, or leave the frame out") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"the {kind} cannot be read as text", str(file), "Copy it again") from error
 
 
 def _box(words: Sequence[str], where: str) -> NDArray[np.float64]:

@@ -18,24 +18,23 @@ if TYPE_CHECKING:
     from matplotlib.collections import PathCollection
 
 BOX_COLOURS = {"vehicle": "tab:red", "pedestrian": "tab:green", "cyclist": "tab:orange"}
+_REACH_M = 50.0  # half the side of the square that is shown from above
+_EYE_M, _LOOK_AT_M = (-18.0, 10.0, 16.0), (14.0, 0.0, -1.5)  # of the three-quarter view, scene frame
 _EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 
 
-def draw_bev(
-    axes: Axes, scene: Scene, reach_m: float = 50.0, point_size: float = 0.5, free_m: NDArray[np.float64] | None = None
-) -> PathCollection:
+def draw_bev(axes: Axes, scene: Scene, free_m: NDArray[np.float64] | None = None) -> PathCollection:
     """Points from above, coloured by height above the ground, x up the page, y to the left; labels with their nose.
 
     Args:
         axes: matplotlib axes to draw on.
-        reach_m: half the side of the square that is shown.
         free_m: (N, 2) places to mark, where a vehicle could stand.
 
     Returns: the points, for a colour bar.
     """
-    points = scene.points[(np.abs(scene.points[:, :2]) < reach_m).all(axis=1)]
+    points = scene.points[(np.abs(scene.points[:, :2]) < _REACH_M).all(axis=1)]
     height = points[:, 2] - scene.ground_z_m
-    drawn = axes.scatter(points[:, 1], points[:, 0], s=point_size, c=height, cmap="viridis_r", vmin=-0.5, vmax=3, lw=0)
+    drawn = axes.scatter(points[:, 1], points[:, 0], s=0.5, c=height, cmap="viridis_r", vmin=-0.5, vmax=3, lw=0)
     if free_m is not None and len(free_m):
         axes.scatter(
             free_m[:, 1], free_m[:, 0], s=18, c="tab:blue", marker="+", lw=0.8, label=f"{len(free_m)} places for a car"
@@ -50,25 +49,20 @@ def draw_bev(
         axes.plot([], [], c=_colour(name), label=f"{count} {name}")
     axes.plot(0.0, 0.0, "k^", ms=5, label="sensor, facing up")
     axes.legend(loc="upper right", fontsize=7)
-    axes.set(xlim=(reach_m, -reach_m), ylim=(-reach_m, reach_m), aspect="equal", title=scene.scene_id)
+    axes.set(xlim=(_REACH_M, -_REACH_M), ylim=(-_REACH_M, _REACH_M), aspect="equal", title=scene.scene_id)
     axes.set(xlabel="y, to the left, m", ylabel="x, ahead, m")
     return drawn
 
 
-def draw_view(
-    axes: Axes,
-    scene: Scene,
-    eye_m: tuple[float, float, float] = (-18.0, 10.0, 16.0),
-    look_at_m: tuple[float, float, float] = (14.0, 0.0, -1.5),
-    point_size: float = 0.8,
-) -> None:
-    """Perspective view from a raised eye (scene frame), far points first, labels as wire boxes."""
-    eye, camera = np.array(eye_m), _camera(np.array(eye_m), np.array(look_at_m))
+def draw_view(axes: Axes, scene: Scene) -> None:
+    """Perspective view from a raised eye, far points first, labels as wire boxes."""
+    eye = np.array(_EYE_M)
+    camera = _camera(eye, np.array(_LOOK_AT_M))
     image, depth = _project(scene.points.astype(np.float64), eye, camera)
     front = depth > 1.0
     order = np.argsort(-depth[front])
     height = (scene.points[front][:, 2] - scene.ground_z_m)[order]
-    size = point_size * np.clip(25.0 / depth[front][order], 0.3, 3.0) ** 2
+    size = 0.8 * np.clip(25.0 / depth[front][order], 0.3, 3.0) ** 2
     axes.scatter(
         image[front][order, 0], image[front][order, 1], s=size, c=height, cmap="viridis_r", vmin=-0.5, vmax=3, lw=0
     )
@@ -81,7 +75,7 @@ def draw_view(
     axes.set_axis_off()
 
 
-def save_picture(scene: Scene, path: Path, reach_m: float = 50.0, free_m: NDArray[np.float64] | None = None) -> None:
+def save_picture(scene: Scene, path: Path, free_m: NDArray[np.float64] | None = None) -> None:
     """Write both views side by side as a PNG. free_m: see `draw_bev`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -89,7 +83,7 @@ def save_picture(scene: Scene, path: Path, reach_m: float = 50.0, free_m: NDArra
     figure = Figure(figsize=(19, 7.5), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.6))
-    points = draw_bev(left, scene, reach_m, free_m=free_m)
+    points = draw_bev(left, scene, free_m)
     figure.colorbar(points, ax=left, label="height above the ground at the sensor, m", shrink=0.6, extend="both")
     draw_view(right, scene)
     write_atomic(path, lambda temporary: figure.savefig(temporary, format="png"))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.scenes.ground_map import GroundMap
 from shift3d.scenes.labels import Conditions, Labels
+from shift3d.scenes.listing import refuse_not_finite
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
-from shift3d.wording import counted
 
 __all__ = ["Conditions", "Labels", "Scene"]
 
@@ -151,11 +151,4 @@ def _check_field(
     if values.dtype != dtype:
         raise InputError(f"dtype {values.dtype}", where, f"Cast it to {np.dtype(dtype).name}.")
     if np.issubdtype(dtype, np.floating):
-        bad = ~np.isfinite(values).reshape(count, -1).all(axis=1)
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise InputError(
-                f"{counted(int(bad.sum()), 'row')} with NaN or infinity, first is row {row}",
-                where,
-                "Repair or drop those rows in the file.",
-            )
+        refuse_not_finite(values, where, "Repair or drop those rows in the file.")

@@ -130,7 +130,7 @@ class StreetScenes:
 
     def configured(self, name: str) -> tuple[str, SceneFacts] | None:
         """See `SceneSet`."""
-        from shift3d.scenes.street.facts import street_facts
+        from shift3d.scenes.street.assemble import street_facts
 
         sensor = self._sensor_of(int(name.split("-")[3]))
         return f"street-{sensor}{self.options.tag}", street_facts(name, sensor, self.options)

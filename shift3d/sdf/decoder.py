@@ -18,7 +18,7 @@ from torch.nn.utils import parametrizations
 
 from shift3d.errors import InputError
 from shift3d.sdf.field import Field
-from shift3d.sdf.tensors import check_magnitude, checked_tensors, without_subnormals
+from shift3d.sdf.tensors import check_magnitude, checked_tensors, read_safetensors, without_subnormals
 from shift3d.store.safetensors_file import write_safetensors
 
 CODE_LENGTH = 256
@@ -180,20 +180,7 @@ def load_decoder(path: Path | str | None = None) -> Decoder:
     Args: path: a safetensors file; default the shipped weights.
     Raises: InputError naming the file and the tensor when it is missing, unreadable or of another shape.
     """
-    from safetensors import SafetensorError, safe_open
-
-    source = Path(path) if path is not None else DEFAULT_WEIGHTS
-    if not source.is_file():
-        remedy = "Check the path" if path is not None else 'Train it: make train ARGS="model=sdf"'
-        raise InputError("no such file", where=str(source), remedy=remedy)
-    try:
-        with safe_open(str(source), framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise InputError(
-            f"not a readable safetensors file ({error})", where=str(source), remedy="copy it again"
-        ) from error
+    tensors, metadata, source = read_safetensors(path, DEFAULT_WEIGHTS, "pt")
     return decoder_from_tensors(tensors, _architecture(metadata, len(tensors), str(source)), str(source))
 
 

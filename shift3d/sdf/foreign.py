@@ -38,12 +38,6 @@ class Experiment:
     epoch: int | None
 
 
-def load_foreign_decoder(folder: Path | str, checkpoint: str = "latest") -> tuple[Decoder | DeepSdfNetwork, Tensor]:
-    """Decoder and codes (N, code) of `load_experiment`."""
-    experiment = load_experiment(folder, checkpoint)
-    return experiment.decoder, experiment.codes
-
-
 def experiment_file_names(checkpoint: str = "latest") -> tuple[str, str, str]:
     """Of specs.json, the network's weights and the codes, below an experiment's folder."""
     return "specs.json", f"ModelParameters/{checkpoint}.pth", f"LatentCodes/{checkpoint}.pth"
@@ -154,7 +148,8 @@ def _codes(content: dict[str, Any], length: int, path: Path) -> Tensor:
     if isinstance(found, dict):
         found = found.get("weight")
     if isinstance(found, list | tuple) and found and all(is_plain(code) for code in found):
-        found = torch.stack([code.detach().reshape(-1) for code in found]) if _equal_sizes(found) else None
+        alike = len({code.numel() for code in found}) == 1
+        found = torch.stack([code.detach().reshape(-1) for code in found]) if alike else None
     if not is_plain(found) or found.ndim < 2 or not len(found):
         raise InputError("no table of latent_codes", where=str(path), remedy="latent_codes: N x code, or a list")
     table: Tensor = found.detach().reshape(len(found), -1).float()
@@ -165,10 +160,6 @@ def _codes(content: dict[str, Any], length: int, path: Path) -> Tensor:
         what = f"latent_codes hold values that are not finite, or beyond {LARGEST_INPUT:g}"
         raise InputError(what, where=str(path), remedy="Copy it again")
     return table
-
-
-def _equal_sizes(codes: list[Tensor] | tuple[Tensor, ...]) -> bool:
-    return len({code.numel() for code in codes}) == 1
 
 
 def _instances(values: dict[str, Any], count: int, path: Path) -> tuple[str, ...]:
@@ -203,17 +194,14 @@ def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> Decode
         raise InputError(what, where=str(path), remedy="Give the specs.json that it was trained with")
     if architecture := specs.published():
         return decoder_from_tensors(tensors, architecture, str(path))
-    tensors = checked_tensors(tensors, specs.shapes(), str(path), {name: _original(name) for name in tensors})
+    called = {name: name.replace("layers.", "lin").replace("norms.", "bn") for name in tensors}
+    tensors = checked_tensors(tensors, specs.shapes(), str(path), called)
     network = DeepSdfNetwork(specs).eval().requires_grad_(False)
     network.load_state_dict(tensors)
     layers = [(tensors[f"layers.{layer}.weight"], tensors[f"layers.{layer}.bias"]) for layer in range(specs.layers)]
     norms = {int(layer): norm for layer, norm in network.norms.items() if isinstance(norm, nn.LayerNorm)}
     check_magnitude(layers, specs.entries(), norms, str(path))
     return network
-
-
-def _original(name: str) -> str:
-    return name.replace("layers.", "lin").replace("norms.", "bn")
 
 
 def _take(left: dict[str, Any], name: str, path: Path) -> Tensor:

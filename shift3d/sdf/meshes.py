@@ -44,11 +44,12 @@ PointField = Callable[[Tensor], Tensor]
 Array = NDArray[np.float32]
 # The surface lies inside the unit sphere by construction of the samples.
 HALF_EXTENT = 1.0
+_CHUNK = 8192  # points evaluated at once
 
 
-def _evaluate(field: PointField, points: Array, chunk: int = 8192) -> Array:
+def _evaluate(field: PointField, points: Array) -> Array:
     with torch.no_grad():
-        parts = [field(torch.from_numpy(points[i : i + chunk])).float().numpy() for i in range(0, len(points), chunk)]
+        parts = [field(torch.from_numpy(points[i : i + _CHUNK])).float().numpy() for i in range(0, len(points), _CHUNK)]
     return np.concatenate(parts) if parts else np.zeros(0, np.float32)
 
 
@@ -96,22 +97,18 @@ def field_on_grid(
     return values, 2.0 * HALF_EXTENT / (count - 1)
 
 
-def extract_mesh(field: PointField, resolution: int = 128, largest_only: bool = False) -> trimesh.Trimesh:
+def extract_mesh(field: PointField, resolution: int = 128) -> trimesh.Trimesh:
     """The zero surface of a field.
 
     Args:
         field: points (N, 3) float32, sdf frame -> (N,) values, negative inside.
         resolution: grid points along each axis of [-1, 1]^3.
-        largest_only: drop every piece but the largest.
     Returns: a mesh in the sdf frame, outward normals.
     Raises: InputError when the field has no surface there (a latent code far off the prior).
     Differentiable w.r.t.: nothing.
     Source: our choice: the paper is silent; DeepSDF extracts with marching cubes too.
     """
-    mesh = zero_surface(*field_on_grid(field, resolution))
-    if largest_only and mesh.body_count > 1:
-        mesh = max(mesh.split(only_watertight=False), key=lambda part: len(part.faces))
-    return mesh
+    return zero_surface(*field_on_grid(field, resolution))
 
 
 def zero_surface(values: Array, step: float) -> trimesh.Trimesh:

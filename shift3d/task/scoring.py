@@ -23,6 +23,7 @@ from shift3d.attack.problem import AttackProblem, Measurement, measure
 from shift3d.detectors.base import BevWindow, Detector, Proposals
 from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow, incremental_inference
 from shift3d.detectors.nms import suppress
+from shift3d.render.solvers.search import WarmStart
 from shift3d.vehicles.vehicle import Vehicle
 
 # Scores below this count as 0: their boxes are not even candidates for suppression. Recall curves are drawn
@@ -30,8 +31,8 @@ from shift3d.vehicles.vehicle import Vehicle
 SCORE_FLOOR = 0.01
 # Of suppression. Source: the public Waymo config.
 SUPPRESSION_IOU = 0.25
-# Methods of so many candidates in one place that the scene without the object is worth asking about first.
-SCORED_FROM_EMPTY = ("adversarial_noise",)
+# Methods of many candidates that differ little from the solution, in one place: see `Nearby`.
+SCORED_NEARBY = ("adversarial_noise",)
 
 
 @dataclass(frozen=True)
@@ -74,15 +75,22 @@ class Scored:
     milliseconds: dict[str, float]
 
 
-class EmptyScene:
-    """What a detector makes of the scene without the object, from which the answer about many objects starts.
+class Nearby:
+    """Where the scores of noisy copies of a solution start: at the rendering of the solution (`note`), and at what a
+    detector makes of the scene without the object.
 
-    Each of them is the frame after the empty scene, so that no answer depends on what was asked before, to the bit.
-    Source: our choice: the paper scores every scene afresh.
+    Each of them is the frame after the empty scene, and the rendering after the solution's, so that no answer depends
+    on what was asked before, to the bit. Source: our choice: the paper scores every scene afresh.
     """
 
     def __init__(self) -> None:
+        self.warm: WarmStart | None = None
         self._seen: dict[BevWindow, IncrementalInference] = {}
+
+    def note(self, method: str, scored: Scored) -> None:
+        """A candidate of a method has been scored: if it is the solution, its copies start from it."""
+        if method == "adversarial":
+            self.warm = scored.measurement.rendering.warm
 
     def frames(self, problem: AttackProblem, theta: Tensor) -> IncrementalInference:
         """Incremental inference that has seen the scoring window of a pose (6,) without the object."""
@@ -100,18 +108,18 @@ def score_object(
     theta: Tensor,
     radius_m: float,
     others: Mapping[str, Detector] | None = None,
-    scene: EmptyScene | None = None,
+    nearby: Nearby | None = None,
 ) -> Scored:
-    """Render one code (d,) at one pose (6,) afresh (no warm start), once, and score it with every detector.
+    """Render one code (d,) at one pose (6,) afresh, once, and score it with every detector.
 
     radius_m: how near the object's centre the centre of a detecting box lies, metres. others: detectors by name that
-    score the same rendering, beside the problem's own. scene: of the problem's own detector, whose answer then starts
-    from it.
+    score the same rendering, beside the problem's own. nearby: of the problem's own detector; rendering and answer
+    then start from there.
     Source: SHIFT3D, Evaluation Metrics.
     """
     with torch.no_grad():
-        frames = None if scene is None else scene.frames(problem, theta)
-        measurement = measure(problem, code, theta, radius_m=SCORE_RADIUS_M, incremental=frames)
+        frames, warm = (None, None) if nearby is None else (nearby.frames(problem, theta), nearby.warm)
+        measurement = measure(problem, code, theta, warm, SCORE_RADIUS_M, frames)
         box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
         start = time.perf_counter()
         answers = {problem.detector.name: _answer(measurement.proposals, box, radius_m)}

@@ -120,7 +120,7 @@ def _train_sdf(options: TrainOptions, report: Report | None) -> Path:
     from shift3d.training.sdf.train import train_sdf
 
     compute = options.compute()
-    checkpoint = train_sdf(options.out, threads=compute.threads, compute=compute, report=report)
+    checkpoint = train_sdf(options.out, compute=compute, report=report)
     export_sdf(checkpoint, WEIGHTS_FOLDER)
     return WEIGHTS_FOLDER / "sdf.safetensors"
 

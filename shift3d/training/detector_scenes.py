@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
+from shift3d.store.arrays import write_arrays
 
 KEPT_RADIUS_M = 80.0
 EVERYWHERE_RAD = (0.0, float(np.pi))
@@ -84,10 +84,7 @@ def cache_scenes(folder: Path, names: Iterable[str], build: Callable[[str], Trai
         file = folder / f"{name.replace('/', '_')}.npz"
         if not file.exists():
             scene = build(name)
-            temporary = file.with_suffix(f".{os.getpid()}.tmp")
-            with temporary.open("wb") as stream:
-                np.savez(stream, points=scene.points, boxes=scene.boxes, height=scene.sensor_height_m)
-            temporary.replace(file)
+            write_arrays(file, points=scene.points, boxes=scene.boxes, height=scene.sensor_height_m)
         files.append(file)
     return files
 

@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from shift3d.sdf.samples import bounding_scale, sample_sdf
 from shift3d.seeding import generator
+from shift3d.store.arrays import write_arrays
 from shift3d.vehicles.family import VehicleSpec, build_mesh, family
 
 
@@ -51,15 +52,8 @@ def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: 
         tasks = [(spec, samples, seed, index) for index, spec in enumerate(specs)]
         with ProcessPoolExecutor(processes) as pool:
             parts = list(tqdm(pool.map(_sampled, tasks), total=shapes, desc="sampling shapes", mininterval=5.0))
-        cache.mkdir(parents=True, exist_ok=True)
-        partial = file.with_name("partial-" + file.name)
-        np.savez(
-            partial,
-            points=np.stack([part[0] for part in parts]),
-            distances=np.stack([part[1] for part in parts]),
-            scale_m=np.array([part[2] for part in parts]),
-        )
-        partial.replace(file)
+        points, distances, scale_m = (np.array(values) for values in zip(*parts, strict=True))
+        write_arrays(file, points=points, distances=distances, scale_m=scale_m)
     with np.load(file, allow_pickle=False) as data:
         return ShapeSamples(data["points"], data["distances"], data["scale_m"])
 

@@ -26,11 +26,9 @@ def unseen_specs(count: int, seed: int) -> list[VehicleSpec]:
     return family(count, seed + UNSEEN_SEED_OFFSET)
 
 
-def decoded_chamfer_m(
-    decoder: Decoder, code: torch.Tensor, scale_m: float, mesh: trimesh.Trimesh, seed: int, resolution: int = 129
-) -> float:
+def decoded_chamfer_m(decoder: Decoder, code: torch.Tensor, scale_m: float, mesh: trimesh.Trimesh, seed: int) -> float:
     """Symmetric Chamfer distance in metres between a code's decoded surface and a mesh in the object frame."""
-    decoded = extract_mesh(decoder.field(code), resolution)
+    decoded = extract_mesh(decoder.field(code), 129)
     decoded.vertices = decoded.vertices * scale_m
     return symmetric_chamfer(decoded, mesh, generator("chamfer", seed))
 
@@ -46,13 +44,13 @@ def training_chamfer_m(decoder: Decoder, count: int) -> NDArray[np.float64]:
     return np.array(results)
 
 
-def unseen_chamfer_m(decoder: Decoder, count: int, steps: int = 400) -> NDArray[np.float64]:
+def unseen_chamfer_m(decoder: Decoder, count: int) -> NDArray[np.float64]:
     """Chamfer distances (count,) metres of unseen vehicles, each auto-decoded from samples of its mesh."""
     results = []
     seed = family_seed()
     for index, spec in enumerate(unseen_specs(count, seed)):
         mesh = build_mesh(spec)
         samples = sample_sdf(mesh, 50_000, generator("unseen", seed, index))
-        code = autodecode(decoder, samples, steps=steps, seed=index)
+        code = autodecode(decoder, samples, seed=index)
         results.append(decoded_chamfer_m(decoder, code, samples.scale_m, mesh, index))
     return np.array(results)

@@ -16,11 +16,10 @@ from shift3d.sdf.autodecode import autodecode
 from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
 from shift3d.sdf.samples import SdfSamples, sample_sdf
 from shift3d.seeding import generator
-from shift3d.vehicles.mesh_files import MeshFile, find_meshes
+from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.mesh_vehicle import MeshVehicle, read_mesh_vehicle
 from shift3d.vehicles.orientation import better_frame, turned
-from shift3d.vehicles.side_by_side import write_side_by_side
+from shift3d.vehicles.picture import write_side_by_side
 from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
 
 SAMPLES, STEPS, POINTS_A_STEP = 50_000, 300, 1_024
@@ -116,7 +115,8 @@ def _fit(file: MeshFile, frame: MeshFrame, decoder: Decoder, steps: int, out: Pa
         **vehicle.facts(),
         "sha256": file.sha256(),
         "chamfer_cm": round(100.0 * done.chamfer_m, 3),
-        "better_orientation": better and {**_axes(better[0]), "chamfer_cm": round(100.0 * better[1], 3)},
+        "better_orientation": better
+        and {"forward": better[0].forward, "up": better[0].up, "chamfer_cm": round(100.0 * better[1], 3)},
         "code_norm": round(float(np.linalg.norm(code)), 4),
         "seconds": round(time.monotonic() - start, 1),
     }
@@ -135,7 +135,3 @@ def _better(
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
     chamfer_m = fitted(done.name, done.body_type, decoder, code, samples.scale_m, mesh).chamfer_m
     return (other, chamfer_m) if chamfer_m < done.chamfer_m else None
-
-
-def _axes(frame: MeshFrame) -> dict[str, str]:
-    return {"forward": frame.forward, "up": frame.up}

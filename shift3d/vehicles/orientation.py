@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.sdf.autodecode import autodecode_each
+from shift3d.sdf.autodecode import CLAMP, autodecode_each
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.samples import SdfSamples
 from shift3d.vehicles.mesh_frame import AXES, MeshFrame
@@ -20,7 +20,6 @@ CLEARLY = 0.9
 """Share of the given orientation's error below which another is better. Of ten cars that the shipped decoder does not
 know, none has another below 1.15 as they are; the right one has at most 0.78 of ten upside down and 0.9 of nine turned
 back to front."""
-_CLAMP = 0.1
 
 
 def frames_along(frame: MeshFrame) -> list[MeshFrame]:
@@ -39,7 +38,7 @@ def better_frame(decoder: Decoder, samples: SdfSamples, frame: MeshFrame) -> Mes
     frames = frames_along(frame)
     points = torch.from_numpy(np.stack([turned(samples.points, frame, other) for other in frames]))
     distances = torch.from_numpy(samples.distances)
-    codes = autodecode_each(decoder, points, distances, steps=STEPS, batch=POINTS_A_STEP, clamp=_CLAMP)
+    codes = autodecode_each(decoder, points, distances, steps=STEPS, batch=POINTS_A_STEP)
     stride = max(1, len(distances) // SAMPLES)
     errors = _errors(decoder, codes, points[:, ::stride], distances[::stride])
     best = int(errors.argmin())
@@ -54,5 +53,5 @@ def turned(points: NDArray[Any], frame: MeshFrame, other: MeshFrame) -> NDArray[
 def _errors(decoder: Decoder, codes: Tensor, points: Tensor, distances: Tensor) -> Tensor:
     """(shapes,) mean absolute errors of the clamped distances."""
     with torch.no_grad():
-        predicted = decoder.grouped(codes, points.contiguous(), torch.float32).clamp(-_CLAMP, _CLAMP)
-    return (predicted - distances.clamp(-_CLAMP, _CLAMP)).abs().mean(dim=1)
+        predicted = decoder.grouped(codes, points.contiguous(), torch.float32).clamp(-CLAMP, CLAMP)
+    return (predicted - distances.clamp(-CLAMP, CLAMP)).abs().mean(dim=1)

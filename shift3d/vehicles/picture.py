@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from shift3d.store.atomic import write_atomic
+
 Array = NDArray[np.float64]
 LIGHT = np.array([0.45, 0.55, 0.75])
+AZIMUTHS_RAD = (np.pi / 2 - 1e-3, 0.6)
+MESH_RGB = (0.62, 0.62, 0.60)
 BODY_RGB = (0.42, 0.58, 0.80)
 
 
@@ -55,3 +61,26 @@ def shaded(
         picture[rays] = np.clip(np.asarray(rgb) * bright[:, None] * 1.15, 0, 1)
     fine = picture.reshape(height_px, 2, width_px, 2, 3).mean(axis=(1, 3))
     return np.asarray(np.round(fine * 255), np.uint8)
+
+
+def side_by_side(mesh: trimesh.Trimesh, decoded: trimesh.Trimesh) -> NDArray[np.uint8]:
+    """Side view and view from the front left of the mesh (grey) and, to the right, of the decoded surface (blue).
+
+    Args: both meshes in the object frame, metres, about the origin.
+    Returns: (H, 960, 3) uint8.
+    """
+    span_m = 1.15 * max(float(np.ptp(mesh.vertices[:, 0])), float(np.ptp(decoded.vertices[:, 0])))
+    views = [
+        shaded(surface, azimuth, 0.22, 240, 132, span_m, **colour)
+        for surface, colour in ((mesh, {"rgb": MESH_RGB}), (decoded, {}))
+        for azimuth in AZIMUTHS_RAD
+    ]
+    return np.concatenate(views, axis=1)
+
+
+def write_side_by_side(path: Path, mesh: trimesh.Trimesh, decoded: trimesh.Trimesh) -> None:
+    """Write that picture as a PNG."""
+    from matplotlib.image import imsave
+
+    picture = side_by_side(mesh, decoded)
+    write_atomic(path, lambda file: imsave(file, picture, format="png"))

@@ -149,7 +149,8 @@ def _pieces(mesh: trimesh.Trimesh) -> NDArray[np.int64]:
 def _turned(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimesh, RepairReport]:
     """Pieces that are inside out turned, unless they are cavities: those lie within another piece."""
     piece = _pieces(mesh)
-    volume = np.bincount(piece, weights=_signed_volumes(mesh))
+    a, b, c = np.moveaxis(np.asarray(mesh.triangles, np.float64), 1, 0)
+    volume = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)))  # six times, about the origin
     faces = np.array(mesh.faces)
     flipped = 0
     for index in np.flatnonzero(volume < 0.0):
@@ -163,21 +164,15 @@ def _turned(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimes
     return turned, replace(report, flipped_pieces=flipped)
 
 
-def _signed_volumes(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
-    """Six times the signed volume between every face and the origin, (F,)."""
-    a, b, c = np.moveaxis(np.asarray(mesh.triangles, np.float64), 1, 0)
-    return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)), np.float64)
-
-
-def sided_share(mesh: trimesh.Trimesh, count: int = 4000, step_m: float = 1e-3) -> float:
-    """Share of a closed mesh's area with outside a step outwards and inside a step inwards.
+def sided_share(mesh: trimesh.Trimesh) -> float:
+    """Share of a closed mesh's area with outside a millimetre outwards and inside a millimetre inwards.
 
     Less than one where pieces overlap, a surface lies inside another, or normals point the wrong way.
     """
-    points, index = trimesh.sample.sample_surface(mesh, count, seed=np.random.default_rng(0))
+    points, index = trimesh.sample.sample_surface(mesh, 4000, seed=np.random.default_rng(0))
     normals = np.asarray(mesh.face_normals)[index]
-    outer = winding_number(mesh, np.asarray(points) + step_m * normals)
-    inner = winding_number(mesh, np.asarray(points) - step_m * normals)
+    outer = winding_number(mesh, np.asarray(points) + 1e-3 * normals)
+    inner = winding_number(mesh, np.asarray(points) - 1e-3 * normals)
     return float(((outer < 0.5) & (inner > 0.5)).mean())
 
 

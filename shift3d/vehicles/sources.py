@@ -95,7 +95,7 @@ def set_folder(folder: Path | str | None) -> Path:
     return DEFAULT_VEHICLES.parent / WIDE if str(folder) == WIDE else Path(folder).expanduser()
 
 
-class VehicleSet:
+class VehicleSet(VehicleSource):
     """A folder with vehicles.safetensors and their decoder, sdf.safetensors.
 
     None: the five vehicles that ship. "wide": those that ship with a parametric decoder.
@@ -109,27 +109,21 @@ class VehicleSet:
         return baseline_vehicles(self._folder / DEFAULT_VEHICLES.name)
 
     def names(self) -> list[str]:
-        """See `VehicleSource`."""
         return list(self._vehicles)
 
     def vehicle(self, name: str) -> Vehicle:
-        """See `VehicleSource`."""
         return _known(name, self._vehicles, self._folder)
 
     def codes(self) -> NDArray[np.float32]:
-        """See `VehicleSource`."""
         return np.stack([found.latent_code for found in family_vehicles(self._folder / DEFAULT_VEHICLES.name)])
 
     def parameters(self, name: str) -> BoxOfParameters:
-        """See `VehicleSource`."""
         return read_parameters(self._folder / DEFAULT_VEHICLES.name, name)
 
     def decoder(self) -> Decoder:
-        """See `VehicleSource`."""
         return load_decoder(self._folder / "sdf.safetensors")
 
     def decoder_hash(self) -> str:
-        """See `VehicleSource`."""
         path = self._folder / "sdf.safetensors"
         if not path.is_file():
             remedy = "Give a folder that shift3d fit or shift3d train model=sdf wrote"
@@ -137,7 +131,7 @@ class VehicleSet:
         return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
 
 
-class DeepSdfVehicles:
+class DeepSdfVehicles(VehicleSource):
     """The instances of a DeepSDF experiment, each scaled to a length and measured as the decoder draws it.
 
     Args:
@@ -195,16 +189,13 @@ class DeepSdfVehicles:
         return decoder if factor == 1.0 else decoder.with_code_scale(factor)
 
     def names(self) -> list[str]:
-        """See `VehicleSource`."""
         return list(self._experiment.instances)
 
     def codes(self) -> NDArray[np.float32]:
-        """See `VehicleSource`."""
         codes: NDArray[np.float32] = (self._experiment.codes * self._code_scale).numpy().astype(np.float32)
         return codes
 
     def parameters(self, name: str) -> BoxOfParameters:
-        """See `VehicleSource`."""
         what, remedy = "the codes of a DeepSDF checkpoint are made of no parameters", "Give attack.space=pca or free"
         raise InputError(what, f"{self._folder}, attack.space=parameters", remedy)
 
@@ -213,7 +204,6 @@ class DeepSdfVehicles:
         return self._scaled
 
     def decoder_hash(self) -> str:
-        """See `VehicleSource`."""
         digest = hashlib.blake2b(repr(self._code_norm).encode(), digest_size=16)
         for path in experiment_files(self._folder, self._checkpoint):
             digest.update(hashlib.blake2b(path.read_bytes(), digest_size=16).digest())

@@ -67,19 +67,9 @@ class Vehicle:
 
 def read_tensors(path: Path | str | None) -> tuple[dict[str, NDArray[np.generic]], dict[str, str], Path]:
     """Tensors and metadata of a vehicles file, and its path. Raises: InputError where it is missing or unreadable."""
-    from safetensors import SafetensorError, safe_open
+    from shift3d.sdf.tensors import read_safetensors
 
-    source = Path(path) if path is not None else DEFAULT_VEHICLES
-    if not source.is_file():
-        remedy = "Check the path" if path is not None else 'Train it: make train ARGS="model=sdf"'
-        raise InputError("no such file", where=str(source), remedy=remedy)
-    try:
-        with safe_open(str(source), framework="np") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}, source  # noqa: SIM118
-    except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that NumPy does not have
-        raise InputError(
-            f"not a readable safetensors file ({error})", where=str(source), remedy="copy it again"
-        ) from error
+    return read_safetensors(path, DEFAULT_VEHICLES, "np")
 
 
 def described(metadata: dict[str, str], key: str, source: Path) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from benchmarks.timing import milliseconds, repeat
 
 from shift3d.effects.applicability import effect_named
 from shift3d.effects.base import EffectContext, Returns
-from shift3d.effects.fog import soft_echo
-from shift3d.effects.rain import crossings
+from shift3d.effects.weather.fog import soft_echo
+from shift3d.effects.weather.precipitation import crossings
 from shift3d.render.beams import Beams
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel

@@ -19,7 +19,7 @@ from valid_weights import DECODER, NETWORKS, VEHICLES, write_decoder, write_expe
 from value_mutations import mutate_arrays, mutate_values
 
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import PointPillarsNet
 from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.models.weights import load_weights
 from shift3d.detectors.trained_detector import TrainedDetector

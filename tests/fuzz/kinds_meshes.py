@@ -17,9 +17,8 @@ from mutations import Rng, mutate_bytes, mutate_text, pick
 from value_mutations import mutate_values, write_specials
 
 from shift3d.sdf.samples import is_closed
-from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh
+from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import LENGTH_M, WIDEST_M, MeshFrame
-from shift3d.vehicles.mesh_vehicle import read_mesh_vehicle
 
 FRAME = MeshFrame("+x", "+z", "m")
 FORMATS = ("text.ply", "binary.ply", "car.obj", "car.stl", "car.glb")

@@ -40,14 +40,14 @@ def load_frame(folder: Path) -> Any:
     view, rows = scenes.camera_view(NAME), scenes.label_rows(NAME)
     assert len(rows) == len(boxes) and all(0 <= row.difficulty <= 3 for row in rows)
     assert all(np.isfinite([row.truncation, row.image_height_px]).all() for row in rows)
-    seen, height = view.in_image(points), view.height_px(boxes)
+    seen, height = view.in_view(boxes), view.height_px(boxes)
     assert seen.dtype == np.bool_ and np.isfinite(height).all() and (height >= 0).all()
-    pixels, depth = view.calibration.pixels(points)
+    pixels, depth = view.pixels(points)
     assert np.isfinite(pixels).all() and np.isfinite(depth).all()
-    rotation = view.calibration.camera_T_lidar[:3, :3]
+    rotation = view.camera_T_lidar[:3, :3]
     assert np.allclose(rotation @ rotation.T, np.eye(3), atol=0.02)
     digest = hashlib.sha256(scene.content_hash().encode())
-    for array in (view.calibration.camera_T_lidar, view.calibration.image_P_camera, seen, height):
+    for array in (view.camera_T_lidar, view.image_P_camera, seen, height):
         digest.update(np.ascontiguousarray(array).tobytes())
     digest.update(repr([(row.truncation, row.occlusion, row.image_height_px) for row in rows]).encode())
     return digest.hexdigest()

@@ -33,9 +33,10 @@ def shapes() -> tuple[Decoder, Tensor, Frame]:
     root = Path(__file__).resolve().parents[3] / "shared" / "real" / "decoder"
     if not root.is_dir():
         pytest.skip("neither shipped weights nor real data")
-    from shift3d.sdf.foreign import load_foreign_decoder
+    from shift3d.sdf.foreign import load_experiment
 
-    decoder, codes = load_foreign_decoder(root)
+    experiment = load_experiment(root)
+    decoder, codes = experiment.decoder, experiment.codes
     axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     return decoder.double(), codes[45].double(), Frame((4.6, 1.9, 1.45), 2.43, axes, np.zeros(3))
 

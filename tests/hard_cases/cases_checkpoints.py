@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from valid_weights import DECODER, SMALL, write_decoder
 
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import PointPillarsNet
 from shift3d.detectors.models.weights import load_weights
 from shift3d.sdf.decoder import Decoder, load_decoder, save_decoder
 

@@ -22,12 +22,12 @@ from hard_echoes import (
     without_tables,
 )
 
-from shift3d.effects import fog, rain, snow
 from shift3d.effects.applicability import effect_named
 from shift3d.effects.chain import NO_RETURN_M
 from shift3d.effects.physics import power
 from shift3d.effects.physics.power import PowerLimit
-from shift3d.effects.wet_ground import reflected
+from shift3d.effects.weather import fog, precipitation, rain, snow
+from shift3d.effects.weather.wet_ground import reflected
 from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
@@ -150,7 +150,7 @@ def points_on_the_sensors_own_roof_in_rain() -> None:
 )
 def a_snowfall_of_1000_mm_an_hour_before_a_mirror() -> None:
     without_tables()
-    table = rain.crossings(snow.flakes(1000.0), 2e-3)
+    table = precipitation.crossings(snow.flakes(1000.0), 2e-3)
     assert table.expected[-1].tolist() == [0.0] * table.expected.shape[1] and table.expected[0, -1] > 0.0
 
 

@@ -11,9 +11,9 @@ from analytic_fields import Frame, in_frame, sphere
 from hard_scenes import FAST
 from torch import Tensor
 
-from shift3d.effects import fog, rain
 from shift3d.effects.base import DetectorFacts, EffectContext, Returns
 from shift3d.effects.chain import EffectChain
+from shift3d.effects.weather import fog, precipitation
 from shift3d.render import Beams
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings
@@ -66,7 +66,7 @@ def scene_points(scene: Scene) -> Tensor:
 def without_tables() -> None:
     """Forget the tables of fog and rain: each run of a case is to make its own."""
     fog.soft_echo.cache_clear()
-    rain.crossings.cache_clear()
+    precipitation.crossings.cache_clear()
 
 
 def finite(returns: Returns) -> None:

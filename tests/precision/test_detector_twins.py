@@ -12,9 +12,8 @@ from torch import Tensor
 from shift3d.attack.objective import adversarial_loss
 from shift3d.detectors.base import Proposals
 from shift3d.detectors.grid import WAYMO_GRID, Pillars, assign_pillars, full_window
-from shift3d.detectors.models.pillar_net import segment_mean
+from shift3d.detectors.models.pillar_net import VoxelEncoder, decorate_with_height, segment_mean
 from shift3d.detectors.models.sst import SstNet
-from shift3d.detectors.models.voxel_encoder import VoxelEncoder, decorate_with_height
 from shift3d.detectors.nms import suppress
 from shift3d.detectors.trained_detector import TrainedDetector
 

@@ -18,8 +18,8 @@ from torch import Tensor
 from shift3d.geometry.se3 import object_from_scene, scene_R_object
 from shift3d.placement.constraints import PAPER_CONSTRAINTS, check
 from shift3d.render import Beams, Rendering, RenderSettings, preset, render
+from shift3d.render.beams import FirstHits
 from shift3d.render.field.object_field import ObjectField
-from shift3d.render.first_hits import FirstHits
 from shift3d.render.implicit import surface_points
 from shift3d.render.solvers.roots import find_roots
 from shift3d.sdf.decoder import load_decoder

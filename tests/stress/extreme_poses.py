@@ -28,11 +28,10 @@ from extreme_cases import SETTINGS, Case, along_beam, decoders, distance_m, make
 from torch import Tensor
 
 from shift3d.render import Beams, render
+from shift3d.render.beams import FirstHits
 from shift3d.render.field.object_field import ObjectField
-from shift3d.render.first_hits import FirstHits
 from shift3d.render.rendering import Rendering
-from shift3d.render.solvers import sphere_tracing
-from shift3d.render.solvers.search import cold_start, warm_start
+from shift3d.render.solvers import search, sphere_tracing
 
 PATIENCE_S = 20.0
 _STEP = np.array([0.01, 0.0, 0.005, 0.001, 0.0, -0.001])
@@ -190,9 +189,8 @@ def _hits_again(case: Case, beams: Beams, earlier: Rendering | None) -> FirstHit
     with torch.no_grad():
         if settings.solver == "plain_sphere_tracing":
             return sphere_tracing.first_hits(beams, metric, theta, size, settings)
-        if earlier is None or earlier.warm is None:
-            return cold_start(beams, metric, theta, size, settings)[0]
-        return warm_start(beams, metric, theta, size, earlier.warm, settings)[0]
+        warm = None if earlier is None else earlier.warm
+        return search.first_hits(beams, metric, theta, size, settings, warm)[0]
 
 
 def _reason(case: Case, row: int) -> str:

@@ -1,7 +1,5 @@
 """A few of the extreme poses, whatever else is tested; `extreme_poses.py` runs thousands."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from extreme_cases import make_case
@@ -13,7 +11,6 @@ from shift3d.render.field.linearization import Linearization
 from shift3d.render.field.object_field import ObjectField
 from shift3d.render.solvers import search, sphere_tracing
 from shift3d.render.solvers.roots import find_roots
-from shift3d.render.solvers.sphere_tracing import Entries
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +34,13 @@ def test_a_case_follows_from_its_number() -> None:
 
 def _taken_for_outside(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beams of a sensor inside the object count as if they began outside."""
-    enter = sphere_tracing.enter
+    outside = sphere_tracing.outside
 
-    def outside(rays: Rays, field: ObjectField) -> Entries:
-        start = enter(rays, field)
-        return replace(start, g=start.g.abs() + 1e-3, undecided=torch.zeros_like(start.undecided))
+    def anywhere(rays: Rays, field: ObjectField) -> tuple[Rays, Tensor, Tensor]:
+        rays, g, undecided = outside(rays, field)
+        return rays, g.abs() + 1e-3, torch.zeros_like(undecided)
 
-    monkeypatch.setattr(sphere_tracing, enter.__name__, outside)
+    monkeypatch.setattr(sphere_tracing, outside.__name__, anywhere)
 
 
 def _no_root_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ library of operators, and no folder to look for further files in.
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +18,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.detectors.base import BevWindow, Detections, Proposals
-from shift3d.detectors.compiled.packages import require_packages
+from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.names import ONNX
-from shift3d.detectors.nms import suppress
+from shift3d.detectors.nms import SuppressedProposals
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _SATURATED = 2.0**-24
 """Scores are kept this far from 0 and 1, where a logit is infinite: the last float32 below 1."""
 
 
-class OnnxDetector:
+class OnnxDetector(SuppressedProposals):
     """An ONNX session behind the `Detector` interface. It sees the whole scene in every call.
 
     A window, in cells of one metre about the origin, chooses which of its boxes are proposals: those whose centres lie
@@ -71,12 +71,6 @@ class OnnxDetector:
         kept = np.arange(len(scores)) if window is None else np.flatnonzero(_inside(boxes, window))
         logits = torch.logit(torch.from_numpy(scores[kept]).double(), eps=_SATURATED)
         return Proposals(torch.from_numpy(boxes[kept]).float(), logits, torch.from_numpy(kept))
-
-    def detect(
-        self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
-    ) -> Detections:
-        """See `Detector`."""
-        return suppress(self.proposals(points, window), score_threshold, iou_threshold)
 
 
 def load_onnx(path: Path) -> OnnxDetector:
@@ -188,3 +182,10 @@ def _check_answer(boxes: NDArray[Any], scores: NDArray[Any], where: str) -> None
 
 def _line(error: Exception) -> str:
     return " ".join(str(error).split())[:300]
+
+
+def require_packages(*names: str) -> None:
+    """Raises InputError with the command that installs them, where a package is missing."""
+    for name in names:
+        if importlib.util.find_spec(name) is None:
+            raise InputError(f"the package {name} is not installed", "detector=onnx", "pip install 'shift3d[onnx]'")

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from shift3d.detectors.compiled.packages import require_packages
+from shift3d.detectors.compiled.onnx_detector import require_packages
 from shift3d.detectors.grid import full_window
 from shift3d.detectors.models.anchor_heads import AnchorHeads
 from shift3d.detectors.models.network import DetectorNet

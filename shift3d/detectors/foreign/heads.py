@@ -9,38 +9,23 @@ from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.foreign.layout import AnchorHead, Branch, CentreHead
-from shift3d.detectors.grid import Grid
-from shift3d.detectors.models.box_coding import decode_boxes
+from shift3d.detectors.grid import Grid, core_cells
+from shift3d.detectors.models.anchor_heads import AnchorConvolutions
 from shift3d.detectors.models.centre_heads import decode_centres
 from shift3d.detectors.models.folding import folded_sequence
 from shift3d.detectors.models.heads import BoxHeads, map_rows
 
 
-class ForeignAnchorHeads(BoxHeads):
+class ForeignAnchorHeads(AnchorConvolutions):
     """1x1 convolutions for the vehicle's logit, the box and the direction of every anchor, those of all classes."""
 
     def __init__(self, channels: int, head: AnchorHead) -> None:
-        super().__init__()
-        self.head, self.per_cell = head, len(head.anchors)
-        self.classes = nn.Conv2d(channels, self.per_cell, 1)
-        self.boxes = nn.Conv2d(channels, self.per_cell * 7, 1)
-        self.directions = nn.Conv2d(channels, self.per_cell * 2, 1)
+        super().__init__(channels, len(head.anchors))
+        self.head, self.direction_offset_rad = head, head.direction_offset_rad
 
-    @property
-    def box_layers(self) -> tuple[nn.Conv2d, ...]:
-        return self.boxes, self.directions
-
-    def decode(self, rows: Tensor, grid: Grid, window: BevWindow) -> Tensor:
-        """See `BoxHeads.decode`."""
-        codes = rows[:, : 7 * self.per_cell].reshape(-1, 7)
-        directions = rows[:, 7 * self.per_cell :].reshape(-1, 2)
-        anchors = self.anchors(grid, window).to(rows.dtype)
-        return decode_boxes(codes, anchors, directions, self.head.direction_offset_rad)
-
-    def anchors(self, grid: Grid, window: BevWindow) -> Tensor:
+    def anchor_rows(self, grid: Grid, window: BevWindow) -> Tensor:
         """(A, 7) float64, the model's frame, of the window's core: over y, then x, then the anchors of a cell."""
-        lines = torch.arange(window.core_y0, window.core_y0 + window.core_num_y)
-        columns = torch.arange(window.core_x0, window.core_x0 + window.core_num_x)
+        lines, columns = core_cells(window)
         boxes = []
         for anchor in self.head.anchors:
             y = _spaced(anchor.y_m, grid.num_y)[lines][:, None].expand(-1, len(columns))
@@ -48,9 +33,6 @@ class ForeignAnchorHeads(BoxHeads):
             rest = torch.tensor((anchor.z_m, *anchor.size_m, anchor.heading_rad), dtype=torch.float64)
             boxes.append(torch.cat((torch.stack((x, y), dim=-1), rest.expand(*x.shape, 5)), dim=-1))
         return torch.stack(boxes, dim=2).reshape(-1, 7)
-
-    def candidates(self, logits: Tensor, window: BevWindow) -> None:
-        """All."""
 
 
 def _spaced(ends: tuple[float, float], count: int) -> Tensor:
@@ -101,18 +83,16 @@ class CentreTower(nn.Module):
 
 
 class MapHeads(BoxHeads):
-    """Reads what a `CentreTower` gave: a cell's logit and box code."""
+    """Reads what a `CentreTower` gave: a cell's logit and box code. The sources ask for no peaks."""
 
     per_cell = 1
     box_layers = ()
     layers = ()
 
     def logits(self, features: Tensor) -> Tensor:
-        """See `BoxHeads.logits`."""
         return map_rows(features[:, :1]).flatten(1)
 
     def box_rows(self, features: Tensor) -> Tensor:
-        """See `BoxHeads.box_rows`."""
         return map_rows(features[:, 1:])
 
     def decode(self, rows: Tensor, grid: Grid, window: BevWindow) -> Tensor:
@@ -120,11 +100,7 @@ class MapHeads(BoxHeads):
 
         Source: OpenPCDet's centernet_utils, mmdetection3d's CenterPointBBoxCoder.
         """
-        lines = torch.arange(window.core_y0, window.core_y0 + window.core_num_y)
-        columns = torch.arange(window.core_x0, window.core_x0 + window.core_num_x)
+        lines, columns = core_cells(window)
         y, x = torch.meshgrid(lines, columns, indexing="ij")
         codes = torch.cat((rows[:, :2] - 0.5, rows[:, 2:]), dim=1)
         return decode_centres(codes, torch.stack((x.reshape(-1), y.reshape(-1)), dim=1), grid)
-
-    def candidates(self, logits: Tensor, window: BevWindow) -> None:
-        """All: the sources take the best of every cell, without asking for peaks."""

@@ -36,11 +36,9 @@ class ForeignNet(PillarBackboneNet):
 
     @property
     def is_cellwise(self) -> bool:
-        """See `PillarBackboneNet`."""
         return self.tower is None and super().is_cellwise
 
     def decorated(self, points: Tensor, pillars: Pillars) -> Tensor:
-        """See `PillarBackboneNet`."""
         return foreign_inputs(points, pillars, self.grid, self.layout.inputs)
 
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
@@ -49,7 +47,6 @@ class ForeignNet(PillarBackboneNet):
         return super().core_span(low - more, high + more, cells)
 
     def outer_span(self, core_low: int, core_high: int, cells: int) -> tuple[int, int]:
-        """See `DetectorNet`."""
         return super().outer_span(*self._before_tower(core_low, core_high, 0, cells), cells)
 
     def _before_tower(self, low: int, high: int, first: int, last: int) -> tuple[int, int]:
@@ -72,7 +69,6 @@ class ForeignNet(PillarBackboneNet):
         return result
 
     def inference(self, precision: Precision) -> Self:
-        """See `DetectorNet`."""
         folded = super().inference(precision)
         if folded.tower is not None:
             to_dense(folded.tower.folded(), arithmetic(precision)[1])

@@ -96,14 +96,10 @@ def _ups(layout: Layout, name: str) -> Iterator[Entry]:
         size = spec.out_stride // stride if down else stride // spec.out_stride
         plain = layout.plain_up and size == 1
         shape = (outputs, width, size, size) if down or plain else (width, outputs, size, size)
-        pick = _transposed if plain else None
+        # A 1x1 convolution is the same map as a transposed one.
+        pick: Callable[[Tensor], Tensor] | None = (lambda weight: weight.transpose(0, 1)) if plain else None
         yield Entry(f"{there}.0.weight", shape, f"{here}.0.weight", pick)
         yield from _norm(f"{there}.1", outputs, f"{here}.1")
-
-
-def _transposed(weight: Tensor) -> Tensor:
-    """A 1x1 convolution's weight as that of a transposed one, which is the same map."""
-    return weight.transpose(0, 1)
 
 
 def _layer(name: str, shape: Shape, target: str | None, pick: Callable[[Tensor], Tensor] | None) -> Iterator[Entry]:

@@ -9,7 +9,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import Grid
+from shift3d.detectors.grid import Grid, core_cells
 from shift3d.detectors.models.heads import BoxHeads
 
 CENTRE_CODES = 8
@@ -64,9 +64,7 @@ class CentreHeads(BoxHeads):
         return (self.boxes,)
 
     def decode(self, rows: Tensor, grid: Grid, window: BevWindow) -> Tensor:
-        """See `BoxHeads.decode`."""
-        lines = torch.arange(window.core_y0, window.core_y0 + window.core_num_y)
-        columns = torch.arange(window.core_x0, window.core_x0 + window.core_num_x)
+        lines, columns = core_cells(window)
         y, x = torch.meshgrid(lines, columns, indexing="ij")
         return decode_centres(rows, torch.stack((x.reshape(-1), y.reshape(-1)), dim=1), grid)
 

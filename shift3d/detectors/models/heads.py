@@ -9,7 +9,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import Grid
+from shift3d.detectors.grid import Grid, core_cells
 
 
 class BoxHeads(nn.Module, ABC):
@@ -33,9 +33,9 @@ class BoxHeads(nn.Module, ABC):
         rows: (cells, R), what `box_layers` gave, side by side. Not differentiable: boxes are detached.
         """
 
-    @abstractmethod
     def candidates(self, logits: Tensor, window: BevWindow) -> Tensor | None:
         """(A,) bool, the proposals of the window's core that suppression is given; None: all."""
+        return None
 
     @property
     def layers(self) -> tuple[nn.Conv2d, ...]:
@@ -68,7 +68,6 @@ def map_rows(output: Tensor) -> Tensor:
 
 def proposal_indices(per_cell: int, grid: Grid, window: BevWindow) -> Tensor:
     """Index of each of the core's proposals among those of the full grid: (A,) int64."""
-    lines = torch.arange(window.core_y0, window.core_y0 + window.core_num_y)
-    columns = torch.arange(window.core_x0, window.core_x0 + window.core_num_x)
+    lines, columns = core_cells(window)
     cells = lines[:, None] * grid.num_x + columns[None, :]
     return (cells[..., None] * per_cell + torch.arange(per_cell)).reshape(-1)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Literal, Self
 
 import torch
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import Grid
+from shift3d.detectors.grid import Grid, Pillars, assign_pillars
 from shift3d.detectors.models.heads import BoxHeads
 
 Precision = Literal["float32", "bfloat16", "float64"]
@@ -23,11 +24,12 @@ def arithmetic(precision: Precision) -> tuple[torch.dtype, torch.dtype]:
 
 
 class DetectorNet(nn.Module, ABC):
-    """Points -> one feature a cell -> class logits and boxes of the cell's proposals."""
+    """Points -> one feature a cell -> class logits and boxes of its proposals. channels: of a pillar's feature."""
 
     name: str
     grid: Grid
     heads: BoxHeads
+    channels: int
 
     @abstractmethod
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
@@ -45,6 +47,35 @@ class DetectorNet(nn.Module, ABC):
     def head_window(self, window: BevWindow) -> BevWindow:
         """A window in cells of `head_grid`."""
         return window
+
+    @abstractmethod
+    def decorated(self, points: Tensor, pillars: Pillars) -> Tensor:
+        """What the encoder is given of points (N, 3), network frame, metres: (K, inputs), sorted by pillar."""
+
+    @abstractmethod
+    def encode(self, decorated: Tensor, pillars: Pillars) -> Tensor:
+        """(K, inputs) -> one feature a pillar (P, channels). Differentiable w.r.t. decorated."""
+
+    def batch_features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> tuple[list[Pillars], Tensor]:
+        """The pillars that hold a point of each window, and the features (P, channels) of all, window by window.
+
+        clouds: (N_b, 3), network frame, metres. Differentiable w.r.t. the points.
+        """
+        pillars = [assign_pillars(points, self.grid, window) for points, window in zip(clouds, windows, strict=True)]
+        decorated = torch.cat([self.decorated(points, found) for points, found in zip(clouds, pillars, strict=True)])
+        counts = torch.cat([found.counts for found in pillars])
+        if not len(counts):
+            return pillars, decorated.new_zeros(0, self.channels)
+        before = [0, *accumulate(found.counts.numel() for found in pillars)]
+        owner = torch.cat([found.pillar + first for found, first in zip(pillars, before, strict=False)])
+        empty = torch.empty(0, dtype=torch.int64)
+        with torch.autocast(decorated.device.type, enabled=False):  # bfloat16 knows a coordinate to 0.3 m at 70 m
+            return pillars, self.encode(decorated, Pillars(empty, owner, counts, empty, empty))
+
+    def pillar_features(self, points: Tensor, window: BevWindow) -> tuple[Pillars, Tensor]:
+        """`batch_features` of one window."""
+        (pillars,), features = self.batch_features([points], [window])
+        return pillars, features
 
     @abstractmethod
     def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars, assign_pillars
+from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars
 from shift3d.detectors.models.backbone import WAYMO_BACKBONE, Backbone, BackboneSpec
 from shift3d.detectors.models.folding import folded_sequence
 from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
@@ -48,6 +48,7 @@ class PillarBackboneNet(DetectorNet):
         super().__init__()
         self.spec = spec
         self.grid = grid
+        self.channels = spec.in_channels
         self.pillar_net = PillarNet(spec.in_channels)
         self.backbone = Backbone(spec)
 
@@ -63,12 +64,14 @@ class PillarBackboneNet(DetectorNet):
         return replace(grid, cell_m=grid.cell_m * step, num_x=grid.num_x // step, num_y=grid.num_y // step)
 
     def head_window(self, window: BevWindow) -> BevWindow:
-        """See `DetectorNet`."""
         return BevWindow(*(cells // self.spec.out_stride for cells in vars(window).values()))
 
     def decorated(self, points: Tensor, pillars: Pillars) -> Tensor:
-        """What the pillar network is given of points (N, 3), network frame, metres: (K, inputs), sorted by pillar."""
         return decorate(points, pillars, self.grid)
+
+    def encode(self, decorated: Tensor, pillars: Pillars) -> Tensor:
+        features: Tensor = self.pillar_net(decorated, pillars)
+        return features
 
     def canvas(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
         """Pillar features on the dense grid: (B, C, H, W), channels last in memory, zero where no point is.
@@ -76,37 +79,14 @@ class PillarBackboneNet(DetectorNet):
         clouds: (N_b, 3) each, network frame. Differentiable w.r.t. the points.
         """
         height, width = windows[0].num_y, windows[0].num_x
-        decorated, flat_cells, counts, points_before, pillars_before = [], [], [], 0, 0
-        owner = []
-        for index, (points, window) in enumerate(zip(clouds, windows, strict=True)):
-            pillars = assign_pillars(points, self.grid, window)
-            decorated.append(self.decorated(points, pillars))
-            rows = pillars.cell_y - window.y0 + index * height
-            flat_cells.append(rows * width + pillars.cell_x - window.x0)
-            counts.append(pillars.counts)
-            owner.append(pillars.pillar + pillars_before)
-            points_before += pillars.order.numel()
-            pillars_before += pillars.counts.numel()
-        channels = self.spec.in_channels
-        dense = decorated[0].new_zeros(len(clouds) * height * width, channels)
-        if points_before:
-            empty = torch.empty(0, dtype=torch.int64)
-            joint = Pillars(empty, torch.cat(owner), torch.cat(counts), empty, empty)
-            with torch.autocast(dense.device.type, enabled=False):  # bfloat16 knows a coordinate to 0.3 m at 70 m
-                features = self.pillar_net(torch.cat(decorated), joint)
-            dense = dense.index_copy(0, torch.cat(flat_cells), features)
-        return dense.view(len(clouds), height, width, channels).permute(0, 3, 1, 2)
-
-    def pillar_features(self, points: Tensor, window: BevWindow) -> tuple[Pillars, Tensor]:
-        """The window's pillars that hold a point, and their features (P, C). Differentiable w.r.t. the points.
-
-        points: (N, 3), network frame, metres.
-        """
-        pillars = assign_pillars(points, self.grid, window)
-        if pillars.counts.numel() == 0:
-            return pillars, points.new_zeros(0, self.spec.in_channels)
-        features: Tensor = self.pillar_net(self.decorated(points, pillars), pillars)
-        return pillars, features
+        pillars, features = self.batch_features(clouds, windows)
+        cells = [
+            (found.cell_y - window.y0 + index * height) * width + found.cell_x - window.x0
+            for index, (found, window) in enumerate(zip(pillars, windows, strict=True))
+        ]
+        dense = features.new_zeros(len(clouds) * height * width, self.channels)
+        dense = dense.index_copy(0, torch.cat(cells), features)
+        return dense.view(len(clouds), height, width, self.channels).permute(0, 3, 1, 2)
 
     def core_span(self, low: int, high: int, cells: int) -> tuple[int, int]:
         """Aligned to the backbone's total stride, inside the grid."""

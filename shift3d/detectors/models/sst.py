@@ -15,13 +15,12 @@ import torch
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars, assign_pillars
-from shift3d.detectors.models.anchor_heads import AnchorHeads
-from shift3d.detectors.models.anchors import WAYMO_ANCHORS, AnchorSpec
+from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars
+from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, AnchorHeads, AnchorSpec
 from shift3d.detectors.models.folding import folded_linear, folded_sequence
 from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
+from shift3d.detectors.models.pillar_net import VoxelEncoder, decorate_with_height
 from shift3d.detectors.models.token_windows import Tokens
-from shift3d.detectors.models.voxel_encoder import VoxelEncoder, decorate_with_height
 from shift3d.detectors.models.window_transformer import SST_TRANSFORMER, TransformerSpec, WindowTransformer
 
 
@@ -69,6 +68,7 @@ class SstNet(DetectorNet):
         self.name = spec.name
         self.spec = spec
         self.grid = grid
+        self.channels = spec.transformer.width
         width = spec.transformer.width
         self.encoder = VoxelEncoder(spec.encoder_hidden, width)
         self.transformer = WindowTransformer(spec.transformer)
@@ -124,35 +124,19 @@ class SstNet(DetectorNet):
             (max(window.y0, y_low), min(window.y0 + window.num_y, y_high)),
         )
 
-    def pillar_features(self, points: Tensor, window: BevWindow) -> tuple[Pillars, Tensor]:
-        """The window's pillars that hold a point, and their features (P, width). Differentiable w.r.t. the points.
+    def decorated(self, points: Tensor, pillars: Pillars) -> Tensor:
+        return decorate_with_height(points, pillars, self.grid)
 
-        points: (N, 3), network frame, metres.
-        """
-        pillars = assign_pillars(points, self.grid, window)
-        if not pillars.counts.numel():
-            return pillars, points.new_zeros(0, self.spec.transformer.width)
-        return pillars, self.encoder(decorate_with_height(points, pillars, self.grid), pillars)
+    def encode(self, decorated: Tensor, pillars: Pillars) -> Tensor:
+        features: Tensor = self.encoder(decorated, pillars)
+        return features
 
     def _encoded(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> tuple[Tensor, Tokens]:
         """Features (P, width) of every pillar of the batch, and where they lie."""
-        decorated, owner, counts, cells = [], [], [], []
-        pillars_before = 0
-        for index, (points, window) in enumerate(zip(clouds, windows, strict=True)):
-            pillars = assign_pillars(points, self.grid, window)
-            decorated.append(decorate_with_height(points, pillars, self.grid))
-            owner.append(pillars.pillar + pillars_before)
-            counts.append(pillars.counts)
-            batch = np.full(pillars.counts.numel(), index, dtype=np.int64)
-            cells.append((batch, pillars.cell_x.cpu().numpy(), pillars.cell_y.cpu().numpy()))
-            pillars_before += pillars.counts.numel()
-        tokens = Tokens(*(np.concatenate(values) for values in zip(*cells, strict=True)))
-        if not pillars_before:
-            return decorated[0].new_zeros(0, self.spec.transformer.width), tokens
-        empty = torch.empty(0, dtype=torch.int64)
-        joint = Pillars(empty, torch.cat(owner), torch.cat(counts), empty, empty)
-        with torch.autocast(decorated[0].device.type, enabled=False):  # bfloat16 knows a coordinate to 0.3 m at 70 m
-            return self.encoder(torch.cat(decorated), joint), tokens
+        pillars, features = self.batch_features(clouds, windows)
+        batch = np.repeat(np.arange(len(pillars)), [found.counts.numel() for found in pillars])
+        cells = (torch.cat([getattr(found, axis) for found in pillars]).cpu().numpy() for axis in ("cell_x", "cell_y"))
+        return features, Tokens(batch, *cells)
 
     def _canvas(self, features: Tensor, tokens: Tokens, spans: list[tuple[tuple[int, int], tuple[int, int]]]) -> Tensor:
         """Features on the dense map, (B, C, h, w), channels last in memory, zero where no token is."""

@@ -11,10 +11,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from shift3d.detectors.models.anchors import WAYMO_ANCHORS
-from shift3d.detectors.models.centerpoint import CenterPointNet
+from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import CenterPointNet, PointPillarsNet
 from shift3d.detectors.models.sst import SST_SMALL_SPEC, SstNet
 from shift3d.errors import InputError
 

@@ -86,23 +86,12 @@ def reach_m(conditions: Conditions) -> float:
     return OBJECT_FAR_M if conditions.weather_in_points else SCENE_FAR_M
 
 
-def range_along(returns: Returns) -> Tensor:
-    """(K,) `Returns.range_m`, bit for bit, in a third of the time: three columns add up faster than rows of three."""
-    offset = (returns.points - returns.origins) * returns.directions
-    return offset[:, 0] + offset[:, 1] + offset[:, 2]
-
-
 def at_ranges(returns: Returns, rows: Tensor, range_m: Tensor) -> Tensor:
     """(K, 3) points with rows (M,) moved to ranges (M,) along their beams, the others bit for bit."""
     if not len(rows):
         return returns.points
     moved = returns.origins[rows] + range_m[:, None] * returns.directions[rows]
     return returns.points.index_copy(0, rows, moved)
-
-
-def unchanged(returns: Returns) -> Returns:
-    """The step of an effect that has no strength."""
-    return returns
 
 
 @dataclass(frozen=True)

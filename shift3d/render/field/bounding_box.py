@@ -18,7 +18,6 @@ _STEEPEST = 1.11
 _GROWS_M = 0.2
 _ROUNDS = 6
 _LOOK_AGAIN_M = 0.005
-_LEAST_SHARE = 0.5
 
 
 def sdf_ball_box(field: ObjectField) -> Box:
@@ -46,20 +45,19 @@ def verified_box(field: ObjectField, size_m: Tensor, margin_m: float) -> Verifie
     ball = sdf_ball_box(field)
     half = torch.as_tensor(size_m, dtype=torch.float64) / 2
     box = Box(torch.maximum(-half - margin_m, ball.lower), torch.minimum(half + margin_m, ball.upper))
-    return _verified(field, box, margin_m)
-
-
-def _verified(field: ObjectField, box: Box, margin_m: float) -> VerifiedBox:
-    """The box, grown until the field is outside at every check point."""
-    ball = sdf_ball_box(field)
     for _ in range(_ROUNDS):
         check, g = _check_points(field, box, ball)
         inside = check[~(g > 0)]
         if len(inside) == 0:
-            return VerifiedBox(box, check, g, torch.zeros_like(g), torch.ones_like(g))
-        box = _around(box, inside, ball, margin_m)
+            return VerifiedBox(box, check, g, torch.zeros_like(g))
+        reach = _GROWS_M + margin_m
+        lower, upper = (
+            torch.minimum(box.lower, inside.amin(0) - reach),
+            torch.maximum(box.upper, inside.amax(0) + reach),
+        )
+        box = Box(torch.maximum(lower, ball.lower), torch.minimum(upper, ball.upper))
     nothing = torch.empty(0, dtype=torch.float64)
-    return VerifiedBox(ball, nothing.reshape(0, 3), nothing, nothing, nothing)
+    return VerifiedBox(ball, nothing.reshape(0, 3), nothing, nothing)
 
 
 def _check_points(field: ObjectField, box: Box, ball: Box) -> tuple[Tensor, Tensor]:
@@ -96,28 +94,17 @@ def _onto_faces(points: Tensor, box: Box) -> Tensor:
     return torch.where(inside[:, None], points.index_put((rows, axis), end), moved)
 
 
-def _around(box: Box, inside: Tensor, ball: Box, margin_m: float) -> Box:
-    """The box grown to hold check points (n, 3) that lie inside the object, and what may lie around them."""
-    reach = _GROWS_M + margin_m
-    return Box(
-        torch.maximum(torch.minimum(box.lower, inside.amin(0) - reach), ball.lower),
-        torch.minimum(torch.maximum(box.upper, inside.amax(0) + reach), ball.upper),
-    )
-
-
 @dataclass(frozen=True)
 class VerifiedBox:
     """A checked box and the places (P, 3) where it was checked.
 
-    g: (P,) distances found there. moved_m: (P,) how far the surface may have moved since each was looked at. share:
-    (P,) of that, what counts here: twice what it was at the last look, all of it before there was one.
+    g: (P,) distances found there. moved_m: (P,) how far the surface may have moved since each was looked at.
     """
 
     box: Box
     points: Tensor
     g: Tensor
     moved_m: Tensor
-    share: Tensor
 
     @property
     def holds(self) -> bool:
@@ -125,21 +112,8 @@ class VerifiedBox:
         return bool((self.g > 0).all())
 
     def after(self, field: ObjectField, moved_m: float) -> VerifiedBox:
-        """The box after the surface moved by up to `moved_m`.
-
-        Only places that the surface can have come near are looked at again.
-        """
+        """The box after the surface moved by up to `moved_m`: places that it can have come near are looked at again."""
         moved = self.moved_m + moved_m
-        near = torch.nonzero(~(self.g > self.share * moved + _LOOK_AGAIN_M)).squeeze(1)
-        g, share = self.g.clone(), self.share.clone()
-        g[near] = field.estimate(self.points[near]).double()
-        # One direction is followed for many steps: what moved little here goes on to move little. At least half of
-        # what moves fastest is assumed all the same, for what sets off late.
-        seen = 2.0 * (g[near] - self.g[near]).abs() / moved[near].clamp_min(1e-12)
-        share[near], moved[near] = seen.clamp(_LEAST_SHARE, 1.0), 0.0
-        return VerifiedBox(self.box, self.points, g, moved, share)
-
-    def grown(self, field: ObjectField, margin_m: float) -> VerifiedBox:
-        """A verified box that holds what has left this one."""
-        inside = self.points[~(self.g > 0)]
-        return _verified(field, _around(self.box, inside, sdf_ball_box(field), margin_m), margin_m)
+        near = torch.nonzero(~(self.g > moved + _LOOK_AGAIN_M)).squeeze(1)
+        g = self.g.index_copy(0, near, field.estimate(self.points[near]).double())
+        return VerifiedBox(self.box, self.points, g, moved.index_fill(0, near, 0.0))

@@ -43,13 +43,6 @@ class Linearization:
     def __len__(self) -> int:
         return len(self.index)
 
-    def rows_of(self, index: Tensor) -> Tensor:
-        """(K,) which of them belongs to each of some beams (K,), -1 where none does."""
-        if len(self) == 0:
-            return torch.full_like(index, -1)
-        at = torch.searchsorted(self.index, index).clamp_max(len(self) - 1)
-        return torch.where(self.index[at] == index, at, -1)
-
     def select(self, rows: Tensor) -> Linearization:
         """Some of them, by row or by mask."""
         return self._of((part[rows] for part in self._parts()), self._graph_of(lambda graph: graph[rows]))

@@ -5,7 +5,7 @@ box and finer around the surface, predicts samples along a ray and where it cros
 evaluation. The error bound of a prediction is measured when the grid is made, at places between its nodes, and taken
 half as large again.
 
-A `ChangeGrid` has nodes every 0.45 m. Two of them say by how much the field changed between two codes.
+A coarse grid has nodes 0.45 m apart. Two of them say by how much the field changed between two codes.
 
 Source: our choice: the paper evaluates the field everywhere.
 """
@@ -13,7 +13,6 @@ Source: our choice: the paper evaluates the field everywhere.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -29,12 +28,12 @@ SPACING_M = 0.05
 """Of an SDF grid near the surface; twice as much elsewhere."""
 SAMPLE_M = 0.02
 """Spacing of the readings along a ray."""
-CHANGE_SPACING_M = 0.45
+COARSE_SPACING_M = 0.45
+"""Of a coarse grid, at most."""
 _FINE_BAND_M = (-0.09, 0.12)
 _CHECKS = 4000
 _MARGIN = 1.5
 _LEAST_ERROR_M = 0.005
-_CLEAN_M = 0.4
 _DENSE_M = 0.03
 _LEAST_FREE_M = 0.004
 
@@ -44,13 +43,14 @@ class SdfGrid:
     """Distances at nodes over a shape's box.
 
     box: verified box, object frame. distance_m: (nx, ny, nz) float32 at its nodes, corners included. error_m: error
-    bound of a reading near the surface. evaluations: what the grid cost. live: hidden units that are on at its nodes.
+    bound of a reading near the surface; infinite for a coarse grid. evaluations: what the grid cost. live: hidden units
+    that are on at its nodes.
     """
 
     box: Box
     distance_m: Tensor
-    error_m: float
-    evaluations: int
+    error_m: float = math.inf
+    evaluations: int = 0
     live: LiveUnits = None
 
     @staticmethod
@@ -68,9 +68,32 @@ class SdfGrid:
             near = _nodes(box, 2 * cells)[band]
             flat[band] = metric(near).float()
             _, live = metric.survey(torch.cat((_nodes(box, cells), near[::4])))
-            unchecked = SdfGrid(box, flat.reshape(fine.shape), 0.0, 0)
+            unchecked = SdfGrid(box, flat.reshape(fine.shape))
             error_m = max(_MARGIN * unchecked.worst_error(metric), _LEAST_ERROR_M)
         return SdfGrid(box, unchecked.distance_m, error_m, metric.count.evaluations, live)
+
+    @staticmethod
+    def coarse(field: ObjectField, box: Box, more: Tensor) -> SdfGrid:
+        """The coarse grid of a field. live: units that are on at its nodes, or at more places (n, 3), object frame."""
+        nodes, shape = _coarse_nodes(box)
+        g, live = field.survey(torch.cat((nodes, more)))
+        return SdfGrid(box, g[: len(nodes)].float().reshape(shape), live=live)
+
+    def coarsened(self) -> SdfGrid:
+        """What this grid says at the nodes of a coarse one."""
+        nodes, shape = _coarse_nodes(self.box)
+        return SdfGrid(self.box, self.at(nodes).reshape(shape), live=self.live)
+
+    def variation(self, before: SdfGrid) -> Tensor:
+        """(cells) by how much the change since an earlier grid of the same box differs within each cell, metres."""
+        change = (self.distance_m - before.distance_m)[None, None]
+        return (functional.max_pool3d(change, 2, 1) + functional.max_pool3d(-change, 2, 1))[0, 0]
+
+    def of_cells(self, x: Tensor, values: Tensor) -> Tensor:
+        """(N,) float64: of values of cells, those of the cells that points (N, 3), object frame, lie in."""
+        cells = torch.tensor(values.shape)
+        cell = ((x - self.box.lower) / (self.box.upper - self.box.lower) * cells).floor().long()
+        return values[tuple(torch.minimum(cell.clamp_min(0), cells - 1).unbind(-1))].double()
 
     def worst_error(self, field: ObjectField) -> float:
         """Largest difference from the field at places drawn near the surface, metres; infinite where one is NaN."""
@@ -84,7 +107,7 @@ class SdfGrid:
         return float(torch.nan_to_num(off, nan=torch.inf).max())
 
     def at(self, x_object: Tensor) -> Tensor:
-        """(..., ) float32 distances at object-frame points (..., 3) inside the box; trilinear."""
+        """(..., ) float32 distances at object-frame points (..., 3), trilinear; outside that of the nearest inside."""
         place = (x_object - self.box.lower) / (self.box.upper - self.box.lower) * 2.0 - 1.0
         return _read(self.distance_m, place.flip(-1).float())
 
@@ -116,24 +139,15 @@ class GridReadings:
     def crossings(self, slope: float) -> tuple[Tensor, Tensor, Tensor]:
         """Rays (m,) that plainly enter the object, where (m,) they cross, and dg/dk (m,) there.
 
-        Plainly: from the first reading that may be next to surface to the first that is surely inside the distance
-        falls all the way, by `slope` at least, over at most 0.4 m. A part thinner than the grid shows as a place where
-        the fall slackens.
+        Plainly: at the first reading below zero the distance falls by `slope` or more, and some reading is surely
+        inside. What may hide in front of a crossing is for the coverage of its ray to tell.
         """
-        doubtful, inside = ~(self.distance_m >= self.error_m), self.distance_m < -self.error_m
-        first, entered = doubtful.byte().argmax(1), inside.byte().argmax(1)
-        shallow_steps = ~(self.distance_m.diff(dim=1) <= -slope * SAMPLE_M)
-        shallow_steps = functional.pad(shallow_steps.int().cumsum(1), (1, 0))
-        rows = torch.nonzero(inside.any(1)).squeeze(1)
-        a, b = first[rows], entered[rows]
-        falls = shallow_steps[rows, b] == shallow_steps[rows, a]
-        kept = falls & ((b - a) * SAMPLE_M <= _CLEAN_M) & ((a > 0) | (self.distance_m[rows, 0] > 0))
-        rows, a = rows[kept], a[kept]
-        after = ((self.distance_m[rows] < 0) & (torch.arange(self.distance_m.shape[1]) >= a[:, None])).byte().argmax(1)
-        after = after.clamp_min(1)
+        rows = torch.nonzero((self.distance_m < -self.error_m).any(1)).squeeze(1)
+        after = (self.distance_m[rows] < 0).byte().argmax(1)
+        kept = (after > 0) & (self.distance_m[rows, after] - self.distance_m[rows, after - 1] <= -slope * SAMPLE_M)
+        rows, after = rows[kept], after[kept]
         g1, g0 = self.distance_m[rows, after].double(), self.distance_m[rows, after - 1].double()
-        share = torch.where(g0 > g1, g0 / (g0 - g1).clamp_min(1e-9), 0.5)
-        return rows, self.near_m[rows] + (after - 1 + share) * SAMPLE_M, (g1 - g0) / SAMPLE_M
+        return rows, self.near_m[rows] + (after - 1 + g0 / (g0 - g1)) * SAMPLE_M, (g1 - g0) / SAMPLE_M
 
     def samples(self) -> tuple[Tensor, Tensor, Tensor]:
         """Samples that the error bound leaves outside, and each ray's first one inside: rays, ranges, g.
@@ -158,55 +172,6 @@ class GridReadings:
         return (self.distance_m.min(1).values.double() - self.error_m - 0.5 * SAMPLE_M).clamp_min(0.0)
 
 
-@dataclass(frozen=True)
-class ChangeGrid:
-    """Distances at multiples of `CHANGE_SPACING_M` in the object frame.
-
-    first: (3,) long, the lowest corner in spacings. g: (nx, ny, nz) float32, metres.
-    """
-
-    first: Tensor
-    g: Tensor
-
-    @staticmethod
-    def nodes(box: Box) -> tuple[Tensor, Tensor, list[int]]:
-        """Those of the grid that holds a box: the first (3,), the nodes (N, 3) object frame, and the grid's shape."""
-        first, last = ((end / CHANGE_SPACING_M) for end in (box.lower, box.upper))
-        first, last = first.floor().long(), last.ceil().long()
-        axes = [CHANGE_SPACING_M * torch.arange(int(a), int(b) + 1, dtype=torch.float64) for a, b in zip(first, last)]
-        return first, torch.cartesian_prod(*axes), [len(axis) for axis in axes]
-
-    @staticmethod
-    def of(distance: Callable[[Tensor], Tensor], box: Box) -> ChangeGrid:
-        """The grid that holds a box; distance: object-frame points (N, 3) to (N,) metres."""
-        first, nodes, shape = ChangeGrid.nodes(box)
-        return ChangeGrid(first, distance(nodes).float().reshape(shape))
-
-    def at(self, x: Tensor) -> Tensor:
-        """(N,) float64 trilinear estimate at points (N, 3); outside that of the nearest place inside."""
-        last = torch.tensor(self.g.shape) - 1
-        return _read(self.g, (2.0 * (x / CHANGE_SPACING_M - self.first) / last - 1.0).flip(-1).float()).double()
-
-    def variation(self, before: ChangeGrid) -> Tensor:
-        """(cells) by how much the change since an earlier grid, which this one holds, differs within each cell."""
-        change = (self.g - before._stretched_to(self))[None, None]
-        most, least = functional.max_pool3d(change, 2, 1), -functional.max_pool3d(-change, 2, 1)
-        return (most - least)[0, 0]
-
-    def cells_of(self, x: Tensor, values: Tensor) -> Tensor:
-        """(N,) float64: of values of cells, those of the cells that points (N, 3) lie in."""
-        cell = (x / CHANGE_SPACING_M - self.first).floor().long()
-        cell = torch.minimum(cell.clamp_min(0), torch.tensor(values.shape) - 1)
-        return values[tuple(cell.unbind(-1))].double()
-
-    def _stretched_to(self, other: ChangeGrid) -> Tensor:
-        """The distances on another grid that holds this one, the outermost ones going on."""
-        below = (self.first - other.first).tolist()
-        above = [n - a - b for n, a, b in zip(other.g.shape, below, self.g.shape)]
-        pad = [n for pair in zip(reversed(below), reversed(above)) for n in pair]
-        return functional.pad(self.g[None, None], pad, mode="replicate")[0, 0]
-
-
 def vehicle_size(vehicle: VehicleFrame) -> Tensor:
     """(3,) float64 size of the baseline's box, metres."""
     return torch.as_tensor([float(side) for side in vehicle.size_m], dtype=torch.float64)
@@ -218,6 +183,11 @@ def _read(grid: Tensor, place: Tensor) -> Tensor:
         grid[None, None], place.reshape(1, 1, 1, -1, 3), padding_mode="border", align_corners=True
     )
     return values.reshape(place.shape[:-1])
+
+
+def _coarse_nodes(box: Box) -> tuple[Tensor, list[int]]:
+    cells = ((box.upper - box.lower) / COARSE_SPACING_M).ceil().clamp_min(1).long()
+    return _nodes(box, cells), (cells + 1).tolist()
 
 
 def _nodes(box: Box, cells: Tensor) -> Tensor:

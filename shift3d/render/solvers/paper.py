@@ -9,10 +9,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from shift3d.render.beams import Beams
+from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.culling import SPHERE_RADIUS_M, Rays, beams_near, object_rays
 from shift3d.render.field.object_field import ObjectField
-from shift3d.render.first_hits import FirstHits
 from shift3d.render.settings import RenderSettings
 
 

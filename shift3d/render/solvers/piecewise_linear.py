@@ -19,11 +19,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from shift3d.render.beams import Beams
+from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.culling import Rays, rays_in_box
 from shift3d.render.field.bounding_box import verified_box
 from shift3d.render.field.object_field import ObjectField
-from shift3d.render.first_hits import FirstHits
 from shift3d.render.settings import RenderSettings
 
 _REGION_M = 0.0005

@@ -9,14 +9,14 @@ Source: our choice: the paper renders every step afresh.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import torch
 from torch import Tensor
 
 from shift3d.render.culling import Rays
-from shift3d.render.field.sdf_grid import ChangeGrid
+from shift3d.render.field.sdf_grid import SdfGrid
 
 _END_MOVES_M = 0.05
 _LEAST_ERROR_M = 1e-6
@@ -54,6 +54,14 @@ class RaySamples:
         """Samples behind one another."""
         return cls(*(torch.cat(some) for some in zip(*(vars(part).values() for part in parts), strict=True)))
 
+    def of_rays(self, chosen: Tensor) -> Self:
+        """The samples of some rays (M,) bool."""
+        return self.select(chosen[self.rows])
+
+    def on(self, rows: Tensor) -> Self:
+        """The samples on other rays: rows (M,) instead of 0 to M - 1."""
+        return replace(self, rows=rows[self.rows])
+
     def before(self, end_m: Tensor) -> RaySamples:
         """The samples in front of a range (M,) of each ray."""
         return self.select(self.k < end_m[self.rows])
@@ -79,14 +87,14 @@ class RaySamples:
         return both.select(kept)
 
     def predicted(
-        self, rays: Rays, new_rays: Rays, row_of: Tensor, then: ChangeGrid, now: ChangeGrid, share: float
+        self, rays: Rays, new_rays: Rays, row_of: Tensor, then: SdfGrid, now: SdfGrid, share: float
     ) -> RaySamples:
         """The samples as they are expected in a field that has changed, on rays that may have moved.
 
         Args:
             rays: that the samples are of. new_rays: as they are now. row_of: (M,) which of the new ones each old one
                 is, -1 where it is none.
-            then, now: grids of the field.
+            then, now: coarse grids of the field, over one box.
             share: a prediction is off by up to this share of what the change varies by within a grid cell, and of a
                 sample's own way; see `RenderSettings.prediction_error`.
         """
@@ -97,8 +105,8 @@ class RaySamples:
         k = torch.minimum(torch.maximum(old.k, new_rays.near_m[row]), new_rays.far_m[row])
         before, after = rays.at(old.k, old.rows), new_rays.at(k, row)
         moved = (after - before).norm(dim=-1)
-        error = old.error + share * (now.cells_of(after, now.variation(then)) + moved) + _LEAST_ERROR_M
-        predicted = RaySamples(row, k, old.g + now.at(after) - then.at(before), error)
+        error = old.error + share * (now.of_cells(after, now.variation(then)) + moved) + _LEAST_ERROR_M
+        predicted = RaySamples(row, k, old.g + (now.at(after) - then.at(before)).double(), error)
         return RaySamples.none().joined(predicted.select((k - old.k).abs() < _END_MOVES_M))
 
 

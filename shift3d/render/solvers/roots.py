@@ -1,9 +1,8 @@
-"""Root finding inside a bracket, many beams at once.
+"""Root finding inside brackets, many beams at once: Anderson and Björck's regula falsi (BIT 13, 1973), bisecting
+whenever three steps have not halved the bracket.
 
-The method is Anderson and Björck's regula falsi (Anderson & Björck, BIT 13, 1973) with a bisection whenever
-three steps have not halved the bracket. It was chosen over plain Illinois (leaves outliers), bisection
-(one bit a step) and ITP (Oliveira & Takahashi 2020: the same worst case, but its first steps are pushed
-towards the middle, which costs an evaluation on fields that are nearly linear along a short bracket).
+Plain Illinois leaves outliers, bisection takes one bit a step, and ITP (Oliveira & Takahashi 2020) pushes its first
+steps towards the middle, which costs an evaluation on fields that are nearly linear along a short bracket.
 """
 
 from __future__ import annotations
@@ -52,62 +51,37 @@ def find_roots(
 
     Source: our choice: the paper bisects.
     """
-    slow = torch.zeros(len(outer), dtype=torch.int8)
-    state = _Brackets(outer.clone(), inner.clone(), g_outer.double().clone(), g_inner.double().clone(), slow.clone())
-    best_k = torch.where(state.ga.abs() <= state.gb.abs(), state.a, state.b)
-    best_g = torch.minimum(state.ga.abs(), state.gb.abs())
-    width = (state.b - state.a).abs()
-    lost = ~(torch.isfinite(state.ga) & torch.isfinite(state.gb))
-    rows = torch.nonzero((best_g > tolerance) & ~lost).squeeze(1)
+    a, b, ga, gb = outer, inner, g_outer.double(), g_inner.double()
+    best_k, residual = torch.where(ga.abs() <= gb.abs(), a, b), torch.minimum(ga.abs(), gb.abs())
+    residual = torch.where(torch.isfinite(ga) & torch.isfinite(gb), residual, torch.nan)
+    # From here on of rows under way. last: the end replaced last, 1 a, -1 b; slow: steps since the bracket halved.
+    rows = torch.nonzero(residual > tolerance).squeeze(1)
+    a, b, ga, gb = (part[rows] for part in (a, b, ga, gb))
+    last, slow, width = torch.zeros_like(rows), torch.zeros_like(rows), (b - a).abs()
     for _ in range(max_iterations):
         if len(rows) == 0:
             break
-        k = state.propose(rows, slow[rows] >= 3)
+        share = (ga / (ga - gb)).nan_to_num(0.5, 0.5, 0.5).clamp(0.01, 0.99)
+        k = a + torch.where(slow >= 3, 0.5, share) * (b - a)
         value = g(k, rows).double()
-        lost[rows] = ~torch.isfinite(value)
-        state.update(rows, k, value)
-        better = value.abs() <= best_g[rows]
-        best_k[rows] = torch.where(better, k, best_k[rows])
-        best_g[rows] = torch.where(better, value.abs(), best_g[rows])
-        new_width = (state.b - state.a).abs()[rows]
-        halved = new_width <= 0.5 * width[rows]
-        slow[rows] = torch.where(halved, 0, slow[rows] + 1).to(torch.int8)
-        width[rows] = torch.where(halved, new_width, width[rows])
-        point = new_width <= 1e-12 * (1.0 + k.abs())
-        rows = rows[(best_g[rows] > tolerance) & ~point & ~lost[rows]]
-    converged = ~lost
+        better = ~(value.abs() > residual[rows])  # and where it is NaN
+        best_k[rows[better]], residual[rows[better]] = k[better], value[better].abs()
+        inside = value < 0
+        # The end that stays a second time is weighed down.
+        ga, gb = (
+            torch.where(inside & (last == -1), ga * _weight(value, gb), ga),
+            torch.where(~inside & (last == 1), gb * _weight(value, ga), gb),
+        )
+        a, ga = torch.where(inside, a, k), torch.where(inside, ga, value)
+        b, gb = torch.where(inside, k, b), torch.where(inside, value, gb)
+        last, new_width = torch.where(inside, -1, 1), (b - a).abs()
+        halved = new_width <= 0.5 * width
+        slow, width = torch.where(halved, 0, slow + 1), torch.where(halved, new_width, width)
+        going = (residual[rows] > tolerance) & (new_width > 1e-12 * (1.0 + k.abs()))
+        rows, a, b, ga, gb, last, slow, width = (part[going] for part in (rows, a, b, ga, gb, last, slow, width))
+    converged = torch.isfinite(residual)
     converged[rows] = False
-    return Roots(best_k, best_g.masked_fill(lost, torch.nan), converged)
-
-
-@dataclass
-class _Brackets:
-    """Ends a (outside) and b (inside) with their values; `last` is the end replaced last (1 a, -1 b, 0 none)."""
-
-    a: Tensor
-    b: Tensor
-    ga: Tensor
-    gb: Tensor
-    last: Tensor
-
-    def propose(self, rows: Tensor, bisect: Tensor) -> Tensor:
-        """The next position of each row: on the line through both ends, or in the middle."""
-        a, b, ga, gb = self.a[rows], self.b[rows], self.ga[rows], self.gb[rows]
-        share = ga / (ga - gb)
-        share = torch.where(torch.isfinite(share), share, 0.5).clamp(0.01, 0.99)
-        return a + torch.where(bisect, 0.5, share) * (b - a)
-
-    def update(self, rows: Tensor, k: Tensor, value: Tensor) -> None:
-        """Replace one end. If it is the same end as last time, weigh the other one down."""
-        a, b, ga, gb = self.a[rows], self.b[rows], self.ga[rows], self.gb[rows]
-        inside, last = value < 0, self.last[rows]
-        weight_a = torch.where(inside & (last == -1), _weight(value, gb), 1.0)
-        weight_b = torch.where(~inside & (last == 1), _weight(value, ga), 1.0)
-        self.a[rows] = torch.where(inside, a, k)
-        self.b[rows] = torch.where(inside, k, b)
-        self.ga[rows] = torch.where(inside, ga * weight_a, value)
-        self.gb[rows] = torch.where(inside, value, gb * weight_b)
-        self.last[rows] = torch.where(inside, -1, 1).to(torch.int8)
+    return Roots(best_k, residual, converged)
 
 
 def _weight(value: Tensor, replaced: Tensor) -> Tensor:

@@ -8,16 +8,15 @@ solver over rays of which nothing is known: it steps as far as the spheres at bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from shift3d.render.beams import Beams
+from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.culling import Rays, rays_in_box
 from shift3d.render.field.bounding_box import verified_box
 from shift3d.render.field.object_field import ObjectField
-from shift3d.render.first_hits import FirstHits
 from shift3d.render.settings import RenderSettings
 from shift3d.render.solvers.ray_samples import RaySamples
 from shift3d.render.solvers.roots import find_roots
@@ -39,10 +38,9 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
     Not differentiable. Source: Hart 1996; the least step is the paper's march.
     """
     rays = rays_in_box(beams, theta, verified_box(field, size_m, settings.box_margin_m).box)
-    start = enter(rays, field)
-    k_outer, g_outer, undecided = start.k.clone(), start.g.clone(), start.undecided
-    k, g = torch.where(start.went_back, start.k_inner, start.k), torch.where(start.went_back, start.g_inner, start.g)
-    rows = torch.nonzero((g >= 0) & ~undecided).squeeze(1)
+    rays, g, undecided = outside(rays, field)
+    k, k_outer, g_outer = rays.near_m.clone(), rays.near_m.clone(), g.clone()
+    rows = torch.nonzero(~undecided).squeeze(1)
     while len(rows):
         k_outer[rows], g_outer[rows] = k[rows], g[rows]
         step = (settings.step_safety * g[rows]).clamp_min(settings.step_m)
@@ -65,35 +63,19 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, size_m: Tensor, 
     return FirstHits(rays.index[hit[good]], roots.k[good], roots.residual[good], rays.index[undecided])
 
 
-@dataclass(frozen=True)
-class Entries:
-    """Where M rays start outside the object: ranges k (M,), g (M,) there, and undecided (M,) where there is no such
-    place. went_back: (M,) bool, rays whose box begins inside the object; k_inner, g_inner (M,): the last place inside.
+def outside(rays: Rays, field: ObjectField) -> tuple[Rays, Tensor, Tensor]:
+    """The rays as they start outside the object, g (M,) there, and (M,) bool where there is no such place.
+
+    A ray that starts inside goes back towards its sensor; a sensor inside the object sees nothing of its outside.
     """
-
-    k: Tensor
-    g: Tensor
-    k_inner: Tensor
-    g_inner: Tensor
-    went_back: Tensor
-    undecided: Tensor
-
-
-def enter(rays: Rays, field: ObjectField) -> Entries:
-    """Evaluate where rays start. One that starts inside goes back towards its sensor; a sensor inside the object sees
-    nothing of its outside."""
-    k, undecided = rays.near_m.clone(), torch.zeros(len(rays), dtype=torch.bool)
+    k = rays.near_m.clone()
     g = field.estimate(rays.at(k)).double()
-    went_back, k_inner, g_inner = g < 0, k.clone(), g.clone()
-    rows = torch.nonzero(went_back).squeeze(1)
+    rows = torch.nonzero((g < 0) & (k > 0)).squeeze(1)
     while len(rows):
-        undecided[rows] = k[rows] <= 0
-        rows = rows[k[rows] > 0]
-        k_inner[rows], g_inner[rows] = k[rows], g[rows]
         k[rows] = (k[rows] - _BACK_STEP_M).clamp_min(0.0)
         g[rows] = field.estimate(rays.at(k[rows], rows)).double()
-        rows = rows[g[rows] < 0]
-    return Entries(k, g, k_inner, g_inner, went_back, undecided | ~torch.isfinite(g))
+        rows = rows[(g[rows] < 0) & (k[rows] > 0)]
+    return replace(rays, near_m=k), g, ~(torch.isfinite(g) & (g >= 0))
 
 
 @dataclass(frozen=True)
@@ -111,13 +93,10 @@ def trace(rays: Rays, field: ObjectField, settings: RenderSettings) -> Traced:
     A beam along a panel keeps its distance, and the far end of a step covers as much of it as the near end does: if g
     stays as its slope says, twice the length is free. Source: Keinert et al. 2014, over-relaxation.
     """
-    start = enter(rays, field)
-    k, g, undecided = start.k.clone(), start.g.clone(), start.undecided
-    slope = torch.full_like(k, -1.0)
-    back = torch.nonzero(start.went_back & ~undecided).squeeze(1)
-    parts = [(torch.arange(len(rays)), k.clone(), g.clone()), (back, start.k_inner[back], start.g_inner[back])]
-    going = ~undecided & ~start.went_back & (k < rays.far_m)
-    rows, longest = torch.nonzero(going).squeeze(1), max(settings.step_m, settings.max_step_m)
+    rays, g, undecided = outside(rays, field)
+    k, slope = rays.near_m.clone(), torch.full_like(g, -1.0)
+    parts = [(torch.arange(len(rays)), k.clone(), g.clone())]
+    rows, longest = torch.nonzero(~undecided & (k < rays.far_m)).squeeze(1), max(settings.step_m, settings.max_step_m)
     while len(rows) > _FEW:
         here, steep = g[rows], (-slope[rows]).clamp(1.0, _STEEPEST)
         free = settings.step_safety * here / steep
@@ -132,4 +111,4 @@ def trace(rays: Rays, field: ObjectField, settings: RenderSettings) -> Traced:
         rows = rows[(g_new >= 0) & (k_new < rays.far_m[rows]) & ~undecided[rows]]
     rows, k, g = (torch.cat(part) for part in zip(*parts, strict=True))
     samples = RaySamples(rows, k, g, torch.zeros_like(g))
-    return Traced(RaySamples.none().joined(samples.select(~undecided[rows])), start.k, undecided)
+    return Traced(RaySamples.none().joined(samples.select(~undecided[rows])), rays.near_m, undecided)

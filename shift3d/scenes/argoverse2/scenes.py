@@ -20,10 +20,9 @@ from shift3d.scenes.argoverse2.log import (
     timestamps,
 )
 from shift3d.scenes.argoverse2.map_files import map_files, read_ground_map
-from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions
-from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
+from shift3d.scenes.listing import RecordedScenes, chosen, first_few, names_in, require_metres
 from shift3d.scenes.scene import Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
@@ -33,7 +32,7 @@ _SPLITS = ("val", "train", "test")
 _SECOND_NS = np.int64(10**9)
 
 
-class Argoverse2Scenes:
+class Argoverse2Scenes(RecordedScenes):
     """Sweeps of the logs under a folder or bucket (``{log}/sensors/lidar/{timestamp}.feather``).
 
     Args:
@@ -54,7 +53,6 @@ class Argoverse2Scenes:
     """
 
     dataset = "argoverse2"
-    placement_sector_rad = (0.0, float(np.pi))
 
     def __init__(
         self, root: LocationLike, names: Sequence[str] | None = None, count: int | None = None, every: int = 1
@@ -66,10 +64,6 @@ class Argoverse2Scenes:
         if not self._logs:
             raise InputError("no logs", str(self.root), "Give a folder of logs, or a log, which holds sensors/lidar/")
 
-    def names(self) -> list[str]:
-        """LOG-TIMESTAMP of each sweep. Raises InputError: none, or an unknown one is wanted."""
-        return list(self._listed)
-
     def load(self, name: str) -> Scene:
         """One sweep. Raises InputError: naming the file and the remedy."""
         log, timestamp = self._split(name)
@@ -79,6 +73,7 @@ class Argoverse2Scenes:
         require_metres(np.linalg.norm(points - origins, axis=1), str(sweep_file(log, timestamp)))
         city_SE3_scene = city_SE3_ego(log, timestamp)[0]
         city_SE3_scene[:3, 3] += city_SE3_scene[:3, :3] @ up
+        driven = ego_SE3_ego(log, timestamp, np.array([_SECOND_NS // 10]))[0, :3, 3] * 10.0  # over a tenth of a second
         scene = Scene(
             scene_id=name,
             dataset=self.dataset,
@@ -88,15 +83,11 @@ class Argoverse2Scenes:
             labels=read_labels(log, timestamp, points, up),
             reflectance=sweep.reflectance,
             time_s=(sweep.offset_ns * 1e-9).astype(np.float32),
-            conditions=Conditions(ego_velocity_m_s=_velocity(log, timestamp)),
+            conditions=Conditions(ego_velocity_m_s=(float(driven[0]), float(driven[1]), float(driven[2]))),
             ground_map=read_ground_map(log, city_SE3_scene),
         )
         scene.validate()
         return scene
-
-    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
-        """See `SceneSet`: nothing is known of a sweep but by its files."""
-        return None
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """See `SceneSet`: the versions of the files."""
@@ -108,14 +99,13 @@ class Argoverse2Scenes:
 
     @functools.cached_property
     def _listed(self) -> list[str]:
-        found: list[str] = []
-        for name in self._sweeps():
-            if self._count is not None and self._wanted is None and len(found) == self._count:
-                break
-            found.append(name)
-        if not found and (splits := [name for name in _SPLITS if name in self._logs]):
-            raise InputError("a data set, not one of its splits", str(self.root), f"Give {self.root / splits[0]}")
-        return chosen(found, self._wanted, str(self.root))
+        try:
+            return chosen(self._sweeps(), self._wanted, str(self.root), self._count)
+        except InputError:
+            if splits := [name for name in _SPLITS if name in self._logs]:
+                what, remedy = "a data set, not one of its splits", f"Give {self.root / splits[0]}"
+                raise InputError(what, str(self.root), remedy) from None
+            raise
 
     def _sweeps(self) -> Iterator[str]:
         requested = None if self._wanted is None else {name.rpartition("-")[0] for name in self._wanted}
@@ -136,9 +126,3 @@ def _origins(log: Location, timestamp: int, sweep: Sweep, up: np.ndarray, down: 
     poses = ego_SE3_ego(log, timestamp, times)
     mounts = np.where(sweep.is_up[:, None], up, down)
     return moved(mounts, poses[which])
-
-
-def _velocity(log: Location, timestamp: int) -> tuple[float, float, float]:
-    """Of the vehicle over the tenth of a second after the sweep's start, m/s."""
-    driven = ego_SE3_ego(log, timestamp, np.array([_SECOND_NS // 10]))[0, :3, 3] * 10.0
-    return (float(driven[0]), float(driven[1]), float(driven[2]))

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.geometry.boxes import corners_3d
+from shift3d.scenes.listing import read_bytes, read_lines, refuse_not_finite
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
@@ -31,6 +33,7 @@ GROUND = "ground"
 """Folder of an exported frame's ground height, a number a file: KITTI's own frames have none, theirs is estimated."""
 FARTHEST_M = 1e4
 """No return, label or camera is farther from the LiDAR, and no object larger: such numbers come from damaged files."""
+IMAGE_SIZE = (1242, 375)  # pixels; frames differ by a few, and the images are not needed otherwise
 SMALLEST_M = 0.01  # labels are written to the centimetre
 _ROTATION_TOLERANCE = 0.02  # of the rows' products: files are written to 7 digits
 _RESCALE = "Set scenes.reflectance_max to what the files call full reflectance (255, 65535, ...; null: 1)"
@@ -39,7 +42,7 @@ _LARGEST_PIXEL = 1e6  # of a projection's entries: focal lengths are some hundre
 
 @dataclass(frozen=True)
 class Calibration:
-    """Camera 2 of one frame.
+    """Camera 2 of one frame, and what it sees: only there does KITTI have labels.
 
     Attributes:
         image_P_camera: (3, 4) the rectified camera frame (x right, y down, z forward) to pixels.
@@ -54,6 +57,25 @@ class Calibration:
         inverse = np.linalg.inv(self.camera_T_lidar)
         lidar: Float = np.asarray(points, dtype=np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
         return lidar
+
+    def in_view(self, boxes: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Which boxes (M, 7) have their centre between the image's left and right edge: (M,) bool.
+
+        For average precision: a detection outside may be right and yet has no label to match.
+        """
+        pixels, depth = self.pixels(np.asarray(boxes)[:, :3])
+        result: NDArray[np.bool_] = (pixels[:, 0] >= 0) & (pixels[:, 0] < IMAGE_SIZE[0]) & (depth > 0.0)
+        return result
+
+    def height_px(self, boxes: NDArray[np.floating]) -> Float:
+        """Height in the image of boxes (M, 7), cut at its upper and lower edge: (M,) float64, pixels.
+
+        A box that reaches behind the camera takes the whole height.
+        """
+        pixels, depth = self.pixels(corners_3d(boxes).reshape(-1, 3))
+        rows = np.clip(pixels[:, 1], 0.0, IMAGE_SIZE[1]).reshape(-1, 8)
+        height: Float = rows.max(axis=1, initial=0.0) - rows.min(axis=1, initial=IMAGE_SIZE[1])
+        return np.where((depth.reshape(-1, 8) > 0.1).all(axis=1), height, float(IMAGE_SIZE[1]))
 
     def pixels(self, points: NDArray[np.floating]) -> tuple[Float, Float]:
         """Pixel (N, 2) as (column, row) and depth (N,) in metres of points (N, 3) in the LiDAR frame."""
@@ -102,14 +124,7 @@ def read_points(
     Raises InputError: where the file is missing, empty, not a whole number of 16-byte records, holds NaN, infinity or a
     point beyond FARTHEST_M, no point away from the sensor, or reflectances on another scale.
     """
-    try:
-        raw = as_location(path).read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"cannot read the frame ({error.strerror or 'no such file'})",
-            str(path),
-            "Check the root folder and the frame's name.",
-        ) from error
+    raw = read_bytes(as_location(path), "frame")
     if not raw or len(raw) % 16:
         raise InputError(
             f"{counted(len(raw), 'byte')} is not a whole number of 16-byte points",
@@ -117,14 +132,7 @@ def read_points(
             "The file is truncated: copy it again.",
         )
     values = np.frombuffer(raw, dtype="<f4").reshape(-1, 4).astype(np.float32)
-    bad = ~np.isfinite(values).all(axis=1)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputError(
-            f"{counted(int(bad.sum()), 'row')} with NaN or infinity, first is row {row}",
-            str(path),
-            "Repair or drop those rows.",
-        )
+    refuse_not_finite(values, str(path))
     beyond = (np.abs(values[:, :3]) > FARTHEST_M).any(axis=1)
     if beyond.any():
         rows = counted(int(beyond.sum()), "row")
@@ -144,7 +152,7 @@ def read_calibration(path: LocationLike) -> Calibration:
     are no rotation and no camera's projection.
     """
     found: dict[str, Float] = {}
-    for number, line in enumerate(_read_lines(path, "calibration"), start=1):
+    for number, line in enumerate(read_lines(as_location(path), "calibration file"), start=1):
         key, _, rest = line.partition(":")
         if key not in _CALIB_SHAPES:
             continue
@@ -190,7 +198,7 @@ def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel
     Raises InputError: where the file is missing or a row is malformed.
     """
     labels = []
-    for number, line in enumerate(_read_lines(path, "label"), start=1):
+    for number, line in enumerate(read_lines(as_location(path), "label file"), start=1):
         columns, where = line.split(), f"{path}, line {number}"
         if not columns or columns[0] == "DontCare":
             continue
@@ -212,7 +220,7 @@ def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel
 
 def read_ground_z(path: LocationLike) -> float:
     """Height of the ground in the LiDAR frame, metres. Raises InputError: where the file holds anything else."""
-    words = " ".join(_read_lines(path, "ground")).split()
+    words = " ".join(read_lines(as_location(path), "ground file")).split()
     values = _numbers(words, str(path))
     if len(values) != 1 or abs(values[0]) > FARTHEST_M:
         raise InputError(
@@ -237,16 +245,6 @@ def lidar_box(size_hwl: list[float], bottom_camera: list[float], rotation_y: flo
     middle, ahead = calibration.lidar_from_camera(np.stack((centre, centre + nose)))
     heading = np.arctan2(ahead[1] - middle[1], ahead[0] - middle[0])
     return np.array([*middle, length, width, height, heading])
-
-
-def _read_lines(path: LocationLike, kind: str) -> list[str]:
-    try:
-        return as_location(path).read_text().splitlines()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or ("no such file" if isinstance(error, OSError) else "not text")
-        raise InputError(
-            f"cannot read the {kind} file ({reason})", str(path), "Copy it again, or leave the frame out."
-        ) from error
 
 
 def _numbers(words: list[str], where: str) -> list[float]:

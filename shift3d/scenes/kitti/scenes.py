@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.boxes import corners_3d, points_in_boxes
-from shift3d.scenes.facts import SceneFacts
+from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.kitti.files import (
     CLASSES,
@@ -22,49 +20,15 @@ from shift3d.scenes.kitti.files import (
     read_labels,
     read_points,
 )
-from shift3d.scenes.listing import first_few, names_in
+from shift3d.scenes.listing import RecordedScenes, first_few, names_in
 from shift3d.scenes.scene import Labels, Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
 NOMINAL_GROUND_Z_M = -1.73  # over the labelled sample frames the estimate lies between -1.80 and -1.63
-IMAGE_SIZE = (1242, 375)  # pixels; frames differ by a few, and the images are not needed otherwise
 
 
-@dataclass(frozen=True)
-class CameraView:
-    """What camera 2 sees: only there does KITTI have labels."""
-
-    calibration: Calibration
-
-    def in_image(self, points: NDArray[np.floating], margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Which points (N, 3) of the LiDAR frame fall into the image, margin_px inside its edge: (N,) bool."""
-        pixels, depth = self.calibration.pixels(points)
-        inside = (pixels >= margin_px) & (pixels < np.array(IMAGE_SIZE) - margin_px)
-        result: NDArray[np.bool_] = inside.all(axis=1) & (depth > 0.0)
-        return result
-
-    def in_view(self, boxes: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Which boxes (M, 7) have their centre between the image's left and right edge: (M,) bool.
-
-        For average precision: a detection outside may be right and yet has no label to match.
-        """
-        pixels, depth = self.calibration.pixels(np.asarray(boxes)[:, :3])
-        result: NDArray[np.bool_] = (pixels[:, 0] >= 0) & (pixels[:, 0] < IMAGE_SIZE[0]) & (depth > 0.0)
-        return result
-
-    def height_px(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Height in the image of boxes (M, 7), cut at its upper and lower edge: (M,) float64, pixels.
-
-        A box that reaches behind the camera takes the whole height.
-        """
-        pixels, depth = self.calibration.pixels(corners_3d(boxes).reshape(-1, 3))
-        rows = np.clip(pixels[:, 1], 0.0, IMAGE_SIZE[1]).reshape(-1, 8)
-        height: NDArray[np.float64] = rows.max(axis=1, initial=0.0) - rows.min(axis=1, initial=IMAGE_SIZE[1])
-        return np.where((depth.reshape(-1, 8) > 0.1).all(axis=1), height, float(IMAGE_SIZE[1]))
-
-
-class KittiScenes:
+class KittiScenes(RecordedScenes):
     """Labelled KITTI frames under a folder or bucket.
 
     Args:
@@ -99,10 +63,10 @@ class KittiScenes:
                 raise InputError(
                     f"no folder training/{part}", str(root), "Give the folder that holds KITTI's training/ folder."
                 )
-        self._has_labels = "label_2" in parts
+        self._labels_in = self.folder / "label_2" if "label_2" in parts else None
         found = _stems(self.folder / "velodyne", ".bin")
         if keep_bad:
-            found |= self._labelled() if names is None else set(names)
+            found |= _stems(self._labels_in, ".txt") if names is None else set(names)
         if names is None:
             self._refuse_orphans(found)
         for name in names or ():
@@ -114,9 +78,9 @@ class KittiScenes:
         if not self._names:
             raise InputError("no frames (*.bin)", str(self.folder / "velodyne"), "Give a folder with KITTI frames.")
 
-    def names(self) -> list[str]:
-        """Frame numbers."""
-        return list(self._names)
+    @property
+    def _listed(self) -> list[str]:
+        return self._names
 
     def load(self, name: str) -> Scene:
         """One frame. Raises InputError: naming the file, the line or row, and the remedy."""
@@ -136,47 +100,39 @@ class KittiScenes:
         scene.validate()
         return scene
 
-    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
-        """See `SceneSet`: nothing is known of a frame but by its files."""
-        return None
-
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """See `SceneSet`: path and version of each of the frame's files."""
-        values: list[str | int | float | None] = ["kitti", name, self.reflectance_max, self._has_labels]
+        values: list[str | int | float | None] = ["kitti", name, self.reflectance_max, self._labels_in is not None]
         for part, suffix in (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt"), (GROUND, "txt")):
             file = self.folder / part / f"{name}.{suffix}"
             values += [str(file.absolute()), file.version()]
         return tuple(values)
 
-    def camera_view(self, name: str) -> CameraView:
+    def camera_view(self, name: str) -> Calibration:
         """What camera 2 sees of one frame."""
-        return CameraView(read_calibration(self.folder / "calib" / f"{name}.txt"))
+        return read_calibration(self.folder / "calib" / f"{name}.txt")
 
     def label_rows(self, name: str) -> list[KittiLabel]:
         """The labels of one frame, in the order of the scene's, with what they say about the image.
 
         Raises InputError: the label file is missing or malformed.
         """
-        calibration = self.camera_view(name).calibration
-        return read_labels(self.folder / "label_2" / f"{name}.txt", calibration)
+        return read_labels(self.folder / "label_2" / f"{name}.txt", self.camera_view(name))
 
     def _labels(self, name: str, points: NDArray[np.float32]) -> Labels:
-        if not self._has_labels:
+        if self._labels_in is None:
             return Labels()
         rows = self.label_rows(name)
         boxes = np.stack([row.box for row in rows]) if rows else np.zeros((0, 7))
         return Labels(
             boxes=boxes,
             classes=tuple(CLASSES[row.name] for row in rows),
-            num_points=points_in_boxes(points, boxes).sum(axis=1).astype(np.int32),
+            num_points=count_in_boxes(points, boxes),
             names=tuple(row.name for row in rows),
         )
 
-    def _labelled(self) -> set[str]:
-        return _stems(self.folder / "label_2", ".txt") if self._has_labels else set()
-
     def _refuse_orphans(self, found: set[str]) -> None:
-        orphans = sorted(self._labelled() - found)
+        orphans = sorted(_stems(self._labels_in, ".txt") - found)
         if orphans:
             raise InputError(
                 f"no frame velodyne/{orphans[0]}.bin",
@@ -185,5 +141,6 @@ class KittiScenes:
             )
 
 
-def _stems(folder: Location, suffix: str) -> set[str]:
-    return {name.removesuffix(suffix) for name in folder.names() if name.endswith(suffix)}
+def _stems(folder: Location | None, suffix: str) -> set[str]:
+    names = [] if folder is None else folder.names()
+    return {name.removesuffix(suffix) for name in names if name.endswith(suffix)}

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.geometry.boxes import corners_3d
-from shift3d.scenes.kitti.files import GROUND, Calibration
+from shift3d.scenes.kitti.files import GROUND, IMAGE_SIZE, Calibration
 
 _P2 = np.array([[721.5377, 0.0, 609.5593, 0.0], [0.0, 721.5377, 172.854, 0.0], [0.0, 0.0, 1.0, 0.0]])
 _CAMERA_R_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 CALIBRATION = Calibration(_P2, np.block([[_CAMERA_R_LIDAR, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
 """A camera in the LiDAR's place with KITTI's focal length: scenes have no camera of their own."""
 _NAMES = {"vehicle": "Car", "pedestrian": "Pedestrian", "cyclist": "Cyclist"}
-_IMAGE = (1242, 375)
 
 
 def velodyne_bytes(points: NDArray[np.float32], reflectance: NDArray[np.float32] | None) -> bytes:
@@ -73,6 +72,6 @@ def _in_image(box: NDArray[np.float64]) -> tuple[float, float, float, float]:
     pixels, depth = CALIBRATION.pixels(corners_3d(box[None]).reshape(-1, 3))
     if (depth < 0.1).any():
         return (0.0, 0.0, 0.0, 0.0)
-    held = np.clip(pixels, 0.0, _IMAGE)
+    held = np.clip(pixels, 0.0, IMAGE_SIZE)
     left, top, right, low = (float(value) for value in (*held.min(axis=0), *held.max(axis=0)))
     return (left, top, right, low) if right > left and low > top else (0.0, 0.0, 0.0, 0.0)

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse, moved
-from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions
-from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
+from shift3d.scenes.listing import RecordedScenes, chosen, first_few, names_in, read_bytes, require_metres
 from shift3d.scenes.nuscenes.annotations import boxes_of, read_annotations, read_weather
 from shift3d.scenes.nuscenes.tables import LidarFile, Release
 from shift3d.scenes.scene import Scene
@@ -31,7 +30,7 @@ _SIDEWAYS = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.
 """vehicle_SE3_lidar without a table: the sensor's x points to the right and its y ahead."""
 
 
-class NuScenesScenes:
+class NuScenesScenes(RecordedScenes):
     """Key frames of a release under a folder or bucket, or LiDAR files alone.
 
     Args:
@@ -53,7 +52,6 @@ class NuScenesScenes:
     """
 
     dataset = "nuscenes"
-    placement_sector_rad = (0.0, float(np.pi))
 
     def __init__(
         self,
@@ -72,10 +70,6 @@ class NuScenesScenes:
             raise InputError(
                 f"neither tables v1.0-*/ nor *{_SUFFIX} files", str(self.root), "Give the folder that holds them"
             )
-
-    def names(self) -> list[str]:
-        """Tokens of samples, or stems of files. Raises InputError: a table is damaged, or an unknown name is wanted."""
-        return list(self._listed)
 
     def load(self, name: str) -> Scene:
         """One key frame. Raises InputError: naming the file and the remedy."""
@@ -109,22 +103,20 @@ class NuScenesScenes:
         scene.validate()
         return scene
 
-    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
-        """See `SceneSet`: nothing is known of a frame but by its files."""
-        return None
-
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """See `SceneSet`: the versions of the LiDAR files and of the tables."""
         if self._tables is None:
             files = [_stem_file(self.root, name)]
         else:
-            files = [self.root / part for part in self._paths(name)] + self._table_files
+            parts = self._files(name) if name in self._release.key_frames else []
+            files = [self.root / part.filename for part in parts] + [
+                self._tables / table for table in self._table_names
+            ]
         return ("nuscenes", name, self.sweeps, *(f"{file.absolute()}: {file.version()}" for file in files))
 
     @functools.cached_property
-    def _table_files(self) -> list[Location]:
-        assert self._tables is not None
-        return [self._tables / name for name in self._tables.names()]
+    def _table_names(self) -> list[str]:
+        return [] if self._tables is None else self._tables.names()
 
     @functools.cached_property
     def _listed(self) -> list[str]:
@@ -170,9 +162,6 @@ class NuScenesScenes:
         while len(files) < self.sweeps and files[-1].previous in release.lidar:
             files.append(release.lidar[files[-1].previous])
         return files
-
-    def _paths(self, name: str) -> list[str]:
-        return [file.filename for file in self._files(name)] if name in self._release.key_frames else []
 
     def _alone(self, name: str) -> Scene:
         if name not in self._stems:
@@ -228,12 +217,7 @@ def _sweep(
 
 def _read(file: Location) -> NDArray[np.float32]:
     """(N, 5) x, y, z, intensity, ring of a LiDAR file. Raises InputError: it is missing, damaged, or in other units."""
-    try:
-        raw = file.read_bytes()
-    except FileNotFoundError as error:
-        raise InputError("the LiDAR file is missing", str(file), "Copy it, or leave the scene out") from error
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", str(file), "Check the folder") from error
+    raw = read_bytes(file, "LiDAR file")
     if not raw or len(raw) % 20:
         raise InputError(f"{len(raw)} bytes are not a whole number of 20-byte points", str(file), "Copy it again")
     values = np.frombuffer(raw, dtype="<f4").reshape(-1, 5).astype(np.float32)

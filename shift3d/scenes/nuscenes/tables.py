@@ -59,14 +59,14 @@ def _next(text: str, at: int) -> int:
     return at
 
 
-def indexed(file: Location, keep: Callable[[Row], bool] = lambda row: True, key: str = "token") -> dict[str, Row]:
-    """Rows of a table by a key. Raises InputError: as `table_rows`; a row lacks the key; no rows at all."""
+def indexed(file: Location, keep: Callable[[Row], bool] = lambda row: True) -> dict[str, Row]:
+    """Rows of a table by their token. Raises InputError: as `table_rows`; a row lacks it; no rows at all."""
     found, rows = {}, 0
     for rows, row in enumerate(table_rows(file), start=1):
-        if key not in row:
-            raise InputError(f"row {rows} has no {key}", str(file), _AGAIN)
+        if "token" not in row:
+            raise InputError(f"row {rows} has no token", str(file), _AGAIN)
         if keep(row):
-            found[str(row[key])] = row
+            found[str(row["token"])] = row
     if not rows:
         raise InputError("the table has no rows", str(file), _AGAIN)
     return found

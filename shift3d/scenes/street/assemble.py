@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
-from shift3d.scenes.scene import Conditions, Labels, Scene
+from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.labels import Conditions, Labels
+from shift3d.scenes.scene import Scene
+from shift3d.scenes.sensor import SensorModel
 from shift3d.scenes.street.behind import second_returns
 from shift3d.scenes.street.build.fleet import fleet_of
 from shift3d.scenes.street.build.item import LABELLED
@@ -20,7 +23,7 @@ from shift3d.scenes.street.echoes import Echoes, no_return_beams
 from shift3d.scenes.street.options import PLAIN, StreetOptions
 from shift3d.scenes.street.raycast import Sweep
 from shift3d.scenes.street.returns import Paint, finish, sensor_model
-from shift3d.scenes.street.sensors import BEAMS, SENSORS, Mount, Sensor, companions, side_sensors
+from shift3d.scenes.street.sensors import BEAMS, SENSORS, Mount, Sensor, companions, sensor_named, side_sensors
 from shift3d.seeding import generator
 
 
@@ -176,4 +179,28 @@ def _labels(layout: Layout, world: World, points: NDArray[np.float32]) -> Labels
         tuple(LABELLED[name] for name in names),
         counts[seen],
         kinds=tuple(kinds.get(numbers[i], "") for i in seen) if kinds else (),
+    )
+
+
+def street_facts(scene_id: str, sensor_name: str, options: StreetOptions) -> SceneFacts:
+    """The facts of a street scene by its sensor and options; effects decide on them as on those of the made scene.
+
+    A made scene may differ in two numbers that decide nothing: ``no_return_beams`` are here those that the sensor drops
+    at random, ``scan_s`` is that of the whole turn in float32. On a street the ground is always in view.
+    """
+    sensor = seeing(sensor_named(sensor_name), options)
+    heads = companions(sensor, options.ego_speed_m_s)
+    times = sensor.firing_times_s().astype(np.float32)
+    beams = len(sensor.elevations_rad) * sensor.columns * (1 + len(heads))
+    moving_origins = options.motion_compensated and options.ego_speed_m_s > 0.0
+    return SceneFacts(
+        scene_id=scene_id,
+        origins=2 if options.sensors > 1 or heads or moving_origins else 1,
+        returns=options.returns,
+        no_return_beams=round(sensor.drop_rate * beams) if options.range_image else 0,
+        has_reflectance=True,
+        has_pixels=options.sensors == 1 and not heads,
+        scan_s=float(times.max() - times.min()),
+        sensor=sensor_model(sensor) if options.sensor_model else SensorModel(),
+        conditions=conditions_of(options),
     )

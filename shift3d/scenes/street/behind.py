@@ -61,7 +61,8 @@ def _through(
 ) -> tuple[NDArray[np.intp], Hits, Float]:
     """Flat cells of beams that foliage or glass lets through, what they meet next, and the share that passes."""
     glass = sweep.material == Material.GLASS
-    passing = np.array([paint[number].glass_loss ** 2 if number in paint else 0.0 for number in range(_most(sweep))])
+    items = range(max(int(sweep.item.max()), 0) + 1)
+    passing = np.array([paint[number].glass_loss ** 2 if number in paint else 0.0 for number in items])
     share = np.where(glass, passing[np.maximum(sweep.item, 0)], 0.0)
     leaves = _in_leaves(world, sweep)
     share[leaves] = rng.uniform(0.0, 1.0, int(leaves.sum()))
@@ -135,7 +136,3 @@ def _starts(sweep: Sweep, column: NDArray[np.intp]) -> Float:
     """(K, 3) where the beams of some columns start."""
     only_one = len(sweep.origins_m) == 1
     return sweep.origins_m[np.zeros_like(column) if only_one else column]
-
-
-def _most(sweep: Sweep) -> int:
-    return max(int(sweep.item.max()), 0) + 1

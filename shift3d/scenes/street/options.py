@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from decimal import Decimal
 
@@ -17,11 +16,6 @@ LIMITS = {"rain_mm_h": 500.0, "visibility_m": 1e5, "snow_mm_h": 50.0, "ego_speed
 """Largest values (our choice): beyond them lie typing errors."""
 MOST_SENSORS = 5  # one on the roof, one at each corner of the car
 _WHERE = "street scenes"
-_TAG = re.compile(
-    r"(?:-(?P<weather>rain|fog|snow)(?P<strength>[\d.]+))?(?P<sensor_model>-model)?(?P<range_image>-image)?"
-    r"(?:-returns(?P<returns>\d+))?(?:-sensors(?P<sensors>\d+))?(?:-ego(?P<ego>[\d.]+)(?P<compensated>comp)?)?"
-    r"(?:-(?P<traffic>wide|held_out))?(?:-beams_(?P<beams>[a-z0-9_]+))?"
-)
 
 
 @dataclass(frozen=True)
@@ -102,7 +96,7 @@ class StreetOptions:
 
     @property
     def tag(self) -> str:
-        """Of the options that are on, for names: "" or such as "-fog50-returns2-ego15comp"; see `from_tag`."""
+        """Of the options that are on, for names: "" or such as "-fog50-returns2-ego15comp"."""
         words = []
         if self.weather != "dry":
             words.append(self.weather + _digits(getattr(self, WEATHER_STRENGTHS[self.weather][0])))
@@ -115,46 +109,12 @@ class StreetOptions:
         words += [f"beams_{self.beams}"] if self.beams else []
         return "".join(f"-{word}" for word in words)
 
-    @staticmethod
-    def from_tag(tag: str) -> StreetOptions:
-        """The options that a tag stands for: ``StreetOptions.from_tag(options.tag) == options``.
-
-        Raises InputError: for what is no tag.
-        """
-        match = _TAG.fullmatch(tag)
-        try:
-            options = StreetOptions() if match is None else _from_groups(match)
-        except ValueError:
-            options = StreetOptions()
-        if options.tag != tag:
-            raise InputError(f"{tag!r} names no options", _WHERE, "Give a tag such as -fog50-returns2-ego15comp")
-        return options
-
 
 def check_traffic(traffic: str, split: str) -> None:
     """Raises InputError for held-out kinds on streets to train on."""
     if traffic == "held_out" and split == "train":
         what = "traffic=held_out with split=train: training must not see what attacks and evaluation hold out"
         raise InputError(what, _WHERE, "Set traffic=wide, or split=val or test")
-
-
-def _from_groups(match: re.Match[str]) -> StreetOptions:
-    weather = match["weather"] or "dry"
-    strength = {WEATHER_STRENGTHS[weather][0]: float(match["strength"])} if match["weather"] else {}
-    return StreetOptions(
-        weather=weather,
-        rain_mm_h=strength.get("rain_mm_h"),
-        visibility_m=strength.get("visibility_m"),
-        snow_mm_h=strength.get("snow_mm_h"),
-        sensor_model=match["sensor_model"] is not None,
-        range_image=match["range_image"] is not None,
-        returns=int(match["returns"] or 1),
-        sensors=int(match["sensors"] or 1),
-        ego_speed_m_s=float(match["ego"] or 0.0),
-        motion_compensated=match["compensated"] is not None,
-        traffic=match["traffic"] or "family",
-        beams=match["beams"],
-    )
 
 
 def _digits(value: float) -> str:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,14 +69,7 @@ class Mount:
 AT_ORIGIN = Mount()
 
 
-def _hdl64_elevations() -> tuple[float, ...]:
-    """An upper block of 32 beams a third of a degree apart and a lower block of 32, half a degree apart."""
-    upper = 2.0 - np.arange(32) / 3.0
-    lower = upper[-1] - 0.5 - np.arange(32) * 0.5
-    return tuple(float(e) for e in np.deg2rad(np.concatenate((upper, lower))))
-
-
-def _waymo_top_elevations() -> tuple[float, ...]:
+def _waymo_top_deg() -> NDArray[np.float64]:
     """64 beams from +2.4 to -17.6 degrees, closest together at the horizon, widening downwards.
 
     Source: range from the Waymo Open Dataset paper; that the spacing widens downwards is in its calibrations,
@@ -81,114 +77,44 @@ def _waymo_top_elevations() -> tuple[float, ...]:
     """
     step = 0.15 + 0.33 * np.linspace(0.0, 1.0, 63)
     step *= 20.0 / step.sum()
-    return tuple(float(e) for e in np.deg2rad(2.4 - np.concatenate(([0.0], np.cumsum(step)))))
+    return 2.4 - np.concatenate(([0.0], np.cumsum(step)))
 
 
-HDL64 = Sensor(
-    name="hdl64",
-    elevations_rad=_hdl64_elevations(),
-    columns=2083,
-    mount_height_m=1.73,
-    min_range_m=0.9,
-    max_range_m=120.0,
-    range_noise_m=0.015,
-    range_step_m=0.002,
-    turn_s=0.1,
-    drop_rate=0.03,
-    divergence_rad=2.0e-3,  # the manual of the HDL-64E: 2 mrad
-)
+def _by_rule_deg() -> dict[str, NDArray[np.float64]]:
+    """Elevations by a rule: of the HDL-64E, 32 beams a third of a degree apart above 32 half a degree apart."""
+    upper = 2.0 - np.arange(32) / 3.0
+    return {
+        "hdl64": np.concatenate((upper, upper[-1] - 0.5 - np.arange(32) * 0.5)),
+        "waymo_top": _waymo_top_deg(),
+        "hdl32": 32.0 / 3.0 - np.arange(32) * 4.0 / 3.0,
+        "short32": np.linspace(10.0, -30.0, 32),
+    }
 
-WAYMO_TOP = Sensor(
-    name="waymo_top",
-    elevations_rad=_waymo_top_elevations(),
-    columns=2650,
-    mount_height_m=2.18,
-    min_range_m=0.9,
-    max_range_m=75.0,
-    range_noise_m=0.012,
-    range_step_m=0.004,
-    turn_s=0.1,
-    drop_rate=0.03,
-    divergence_rad=1.5e-3,  # not published; our choice, between the HDL-64E and sensors of twice its resolution
-)
 
+def _read() -> dict[str, Sensor]:
+    """The sensors of ``sensors.toml`` by name."""
+    found: dict[str, dict[str, Any]] = {}
+    by_rule = _by_rule_deg()
+    for name, row in tomllib.loads((Path(__file__).parent / "sensors.toml").read_text(encoding="utf-8")).items():
+        elevations = np.deg2rad(row.pop("elevations_deg", by_rule.get(name)))
+        view_rad = float(np.deg2rad(row.pop("view_deg", 360.0)))
+        own = {"name": name, "elevations_rad": tuple(float(e) for e in elevations), "view_rad": view_rad}
+        found[name] = {**found.get(row.pop("base", ""), {}), **row, **own}
+    return {name: Sensor(**values) for name, values in found.items()}
+
+
+BEAMS = _read()
+SHORT32 = BEAMS.pop("short32")
+"""A short-range sensor for the corners of the car. `BEAMS`: those whose beams any street can be seen with; noise, steps
+of range and losses that are not published are those of the HDL-64E (our choice)."""
+HDL64, WAYMO_TOP, AV2_PAIR = BEAMS["hdl64"], BEAMS["waymo_top"], BEAMS["av2_pair"]
 SENSORS = {sensor.name: sensor for sensor in (HDL64, WAYMO_TOP)}
 """Sensors with streets of their own."""
-
-HDL32 = replace(
-    HDL64,
-    name="hdl32",
-    elevations_rad=tuple(float(e) for e in np.deg2rad(32.0 / 3.0 - np.arange(32) * 4.0 / 3.0)),
-    columns=1086,
-    max_range_m=100.0,
-    turn_s=0.05,
-    divergence_rad=2.8e-3,
-)
-"""HDL-32E at 20 turns a second, as nuScenes drives it. Source: its manual: +10.67 to -30.67 degrees in steps of 4/3,
-46 microseconds a firing, 100 m, 2.8 mrad."""
-
-_VLP32C_DEG = (
-    15.0, 10.333, 7.0, 4.667, 3.333, 2.333, 1.667, 1.333, 1.0, 0.667, 0.333, 0.0, -0.333, -0.667, -1.0, -1.333,
-    -1.667, -2.0, -2.333, -2.667, -3.0, -3.333, -3.667, -4.0, -4.667, -5.333, -6.148, -7.254, -8.843, -11.31, -15.639,
-    -25.0,
-)  # fmt: skip
-
-AV2_PAIR = replace(
-    HDL64,
-    name="av2_pair",
-    elevations_rad=tuple(float(e) for e in np.deg2rad(_VLP32C_DEG)),
-    columns=1808,
-    max_range_m=200.0,
-    divergence_rad=3.0e-3,
-)
-"""The upper of Argoverse 2's two VLP-32C, one upright on top of one upside down, at 10 turns a second. Source: the
-sensor's manual: its table of elevations, 55.296 microseconds a firing, 200 m, 3 mrad."""
-
 _AV2_LOWER = replace(
     AV2_PAIR, name="av2_lower", elevations_rad=tuple(-elevation for elevation in reversed(AV2_PAIR.elevations_rad))
 )
 _AV2_APART_M = 0.115
 """Source: the calibration of an Argoverse 2 log: heights of 1.640 and 1.525 m, the lower head turned about x."""
-
-_PANDAR64_DEG = (
-    14.882, 11.032, 8.059, 5.057, 3.04, 2.028, 1.86, 1.688, 1.522, 1.351, 1.184, 1.013, 0.846, 0.675, 0.508, 0.337,
-    0.169, 0.0, -0.169, -0.337, -0.508, -0.675, -0.845, -1.013, -1.184, -1.351, -1.522, -1.688, -1.86, -2.028, -2.198,
-    -2.365, -2.536, -2.7, -2.873, -3.04, -3.21, -3.375, -3.548, -3.712, -3.884, -4.05, -4.221, -4.385, -4.558, -4.72,
-    -4.892, -5.057, -5.229, -5.391, -5.565, -5.726, -5.898, -6.061, -7.063, -8.059, -9.06, -9.885, -11.032, -12.006,
-    -12.974, -13.93, -18.889, -24.897,
-)  # fmt: skip
-
-PANDAR64 = replace(
-    HDL64,
-    name="pandar64",
-    elevations_rad=tuple(float(e) for e in np.deg2rad(_PANDAR64_DEG)),
-    columns=1800,
-    max_range_m=200.0,
-    divergence_rad=2.0e-3,
-)
-"""Pandar64, as PandaSet drives it, at 10 turns a second. Source: its manual: the table of elevations, 0.2 degrees a
-firing, 200 m; the divergence is our choice."""
-
-BEAMS = {sensor.name: sensor for sensor in (HDL64, WAYMO_TOP, HDL32, AV2_PAIR, PANDAR64)}
-"""Sensors whose beams any street can be seen with. Noise, steps of range and losses that are not said here are those of
-the HDL-64E (our choice)."""
-
-SHORT32 = Sensor(
-    name="short32",
-    elevations_rad=tuple(float(e) for e in np.deg2rad(np.linspace(10.0, -30.0, 32))),
-    columns=525,
-    mount_height_m=0.9,
-    min_range_m=0.3,
-    max_range_m=40.0,
-    range_noise_m=0.015,
-    range_step_m=0.002,
-    turn_s=0.1,
-    drop_rate=0.03,
-    divergence_rad=2.0e-3,
-    view_rad=float(np.deg2rad(210.0)),  # the rest of its turn looks at the car that carries it
-)
-"""A short-range sensor for the corners of the car (our choice)."""
-
 _BY_NAME = {**BEAMS, SHORT32.name: SHORT32, _AV2_LOWER.name: _AV2_LOWER}
 _CORNERS = ((2.0, 1.0, 45.0), (2.0, -1.0, -45.0), (-3.6, 1.0, 135.0), (-3.6, -1.0, -135.0))  # x, y, degrees
 

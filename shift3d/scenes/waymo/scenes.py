@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse
-from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions, Labels
-from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
+from shift3d.scenes.listing import RecordedScenes, chosen, first_few, names_in, require_metres
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import NoReturnBeams
-from shift3d.scenes.waymo.annotations import read_labels, read_weather
 from shift3d.scenes.waymo.frame import (
     LASERS,
     LaserFrame,
     component_file,
     read_calibrations,
     read_frame,
+    read_labels,
     read_vehicle_pose,
+    read_weather,
 )
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
@@ -34,7 +34,7 @@ _OPTIONAL = ("lidar_box", "stats")
 _SEGMENTS_AT_ONCE = 16
 
 
-class WaymoScenes:
+class WaymoScenes(RecordedScenes):
     """Frames under a folder or bucket with ``{component}/{segment}.parquet``.
 
     Args:
@@ -56,7 +56,6 @@ class WaymoScenes:
     """
 
     dataset = "waymo"
-    placement_sector_rad = (0.0, float(np.pi))
 
     def __init__(
         self,
@@ -79,10 +78,6 @@ class WaymoScenes:
             raise InputError(
                 "no component lidar/", str(self.root), "Give the folder that holds lidar/, lidar_pose/, ..."
             )
-
-    def names(self) -> list[str]:
-        """SEGMENT-TIMESTAMP of each frame. Raises InputError: a segment's file cannot be read, or a name is unknown."""
-        return list(self._listed)
 
     def load(self, name: str) -> Scene:
         """One frame. Raises InputError: naming the component's file, the row's keys, and the remedy."""
@@ -112,10 +107,6 @@ class WaymoScenes:
         scene.validate()
         return scene
 
-    def configured(self, name: str) -> tuple[str, SceneFacts] | None:
-        """See `SceneSet`: nothing is known of a frame but by its files."""
-        return None
-
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """See `SceneSet`: the versions of the segment's files."""
         return ("waymo", name, *self.lasers, *self._versions(name.rpartition("-")[0] or name))
@@ -125,14 +116,8 @@ class WaymoScenes:
         segments = self._segments()
         if self._wanted is not None:
             requested = {name.rpartition("-")[0] or name for name in self._wanted}
-            known = list(self._frames([segment for segment in segments if segment in requested]))
-            return chosen(known, self._wanted, str(self.root / "lidar"))
-        found: list[str] = []
-        for name in self._frames(segments):
-            if self._count is not None and len(found) == self._count:
-                break
-            found.append(name)
-        return chosen(found, None, str(self.root / "lidar"))
+            segments = [segment for segment in segments if segment in requested]
+        return chosen(self._frames(segments), self._wanted, str(self.root / "lidar"), self._count)
 
     def _frames(self, segments: Sequence[str]) -> Iterator[str]:
         """Names of the frames of segments, some segments at a time."""

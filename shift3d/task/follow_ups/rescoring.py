@@ -19,12 +19,10 @@ from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.assets import Assets, score_precision
 from shift3d.task.differences import Differences, differences
-from shift3d.task.run import build_problem
-from shift3d.task.scoring import SCORED_FROM_EMPTY, EmptyScene, Scored, score_object, score_points
+from shift3d.task.problem import build_problem
+from shift3d.task.scoring import SCORED_NEARBY, Nearby, Scored, score_object, score_points
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
-
-__all__ = ["DRAWS", "Problems", "Solution", "Verified", "verify_object"]
 
 RANGE_NOISE_M = 0.02
 """Standard deviation of the noise that beams on the object are given: the figure of common spinning sensors."""
@@ -72,14 +70,13 @@ class Problems:
     reference: AttackProblem
     others: Mapping[str, Detector]
     others_reference: Mapping[str, Detector]
-    empty: EmptyScene = field(default_factory=EmptyScene)
+    nearby: Nearby = field(default_factory=Nearby)
 
     @staticmethod
     def of(spec: TaskSpec, assets: Assets, solution: Solution) -> Problems:
         """The task's problems, the vehicle of a solution at its pose.
 
-        Raises:
-            InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+        Raises: InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
         """
         settings = accuracy_settings(AccuracyConfig(name="reference", render={}))
         reference = dataclasses.replace(spec, accuracy="reference", accuracy_settings=settings)
@@ -97,9 +94,10 @@ def verify_object(spec: TaskSpec, solution: Solution, problems: Problems) -> Ver
     made of it get the same ones."""
     spent: dict[str, float] = {}
     radius_m = spec.attack.detection_radius_m
-    scene = problems.empty if solution.method in SCORED_FROM_EMPTY else None
+    nearby = problems.nearby if solution.method in SCORED_NEARBY else None
     with _timed(spent, "again"):
-        again = _score(problems.standard, solution.code, solution.theta, radius_m, problems.others, scene)
+        again = _score(problems.standard, solution.code, solution.theta, radius_m, problems.others, nearby)
+    problems.nearby.note(solution.method, again)
     with _timed(spent, "reference"):
         true = _score(problems.reference, solution.code, solution.theta, radius_m, problems.others_reference)
     everyone = {problems.standard.detector.name: problems.standard.detector, **problems.others}
@@ -139,9 +137,9 @@ def _score(
     theta: Tensor,
     radius_m: float,
     others: Mapping[str, Detector],
-    scene: EmptyScene | None = None,
+    nearby: Nearby | None = None,
 ) -> Scored:
-    return score_object(problem, code.to(problem.settings.dtype), theta, radius_m, others, scene)
+    return score_object(problem, code.to(problem.settings.dtype), theta, radius_m, others, nearby)
 
 
 def _scores(scored: Scored) -> dict[str, float]:

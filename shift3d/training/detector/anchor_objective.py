@@ -10,14 +10,13 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from shift3d.detectors.grid import Grid
-from shift3d.detectors.models.anchor_heads import AnchorHeads
-from shift3d.detectors.models.anchors import anchor_boxes
+from shift3d.detectors.models.anchor_heads import AnchorHeads, anchor_boxes
 from shift3d.detectors.models.box_coding import direction_bins, encode_boxes
 from shift3d.detectors.models.heads import BoxHeads
 from shift3d.training.detector.crops import Crop
-from shift3d.training.detector.focal import focal_loss
 from shift3d.training.detector.recipe import Recipe
 
+FOCAL_ALPHA, FOCAL_GAMMA = 0.25, 2.0
 IGNORED, NEGATIVE, POSITIVE = -1, 0, 1
 POSITIVE_IOU = 0.55
 NEGATIVE_IOU = 0.40
@@ -94,6 +93,18 @@ def sine_code_difference(codes: Tensor, wanted: Tensor) -> Tensor:
     """
     heading = torch.sin(codes[:, 6:7] - wanted[:, 6:7])
     return torch.cat((codes[:, :6] - wanted[:, :6], heading), dim=1)
+
+
+def focal_loss(logits: Tensor, is_positive: Tensor) -> Tensor:
+    """Focal loss of each anchor, same shape. Differentiable w.r.t. logits.
+
+    Source: Lin et al. 2017, alpha 0.25, gamma 2.
+    """
+    target = is_positive.to(logits.dtype)
+    cross_entropy = functional.softplus(logits) - logits * target
+    wrong = torch.sigmoid(torch.where(is_positive, -logits, logits))  # 1 - p_t
+    alpha = torch.where(is_positive, FOCAL_ALPHA, 1.0 - FOCAL_ALPHA)
+    return alpha * wrong**FOCAL_GAMMA * cross_entropy
 
 
 class AnchorObjective:

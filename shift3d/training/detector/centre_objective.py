@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 import torch
+import torch.nn.functional as functional
 from torch import Tensor
 
 from shift3d.detectors.base import BevWindow
@@ -13,9 +14,9 @@ from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.centre_heads import encode_centres
 from shift3d.detectors.models.heads import BoxHeads
 from shift3d.training.detector.crops import Crop
-from shift3d.training.detector.focal import heat_map_loss
 from shift3d.training.detector.recipe import Recipe
 
+HEAT_BETA, HEAT_GAMMA = 4.0, 2.0
 LEAST_OVERLAP = 0.1
 LEAST_RADIUS = 2
 
@@ -78,6 +79,16 @@ def assign_centres(
     cells = torch.stack((positives % window.num_x + window.x0, positives // window.num_x + window.y0), dim=1)
     codes = encode_centres(boxes[owner.reshape(-1)[positives]], cells, grid)
     return CentreTargets(heat.reshape(-1), trained.reshape(-1), positives, codes)
+
+
+def heat_map_loss(logits: Tensor, heat: Tensor) -> Tensor:
+    """Loss of each cell against its heat in [0, 1], same shape; 1 is a centre, and near one a score costs less.
+
+    Differentiable w.r.t. logits. Source: CornerNet (Law and Deng 2018), equation 1, as in CenterPoint.
+    """
+    wrong = torch.sigmoid(torch.where(heat == 1.0, -logits, logits))
+    cross_entropy = functional.softplus(torch.where(heat == 1.0, -logits, logits))
+    return (1.0 - heat).pow(HEAT_BETA).masked_fill(heat == 1.0, 1.0) * wrong**HEAT_GAMMA * cross_entropy
 
 
 class CentreObjective:

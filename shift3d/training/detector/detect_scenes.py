@@ -1,22 +1,30 @@
-"""Detections over a scene set, once, for every metric: in this process or in several, to the same bits."""
+"""Detections over a scene set, once, for every metric: in this process or in several, to the same bits.
+
+Answers are kept on disk, a small file a scene, so that an interrupted evaluation goes on where it stopped.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterator
+import zipfile
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import torch
 
 from shift3d.detectors.base import Detector
+from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth
-from shift3d.scenes.kitti.scenes import CameraView, KittiScenes
+from shift3d.scenes.kitti.files import Calibration
+from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
+from shift3d.store.arrays import write_arrays
 from shift3d.training.detector_scenes import network_points
 
 # Waymo's second score cut-off. The detectors keep the best 4096 boxes before suppression whatever their score, and
@@ -54,7 +62,7 @@ def detect_frame(detector: Detector, scenes: SceneSet, name: str, score_threshol
     return Answer(frame, 1e3 * (loaded - start), 1e3 * (done - loaded))
 
 
-def _found(boxes: np.ndarray, scores: np.ndarray, view: CameraView | None) -> Found:
+def _found(boxes: np.ndarray, scores: np.ndarray, view: Calibration | None) -> Found:
     if view is None:
         return Found(boxes, scores, np.ones(len(boxes), dtype=bool), np.full(len(boxes), np.nan))
     return Found(boxes, scores, view.in_view(boxes), view.height_px(boxes))
@@ -134,3 +142,64 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+def answers_of(names: Iterable[str], folder: Path, detect: Callable[[list[str]], Iterator[Answer]]) -> Iterator[Answer]:
+    """The answer of every scene, in order: from ``folder`` where it lies there, else detected and written there.
+
+    detect: names of the scenes that are missing to their answers, in that order.
+
+    Raises InputError: a file in ``folder`` is torn, or whatever ``detect`` raises.
+    """
+    names = list(names)
+    coming = detect([name for name in names if not _file(folder, name).exists()])
+    for name in names:
+        if _file(folder, name).exists():
+            yield read_answer(_file(folder, name))
+        else:
+            answer = next(coming)
+            write_answer(_file(folder, name), answer)
+            yield answer
+
+
+def _file(folder: Path, name: str) -> Path:
+    return folder / f"{name.replace('/', '_')}.npz"
+
+
+def write_answer(file: Path, answer: Answer) -> None:
+    """Write one answer atomically. Raises InputError on a full disk."""
+    truth, found = answer.frame.truth, answer.frame.found
+    write_arrays(
+        file,
+        scene=np.array(answer.frame.scene),
+        milliseconds=np.array([answer.scene_ms, answer.detect_ms]),
+        truth_boxes=truth.boxes,
+        num_points=truth.num_points,
+        counts=truth.counts,
+        difficulty=truth.difficulty,
+        names=np.array(truth.names, dtype=np.str_),
+        kinds=np.array(truth.kinds, dtype=np.str_),
+        boxes=found.boxes,
+        scores=found.scores,
+        labelled=found.labelled,
+        image_height_px=found.image_height_px,
+    )
+
+
+def read_answer(file: Path) -> Answer:
+    """Read what :func:`write_answer` wrote, bit for bit. Raises InputError for a file that it did not write."""
+    try:
+        with np.load(file, allow_pickle=False) as data:
+            truth = Truth(
+                data["truth_boxes"],
+                data["num_points"],
+                data["counts"],
+                data["difficulty"],
+                tuple(str(name) for name in data["names"]),
+                tuple(str(kind) for kind in data["kinds"]),
+            )
+            found = Found(data["boxes"], data["scores"], data["labelled"], data["image_height_px"])
+            scene_ms, detect_ms = (float(value) for value in data["milliseconds"])
+            return Answer(DetectedFrame(str(data["scene"]), truth, found), scene_ms, detect_ms)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"is no stored answer ({type(error).__name__})", str(file), "Remove the file") from error

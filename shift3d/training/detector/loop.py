@@ -118,7 +118,6 @@ def train_on_scenes(
     recipe: Recipe,
     mesh_scenes: Sequence[Path],
     inserted_scenes: Sequence[Path] = (),
-    threads: int = 1,
     checkpoint_every: int = 250,
     stop_after: int | None = None,
     compute: Compute | None = None,
@@ -136,7 +135,7 @@ def train_on_scenes(
 
     Args:
         mesh_scenes, inserted_scenes: cached scenes without and with rendered insertions.
-        compute: default the CPU with `threads` threads.
+        compute: default the CPU, one thread.
         report: is given the curves' points after every checkpoint.
         data: what identifies the scenes; a checkpoint of others is refused.
         start: a state dict to start from instead of random weights.
@@ -147,7 +146,7 @@ def train_on_scenes(
         KeyboardInterrupt when asked to stop, the checkpoint being written.
     """
     recipe.validate()
-    compute = compute or choose_compute("cpu", threads)
+    compute = compute or choose_compute("cpu")
     compute.prepare()
     out_dir.mkdir(parents=True, exist_ok=True)
     run = _Run(out_dir / CHECKPOINT, recipe, compute, data, start)

@@ -7,11 +7,10 @@ from itertools import pairwise
 from math import isfinite, pi
 from typing import Literal
 
-from shift3d.detectors.models.anchors import AnchorSpec
+from shift3d.detectors.models.anchor_heads import AnchorSpec
 from shift3d.detectors.models.backbone import WAYMO_BACKBONE, BackboneSpec
-from shift3d.detectors.models.centerpoint import CenterPointNet
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import CenterPointNet, PointPillarsNet
 from shift3d.detectors.models.sst import SstNet, SstSpec
 from shift3d.errors import InputError
 

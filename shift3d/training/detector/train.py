@@ -8,7 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
 from tqdm import tqdm
 
 from shift3d.detectors.models.network import DetectorNet
@@ -39,7 +38,6 @@ TRAFFIC = "wide"
 def train_detector(
     out_dir: Path,
     recipe: Recipe,
-    threads: int = 1,
     weights_file: Path | None = None,
     scenes: SceneSet | None = None,
     start_from: Path | None = None,
@@ -50,18 +48,18 @@ def train_detector(
 
     Args:
         out_dir: scenes, checkpoint and weights; an interrupted training goes on from there.
-        threads: may change from call to call; the weights then agree to rounding, not to the bit.
         weights_file: where the safetensors go, and their provenance as JSON (default out_dir/<detector>.safetensors).
         scenes: labelled scenes to train on, default the shipped recipe's procedural streets. Of each only the
             labelled sector is used, see :func:`~shift3d.training.detector_scenes.from_scene`.
         start_from: weights to start from instead of random ones, or of those that the recipe has them grown from.
-        compute: default the CPU with `threads` threads. report: see :func:`train_on_scenes`.
+        compute: default the CPU, one thread; with another number of threads the weights agree to rounding, not to the
+            bit. report: see :func:`train_on_scenes`.
     Returns: the network of the exported file, on the CPU, in evaluation mode.
     Raises: InputError when the recipe cannot be trained by, weights to start from are missing, the scenes hold no
         vehicle, or the checkpoint is of another recipe, other scenes or another start; KeyboardInterrupt when asked to
         stop.
     """
-    compute = compute or choose_compute("cpu", threads)
+    compute = compute or choose_compute("cpu")
     recipe.validate()
     data = _identity(scenes, start_file(recipe, start_from))
     start = start_state(recipe, start_from)
@@ -123,12 +121,11 @@ def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = 
     halved: matrices and kernels are stored in float16, to 2^-11 of each value (our choice: half the bytes). Biases and
     batch statistics stay float32: variances go beyond what float16 holds.
     """
-    tensors = {name: _stored(tensor.detach().cpu(), halved).contiguous() for name, tensor in net.state_dict().items()}
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
+    if halved:
+        large = {name for name, tensor in tensors.items() if tensor.is_floating_point() and tensor.dim() >= 2}
+        tensors |= {name: tensors[name].half() for name in large}
     write_safetensors(file, tensors, {"recipe": repr(recipe)})
-
-
-def _stored(tensor: Tensor, halved: bool) -> Tensor:
-    return tensor.half() if halved and tensor.is_floating_point() and tensor.dim() >= 2 else tensor
 
 
 def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:

@@ -16,10 +16,10 @@ from tqdm import tqdm
 from shift3d.errors import InputError
 from shift3d.sdf.samples import sample_sdf
 from shift3d.seeding import generator
+from shift3d.store.arrays import write_arrays
 from shift3d.training.sdf_shapes import ShapeSamples
-from shift3d.vehicles.mesh_files import MeshFile, find_meshes
+from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.mesh_vehicle import MeshVehicle, read_mesh_vehicle
 
 
 @dataclass(frozen=True)
@@ -87,13 +87,6 @@ def _keep(kept: Path, parts: list[_Part | str], files: list[MeshFile], hashes: l
         first = next(iter(refused.values()))
         raise InputError(f"none of {len(files)} meshes can be used, the first: {first}", where=str(kept.parent))
     shapes = [{**part[3], "sha256": digest} for part, digest in used]
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    partial = kept.with_name("partial-" + kept.name)
-    np.savez(
-        partial,
-        points=np.stack([part[0] for part, _ in used]),
-        distances=np.stack([part[1] for part, _ in used]),
-        scale_m=np.array([part[2] for part, _ in used]),
-        facts=np.array(json.dumps({"shapes": shapes, "refused": refused})),
-    )
-    partial.replace(kept)
+    points, distances, scale_m = (np.array(values) for values in zip(*(part[:3] for part, _ in used), strict=True))
+    facts = np.array(json.dumps({"shapes": shapes, "refused": refused}))
+    write_arrays(kept, points=points, distances=distances, scale_m=scale_m, facts=facts)

@@ -22,10 +22,9 @@ from shift3d.training.sdf.export import CODE_NORM
 from shift3d.training.sdf.meshes import MeshShapes, mesh_shapes
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
 from shift3d.vehicles.fit import PICTURES
-from shift3d.vehicles.mesh_files import MeshFile
+from shift3d.vehicles.mesh_files import MeshFile, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.mesh_vehicle import read_mesh_vehicle
-from shift3d.vehicles.side_by_side import write_side_by_side
+from shift3d.vehicles.picture import write_side_by_side
 from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
 
 STEPS = 5_000
@@ -59,10 +58,8 @@ def train_on_meshes(
     path: Path | str,
     frame: MeshFrame,
     out: Path,
-    threads: int = 1,
+    compute: Compute,
     steps: int = STEPS,
-    samples_a_shape: int = SAMPLES_A_SHAPE,
-    compute: Compute | None = None,
     report: Report | None = None,
 ) -> list[FittedVehicle]:
     """Train a decoder of the published size on the meshes at a path, or go on; leave the vehicle set in `out`.
@@ -71,9 +68,9 @@ def train_on_meshes(
     Raises: InputError for meshes that cannot be used (see `mesh_shapes`), or another training's folder.
     """
     start = time.monotonic()
-    shapes = mesh_shapes(path, frame, samples_a_shape, SEED, out / "shapes", threads)
+    shapes = mesh_shapes(path, frame, SAMPLES_A_SHAPE, SEED, out / "shapes", compute.threads)
     recipe = mesh_recipe(shapes, steps)
-    checkpoint = train_sdf(out, recipe, threads, 250, shapes.samples, compute, report)
+    checkpoint = train_sdf(out, recipe, 250, shapes.samples, compute, report)
     seconds = time.monotonic() - start
     return export_mesh_training(checkpoint, shapes, frame, out, seconds)
 

@@ -7,26 +7,21 @@ Source: our choice. Loss, optimiser and samples are DeepSDF's (Park et al. 2019,
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
-from shift3d.errors import InputError
 from shift3d.sdf.decoder import Architecture, Decoder, load_decoder
 from shift3d.seeding import derive_seed
-from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute
-from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
+from shift3d.training.progress import Report
+from shift3d.training.sdf.loop import DecoderRun, run_to_end
 from shift3d.training.sdf.wide_shapes import WideShapes, wide_shapes
 
 CHECKPOINT = "parametric.pt"
-CURVE_STEPS = 100
 
 
 @dataclass(frozen=True)
@@ -51,30 +46,21 @@ class ParametricRecipe:
     bfloat16: bool = True
 
 
-class _Run:
+class ParametricRun(DecoderRun):
+    """One training of a decoder and the basis that makes codes of features."""
+
+    table_name = "basis"
+
     def __init__(self, recipe: ParametricRecipe, shapes: WideShapes, compute: Compute) -> None:
-        self.recipe, self.shapes, self.device = recipe, shapes, compute.device
-        mixed = recipe.bfloat16 and compute.fast_bfloat16
-        self.wide_dtype = torch.bfloat16 if mixed else torch.float32
         torch.manual_seed(derive_seed("parametric sdf training", recipe.seed) % 2**63)
-        self.decoder = Decoder(Architecture())
+        decoder = Decoder(Architecture())
         if recipe.start == "shipped":
-            _take_weights(self.decoder, load_decoder())
-        self.decoder.to(self.device)
-        length = self.decoder.architecture.code_length
-        basis = torch.randn(shapes.features.shape[1], length) * recipe.basis_std
-        self.basis = torch.nn.Parameter(basis.to(self.device))
-        groups = [
-            {"params": list(self.decoder.parameters()), "lr": recipe.network_rate, "peak": recipe.network_rate},
-            {"params": [self.basis], "lr": recipe.basis_rate, "peak": recipe.basis_rate},
-        ]
-        self.optimizer = torch.optim.Adam(groups, fused=True)
-        self.step = 0
-        self.losses: list[float] = []
-        self.watch = Stopwatch()
+            _take_weights(decoder, load_decoder())
+        basis = torch.randn(shapes.features.shape[1], decoder.architecture.code_length) * recipe.basis_std
+        self.shapes, self.rates = shapes, (recipe.network_rate, recipe.basis_rate)
+        super().__init__(recipe, decoder, basis, compute, recipe.bfloat16)
 
     def batch(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Features (S, F), points (S, P, 3) and distances (S, P) of this step, the same for the same step."""
         recipe, shapes = self.recipe, self.shapes
         rng = np.random.default_rng([recipe.seed, self.step])
         chosen = np.sort(rng.choice(len(shapes.features), recipe.shapes_a_step, replace=False))
@@ -83,47 +69,9 @@ class _Run:
         points = shapes.points[chosen, taken].copy()
         mirrored = shapes.symmetric[chosen, None] & (rng.random(points.shape[:2]) < 0.5)
         points[..., 1] = np.where(mirrored, -points[..., 1], points[..., 1])
-        distances = shapes.distances[chosen, taken].copy()
-        arrays = (shapes.features[chosen], points, distances)
-        features, tensor, target = (torch.from_numpy(array).to(self.device) for array in arrays)
-        return features, tensor, target
-
-    def advance(self) -> float:
-        """One step; returns the loss."""
-        recipe = self.recipe
-        warm = min(1.0, (self.step + 1) / 200)
-        for group in self.optimizer.param_groups:
-            group["lr"] = group["peak"] * warm * 0.5 * (1.0 + math.cos(math.pi * self.step / recipe.steps))
-        features, points, distances = self.batch()
-        predicted = self.decoder.grouped(features @ self.basis, points, self.wide_dtype)
-        target = distances.clamp(-recipe.clamp, recipe.clamp)
-        loss = (predicted.clamp(-recipe.clamp, recipe.clamp) - target).abs().mean()
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        self.optimizer.step()
-        self.step += 1
-        return float(loss.detach())
-
-    def state(self) -> dict[str, Any]:
-        return {
-            "recipe": asdict(self.recipe),
-            "step": self.step,
-            "decoder": self.decoder.state_dict(),
-            "basis": self.basis.detach(),
-            "optimizer": self.optimizer.state_dict(),
-            "losses": self.losses,
-            "seconds": self.watch.seconds,
-        }
-
-    def restore(self, state: dict[str, Any], where: str) -> None:
-        if state["recipe"] != asdict(self.recipe):
-            raise InputError("checkpoint of another recipe", where=where, remedy="another out=, or delete it")
-        self.decoder.load_state_dict(state["decoder"])
-        with torch.no_grad():
-            self.basis.copy_(state["basis"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.step, self.losses = int(state["step"]), list(state["losses"])
-        self.watch = Stopwatch(float(state["seconds"]))
+        arrays = (shapes.features[chosen], points, shapes.distances[chosen, taken].copy())
+        features, tensor, target = (torch.from_numpy(array).to(self.compute.device) for array in arrays)
+        return features @ self.table, tensor, target
 
 
 def _take_weights(decoder: Decoder, start: Decoder) -> None:
@@ -150,30 +98,8 @@ def train_parametric(
     Raises: InputError when `out` holds another recipe's training; KeyboardInterrupt when asked to stop.
     """
     compute.prepare()
-    run = _Run(recipe, shapes, compute)
     file = out / CHECKPOINT
-    state = read_checkpoint(file)
-    if state is not None:
-        run.restore(state, str(file))
-    recent: list[float] = []
-    curve: list[CurvePoint] = []
-    bar = tqdm(total=recipe.steps, initial=run.step, desc="training sdf", mininterval=10.0)
-    with stop_on_signal() as stop, bar:
-        while run.step < recipe.steps:
-            recent.append(run.advance())
-            bar.update()
-            if run.step % CURVE_STEPS == 0:
-                run.losses.append(float(np.mean(recent)))
-                curve.append((run.step, {"loss": run.losses[-1]}))
-                bar.set_postfix(loss=f"{run.losses[-1]:.5f}", refresh=False)
-                recent = []
-            if run.step % checkpoint_every == 0 or run.step == recipe.steps or stop.requested:
-                write_checkpoint(file, run.state())
-                if report is not None and curve:
-                    report(curve)
-                curve = []
-            if stop.requested and run.step < recipe.steps:
-                raise KeyboardInterrupt
+    run_to_end(ParametricRun(recipe, shapes, compute), file, checkpoint_every, report)
     return file
 
 

@@ -89,13 +89,11 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
     return chamfer_cm
 
 
-def generalisation_cm(
-    decoder: Decoder, basis: NDArray[np.float32], shapes: WideShapes, count: int = UNSEEN
-) -> dict[str, float]:
+def generalisation_cm(decoder: Decoder, basis: NDArray[np.float32], shapes: WideShapes) -> dict[str, float]:
     """Chamfer distances in cm of vehicles that were never trained on, by index and kind: their codes need no fit."""
     found = {}
     rng = generator("unseen wide vehicles")
-    for index in range(count):
+    for index in range(UNSEEN):
         side = "seen" if index % 2 == 0 else "held_out"
         spec = wide_vehicle(len(shapes.specs) + index, int(rng.integers(2**31)), side)  # type: ignore[arg-type]
         frame = shapes.frames.get(spec.kind)

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from shift3d.sdf.samples import SPHERE_MARGIN, sample_sdf_within
 from shift3d.seeding import generator
-from shift3d.store.atomic import write_atomic
+from shift3d.store.arrays import write_arrays
 from shift3d.vehicles.family.parameters import ParameterTable, is_symmetric, parameter_table
 from shift3d.vehicles.family.wide import WideSpec, build_wide_mesh, wide_family
 
@@ -73,7 +73,6 @@ def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int
     frames = kind_frames(specs)
     tasks = [(spec, frames[spec.kind], samples, seed, index) for index, spec in enumerate(specs)]
     folder = cache / f"wide-{count}-{samples}-{seed}"
-    folder.mkdir(parents=True, exist_ok=True)
     parts = []
     with ProcessPoolExecutor(processes) as pool, tqdm(total=count, desc="sampling vehicles", mininterval=5.0) as bar:
         for start in range(0, count, CHUNK):
@@ -81,8 +80,8 @@ def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int
             some = tasks[start : start + CHUNK]
             if not file.is_file():
                 clouds = list(pool.map(_sampled, some))
-                points, distances = np.stack([c[0] for c in clouds]), np.stack([c[1] for c in clouds])
-                write_atomic(file, lambda path, p=points, d=distances: _save(path, p, d))  # type: ignore[misc]
+                points, distances = (np.stack(arrays) for arrays in zip(*clouds, strict=True))
+                write_arrays(file, points=points, distances=distances)
             bar.update(len(some))
             with np.load(file, allow_pickle=False) as data:
                 parts.append((data["points"], data["distances"]))
@@ -96,11 +95,6 @@ def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int
         table,
         frames,
     )
-
-
-def _save(path: Path, points: NDArray[np.float32], distances: NDArray[np.float32]) -> None:
-    with path.open("wb") as file:
-        np.savez(file, points=points, distances=distances)
 
 
 def in_frame(spec: WideSpec, frame: KindFrame, mesh: trimesh.Trimesh) -> trimesh.Trimesh:

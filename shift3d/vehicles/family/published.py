@@ -16,8 +16,6 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from shift3d.errors import InputError
 
 INCH_M = 0.0254
@@ -95,15 +93,5 @@ def published_range(body_type: str, quantity: str) -> tuple[float, float]:
     Raises: InputError if unknown.
     """
     values = _values(body_type, quantity)
-    return _widened(min(values), max(values), quantity)
-
-
-def typical_range(body_type: str, quantity: str) -> tuple[float, float]:
-    """Where the middle four fifths of the published values lie, metres. Raises: InputError if unknown."""
-    low, high = np.quantile(_values(body_type, quantity), (0.1, 0.9))
-    return _widened(float(low), float(high), quantity)
-
-
-def _widened(low: float, high: float, quantity: str) -> tuple[float, float]:
     tolerance = CLEARANCE_TOLERANCE_M if quantity == "clearance_m" else 0.0
-    return low - tolerance, high + tolerance
+    return min(values) - tolerance, max(values) + tolerance

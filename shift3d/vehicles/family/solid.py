@@ -18,6 +18,7 @@ from shift3d.vehicles.family import profiles
 from shift3d.vehicles.family.spec import VehicleSpec
 
 Array = NDArray[np.float32]
+Corner = NDArray[np.float64]
 # Not exactly zero: a grid point that lies on the surface would give triangles without area.
 LEVELS_M = (1.37e-5, 2.9e-4, -3.1e-4, 6.7e-4, -7.1e-4, 1.9e-3)
 
@@ -43,20 +44,17 @@ def smooth_min(a: Array, b: Array, radius_m: float) -> Array:
     return -smooth_max(-a, -b, radius_m)
 
 
-def make_grid(spec: VehicleSpec, resolution_m: float) -> Grid:
-    """The half grid of a vehicle, with three cells of margin, and y = 0 among its planes."""
+def half_grid(low: Corner, high: Corner, resolution_m: float) -> Grid:
+    """The half grid of a solid between two corners (x, y, z), three cells of margin, y = 0 among its planes."""
     margin = 3.0 * resolution_m
 
-    def axis(low: float, high: float) -> Array:
-        cells = int(np.ceil((high - low) / resolution_m))
-        return np.asarray(low + resolution_m * np.arange(cells + 1), np.float32)
+    def axis(first: float, last: float) -> Array:
+        cells = int(np.ceil((last - first) / resolution_m))
+        return np.asarray(first + resolution_m * np.arange(cells + 1), np.float32)
 
-    half = spec.length_m / 2 + margin
+    reach = float(max(-low[1], high[1])) + margin
     return Grid(
-        x=axis(-half, half),
-        y=axis(0.0, spec.width_m / 2 + margin),
-        z=axis(-margin, spec.height_m + margin),
-        step_m=resolution_m,
+        axis(low[0] - margin, high[0] + margin), axis(0.0, reach), axis(low[2] - margin, high[2] + margin), resolution_m
     )
 
 
@@ -153,7 +151,8 @@ def vehicle_field(spec: VehicleSpec, resolution_m: float) -> tuple[Grid, Array]:
 
     Source: our choice: the paper takes its vehicles from ShapeNet.
     """
-    grid = make_grid(spec, resolution_m)
+    high = np.array([spec.length_m / 2, spec.width_m / 2, spec.height_m])
+    grid = half_grid(high * (-1.0, -1.0, 0.0), high, resolution_m)
     return grid, car_field(grid, spec)
 
 
@@ -178,20 +177,19 @@ def car_field(grid: Grid, spec: VehicleSpec) -> Array:
     return field
 
 
-def build_mesh(spec: VehicleSpec, resolution_m: float = 0.025, faces: int | None = None) -> trimesh.Trimesh:
+def build_mesh(spec: VehicleSpec, resolution_m: float = 0.025) -> trimesh.Trimesh:
     """A watertight mesh of the vehicle.
 
     Args:
         spec: the vehicle; its length, width and height hold exactly for the mesh's axis-aligned box.
         resolution_m: grid spacing, metres; 0.025 shows every part, 0.05 is enough for ray casting from metres away.
-        faces: where given, the mesh is simplified to about this many triangles (10,000 look the same in a scan).
     Returns: mesh in the object frame (x forward, y left, z up, origin at the centre of its box), metres.
     Raises: InputError for a spec that cannot be built.
     Differentiable w.r.t.: nothing. Source: our choice: the paper takes its vehicles from ShapeNet.
     """
     spec.validate()
     grid, half = vehicle_field(spec, resolution_m)
-    return sized_mesh(mirrored(half), grid.step_m, (spec.length_m, spec.width_m, spec.height_m), faces)
+    return sized_mesh(mirrored(half), grid.step_m, (spec.length_m, spec.width_m, spec.height_m))
 
 
 def mirrored(half: Array) -> Array:

@@ -19,7 +19,7 @@ from shift3d.vehicles.family.attributes import ATTRIBUTES
 from shift3d.vehicles.family.bodies import Alcove, BoxBody, Trailer
 from shift3d.vehicles.family.embedded import draw_spec
 from shift3d.vehicles.family.parts.part import Part
-from shift3d.vehicles.family.solid import Grid, car_field, mirrored, sized_mesh
+from shift3d.vehicles.family.solid import Grid, car_field, half_grid, mirrored, sized_mesh
 from shift3d.vehicles.family.spec import VehicleSpec
 from shift3d.vehicles.family.split import SPLIT, WIDE_BODY_TYPES
 from shift3d.vehicles.family.wide_ranges import BOXES, TRAILER, wide_ranges
@@ -202,6 +202,8 @@ def wide_family(count: int, seed: int, side: Side = "seen") -> list[WideSpec]:
 def build_wide_mesh(spec: WideSpec, resolution_m: float = 0.025, faces: int | None = None) -> trimesh.Trimesh:
     """A watertight mesh of a wide vehicle; arguments and frame as of `solid.build_mesh`.
 
+    faces: where given, the mesh is simplified to about this many triangles (10,000 look the same in a scan).
+
     Its box has the spec's size_m. Bars and tubes thinner than the grid shows are drawn 1.5 steps thick.
     Raises: InputError for a spec that cannot be built.
     """
@@ -215,7 +217,7 @@ def wide_field(spec: WideSpec, resolution_m: float) -> NDArray[np.float32]:
     Raises: InputError for a spec that cannot be built.
     """
     low, high = spec.bounds_m
-    half = _half_grid(low, high, resolution_m)
+    half = half_grid(low, high, resolution_m)
     whole = Grid(half.x, np.concatenate([-half.y[:0:-1], half.y]), half.z, half.step_m)
     if isinstance(spec.chassis, Trailer):
         return spec.chassis.field(whole)
@@ -224,16 +226,3 @@ def wide_field(spec: WideSpec, resolution_m: float) -> NDArray[np.float32]:
     for part in spec.parts:
         part.apply(whole, spec.chassis, field)
     return field
-
-
-def _half_grid(low: NDArray[np.float64], high: NDArray[np.float64], resolution_m: float) -> Grid:
-    margin = 3.0 * resolution_m
-
-    def axis(first: float, last: float) -> NDArray[np.float32]:
-        cells = int(np.ceil((last - first) / resolution_m))
-        return np.asarray(first + resolution_m * np.arange(cells + 1), np.float32)
-
-    reach = float(max(-low[1], high[1])) + margin
-    return Grid(
-        axis(low[0] - margin, high[0] + margin), axis(0.0, reach), axis(-margin, high[2] + margin), resolution_m
-    )

@@ -15,8 +15,8 @@ from shift3d.sweep.planning.folder import read_plan
 ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1", "attack.placement.attempts=1", "runner=local", "tracking=none"]
 BAD = {
     "000008": "5 bytes is not a whole number",
-    "000009": "cannot read the frame",
-    "000010": "cannot read the calibration file",
+    "000009": "the frame is missing",
+    "000010": "the calibration file is missing",
     "000011": "unknown class 'Unicorn'",
 }
 

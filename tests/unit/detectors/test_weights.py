@@ -7,7 +7,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from shift3d.detectors.loading import load_detector
-from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.pillar_detectors import PointPillarsNet
 from shift3d.detectors.models.weights import NETWORKS, load_network
 from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 from shift3d.errors import InputError

@@ -8,8 +8,9 @@ import torch
 from analytic_fields import Field, Frame
 from torch import Tensor
 
-from shift3d.render.culling import Rays
+from shift3d.render.culling import Box, Rays
 from shift3d.render.field.object_field import ObjectField
+from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import STANDARD, RenderSettings
 from shift3d.render.solvers.ray_samples import RaySamples
 from shift3d.render.solvers.refinement import Refinement, refine
@@ -29,6 +30,11 @@ def along_x(*offsets: float, start: float = -3.0, length: float = 6.0) -> Rays:
 
 def field_of(metric: Field) -> ObjectField:
     return ObjectField.of(metric, Frame(), torch.float64, 4096)
+
+
+def coarse(metric: Field, box: Box) -> SdfGrid:
+    """The coarse grid of a field over a box."""
+    return SdfGrid.coarse(field_of(metric), box, torch.empty(0, 3, dtype=torch.float64))
 
 
 def samples_at(rays: Rays, metric: Field, ranges: list[float] | Tensor) -> RaySamples:

@@ -86,12 +86,3 @@ def test_a_roof_that_rests_and_then_rises_is_noticed_before_it_is_two_centimetre
         verified = after
     assert 0.05 < height < 0.07
     assert sum(looks[:12]) < 6 * max(looks), "a roof that rests is not looked at every time"
-
-
-def test_what_was_seen_to_move_fully_is_looked_at_as_if_it_did() -> None:
-    verified = verified_box(_roof(-0.05), SIZE, 0.05)
-    for step in range(1, 20):
-        verified = verified.after(_roof(-0.05 + 0.01 * step), 0.01)
-        if not verified.holds:
-            break
-    assert -0.05 + 0.01 * step == pytest.approx(0.05, abs=0.0101), "at the very step that takes it through the face"

@@ -6,10 +6,10 @@ import math
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from straight_rays import coarse
 from torch import Tensor
 
 from shift3d.render.culling import Box, Rays
-from shift3d.render.field.sdf_grid import ChangeGrid
 from shift3d.render.solvers.ray_samples import RaySamples
 
 BOX = Box(torch.tensor([-3.0, -1.5, -1.5], dtype=torch.float64), torch.tensor([3.0, 1.5, 1.5], dtype=torch.float64))
@@ -42,7 +42,7 @@ def test_a_field_that_rises_evenly_is_expected_exactly_but_never_for_sure() -> N
     rays = along_x([0.0, 0.3], [7, 9])
     before, after = linear(0.1), linear(0.35)
     profile = samples_at(rays, before, [0.5, 1.0, 3.5])
-    grids = ChangeGrid.of(before, BOX), ChangeGrid.of(after, BOX)
+    grids = coarse(before, BOX), coarse(after, BOX)
     carried = profile.predicted(rays, rays, torch.tensor([0, 1]), *grids, 0.5)
     same(carried.g, after(rays.at(carried.k, carried.rows)))
     assert (carried.error > 0).all() and float(carried.error.max()) < 1e-4
@@ -51,7 +51,7 @@ def test_a_field_that_rises_evenly_is_expected_exactly_but_never_for_sure() -> N
 def test_rays_that_have_moved_and_changed_their_numbers() -> None:
     rays, moved = along_x([0.0, 0.3], [7, 9]), along_x([0.33, -0.5], [9, 4])
     field = linear(0.1)
-    grid = ChangeGrid.of(field, BOX)
+    grid = coarse(field, BOX)
     carried = samples_at(rays, field, [0.5, 1.0]).predicted(rays, moved, torch.tensor([-1, 0]), grid, grid, 0.5)
     assert carried.rows.tolist() == [0, 0] and carried.k.tolist() == [0.5, 1.0]
     same(carried.g, field(moved.at(carried.k, carried.rows)))
@@ -61,7 +61,7 @@ def test_rays_that_have_moved_and_changed_their_numbers() -> None:
 def test_an_uneven_change_makes_samples_unsure_and_it_adds_up() -> None:
     rays = along_x([0.1], [0])
     fields = [linear(0.1), linear(0.1, 0.2), linear(0.1, 0.4)]
-    grids = [ChangeGrid.of(field, BOX) for field in fields]
+    grids = [coarse(field, BOX) for field in fields]
     once = samples_at(rays, fields[0], [1.0]).predicted(rays, rays, torch.tensor([0]), grids[0], grids[1], 0.5)
     twice = once.predicted(rays, rays, torch.tensor([0]), grids[1], grids[2], 0.5)
     assert 0.04 < float(once.error) < 0.05 and abs(float(twice.error) - 2.0 * float(once.error)) < 1e-5
@@ -71,7 +71,7 @@ def test_an_uneven_change_makes_samples_unsure_and_it_adds_up() -> None:
 def test_samples_at_an_end_stay_at_it_and_those_far_beyond_are_gone() -> None:
     rays, shorter = along_x([0.0], [0]), along_x([0.0], [0], near=0.53, far=3.97)
     field = linear(0.1)
-    grid = ChangeGrid.of(field, BOX)
+    grid = coarse(field, BOX)
     carried = samples_at(rays, field, [0.1, 0.5, 1.0, 4.0]).predicted(rays, shorter, torch.tensor([0]), grid, grid, 0.5)
     assert carried.k.tolist() == [0.53, 1.0, 3.97]
     same(carried.g, field(shorter.at(carried.k, carried.rows)))

@@ -7,10 +7,20 @@ import torch
 from analytic_fields import Field, box, sphere, union
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from straight_rays import FLOAT64, along_x, check_against_dense, chords, cold, crossings, field_of, is_found, samples_at
+from straight_rays import (
+    FLOAT64,
+    along_x,
+    check_against_dense,
+    chords,
+    coarse,
+    cold,
+    crossings,
+    field_of,
+    is_found,
+    samples_at,
+)
 
 from shift3d.render.culling import Box, Rays
-from shift3d.render.field.sdf_grid import ChangeGrid
 from shift3d.render.settings import RenderSettings
 from shift3d.render.solvers.ray_samples import RaySamples
 from shift3d.render.solvers.refinement import Refinement, _Nodes, refine
@@ -26,7 +36,7 @@ def refined(
     settings: RenderSettings = FLOAT64,
 ) -> Refinement:
     """Cover rays in a field, from what was seen of another; the evaluations that it took stand in `spent`."""
-    grids = [ChangeGrid.of(metric, BOX) for metric in (before, after)]
+    grids = [coarse(metric, BOX) for metric in (before, after)]
     seen = cold(rays, before).samples
     samples = seen.predicted(rays, rays, torch.arange(len(rays)), *grids, 0.5)
     field = field_of(after)

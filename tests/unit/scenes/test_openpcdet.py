@@ -117,7 +117,7 @@ def with_nan() -> np.ndarray:
         (points(frame()[:, :2]), r"not rows of x, y, z"),
         (points(np.array([["a", "b", "c"]])), r"not rows of x, y, z"),
         (points(np.array([[{}, 1, 2]], dtype=object)), r"not a readable \.npy"),
-        (points(with_nan()), r"row 7 has NaN"),
+        (points(with_nan()), r"with NaN or infinity, first is row 7"),
         (points(frame() * (1000, 1000, 1000, 1)), r"range of .*metres"),
         (points(frame() * (1, 1, 1, 9000)), r"scenes\.reflectance_max"),
         (points(frame() + np.float32((0, 0, 40, 0))), r"scenes\.ground_z_m"),

@@ -90,4 +90,4 @@ def test_unknown_beams_and_returns_of_two_heads_are_refused() -> None:
 
 def test_the_list_of_names_is_that_of_the_sensors() -> None:
     assert tuple(BEAMS) == BEAM_NAMES
-    assert StreetOptions.from_tag("-wide-beams_av2_pair") == StreetOptions(traffic="wide", beams="av2_pair")
+    assert StreetOptions(traffic="wide", beams="av2_pair").tag == "-wide-beams_av2_pair"

@@ -12,8 +12,7 @@ from pydantic import ValidationError
 from shift3d.errors import InputError
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.options import PLAIN, StreetOptions
-from shift3d.settings.schema.config import StreetConfig, StreetOptionsConfig
-from shift3d.settings.schema.scenes import scene_set
+from shift3d.settings.schema.scenes import StreetConfig, StreetOptionsConfig, scene_set
 
 CONF = Path(__file__).parents[3] / "conf" / "scenes" / "street.yaml"
 EVERY: list[tuple[dict[str, Any], str]] = [
@@ -58,13 +57,6 @@ def street(**options: Any) -> StreetConfig:
 def test_a_tag_tells_the_options(values: dict[str, Any], tag: str) -> None:
     options = StreetOptions(**values)
     assert options.tag == tag
-    assert StreetOptions.from_tag(tag) == options
-
-
-@pytest.mark.parametrize("tag", ["fog50", "-fog", "-fog050", "-fog1e2", "-image-model", "-returns1", "-fog.", "-ego0"])
-def test_what_no_options_would_write_is_no_tag(tag: str) -> None:
-    with pytest.raises(InputError, match="names no options"):
-        StreetOptions.from_tag(tag)
 
 
 @pytest.mark.parametrize(("values", "what", "remedy"), WRONG)

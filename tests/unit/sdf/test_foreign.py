@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder
-from shift3d.sdf.foreign import load_experiment, load_foreign_decoder
+from shift3d.sdf.foreign import load_experiment
 
 CODE = 4
 PUBLISHED = {"dims": [16, 16, 16], "latent_in": [2], "weight_norm": True, "norm_layers": [0, 1, 2]}
@@ -78,6 +78,11 @@ class Original(nn.Module):
         return hidden.tanh()[:, 0]
 
 
+def load_decoder_and_codes(folder: Path, checkpoint: str = "latest") -> tuple[Any, torch.Tensor]:
+    found = load_experiment(folder, checkpoint)
+    return found.decoder, found.codes
+
+
 def write_experiment(folder: Path, network: dict[str, Any], prefix: str = "module.") -> tuple[Original, Tensor]:
     """The original's way of saving: a DataParallel model's state and an embedding's."""
     torch.manual_seed(0)
@@ -95,7 +100,7 @@ def write_experiment(folder: Path, network: dict[str, Any], prefix: str = "modul
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_values_are_the_original_networks(tmp_path: Path, variant: str) -> None:
     model, codes = write_experiment(tmp_path, VARIANTS[variant])
-    decoder, found = load_foreign_decoder(tmp_path)
+    decoder, found = load_decoder_and_codes(tmp_path)
     assert torch.equal(found, codes)
     x = torch.rand(50, 3) * 2 - 1
     entry = torch.cat([codes[2].expand(50, -1), x], 1)
@@ -111,7 +116,7 @@ def test_values_are_the_original_networks(tmp_path: Path, variant: str) -> None:
 @pytest.mark.parametrize("variant", ["published", "layer norm", "point in all and a skip"])
 def test_gradients_and_longer_codes(tmp_path: Path, variant: str) -> None:
     write_experiment(tmp_path, VARIANTS[variant])
-    decoder, codes = load_foreign_decoder(tmp_path)
+    decoder, codes = load_decoder_and_codes(tmp_path)
     decoder = decoder.double()
     z, x = codes[1].double().requires_grad_(), torch.rand(4, 3, dtype=torch.float64).requires_grad_()
     assert torch.autograd.gradcheck(lambda z, x: decoder.field(z)(x), (z, x))
@@ -125,14 +130,14 @@ def test_gradients_and_longer_codes(tmp_path: Path, variant: str) -> None:
 def test_the_published_kind_is_rendered_as_our_own(tmp_path: Path) -> None:
     write_experiment(tmp_path / "a", PUBLISHED)
     write_experiment(tmp_path / "b", VARIANTS["layer norm"])
-    assert isinstance(load_foreign_decoder(tmp_path / "a")[0], Decoder)
-    assert not isinstance(load_foreign_decoder(tmp_path / "b")[0], Decoder)
+    assert isinstance(load_decoder_and_codes(tmp_path / "a")[0], Decoder)
+    assert not isinstance(load_decoder_and_codes(tmp_path / "b")[0], Decoder)
 
 
 def test_keys_without_prefix_and_of_newer_torch(tmp_path: Path) -> None:
     model, codes = write_experiment(tmp_path, PUBLISHED, prefix="")
     path = tmp_path / "ModelParameters" / "latest.pth"
-    plain = load_foreign_decoder(tmp_path)[0].field(codes[0])(torch.eye(3))
+    plain = load_decoder_and_codes(tmp_path)[0].field(codes[0])(torch.eye(3))
     state = {
         name.replace("weight_g", "parametrizations.weight.original0").replace(
             "weight_v", "parametrizations.weight.original1"
@@ -140,7 +145,7 @@ def test_keys_without_prefix_and_of_newer_torch(tmp_path: Path) -> None:
         for name, value in model.state_dict().items()
     }
     torch.save({"epoch": 3, "model_state_dict": state}, path)
-    assert torch.equal(load_foreign_decoder(tmp_path)[0].field(codes[0])(torch.eye(3)), plain)
+    assert torch.equal(load_decoder_and_codes(tmp_path)[0].field(codes[0])(torch.eye(3)), plain)
 
 
 def test_three_forms_of_codes_and_a_checkpoint_by_its_epoch(tmp_path: Path) -> None:
@@ -149,9 +154,9 @@ def test_three_forms_of_codes_and_a_checkpoint_by_its_epoch(tmp_path: Path) -> N
     (tmp_path / "ModelParameters" / "2000.pth").write_bytes(weights)
     for form in (codes[:, None, :], [code[None] for code in codes]):
         torch.save({"epoch": 3, "latent_codes": form}, tmp_path / "LatentCodes" / "2000.pth")
-        assert torch.equal(load_foreign_decoder(tmp_path, "2000")[1], codes)
+        assert torch.equal(load_decoder_and_codes(tmp_path, "2000")[1], codes)
     with pytest.raises(InputError, match=r"100\.pth: no such file. Checkpoints there: 2000, latest"):
-        load_foreign_decoder(tmp_path, "100")
+        load_decoder_and_codes(tmp_path, "100")
 
 
 def test_subnormal_weights_are_zeroed(tmp_path: Path) -> None:
@@ -160,7 +165,7 @@ def test_subnormal_weights_are_zeroed(tmp_path: Path) -> None:
     content = torch.load(path, weights_only=True)
     content["model_state_dict"]["module.lin1.weight_g"][3] = 1e-39
     torch.save(content, path)
-    decoder, _ = load_foreign_decoder(tmp_path)
+    decoder, _ = load_decoder_and_codes(tmp_path)
     weight = decoder.layers[1].weight
     assert isinstance(weight, Tensor) and (weight[3] == 0).all() and (weight[2] != 0).any()
 
@@ -194,7 +199,7 @@ def test_missing_and_foreign_content_is_named(
     write_experiment(tmp_path, PUBLISHED)
     edit(tmp_path, part, change)
     with pytest.raises(InputError, match=message) as failure:
-        load_foreign_decoder(tmp_path)
+        load_decoder_and_codes(tmp_path)
     assert part in str(failure.value) and failure.value.remedy
 
 
@@ -214,20 +219,20 @@ def test_specs_that_cannot_be_used_are_named(tmp_path: Path, change: dict[str, A
     path = tmp_path / "specs.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(InputError, match=message) as failure:
-        load_foreign_decoder(tmp_path)
+        load_decoder_and_codes(tmp_path)
     assert "specs.json" in str(failure.value)
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"specs\.json: no such file"):
-        load_foreign_decoder(tmp_path)
+        load_decoder_and_codes(tmp_path)
     write_experiment(tmp_path, PUBLISHED)
     (tmp_path / "ModelParameters" / "latest.pth").write_bytes(b"PK broken")
     with pytest.raises(InputError, match="not a readable checkpoint of tensors only"):
-        load_foreign_decoder(tmp_path)
+        load_decoder_and_codes(tmp_path)
     (tmp_path / "specs.json").write_text("{")
     with pytest.raises(InputError, match="no readable description of a network"):
-        load_foreign_decoder(tmp_path)
+        load_decoder_and_codes(tmp_path)
 
 
 def test_real_decoder_is_zero_on_its_cars(real_data: Callable[[str], Path]) -> None:

@@ -10,8 +10,7 @@ import torch
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID
 from shift3d.detectors.models.centre_heads import CentreHeads, decode_centres, encode_centres
-from shift3d.training.detector.centre_objective import CentreObjective, assign_centres, gaussian_radius
-from shift3d.training.detector.focal import heat_map_loss
+from shift3d.training.detector.centre_objective import CentreObjective, assign_centres, gaussian_radius, heat_map_loss
 from shift3d.training.detector.recipe import Recipe
 
 WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)

@@ -9,7 +9,7 @@ import torch
 
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID
-from shift3d.detectors.models.anchors import WAYMO_ANCHORS, anchor_boxes
+from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, anchor_boxes
 from shift3d.detectors.models.backbone import BackboneSpec
 from shift3d.detectors.models.box_coding import decode_boxes
 from shift3d.errors import InputError
@@ -20,11 +20,11 @@ from shift3d.training.detector.anchor_objective import (
     POSITIVE,
     AnchorObjective,
     assign_anchors,
+    focal_loss,
     nearest_bev_iou,
     sine_code_difference,
 )
 from shift3d.training.detector.crops import random_crop
-from shift3d.training.detector.focal import focal_loss
 from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle, scaled_to_steps

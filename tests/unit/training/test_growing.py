@@ -12,8 +12,8 @@ from torch import nn
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.models.sst import SST_SMALL_SPEC, SST_SPEC, SstNet, SstSpec
 from shift3d.detectors.models.window_transformer import TransformerSpec
-from shift3d.training.detector.growing import doubled, grown
 from shift3d.training.detector.recipes import RECIPES
+from shift3d.training.detector.warm_start import doubled, grown
 
 SMALL = SstSpec(TransformerSpec(width=16, heads=2, feed_forward=24, blocks=2), encoder_hidden=6, out_channels=20)
 WINDOW = BevWindow(200, 200, 32, 32, 200, 200, 32, 32)

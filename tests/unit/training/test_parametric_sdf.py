@@ -17,7 +17,7 @@ from shift3d.sdf.decoder import load_decoder
 from shift3d.sdf.samples import signed_distance
 from shift3d.training.checkpoints import write_checkpoint
 from shift3d.training.compute import choose_compute
-from shift3d.training.sdf import parametric
+from shift3d.training.sdf import loop, parametric
 from shift3d.training.sdf.parametric import ParametricRecipe, train_parametric
 from shift3d.training.sdf.wide_shapes import WideShapes, in_frame, kind_frames, wide_shapes
 from shift3d.vehicles.family.parameters import named_parameters, parameter_table
@@ -80,7 +80,7 @@ def test_a_training_that_was_killed_ends_in_the_same_weights(
         raise MemoryError
 
     with monkeypatch.context() as killed, pytest.raises(MemoryError):
-        killed.setattr(parametric, "write_checkpoint", write_and_die)
+        killed.setattr(loop, "write_checkpoint", write_and_die)
         train_parametric(tmp_path / "parts", recipe, shapes, compute, checkpoint_every=2)
     file = train_parametric(tmp_path / "parts", recipe, shapes, compute)
     parts = torch.load(file, weights_only=True)
@@ -91,7 +91,7 @@ def test_a_training_that_was_killed_ends_in_the_same_weights(
 
 
 def test_it_starts_as_the_shipped_decoder(shapes: WideShapes, tmp_path: Path) -> None:
-    run = parametric._Run(
+    run = parametric.ParametricRun(
         ParametricRecipe(shapes=4, samples_a_shape=600, shapes_a_step=3), shapes, choose_compute("cpu", 1)
     )
     z, x = 0.05 * torch.randn(3, 256), torch.rand(3, 3)

@@ -12,8 +12,8 @@ from safetensors.torch import load_file, save_file
 
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.models import weights as weights_module
-from shift3d.detectors.models.anchors import AnchorSpec
-from shift3d.detectors.models.pointpillars import PointPillarsNet
+from shift3d.detectors.models.anchor_heads import AnchorSpec
+from shift3d.detectors.models.pillar_detectors import PointPillarsNet
 from shift3d.detectors.trained_detector import TrainedDetector
 from shift3d.errors import InputError
 from shift3d.training.detector import warm_start

@@ -10,6 +10,8 @@ import torch
 
 from shift3d.errors import InputError
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
+from shift3d.training.compute import choose_compute
+from shift3d.training.sdf import loop
 from shift3d.training.sdf import train as sdf
 from shift3d.training.sdf_shapes import shape_samples
 
@@ -35,13 +37,13 @@ def test_training_that_was_interrupted_ends_in_the_same_weights(
     whole = read_checkpoint(sdf.train_sdf(prepared(tmp_path / "whole", shapes), TINY, checkpoint_every=3))
     assert whole is not None
     cut = prepared(tmp_path / "cut", shapes)
-    write = sdf.write_checkpoint
+    write = loop.write_checkpoint
 
     def write_then_die(path: Path, state: dict[str, object]) -> None:
         write(path, state)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sdf, "write_checkpoint", write_then_die)
+    monkeypatch.setattr(loop, "write_checkpoint", write_then_die)
     with pytest.raises(KeyboardInterrupt):
         sdf.train_sdf(cut, TINY, checkpoint_every=3)
     monkeypatch.undo()
@@ -55,8 +57,8 @@ def test_training_that_was_interrupted_ends_in_the_same_weights(
 def test_loss_falls(shapes: Path) -> None:
     recipe = dataclasses.replace(TINY, steps=400, network_rate=3e-3)
     samples = shape_samples(TINY.shapes, TINY.samples_a_shape, TINY.seed, shapes, 1)
-    run = sdf._Run(recipe)
-    losses = [run.advance(*sdf._batch(samples, recipe, step)) for step in range(200)]
+    run = sdf.SdfRun(recipe, samples, choose_compute("cpu"))
+    losses = [run.advance() for _ in range(200)]
     assert sum(losses[-10:]) < 0.7 * sum(losses[:10])
 
 

@@ -10,8 +10,7 @@ import pytest
 from small_scenes import PointDetector, SmallScenes
 
 from shift3d.errors import InputError
-from shift3d.training.detector.detect_scenes import Answer, detect_frame
-from shift3d.training.detector.stored_answers import answers_of, read_answer, write_answer
+from shift3d.training.detector.detect_scenes import Answer, answers_of, detect_frame, read_answer, write_answer
 
 NAMES = [f"small-{index}" for index in range(4)]
 

@@ -90,15 +90,6 @@ def test_the_embedded_family_is_what_the_shipped_decoder_was_trained_on() -> Non
             assert mesh.volume == pytest.approx(volume, rel=1e-9)
 
 
-def test_simplified_mesh_stays_closed_and_near() -> None:
-    spec = sample_spec("suv", generator("test simple"))
-    fine = build_mesh(spec, resolution_m=0.04)
-    simple = build_mesh(spec, resolution_m=0.04, faces=6000)
-    assert simple.is_watertight
-    assert len(simple.faces) <= 6100
-    assert simple.volume == pytest.approx(fine.volume, rel=0.01)
-
-
 def test_unknown_type_and_impossible_vehicle_say_what_is_wrong() -> None:
     with pytest.raises(InputError, match="tank"):
         sample_spec("tank", generator("x"))

@@ -14,9 +14,8 @@ from solids import wedge
 from shift3d.errors import InputError
 from shift3d.sdf.samples import is_closed, sample_sdf, signed_distance
 from shift3d.seeding import generator
-from shift3d.vehicles.mesh_files import find_meshes
+from shift3d.vehicles.mesh_files import find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
-from shift3d.vehicles.mesh_vehicle import read_mesh_vehicle
 from shift3d.vehicles.repair import RepairReport, repaired, sided_share
 
 SIZE = (4.0, 1.8, 1.4)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values, writable_folder
+from shift3d.cli.command import Command, key_values, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame, whole_number
+from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.wording import counted
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 
     from shift3d.analysis.mlflow.training import TrainingCurves
     from shift3d.training.command import TrainOptions
-
-__all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
 Trains the shape model (model=sdf) or a detector (model=pointpillars, centerpoint, sst). Without more, it is the
@@ -79,18 +76,6 @@ _VALUES = {
     **FRAME_VALUES,
 }
 _STORE, _EXPERIMENT = "sqlite:///mlflow.db", "shift3d-training"
-
-
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    text = (
-        f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
-        "[mlflow=URI|none]; "
-        "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped] "
-        "[recipe.FIELD=VALUE] [finetune=OUT [method=adversarial|baseline]]; "
-        f"sdf: vehicles=PATH|wide [count=N] [{'=] ['.join(FRAME_KEYS)}=]"
-    )
-    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
-    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -228,13 +213,10 @@ def _train_on_meshes(values: dict[str, str]) -> int:
 
         chamfer_cm = sorted(train_wide(options.out, options.compute(), options.count, options.steps, report))
     else:
-        from shift3d.training.sdf.on_meshes import SAMPLES_A_SHAPE, STEPS, train_on_meshes
+        from shift3d.training.sdf.on_meshes import STEPS, train_on_meshes
 
-        threads, steps = options.threads or os.cpu_count() or 1, options.steps or STEPS
-        compute = options.compute()
-        vehicles = train_on_meshes(
-            values["vehicles"], frame, options.out, threads, steps, SAMPLES_A_SHAPE, compute=compute, report=report
-        )
+        steps = options.steps or STEPS
+        vehicles = train_on_meshes(values["vehicles"], frame, options.out, options.compute(), steps, report)
         chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
     _finish(curves)
     print(
@@ -256,5 +238,16 @@ def _check_mesh_words(values: dict[str, str], wide: bool) -> None:
 
 
 COMMAND = Command(
-    "train", "train shipped weights, or your own", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+    "train",
+    "train shipped weights, or your own",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words=f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
+    "[mlflow=URI|none]; "
+    "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped] "
+    "[recipe.FIELD=VALUE] [finetune=OUT [method=adversarial|baseline]]; "
+    f"sdf: vehicles=PATH|wide [count=N] [{'=] ['.join(FRAME_KEYS)}=]",
+    complete=key_words(_KEYS, _VALUES),
+    resumes=True,
 )

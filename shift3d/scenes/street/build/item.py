@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,11 @@ class Item:
     heading_rad: float
     size_m: tuple[float, float, float]
     variant: int = 0
+
+    def to_scene(self, along: Any, across: Any) -> tuple[Any, Any]:
+        """Scene (x, y) of places ahead of the item's middle and to its left, numbers or arrays, metres."""
+        cos, sin = np.cos(self.heading_rad), np.sin(self.heading_rad)
+        return self.x + cos * along - sin * across, self.y + sin * along + cos * across
 
 
 class FloorPlan:

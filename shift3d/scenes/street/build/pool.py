@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
+import contextlib
 import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,8 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from shift3d.errors import InputError
 from shift3d.scenes.street.raycast import Intersector
 from shift3d.seeding import generator
+from shift3d.store.arrays import write_arrays
 from shift3d.store.user_cache import source_digest, user_cache
 
 POOL_SIZES = {"train": 270, "val": 90, "test": 90}
@@ -85,23 +86,9 @@ def _cached_mesh(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[
             return stored["vertices"], stored["faces"], str(stored["body_type"])
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         vertices, faces, body_type = _build(split, number)
-        _keep(path, vertices, faces, body_type)
+        with contextlib.suppress(InputError, OSError):  # a cache that cannot be written is done without
+            write_arrays(path, vertices=vertices, faces=faces, body_type=np.array(body_type))
         return vertices, faces, body_type
-
-
-def _keep(path: Path, vertices: NDArray[np.float32], faces: NDArray[np.int32], body_type: str) -> None:
-    """Write to a temporary name, then rename; a cache that cannot be written is done without."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(file, vertices=vertices, faces=faces, body_type=np.array(body_type))
-            Path(name).replace(path)
-        except OSError:
-            Path(name).unlink(missing_ok=True)
-    except OSError:
-        return
 
 
 def cache_folder() -> Path:

@@ -72,7 +72,9 @@ class World:
                 boxes[number] = np.array([*placed_vehicle.position, *placed_vehicle.vehicle.size_m, item.heading_rad])
                 continue
             parts, leaves = LOOKS[item.kind](item, generator("street-thing", item.variant))
-            z = _lowest_ground(layout.ground, item) if item.kind != "pedestrian" else _ground_at(layout.ground, item)
+            z = _lowest_ground(layout.ground, item)
+            if item.kind == "pedestrian":
+                z = float(layout.ground.height(np.asarray(item.x), np.asarray(item.y)))
             solid += [(number, part.placed(item.x, item.y, z, item.heading_rad)) for part in parts]
             if item.kind in LABELLED:
                 boxes[number] = _box_of_parts(parts, item, z)
@@ -166,7 +168,7 @@ def _stand(ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> Pla
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
     along = np.array([0.3, 0.3, -0.3, -0.3]) * length
     across = np.array([0.45, -0.45, -0.45, 0.45]) * width
-    z = ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across)
+    z = ground.height(*item.to_scene(along, across))
     rise = (z[0] + z[1] - z[2] - z[3]) / (2 * 0.6 * length)
     roll = (z[0] + z[3] - z[1] - z[2]) / (2 * 0.9 * width)
     forward = np.array([cos, sin, rise]) / np.sqrt(1 + rise**2)
@@ -181,29 +183,21 @@ def _box_of_parts(parts: list[Part], item: Item, z: float) -> NDArray[np.float64
     vertices = np.concatenate([part.vertices for part in parts])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = (low + high) / 2
-    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
-    x = item.x + cos * middle[0] - sin * middle[1]
-    y = item.y + sin * middle[0] + cos * middle[1]
-    return np.array([x, y, z + middle[2], *(high - low), item.heading_rad])
+    return np.array([*item.to_scene(middle[0], middle[1]), z + middle[2], *(high - low), item.heading_rad])
 
 
 def _placed_leaves(leaf: Leaves, item: Item, z: float) -> Leaves:
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
     x, y, up = leaf.centre
-    centre = np.array([item.x + cos * x - sin * y, item.y + sin * x + cos * y, z + up])
+    centre = np.array([*item.to_scene(x, y), z + up])
     # The blob keeps its reach along the scene's axes but not its tilt: nobody can tell.
     along = np.hypot(leaf.radii[0] * cos, leaf.radii[1] * sin)
     across = np.hypot(leaf.radii[0] * sin, leaf.radii[1] * cos)
     return Leaves(centre, np.array([along, across, leaf.radii[2]]), leaf.free_path_m)
 
 
-def _ground_at(ground: Ground, item: Item) -> float:
-    return float(ground.height(np.asarray(item.x), np.asarray(item.y)))
-
-
 def _lowest_ground(ground: Ground, item: Item) -> float:
     """Lowest ground under an item's corners, so that nothing floats."""
-    cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
     along = np.array([0.5, 0.5, -0.5, -0.5, 0.0]) * item.size_m[0]
-    across = np.array([0.5, -0.5, -0.5, 0.5, 0.0]) * item.size_m[1]
-    return float(ground.height(item.x + cos * along - sin * across, item.y + sin * along + cos * across).min())
+    across = np.array([0.5, -0.5, 0.5, -0.5, 0.0]) * item.size_m[1]
+    return float(ground.height(*item.to_scene(along, across)).min())

@@ -47,3 +47,8 @@ def side_half_m(car: VehicleSpec, z_m: float) -> float:
     if z_m > car.cowl_z_m:
         return float(profiles.glasshouse_half_width(car, z)[0])
     return float(profiles.lower_half_width(car, z)[0])
+
+
+def highest_roof_m(car: VehicleSpec, from_s_m: float, to_s_m: float) -> float:
+    """Height of the roof where it is highest between two places."""
+    return max(roof_z_m(car, s) for s in np.linspace(from_s_m, to_s_m, 9))

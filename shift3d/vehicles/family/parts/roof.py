@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.vehicles.family.csg import Bounds, add, block, pair, rod, thick, wedge
-from shift3d.vehicles.family.parts.part import roof_half_m, roof_z_m, x_of
+from shift3d.vehicles.family.parts.part import highest_roof_m, roof_half_m, roof_z_m, x_of
 from shift3d.vehicles.family.solid import Grid, smooth_max
 from shift3d.vehicles.family.spec import VehicleSpec
 
@@ -17,6 +17,13 @@ Array = NDArray[np.float32]
 BAR_M = 0.02
 """Radius of rails and bars: tubes and profiles are 3 to 5 cm wide."""
 SUNK_M = 0.08  # feet go on into the roof
+
+
+def _cross_bar(grid: Grid, field: Array, bounds: Bounds, car: VehicleSpec, s_m: float, y_m: float, z_m: float) -> None:
+    """A bar across the roof at s, `y_m` to either side, and its two feet."""
+    x, radius = x_of(car, s_m), thick(grid, BAR_M)
+    add(grid, field, bounds, rod((x, -y_m, z_m), (x, y_m, z_m), radius))
+    add(grid, field, bounds, pair(rod((x, y_m, z_m), (x, y_m, roof_z_m(car, s_m) - SUNK_M), radius)))
 
 
 @dataclass(frozen=True)
@@ -29,7 +36,7 @@ class RoofRails:
 
     def bounds(self, car: VehicleSpec) -> Bounds:
         half = roof_half_m(car)
-        top = max(roof_z_m(car, s) for s in np.linspace(self.from_s_m, self.to_s_m, 9)) + self.rise_m + BAR_M
+        top = highest_roof_m(car, self.from_s_m, self.to_s_m) + self.rise_m + BAR_M
         return (x_of(car, self.to_s_m), -half, car.cowl_z_m), (x_of(car, self.from_s_m), half, top)
 
     def apply(self, grid: Grid, car: VehicleSpec, field: Array) -> None:
@@ -55,7 +62,7 @@ class RoofRack:
     slats: int
 
     def _z(self, car: VehicleSpec) -> float:
-        return max(roof_z_m(car, s) for s in np.linspace(self.from_s_m, self.to_s_m, 9)) + self.rise_m
+        return highest_roof_m(car, self.from_s_m, self.to_s_m) + self.rise_m
 
     def bounds(self, car: VehicleSpec) -> Bounds:
         top = self._z(car) + self.rim_m + BAR_M
@@ -90,8 +97,8 @@ class Ladder:
     rise_m: float
 
     def _z(self, car: VehicleSpec) -> float:
-        inside = np.linspace(max(self.from_s_m, car.roof_front_s_m), min(self.to_s_m, car.roof_rear_s_m), 9)
-        return max(roof_z_m(car, s) for s in inside) + self.rise_m
+        start, end = max(self.from_s_m, car.roof_front_s_m), min(self.to_s_m, car.roof_rear_s_m)
+        return highest_roof_m(car, start, end) + self.rise_m
 
     def bounds(self, car: VehicleSpec) -> Bounds:
         y = max(roof_half_m(car), abs(self.y_m) + self.half_m + BAR_M)
@@ -108,9 +115,7 @@ class Ladder:
             add(grid, field, bounds, rod((x, sides[0], z + BAR_M), (x, sides[1], z + BAR_M), radius))
         edge = roof_half_m(car) - 0.06
         for s in (car.roof_front_s_m + 0.35, car.roof_rear_s_m - 0.35):
-            x = x_of(car, s)
-            add(grid, field, bounds, rod((x, -edge, z), (x, edge, z), radius))
-            add(grid, field, bounds, pair(rod((x, edge, z), (x, edge, roof_z_m(car, s) - SUNK_M), radius)))
+            _cross_bar(grid, field, bounds, car, s, edge, z)
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ class RoofBox:
     taper_m: float
 
     def _floor(self, car: VehicleSpec) -> float:
-        return max(roof_z_m(car, s) for s in np.linspace(car.roof_front_s_m, car.roof_rear_s_m, 9)) + self.rise_m
+        return highest_roof_m(car, car.roof_front_s_m, car.roof_rear_s_m) + self.rise_m
 
     def bounds(self, car: VehicleSpec) -> Bounds:
         y = max(roof_half_m(car), abs(self.y_m) + self.width_m / 2)
@@ -145,11 +150,8 @@ class RoofBox:
             low - 1.0, high + 1.0, 0.02,
         )  # fmt: skip
         add(grid, field, bounds, lambda x, y, z: smooth_max(whole(x, y, z), nose(x, y, z), 0.06))
-        radius = thick(grid, BAR_M)
         edge = min(max(half + abs(self.y_m), 0.4), roof_half_m(car) - 0.06)
         for share in (0.22, 0.78):
             s = self.from_s_m + share * self.length_m
             s = min(max(s, car.roof_front_s_m + 0.05), car.roof_rear_s_m - 0.05)
-            x = x_of(car, s)
-            add(grid, field, bounds, rod((x, -edge, floor), (x, edge, floor), radius))
-            add(grid, field, bounds, pair(rod((x, edge, floor), (x, edge, roof_z_m(car, s) - SUNK_M), radius)))
+            _cross_bar(grid, field, bounds, car, s, edge, floor)

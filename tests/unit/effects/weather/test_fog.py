@@ -9,7 +9,7 @@ import torch
 from analytic_fields import Frame
 
 from shift3d.effects.base import DetectorFacts, EffectContext, Returns
-from shift3d.effects.fog import EFFECT, PULSE_S, backscatter_per_m, extinction_per_m, soft_echo
+from shift3d.effects.weather.fog import EFFECT, PULSE_S, backscatter_per_m, extinction_per_m, soft_echo
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Conditions, Scene

@@ -1,9 +1,10 @@
-"""Rain, and what it shares with snow: particles in the beam weaken echoes and send back their own."""
+"""Rain and snow: particles in the beam weaken echoes and send back their own."""
 
 from __future__ import annotations
 
 import functools
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,18 +12,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
 from shift3d.effects.physics import power as law
-from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss, unchanged
+from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.labels import Conditions
 from shift3d.scenes.sensor import SensorModel
 
 EXIT_M, DIVERGENCE_RAD = 0.01, 2e-3
 """Width of a beam where it leaves the sensor, and its full angle where the sensor states none (our choice: HDL-64E)."""
-DROP_ALBEDO = 0.024
-"""Of a diffuse disc as wide as a drop that sends as much straight back: a quarter of the backscatter efficiency
-R (1 + ((1 - R) n / (2 - n))^2) of a large sphere of water, front and rear face, n = 1.33, R = 0.02 (our choice)."""
 LEAST_ALBEDO = 0.01
 """Of what sent an echo: a reported 0 is a rounding, not a surface that any particle outshines (our choice)."""
 PULSE_M = 0.09
@@ -56,11 +55,6 @@ class Particles:
     def per_m3(self) -> float:
         """Particles of all sizes, 1/m^3."""
         return self.density / self.slope
-
-
-def drops(rain_mm_h: float) -> Particles:
-    """Drops of rain. Source: Marshall and Palmer 1948."""
-    return Particles(8000.0, 4.1 * rain_mm_h**-0.21, DROP_ALBEDO)
 
 
 def extra_noise_m(power: Tensor, transmission: Tensor, least: float) -> Tensor:
@@ -172,7 +166,7 @@ def crossings(particles: Particles, divergence_rad: float) -> Crossings:
 
 
 @dataclass(frozen=True)
-class Precipitation:
+class ParticleEchoes:
     """Particles in front of what beams meet.
 
     arrival, size: (N,) exponential draws: where a beam's nearest particle is, and how wide. noise: (N,) normal draws.
@@ -185,7 +179,7 @@ class Precipitation:
     noise: Tensor
 
     @staticmethod
-    def of(context: EffectContext, effect: str, particles: Particles) -> Precipitation:
+    def of(context: EffectContext, effect: str, particles: Particles) -> ParticleEchoes:
         """Particles in the beams of a context."""
         sensor = context.scene.sensor or SensorModel()
         arrival, size = (
@@ -194,14 +188,14 @@ class Precipitation:
         )
         table = crossings(particles, sensor.divergence_rad or DIVERGENCE_RAD)
         noise = torch.from_numpy(context.draws(effect, "noise").standard_normal(len(context.beams)))
-        return Precipitation(table, PowerLimit.of(context, effect), arrival, size, noise)
+        return ParticleEchoes(table, PowerLimit.of(context, effect), arrival, size, noise)
 
     def act(self, returns: Returns) -> Returns:
         """Weaken echoes, lose what is too weak, and put the nearest particle in the place of what it outdoes.
 
         A particle is in the place of the echo behind it if it sends back more, and at least the sensor's least power.
         """
-        range_m = law.range_along(returns).detach()
+        range_m = returns.range_m.detach()
         transmission = torch.exp(-2.0 * self.crossings.particles.extinction_per_m * range_m)
         power = echo_power(returns.albedo, returns.cosine, range_m)
         lost = self.limit.lost(returns, power, transmission)
@@ -243,53 +237,49 @@ class Precipitation:
         )
 
 
-class Rain:
-    """Extinction, drops that send back more than what lies behind them, and the noise of weaker echoes.
+class Precipitation(WeatherEffect):
+    """Rain or snow: `ParticleEchoes` of its particles.
 
-    A drop counts if its centre is in the beam, a cone of `DIVERGENCE_RAD` or what the sensor states. It covers the
-    share (D / width)^2 of the beam; drops that outdo the echo behind them are then a Poisson process along the beam
+    A particle counts if its centre is in the beam, a cone of `DIVERGENCE_RAD` or what the sensor states. It covers the
+    share (D / width)^2 of the beam; particles that outdo the echo behind them are then a Poisson process along the beam
     (`crossings`), of which the nearest becomes the return: met with the probability 1 - exp(-Lambda). Its echo is not
-    from the object (`on_object` False), with cosine 1 and the apparent albedo that gives its power.
+    from the object (`on_object` False), with cosine 1 and the apparent albedo that gives its power. All others weaken
+    the echo behind them, by their mean extinction.
 
     Echoes of surfaces are lost below the sensor's least power, where that is known, and their ranges then scatter by
-    `extra_noise_m`, along the beam. Reflectance and albedo are from here on as seen through the rain. Left
-    as they are: directions, cosine of surfaces, rows without a return (drops in front of the sky are left out). No
-    rain changes nothing.
+    `extra_noise_m`, along the beam. Reflectance and albedo are from here on as seen through the particles. Left as they
+    are: directions, cosine of surfaces, rows without a return (particles in front of the sky are left out). A rate of 0
+    changes nothing.
 
-    With fog and snow: each acts in turn on what the one before has left. Extinctions add up as they should; left out
-    is that a drop is itself seen through the fog in front of it. Within one effect, the echo behind is weakened by the
-    mean extinction, not by the drops that happen to be in the beam.
+    With fog and each other: each acts in turn on what the one before has left. Extinctions add up as they should; left
+    out is that a particle is itself seen through the weather in front of it.
 
     Differentiable: surfaces keep their gradients. The gradient ignores that echoes are lost or replaced, and that the
-    noise depends on the range; points of drops, reflectance and albedo carry none.
+    noise depends on the range; points of particles, reflectance and albedo carry none.
 
-    Source: Marshall and Palmer 1948 (sizes), Kilic et al. 2021 (limit and noise); the rest: our choice.
+    Source: Kilic et al. 2021 (limit and noise); the rest: our choice.
     """
 
-    name = "rain"
-    kind: Kind = "returns"
-    reads_incidence = True
+    @abstractmethod
+    def rate_mm_h(self, conditions: Conditions) -> float:
+        """As water; 0 where it does not fall."""
+
+    @abstractmethod
+    def particles(self, rate_mm_h: float) -> Particles:
+        """At a rate above 0."""
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see."""
-        rate = scene.conditions.rain_mm_h
+        rate = self.rate_mm_h(scene.conditions)
         if rate == 0.0:
             return None
-        extinction = drops(rate).extinction_per_m
+        extinction = self.particles(rate).extinction_per_m
         if loss(extinction, law.reach_m(scene.conditions)) < LEAST_LOSS:
             return None
-        return f"rain {rate:g} mm/h: {100.0 * loss(extinction, 30.0):.2g} % of the light is lost at 30 m and back"
+        lost = 100.0 * loss(extinction, 30.0)
+        return f"{self.name} {rate:g} mm/h: {lost:.2g} % of the light is lost at 30 m and back"
 
     def bind(self, context: EffectContext) -> ReturnsStep:
         """Three draws a beam, and two more where the sensor's limit is known."""
-        rate = context.scene.conditions.rain_mm_h
-        if rate == 0.0:
-            return unchanged
-        return Precipitation.of(context, self.name, drops(rate)).act
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """Where the scene's points are those of dry air."""
-        return not context.scene.conditions.weather_in_points
-
-
-EFFECT = Rain()
+        rate = self.rate_mm_h(context.scene.conditions)
+        return unchanged if rate == 0.0 else ParticleEchoes.of(context, self.name, self.particles(rate)).act

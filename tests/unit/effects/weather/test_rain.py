@@ -10,7 +10,8 @@ from analytic_fields import Frame
 from scipy.integrate import quad
 
 from shift3d.effects.base import DetectorFacts, EffectContext, Returns
-from shift3d.effects.rain import DIVERGENCE_RAD, DROP_ALBEDO, EFFECT, EXIT_M, crossings, drops, extra_noise_m
+from shift3d.effects.weather.precipitation import DIVERGENCE_RAD, EXIT_M, crossings, extra_noise_m
+from shift3d.effects.weather.rain import DROP_ALBEDO, EFFECT, drops
 from shift3d.render.beams import Beams
 from shift3d.scenes.facts import SceneFacts
 from shift3d.scenes.scene import Conditions, Scene

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
 from shift3d.effects.physics.power import (
     LEAST_LOSS,
     OVERLAP_FROM_M,
@@ -19,9 +19,7 @@ from shift3d.effects.physics.power import (
     echo_power,
     loss,
     overlap,
-    range_along,
     reach_m,
-    unchanged,
 )
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
@@ -74,7 +72,7 @@ class SoftEcho:
 
 
 @functools.cache
-def soft_echo(extinction: float, backscatter: float, pulse_s: float = PULSE_S) -> SoftEcho:
+def soft_echo(extinction: float, backscatter: float) -> SoftEcho:
     """Tabulate the echo of fog.
 
     The integral over the pulse, with r = R - c t / 2 in place of t, is that of sin^2(pi (R - r) / (c tau)) * w(r),
@@ -83,11 +81,11 @@ def soft_echo(extinction: float, backscatter: float, pulse_s: float = PULSE_S) -
     lies between c tau / 2 and c tau behind that, so that the pulse's tail never leaves w's beginning.
 
     Args:
-        extinction, backscatter: alpha, 1/m, and beta, 1/(m sr). pulse_s: tau.
+        extinction, backscatter: alpha, 1/m, and beta, 1/(m sr).
 
     Source: Hahner et al. 2021, equations only.
     """
-    length = LIGHT_M_S * pulse_s
+    length = LIGHT_M_S * PULSE_S
     wave = 2.0 * math.pi / length
     first = 1e-3 / (1.0 + extinction)
     behind = np.concatenate(([0.0], np.geomspace(first, length, _NODES)))
@@ -122,7 +120,7 @@ def _maximum(values: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[NDArr
     return here - 0.25 * (before - after) * shift, x[middle] + shift * (x[1] - x[0])
 
 
-class Fog:
+class Fog(WeatherEffect):
     """The stronger of two echoes: that of the surface, exp(-2 alpha R0), and that of the fog in front of it.
 
     Where the fog's wins, the point moves along the beam to the range of that echo's maximum. An echo's maximum arrives
@@ -151,8 +149,6 @@ class Fog:
     """
 
     name = "fog"
-    kind: Kind = "returns"
-    reads_incidence = True
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see, and that shows: in reflectance,
@@ -178,19 +174,11 @@ class Fog:
             return unchanged
         limit = PowerLimit.of(context, self.name)
         soft = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
-
-        def step(returns: Returns) -> Returns:
-            return _in_fog(returns, soft, limit)
-
-        return step
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """Where the scene's points are those of clear air."""
-        return not context.scene.conditions.weather_in_points
+        return lambda returns: _in_fog(returns, soft, limit)
 
 
 def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit) -> Returns:
-    range_m = range_along(returns).detach()
+    range_m = returns.range_m.detach()
     log_hard = -2.0 * soft.extinction_per_m * range_m
     log_soft, soft_m = (torch.from_numpy(values) for values in soft.at(range_m.numpy()))
     fog = returns.returned & (log_soft > log_hard)
@@ -210,9 +198,8 @@ def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit) -> Returns:
         albedo=(albedo * left).clamp(max=1.0),
         cosine=returns.cosine.index_fill(0, rows, 1.0),
     )
-    if returns.reflectance is None:
-        return changed
-    return replace(changed, reflectance=(returns.reflectance * left).clamp(max=1.0))
+    reflectance = returns.reflectance
+    return changed if reflectance is None else replace(changed, reflectance=(reflectance * left).clamp(max=1.0))
 
 
 def _outshone_from_m(visibility_m: float, reach: float) -> float | None:

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Kind, Returns, ReturnsStep
-from shift3d.effects.physics.power import PowerLimit, echo_power, unchanged
+from shift3d.effects.base import DetectorFacts, EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
+from shift3d.effects.physics.power import PowerLimit, echo_power
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import SceneFacts
 
@@ -37,7 +37,7 @@ def reflected(cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
 
 
 @functools.cache
-def trapped(index: float = WATER_INDEX) -> float:
+def trapped() -> float:
     """R_wa: share of diffuse light from below that the water's surface throws back.
 
     As light takes the same way in both directions and spreads by n^2, 1 - R_wa = (1 - R_aw) / n^2 with R_aw of
@@ -45,11 +45,11 @@ def trapped(index: float = WATER_INDEX) -> float:
     """
     node, weight = np.polynomial.legendre.leggauss(64)
     cosine = torch.from_numpy(0.5 * (node + 1.0))
-    entering = float(((1.0 - reflected(cosine, index)) * cosine * torch.from_numpy(weight)).sum())
-    return 1.0 - entering / index**2
+    entering = float(((1.0 - reflected(cosine)) * cosine * torch.from_numpy(weight)).sum())
+    return 1.0 - entering / WATER_INDEX**2
 
 
-def wet_albedo(albedo: Tensor, cosine: Tensor, index: float = WATER_INDEX) -> Tensor:
+def wet_albedo(albedo: Tensor, cosine: Tensor) -> Tensor:
     """Apparent albedo (K,) of a diffuse ground under water, T_aw rho T_wa / (1 - rho R_wa).
 
     T_aw = 1 - R(incidence) enters the water. T_wa leaves it back to where it came from: the same transmission, and
@@ -59,11 +59,11 @@ def wet_albedo(albedo: Tensor, cosine: Tensor, index: float = WATER_INDEX) -> Te
     Args:
         albedo: (K,) of the dry ground. cosine: (K,) of incidence on the water.
     """
-    through = 1.0 - reflected(cosine, index)
-    return through * albedo * through / index**2 / (1.0 - albedo * trapped(index))
+    through = 1.0 - reflected(cosine)
+    return through * albedo * through / WATER_INDEX**2 / (1.0 - albedo * trapped())
 
 
-class WetGround:
+class WetGround(WeatherEffect):
     """The scene's ground, seen through a film of water: its albedo and reflectance fall, and echoes below the sensor's
     least power are lost.
 
@@ -81,15 +81,13 @@ class WetGround:
     """
 
     name = "wet_ground"
-    kind: Kind = "returns"
     reads_incidence = False
 
     def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
         """Rain that is not in the points yet, ground in view, and a limit below which its echoes are lost."""
         conditions = scene.conditions
-        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not scene.ground_in_view:
-            return None
-        if scene.sensor.limit_range_m is None:
+        known = scene.ground_in_view and scene.sensor.limit_range_m is not None
+        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not known:
             return None
         cosine = torch.tensor([1.73 / _TYPICAL_M], dtype=torch.float64)
         share = float(wet_albedo(torch.tensor([_DRY_ALBEDO], dtype=torch.float64), cosine)) / _DRY_ALBEDO
@@ -101,20 +99,11 @@ class WetGround:
     def bind(self, context: EffectContext) -> ReturnsStep:
         """Two draws a beam."""
         conditions, sensor = context.scene.conditions, context.scene.sensor
-        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points:
-            return unchanged
-        if sensor is None or sensor.limit_range_m is None:
+        known = sensor is not None and sensor.limit_range_m is not None
+        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not known:
             return unchanged
         limit, ground_z_m = PowerLimit.of(context, self.name), context.scene.ground_z_m
-
-        def step(returns: Returns) -> Returns:
-            return _wetted(returns, limit, ground_z_m)
-
-        return step
-
-    def on_scene(self, context: EffectContext) -> bool:
-        """Where the scene's points are those of dry ground."""
-        return not context.scene.conditions.weather_in_points
+        return lambda returns: _wetted(returns, limit, ground_z_m)
 
 
 def _wetted(returns: Returns, limit: PowerLimit, ground_z_m: float) -> Returns:

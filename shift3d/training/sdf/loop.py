@@ -1,0 +1,134 @@
+"""The loop of decoder training, resumable: a decoder, and the table of numbers that its codes are made of."""
+
+from __future__ import annotations
+
+import json
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from shift3d.errors import InputError
+from shift3d.sdf.decoder import Decoder
+from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
+from shift3d.training.compute import Compute
+from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
+
+CURVE_STEPS = 100
+WARM_STEPS = 200
+
+
+class DecoderRun(ABC):
+    """The state of one training: decoder, table, optimiser, step, losses, seconds.
+
+    table_name: of the table in the checkpoint. rates: of the network and of the table, see `set_rates`.
+    mixed: bfloat16 in the wide layers, where it pays.
+    """
+
+    table_name: str
+    rates: tuple[float, float]
+
+    def __init__(self, recipe: Any, decoder: Decoder, table: Tensor, compute: Compute, mixed: bool) -> None:
+        self.recipe, self.compute, self.mixed = recipe, compute, mixed
+        self.wide_dtype = torch.bfloat16 if mixed and compute.fast_bfloat16 else torch.float32
+        self.decoder = decoder.to(compute.device)
+        self.table = torch.nn.Parameter(table.to(compute.device))
+        groups = [{"params": list(decoder.parameters())}, {"params": [self.table]}]
+        self.optimizer = torch.optim.Adam(groups, fused=True)
+        self.step = 0
+        self.losses: list[float] = []
+        self.watch = Stopwatch()
+
+    @abstractmethod
+    def batch(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Codes (S, code), points (S, P, 3) and distances (S, P) of this step, the same for the same step."""
+
+    def penalty(self) -> Tensor | float:
+        """Added to the loss of the distances."""
+        return 0.0
+
+    def set_rates(self) -> None:
+        """Cosine from the rates to nothing, after a short linear start."""
+        warm = min(1.0, (self.step + 1) / WARM_STEPS)
+        share = warm * 0.5 * (1.0 + math.cos(math.pi * self.step / self.recipe.steps))
+        for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
+            group["lr"] = rate * share
+
+    def advance(self) -> float:
+        """One step; returns the loss of the distances."""
+        self.set_rates()
+        clamp = self.recipe.clamp
+        codes, points, distances = self.batch()
+        predicted = self.decoder.grouped(codes, points, self.wide_dtype)
+        data = (predicted.clamp(-clamp, clamp) - distances.clamp(-clamp, clamp)).abs().mean()
+        loss = data + self.penalty()
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimizer.step()
+        self.step += 1
+        return float(data.detach())
+
+    def state(self) -> dict[str, Any]:
+        """What a resumed training needs."""
+        return {
+            "recipe": asdict(self.recipe),
+            "step": self.step,
+            "decoder": self.decoder.state_dict(),
+            self.table_name: self.table.detach(),
+            "optimizer": self.optimizer.state_dict(),
+            "losses": self.losses,
+            "seconds": self.watch.seconds,
+            "compute": self.compute.facts(self.mixed),
+        }
+
+    def restore(self, state: Mapping[str, Any], where: str) -> None:
+        """Continue from a checkpoint of the same recipe. Raises InputError for another recipe."""
+        if state["recipe"] != asdict(self.recipe):
+            raise InputError("checkpoint of another recipe", where=where, remedy="another out=, or delete it")
+        self.decoder.load_state_dict(state["decoder"])
+        with torch.no_grad():
+            self.table.copy_(state[self.table_name])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.losses = int(state["step"]), list(state["losses"])
+        self.watch = Stopwatch(float(state.get("seconds", 0.0)))
+
+
+def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -> None:
+    """All steps that are left of a run, or of the one in the checkpoint, which is replaced every so many steps.
+
+    Raises InputError: the checkpoint is of another recipe; KeyboardInterrupt when asked to stop, all being written.
+    """
+    state = read_checkpoint(file)
+    if state is not None:
+        run.restore(state, str(file))
+    steps: int = run.recipe.steps
+    recent: list[float] = []
+    curve: list[CurvePoint] = []
+    bar = tqdm(total=steps, initial=run.step, desc="training sdf", mininterval=10.0)
+    with stop_on_signal() as stop, bar:
+        while run.step < steps:
+            recent.append(run.advance())
+            bar.update()
+            if run.step % CURVE_STEPS == 0:
+                run.losses.append(float(np.mean(recent)))
+                rate = float(run.optimizer.param_groups[0]["lr"])
+                curve.append((run.step, {"loss": run.losses[-1], "learning_rate": rate}))
+                bar.set_postfix(loss=f"{run.losses[-1]:.5f}", refresh=False)
+                recent = []
+            if run.step % every == 0 or run.step == steps or stop.requested:
+                write_checkpoint(file, run.state())
+                loss = run.losses[-1] if run.losses else None
+                (file.parent / "progress.json").write_text(json.dumps({"step": run.step, "of": steps, "loss": loss}))
+                tqdm.write(f"step {run.step} of {steps}  loss {loss}  ({file.name} written)")
+                if report is not None and curve:
+                    report(curve)
+                curve = []
+            if stop.requested and run.step < steps:
+                raise KeyboardInterrupt
