@@ -88,7 +88,7 @@ def a_segment_with_a_column_missing() -> None:
 
         pq.write_table(pq.read_table(folder / SCORES, partitioning=None).drop_columns(["stable"]), folder / SCORES)
 
-    refused(lambda: final_after(drop), SCORES, "columns")
+    refused(lambda: final_after(drop), SCORES, "column stable")
 
 
 @hard_case(
