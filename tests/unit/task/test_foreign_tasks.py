@@ -24,7 +24,7 @@ from shift3d.task.run import run_task
 CODEBASES = ("openpcdet", "mmdet3d")
 # The first step of the search is as long in a direction of no gradient as in any, so rounding moves it: a sensor at
 # 1.73 m is subtracted from heights in float32, one at 0 is not.
-NEAR = {"openpcdet": 1e-4, "mmdet3d": 1e-2}
+NEAR = {"openpcdet": 1e-4, "mmdet3d": 5e-2}
 
 
 @pytest.fixture(scope="module")
