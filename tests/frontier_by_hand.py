@@ -30,6 +30,26 @@ def with_depth(p99_m: float) -> dict[str, float]:
     return {"depth_p50_m": 0.1 * p99_m, "depth_p99_m": p99_m, "depth_max_m": 46.0 * p99_m}
 
 
+def march(knob: float, ms: float, p99_m: float, **more: Any) -> dict[str, Any]:
+    named = {"method": "march", "knob": knob, "knob_name": "step_m"}
+    return frontier_row(f"march {knob:g} m", ms, **named, **with_depth(p99_m), **more)
+
+
+def small_rows() -> list[dict[str, Any]]:
+    """Six cold settings and a warm one. Front: draft, standard, reference, and the warm one."""
+    found = {"gradient_cosine": 0.9995, "auc_delta": -0.002, "step_ms_median": 25.0, "step_ratio_to_paper": 320.0}
+    return [
+        march(0.4, 100.0, 2e-2),
+        march(0.2, 200.0, 1e-2),
+        march(0.1, 400.0, 5e-3),
+        frontier_row("paper", 800.0, preset="paper", missed_hits=0.003, wrong_surface=0.002, **with_depth(1e-3)),
+        frontier_row("draft", 1.0, preset="draft", missed_hits=0.001, **with_depth(1e-3)),
+        frontier_row("standard", 2.0, preset="standard", **with_depth(1e-5), **found),
+        frontier_row("standard, warm", 0.5, method="warm", **with_depth(1e-5)),
+        frontier_row("reference", 5000.0, preset="reference"),
+    ]
+
+
 def flagged(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The rows with their column `pareto` as it follows from them."""
     return [row | {"pareto": flag} for row, flag in zip(rows, pareto_flags(rows))]

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.analysis.cases.rendered import POSE
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.errors import InputError
 from shift3d.methods import METHODS
@@ -175,15 +174,10 @@ def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.Dat
 
 def _draw_points(axes: Axes, assets: Assets, spec: Any, solution: pd.Series) -> None:
     """The rendered scene around the object from the sensor's height, the object's points in colour."""
-    import torch
+    from shift3d.task.follow_ups.rendered import render_solution
 
-    from shift3d.task.run import build_problem
-
-    theta = torch.tensor([float(solution[name]) for name in POSE], dtype=torch.float64)
-    problem = build_problem(spec, assets, theta)
-    code = torch.tensor(np.asarray(solution["latent_code"], np.float32)).to(problem.settings.dtype)
-    with torch.no_grad():
-        rendering = problem.insert(code, theta)
+    found = render_solution(spec, solution.to_dict(), assets)
+    theta, rendering = found.theta, found.rendering
     points, hits = rendering.points.double().numpy(), rendering.hit_mask.numpy()
     image, depth = _from_above(points, theta.numpy())
     near = (np.abs(points[:, :2] - theta[:2].numpy()) < 12.0).all(axis=1) & (depth > 0.5)

@@ -15,10 +15,8 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.errors import InputError
 from shift3d.placement.sampling import Placement
 from shift3d.task.assets import Assets
-from shift3d.task.run import build_problem, place_vehicle
+from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.spec import TaskSpec
-
-__all__ = ["Case", "place_case", "problem_of"]
 
 
 @dataclass(frozen=True)
@@ -50,8 +48,7 @@ def place_case(scenes: str, number: int, spec: TaskSpec, assets: Assets) -> Case
 
     number: of the case; scenes are tried from that one on, so that cases differ in their scene where they can.
 
-    Raises:
-        InputError: no scene has room there.
+    Raises: InputError: no scene has room there.
     """
     names = assets.scenes.names()
     for name in names[number % len(names) :] + names[: number % len(names)]:

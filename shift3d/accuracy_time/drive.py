@@ -27,8 +27,6 @@ from shift3d.task.exchange import AssetsSpec
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.sources import vehicle_hash
 
-__all__ = ["FrontierPlan", "SceneGroup", "expected_minutes", "measure_frontier"]
-
 Tell = Callable[[str, float, bool], None]
 """Called with what is being measured, how many expected seconds are done with it, and whether it was known already."""
 
@@ -86,8 +84,7 @@ def measure_frontier(
         folder: gets a folder ``measured/`` with a truth and a journal a case, by the hash of all that they depend on.
         again: forget what was measured. Truths are kept.
 
-    Raises:
-        InputError: assets that are missing, a case without a place, a disk that is full.
+    Raises: InputError: assets that are missing, a case without a place, a disk that is full.
     """
     measured = []
     for group in groups:

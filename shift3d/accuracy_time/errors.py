@@ -12,8 +12,6 @@ from shift3d.render.field.object_field import ObjectField
 from shift3d.render.rendering import Rendering
 from shift3d.task.differences import WRONG_SURFACE_M
 
-__all__ = ["THICK_M", "WRONG_SURFACE_M", "RenderingErrors", "TrueHits", "chord_lengths", "compare", "true_hits"]
-
 THICK_M = 0.02
 """Chords of this length and more must not be missed (the project's claim for the preset `standard`)."""
 _SAMPLE_M = 0.002
@@ -68,9 +66,8 @@ def chord_lengths(field: ObjectField, rays: Rays, hit_m: Tensor) -> Tensor:
         field: metric distance in the object frame; in float64, as a hit is only known to its precision.
         rays: (M) beams in the object frame. hit_m: (M,) their hits.
 
-    Returns:
-        (M,) float64 metres: to where the line through the last sample inside and the next one crosses zero. A chord
-        shorter than 2 mm is zero unless the first sample is inside it.
+    Returns: (M,) float64 metres: to where the line through the last sample inside and the next one crosses zero. A
+    chord shorter than 2 mm is zero unless the first sample is inside it.
     """
     length = torch.zeros(len(rays), dtype=torch.float64)
     g_before = torch.zeros_like(length)

@@ -14,8 +14,6 @@ from shift3d.detectors.incremental.inference import IncrementalInference
 from shift3d.render.rendering import Rendering
 from shift3d.render.solvers.search import WarmStart
 
-__all__ = ["AttackStep", "attack_step", "cosine", "norm_ratio"]
-
 
 @dataclass(frozen=True)
 class AttackStep:

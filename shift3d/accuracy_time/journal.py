@@ -9,8 +9,6 @@ from typing import Any
 
 from shift3d.store.atomic import write_atomic
 
-__all__ = ["Journal"]
-
 
 class Journal:
     """Named values, one JSON line each, appended as they are measured.

@@ -28,8 +28,6 @@ from shift3d.render.solvers.search import WarmStart
 from shift3d.task.assets import Assets
 from shift3d.task.scoring import score_object
 
-__all__ = ["CaseInstrument", "Outcome", "attack_scores"]
-
 
 def attack_scores(case: Case, assets: Assets, setting: Setting) -> list[float]:
     """Final scores of the best step of an attack on the shape and of one on the pose, `attack_steps` long each.

@@ -9,19 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "MISPLACED_M",
-    "ZERO_BELOW",
-    "dominators",
-    "dominators_of",
-    "drawable",
-    "effective_error_m",
-    "knee",
-    "misplaced",
-    "pareto_flags",
-    "warm_starts",
-]
-
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
@@ -57,9 +44,8 @@ def effective_error_m(columns: Mapping[str, Any]) -> FloatArray:
     maximum: half of the hits are within the median, 49 % more within the percentile, the last one within the maximum.
     Neither a good median nor a good percentile hides an outlier, unlike in an order that looks at one column first.
 
-    Args:
-        columns: depth_p50_m, depth_p99_m, depth_max_m and the fractions missed_hits, wrong_surface, false_hits, (N,)
-            each, as in the frontier's table.
+    Args: columns: depth_p50_m, depth_p99_m, depth_max_m and the fractions missed_hits, wrong_surface, false_hits, (N,)
+    each, as in the frontier's table.
     """
     depth = 0.5 * _floats(columns["depth_p50_m"]) + 0.49 * _floats(columns["depth_p99_m"])
     depth = depth + 0.01 * _floats(columns["depth_max_m"])
@@ -93,11 +79,9 @@ def dominators(
         gradient: (N,) of what rows are ready to take the gradient, "no" for nothing. Only a row that is ready for the
             same can dominate one that is ready. None: no row is.
 
-    Returns:
-        (N,) int64 row numbers.
+    Returns: (N,) int64 row numbers.
 
-    Raises:
-        ValueError: a time or an error is not finite, or the lengths differ.
+    Raises: ValueError: a time or an error is not finite, or the lengths differ.
     """
     times, errors = _floats(time), _floats(error)
     nothing = np.zeros(times.shape, dtype=bool)
@@ -134,9 +118,8 @@ def dominators_of(columns: Mapping[str, Any]) -> npt.NDArray[np.int64]:
 def pareto_flags(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
     """The column `pareto` of the frontier: for each row whether no other of the same scenes dominates it.
 
-    Args:
-        rows: of the frontier, with setting, scenes, ms_median, perhaps grid and gradient, and what
-            ``effective_error_m`` reads.
+    Args: rows: of the frontier, with setting, scenes, ms_median, perhaps grid and gradient, and what
+    ``effective_error_m`` reads.
     """
     flags = np.zeros(len(rows), dtype=bool)
     for scenes in {row["scenes"] for row in rows}:
@@ -164,12 +147,10 @@ def knee(time: npt.ArrayLike, error: npt.ArrayLike) -> int | None:
     so that the front's ends are at distance one on either axis, so that the units do not matter. An error of zero is
     where the diagram draws it, see ``drawable``.
 
-    Args:
-        time, error: (N,) of a front, in any order; times positive.
+    Args: time, error: (N,) of a front, in any order; times positive.
 
-    Returns:
-        The point's number, the fastest where several are as far; None with fewer than three points that differ, or
-        where none is below the line.
+    Returns: The point's number, the fastest where several are as far; None with fewer than three points that differ, or
+    where none is below the line.
     """
     times, errors = _floats(time), drawable(error, 1.0)
     order = np.argsort(times, kind="stable")

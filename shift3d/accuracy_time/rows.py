@@ -16,8 +16,6 @@ from shift3d.accuracy_time.run import CaseResult
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import quartiles
 
-__all__ = ["MeasuredCase", "frontier_rows"]
-
 Row = dict[str, Any]
 
 

@@ -12,9 +12,6 @@ from shift3d.accuracy_time.measure import Outcome
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import turns, wanted_samples
 
-__all__ = ["CaseResult", "Instrument", "Repeats", "expected_seconds", "measure_case"]
-
-
 Tell = Callable[[str, float, bool], None]
 
 
@@ -72,12 +69,10 @@ def measure_case(
 ) -> dict[str, CaseResult]:
     """Measure what is not in the journal yet, in an order that spreads drift over all settings.
 
-    Args:
-        tell: called with a setting's name, how many expected seconds are done with what was measured, and whether
-            that was in the journal already; before each measurement with no seconds.
+    Args: tell: called with a setting's name, how many expected seconds are done with what was measured, and whether
+    that was in the journal already; before each measurement with no seconds.
 
-    Returns:
-        By the setting's name.
+    Returns: By the setting's name.
     """
     for measurements in (_looks(settings, instrument), _more_steps(settings, instrument, journal, repeats)):
         _work_off(measurements, journal, tell)

@@ -8,25 +8,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-__all__ = ["Setting"]
-
 
 @dataclass(frozen=True)
 class Setting:
     """A row of the frontier before it is measured.
 
-    Attributes:
-        name, method, knob, knob_name, preset: as in the table, see `store.frontier_table`.
-        accuracy: every setting of the renderer as plain values, and "detector", the precision in the search, as
-            `config.catalogue.accuracy_settings` gives them.
-        crop_m: how far around the vehicle the detector looks at proposals; None: the whole scene.
-        warm: from which attack's previous rendering it starts, if any.
-        gradient: of what a cold rendering prepares the gradient, if of anything.
-        grid: whether an SDF grid of the shape is at hand, as tasks make one of each vehicle.
-        incremental: whether, where it is warm, the detector reuses what it computed for the previous rendering.
-        displaced: whether the displaced shape is rendered too.
-        steps: how many attack steps are timed on a case.
-        attack_steps: length of the attacks whose scores are looked at; 0: none is made.
+    name, method, knob, knob_name, preset: as in the table, see `store.frontier_table`. accuracy: every setting of the
+    renderer as plain values, and "detector", the precision in the search, as
+    `settings.catalogue.reading.accuracy_settings` gives them. The others: see
+    `settings.accuracy_time.MeasuredSetting`.
     """
 
     name: str

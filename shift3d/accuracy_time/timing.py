@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["machine", "milliseconds", "quartiles", "turns", "wanted_samples"]
-
 
 def milliseconds(call: Callable[[], object]) -> float:
     """How long one call takes, the garbage collector at rest."""

@@ -32,8 +32,6 @@ from shift3d.store.atomic import write_atomic
 from shift3d.task.assets import Assets
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
 
-__all__ = ["SHAPES", "Truth", "descended_code", "make_truth", "read_truth", "score_of", "write_truth"]
-
 SHAPES = ("start", "displaced")
 """The vehicle as it is, and as a short attack has left it."""
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 import shift3d
 from shift3d.analysis.figures.picture import png
@@ -23,14 +22,17 @@ from shift3d.analysis.tables.detector_tables import (
     summary_table,
 )
 from shift3d.analysis.tables.table import number
+from shift3d.detectors.base import Detector
 from shift3d.detectors.loading import detector_of
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
 from shift3d.evaluation.breakdown import breakdown
 from shift3d.evaluation.metrics import RANGES_M, Metric, evaluate
+from shift3d.progress_bar import progress_bar
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.scenes.street.options import StreetOptions
+from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
@@ -38,19 +40,9 @@ from shift3d.training.detector.detect_scenes import SCORE_FLOOR, Answer, answers
 from shift3d.training.provenance import refuse_tuned_scenes
 from shift3d.wording import counted
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from shift3d.detectors.base import Detector
-
-
-__all__ = ["KittiChoice", "StreetChoice", "evaluate_detector", "precision_recall_figure", "write_evaluation"]
-
 
 def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
     """Waymo's precision-recall curves, 0-75 m: bird's-eye view and 3D, both levels, both IoU thresholds."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(8, 3.8), dpi=110, layout="constrained")
     axes = dict(zip(("BEV", "3D"), figure.subplots(1, 2, sharey=True)))
     colours = {"LEVEL_1": "#c03030", "LEVEL_2": "#4878a8"}
@@ -144,9 +136,8 @@ def evaluate_detector(
         score_threshold: detections below it are not kept.
         layout: of a detector of another codebase, see `detectors.foreign.layout`.
 
-    Raises:
-        InputError: unknown detector, missing weights or scenes, weights that were fine-tuned on one of the scenes,
-            another evaluation in ``out``, a full disk.
+    Raises: InputError: unknown detector, missing weights or scenes, weights that were fine-tuned on one of the scenes,
+    another evaluation in ``out``, a full disk.
     """
     file = Path(weights).expanduser() if weights else WEIGHTS_FOLDER / f"{name}.safetensors"
     opened: Callable[[], Detector] = partial(detector_of, name, file, None, "float32", layout)
@@ -155,7 +146,7 @@ def evaluate_detector(
         "schema_version": EVALUATION_SCHEMA_VERSION,
         "shift3d": shift3d.__version__,
         "detector": name,
-        "weights_blake2b": _digest(file),
+        "weights_blake2b": file_hash(file),
         "dataset": scenes.dataset,
         "scenes": scenes.identity,
         "score_threshold": score_threshold,
@@ -166,15 +157,15 @@ def evaluate_detector(
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
     found = answers_of(scene_names, out / "scenes", detect)
-    answers = list(_with_progress(found, len(scene_names), f"{name}, {workers} at a time"))
+    label = f"{name}, {workers} at a time"
+    answers = list(progress_bar(found, desc=label, total=len(scene_names), unit="scene", smoothing=0.1))
     return write_evaluation(name, scenes.dataset, answers, out)
 
 
 def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out: Path) -> str:
     """Compute every metric of the answers, write tables and picture to ``out``, and return what is printed.
 
-    Raises:
-        InputError: the disk is full or not writable.
+    Raises: InputError: the disk is full or not writable.
     """
     frames = [answer.frame for answer in answers]
     metrics = list(evaluate(frames))
@@ -197,17 +188,3 @@ def _claim(file: Path, spec: dict[str, object]) -> None:
     if file.exists() and file.read_bytes() != content:
         raise InputError("holds another evaluation", str(file.parent), "Give another out=, or remove the folder")
     write_atomic(file, content)
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
-
-
-def _with_progress(answers: Iterator[Answer], total: int, label: str) -> Iterator[Answer]:
-    from tqdm import tqdm
-
-    terminal = sys.stderr.isatty()
-    yield from tqdm(
-        answers, label, total, unit="scene", mininterval=0.2 if terminal else 15.0, dynamic_ncols=True, smoothing=0.1
-    )

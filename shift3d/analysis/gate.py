@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -16,14 +15,13 @@ from shift3d.analysis.statistics.releases import Rule
 from shift3d.analysis.tables.gate import Comparison, compare, measures_table, simulated_rates, worst_table
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
+from shift3d.progress_bar import progress_bar
 from shift3d.store.location import Location
 from shift3d.suite.frozen import FrozenSuite
 from shift3d.suite.releases import Release, accept_release, last_release
 from shift3d.suite.scoring import Scorer, score_suite
 from shift3d.suite.tables import suite_table, suite_table_bytes
 from shift3d.wording import counted
-
-__all__ = ["Acceptance", "GateSettings", "Outcome", "run_gate"]
 
 Acceptance = Literal["false", "true", "anyway"]
 _SHOWN = 8
@@ -55,9 +53,8 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     """Score, compare, and write ``out``: gate.parquet (a row an object, worst first), verdict.json, gate.html, and the
     answers, so that a killed gate goes on where it stopped. The same call gives the same bytes, whatever the workers.
 
-    Raises:
-        InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's
-            folder, a damaged suite.
+    Raises: InputError: objects of too few scenes, weights that do not fit, no release to compare with, another gate's
+    folder, a damaged suite.
     Source: our choice: the paper has no gate.
     """
     _check(suite, scorer, settings.rule)
@@ -167,10 +164,7 @@ def _verdict(found: Comparison, sentence: str, facts: Mapping[str, str]) -> byte
 
 
 def _with_progress(answers: Iterator[pd.DataFrame], suite: FrozenSuite) -> Iterator[pd.DataFrame]:
-    from tqdm import tqdm
-
-    slow = {} if sys.stderr.isatty() else {"mininterval": 15.0}
-    with tqdm(total=len(suite.objects), desc="scoring", unit="object", dynamic_ncols=True, **slow) as bar:
+    with progress_bar(total=len(suite.objects), desc="scoring", unit="object") as bar:
         for table in answers:
             bar.update(len(table))
             yield table

@@ -6,18 +6,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMAS
 from shift3d.sweep.planning.plan import Plan
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["Sweep", "natural_by_task", "read_sweep", "sweep_of"]
 
 _TABLES = ("scores", "solutions", "auc", "bev", "timings", "attempts")
 _LATER = (
@@ -94,8 +91,7 @@ def sweep_of(plan: Plan, tables: Mapping[str, pd.DataFrame], environment: Mappin
 def read_sweep(folder: LocationLike) -> Sweep:
     """The sweep of an output folder.
 
-    Raises:
-        InputError: naming the folder or file, where it is no sweep's, has not finished, or is damaged.
+    Raises: InputError: naming the folder or file, where it is no sweep's, has not finished, or is damaged.
     """
     from shift3d.store.tables import read_table
     from shift3d.sweep.planning.folder import read_plan

@@ -6,15 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from shift3d.methods import METHODS, METHODS_OF_MODE
 from shift3d.store.schemas import GROUP_COLUMNS
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["SETTINGS", "Aucs", "Variant", "aucs_of_scores", "variants"]
 
 SETTINGS = ("alpha", "detector", "scored_by", "accuracy", "search", "effects")
 """What variants of one mode differ in."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from shift3d.attack.pose import PAPER_LIMITS, PoseLimits, drawn_pose, snapped
 from shift3d.attack.problem import AttackProblem
-from shift3d.placement.constraints import ConstraintCheck, check
+from shift3d.placement.constraints import check
+
+_ATTEMPTS = 60
 
 
 def random_direction(dimension: int, rng: np.random.Generator) -> np.ndarray:
@@ -40,10 +40,8 @@ def noise_codes(code: Tensor, sigma: float, count: int, rng: np.random.Generator
     return (code.detach().double() + noise).to(code.dtype)
 
 
-def random_pose(
-    problem: AttackProblem, rng: np.random.Generator, limits: PoseLimits = PAPER_LIMITS, attempts: int = 60
-) -> tuple[Tensor, ConstraintCheck] | None:
-    """A random pose from the attack's own feasible set; None if no draw is valid.
+def random_pose(problem: AttackProblem, rng: np.random.Generator, limits: PoseLimits = PAPER_LIMITS) -> Tensor | None:
+    """A random pose (6,) from the attack's own feasible set; None if no draw is valid.
 
     Shift uniform in the disc, yaw uniform, pitch and roll uniform in the limits, z on the ground, and drawn
     again until the realism constraints hold.
@@ -51,18 +49,13 @@ def random_pose(
     Source: SHIFT3D, Adversarial Pose Generation Results ("random pose perturbations with the same constraints").
     """
     metric = problem.metric(problem.code0.detach())
-    for _ in range(attempts):
+    for _ in range(_ATTEMPTS):
         theta = snapped(drawn_pose(problem.theta0, rng, limits), problem, metric, limits)
         held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.limits, problem.others)
         if not (held.overlap_ok and held.contact_ok and held.clear_ok):
             continue
         with torch.no_grad():
             rendering = problem.insert(problem.code0.detach(), theta).first_hits
-        held = replace(
-            held,
-            object_points=rendering.object_points,
-            points_ok=rendering.object_points >= problem.limits.min_object_points,
-        )
-        if held.valid:
-            return theta, held
+        if rendering.object_points >= problem.limits.min_object_points:
+            return theta
     return None

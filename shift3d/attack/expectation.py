@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from shift3d.attack.loop import best_step
 from shift3d.attack.problem import AttackProblem
-from shift3d.attack.records import AttackResult, StepRecord
+from shift3d.attack.records import AttackResult
 from shift3d.attack.trials import Family, Search, Trials
-
-__all__ = ["descend_expectation"]
 
 SHIFT_M, TURN_RAD = 0.1, 0.02
 """Standard deviations of the placements that a loss is the mean over: a point of a beam's grid, a degree."""
@@ -31,7 +27,6 @@ def descend_expectation(
     rng: np.random.Generator,
     placements: int = 2,
     starts: int = 1,
-    on_step: Callable[[StepRecord], None] | None = None,
     family: Family | None = None,
 ) -> AttackResult:
     """Projected Adam on the mean loss over placements close by.
@@ -50,7 +45,7 @@ def descend_expectation(
     Returns: the valid step with the lowest loss of all: of a draw its own, of a step of the descent the mean.
     Source: expectation over transformation (Athalye et al. 2018) with Adam (Kingma and Ba 2015); our choice.
     """
-    trials = Trials(problem, search, on_step)
+    trials = Trials(problem, search)
     if starts > 1:
         search = _turn_to_best_start(trials, problem, search, starts, rng, family)
     variable = trials.held

@@ -12,8 +12,6 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.space import CodeSpace
 from shift3d.attack.trials import Search
 
-__all__ = ["joint_search"]
-
 
 def joint_search(problem: AttackProblem, lambda_: float, space: CodeSpace, limits: PoseLimits) -> Search:
     """min over z and theta of L_adv(z, theta) + lambda ||z - z0||^2, theta in B(theta0).

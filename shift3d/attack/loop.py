@@ -12,8 +12,6 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.attack.trials import Search, Trials
 
-__all__ = ["Search", "best_step", "descend"]
-
 
 def descend(
     problem: AttackProblem,

@@ -4,7 +4,5 @@ from __future__ import annotations
 
 from typing import Literal
 
-__all__ = ["SearchName", "SpaceName"]
-
 SearchName = Literal["descent", "expectation", "evolution", "random"]
 SpaceName = Literal["free", "pca", "parameters", "family"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,6 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.attack.trials import Family, Search, Trials
 
-__all__ = ["draw_best", "evolve"]
-
 SIGMA = 0.3
 """First standard deviation of an evolution, in the variable's units (our choice)."""
 
@@ -27,7 +24,6 @@ def draw_best(
     evaluations: int,
     rng: np.random.Generator,
     distance: float = 0.2,
-    on_step: Callable[[StepRecord], None] | None = None,
     family: Family | None = None,
 ) -> AttackResult:
     """The best of so many draws: what a search has to beat.
@@ -37,7 +33,7 @@ def draw_best(
     lies beyond the budget is followed by one half way back.
     Returns: the valid draw with the lowest loss. Source: our choice: the paper's random objects are one draw each.
     """
-    trials = Trials(problem, search, on_step, differentiable=False)
+    trials = Trials(problem, search, differentiable=False)
     trials.evaluate(search.start, False)
     for _ in range(evaluations):
         within = trials.trace[-1].within_budget
@@ -53,20 +49,18 @@ def evolve(
     search: Search,
     evaluations: int,
     rng: np.random.Generator,
-    sigma: float = SIGMA,
-    on_step: Callable[[StepRecord], None] | None = None,
 ) -> AttackResult:
     """CMA-ES from the baseline on the loss alone; a candidate beyond the hard constraints is projected first.
 
     An invalid candidate ranks behind every valid one of its generation.
     Args: evaluations: renderings after the baseline's; the last generation may be cut short and then teaches nothing.
-        sigma: the first standard deviation. rng: the only source of randomness.
+        rng: the only source of randomness.
     Returns: the valid step with the lowest loss.
     Source: Hansen 2016, by the cma package; ranking by validity is our choice.
     """
     import cma
 
-    trials = Trials(problem, search, on_step, differentiable=False)
+    trials = Trials(problem, search, differentiable=False)
     trials.evaluate(search.start, False)
     start = search.start.detach().double().numpy()
     options: dict[str, Any] = {
@@ -75,7 +69,7 @@ def evolve(
         "verbose": -9,
         "maxiter": math.inf,
     }
-    strategy = cma.CMAEvolutionStrategy(start, sigma, options)
+    strategy = cma.CMAEvolutionStrategy(start, SIGMA, options)
     left = evaluations
     while left > 0:
         candidates = strategy.ask()

@@ -15,8 +15,6 @@ from shift3d.attack.space import CodeSpace, free_space
 from shift3d.attack.trials import Elsewhere, Search
 from shift3d.placement.constraints import snap_to_ground
 
-__all__ = ["SNAP_M", "attack_shape", "on_ground", "shape_search"]
-
 SNAP_M = 0.35
 """How far a shape's height may follow the ground, metres. Our choice, see `shape_search`."""
 

@@ -17,8 +17,6 @@ from shift3d.errors import InputError
 from shift3d.sdf.principal_components import principal_components
 from shift3d.vehicles.parameter_box import BoxOfParameters
 
-__all__ = ["CodeSpace", "edited_code", "free_space", "parameter_space", "pca_space"]
-
 BALL = 0.95
 """Share of a Gaussian's mass that the ball of `pca` holds (our choice)."""
 

@@ -19,8 +19,6 @@ from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.render.solvers.search import WarmStart
 
-__all__ = ["Elsewhere", "Family", "Parameters", "Search", "Trials"]
-
 Parameters = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 

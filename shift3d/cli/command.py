@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from shift3d.cli.completion import folder_words
 from shift3d.errors import InputError, empty_error
 
-__all__ = ["Command", "key_values", "run_command", "writable_folder"]
+FINISHED = "output folder of a finished sweep"
+"""Help of OUT, for most commands that take one."""
 
 
 @dataclass(frozen=True)
@@ -17,17 +19,34 @@ class Command:
     """One subcommand, in its own file.
 
     summary: a line in ``shift3d --help``. description, epilog: its own ``--help``, the epilog with examples.
-    add_arguments: adds to its parser. run: parsed arguments to an exit code; imports heavy things itself. resumes:
-    whether the same command goes on where it was stopped.
+    run: parsed arguments to an exit code; imports heavy things itself. out, words: help of the sweep's folder that it
+    takes first, and of its words; empty: it takes none. metavar, complete: of a word, and what the shell offers for it.
+    options: adds what else it takes. resumes: whether the same command goes on where it was stopped.
     """
 
     name: str
     summary: str
     description: str
     epilog: str
-    add_arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], int]
+    out: str = ""
+    words: str = ""
+    metavar: str = "key=value"
+    complete: Callable[..., list[str]] | None = None
+    options: Callable[[argparse.ArgumentParser], object] | None = None
     resumes: bool = False
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """What it takes, as argparse and tab completion see it."""
+        if self.out:
+            out = parser.add_argument("out", metavar="OUT", help=self.out)
+            out.completer = folder_words  # type: ignore[attr-defined]
+        if self.options:
+            self.options(parser)
+        if self.words:
+            words = parser.add_argument("words", nargs="*", metavar=self.metavar, help=self.words)
+            if self.complete:
+                words.completer = self.complete  # type: ignore[attr-defined]
 
 
 def run_command(command: Command, words: Sequence[str]) -> int:
@@ -40,8 +59,7 @@ def run_command(command: Command, words: Sequence[str]) -> int:
 def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[str], where: str) -> dict[str, str]:
     """Read ``key=value`` words.
 
-    Raises:
-        InputError: a word without '=', an unknown, repeated or empty key, or a required one that is missing.
+    Raises: InputError: a word without '=', an unknown, repeated or empty key, or a required one that is missing.
     """
     values: dict[str, str] = {}
     usage = "Give " + " ".join(f"{key}=..." for key in required)
@@ -61,11 +79,45 @@ def key_values(words: Sequence[str], known: Sequence[str], required: Sequence[st
     return values
 
 
+def choice(values: Mapping[str, str], key: str, allowed: Sequence[str], where: str) -> str:
+    """One of some values of a key, by default the first. Raises: InputError for another."""
+    value = values.get(key, allowed[0])
+    if value not in allowed:
+        raise InputError(f"{key}={value!r} is unknown", where, f"One of: {', '.join(allowed)}")
+    return value
+
+
+def flag(values: Mapping[str, str], key: str, default: bool, where: str) -> bool:
+    """Whether a key is true. Raises: InputError for what is neither true nor false."""
+    text = values.get(key, str(default).lower())
+    if text not in ("true", "false"):
+        raise InputError(f"{key}={text!r} is neither true nor false", where, f"Give {key}=true")
+    return text == "true"
+
+
+def whole_number(values: Mapping[str, str], key: str, default: int, where: str, least: int = 1) -> int:
+    """The whole number behind a key. Raises: InputError for anything else, and below the least."""
+    text = values.get(key, str(default))
+    if not text.isdecimal() or int(text) < least:
+        raise InputError(f"{key}={text!r} is not a whole number from {least}", where, f"Give {key}={default}")
+    return int(text)
+
+
+def share(values: Mapping[str, str], key: str, default: float, where: str) -> float:
+    """The number of [0, 1) behind a key. Raises: InputError for anything else."""
+    try:
+        value = float(values.get(key, default))
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1.0:
+        raise InputError(f"{key}={values[key]!r} is not in [0, 1)", where, f"Give {key}={default:g}")
+    return value
+
+
 def writable_folder(text: str, key: str = "out") -> Path:
     """The folder that a command writes to, found to be writable before the work begins. key: of the word that names it.
 
-    Raises:
-        InputError: it cannot be written to, or made.
+    Raises: InputError: it cannot be written to, or made.
     """
     from shift3d.store.atomic import check_writable
 

@@ -10,8 +10,6 @@ from typing import Any
 
 from shift3d.settings.folders import files, places, shipped
 
-__all__ = ["folder_words", "key_words", "overrides", "plan_words", "sweep_words"]
-
 _OUTPUTS = Path("outputs")
 _FOLDERS = ("out", "reuse")
 
@@ -32,8 +30,13 @@ def plan_words(prefix: str, **_: Any) -> list[str]:
     if equals and key in _FOLDERS:
         return [f"{key}={folder}" for folder in folder_words(value)]
     if prefix.startswith("job="):
-        return [f"job={name}" for name, path in files("jobs").items() if "\nrunner:" in path.read_text()]
+        return [f"job={name}" for name in job_names()]
     return [name for name in [*files("sweeps"), "job="] if name.startswith(prefix)] + overrides(prefix)
+
+
+def job_names() -> list[str]:
+    """Names of the specs that ``job=`` takes."""
+    return [name for name, path in files("jobs").items() if "\nrunner:" in path.read_text()]
 
 
 def folder_words(prefix: str, **_: Any) -> list[str]:

@@ -10,8 +10,6 @@ from typing import Any
 from shift3d.detectors.names import FOREIGN
 from shift3d.errors import InputError
 
-__all__ = ["FOREIGN_KEYS", "foreign_layout_of"]
-
 FOREIGN_KEYS = ("config", "vehicle_class", "sensor_height_m", "intensity")
 
 

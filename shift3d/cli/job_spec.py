@@ -9,10 +9,9 @@ from typing import Any, Literal, Self
 import yaml  # type: ignore[import-untyped]
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
+from shift3d.cli.completion import job_names
 from shift3d.errors import InputError, empty_error
-from shift3d.settings.folders import files, find, looked_in
-
-__all__ = ["JobSpec", "read_job", "take_job"]
+from shift3d.settings.folders import find, looked_in
 
 
 class JobSpec(BaseModel):
@@ -52,8 +51,7 @@ def _text(value: str | int | float | None) -> str:
 def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
     """The job that the last ``job=`` word names, and the words without any.
 
-    Raises:
-        InputError: see :func:`read_job`.
+    Raises: InputError: see :func:`read_job`.
     """
     named = [word.removeprefix("job=") for word in words if word.startswith("job=")]
     rest = [word for word in words if not word.startswith("job=")]
@@ -65,8 +63,7 @@ def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:
 def read_job(name: str) -> JobSpec:
     """A spec by the name of its file in jobs/ (the current folder's first), or by the path of another file.
 
-    Raises:
-        InputError: there is none, another tool reads it, or it does not hold what a spec holds.
+    Raises: InputError: there is none, another tool reads it, or it does not hold what a spec holds.
     """
     remedy = f"One of: {', '.join(job_names())}, or the path of a file like them. {looked_in('jobs')}"
     named = Path(name).expanduser() if name.endswith((".yaml", ".yml")) else find("jobs", name)
@@ -84,8 +81,3 @@ def read_job(name: str) -> JobSpec:
             first = error.errors()[0]
             what = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
         raise InputError(what, where=str(path), remedy=remedy) from error
-
-
-def job_names() -> list[str]:
-    """Names of the specs that ``job=`` takes."""
-    return [name for name, path in files("jobs").items() if "\nrunner:" in path.read_text()]

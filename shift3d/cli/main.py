@@ -17,8 +17,6 @@ from shift3d.cli.commands.follow_ups import export, patterns, retrieve, rules, v
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode, exit_codes
 
-__all__ = ["COMMANDS", "main", "make_parser", "parse"]
-
 COMMANDS: tuple[Command, ...] = (
     sweep.COMMAND,
     plan.COMMAND,

@@ -9,8 +9,6 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     from shift3d.vehicles.mesh_frame import MeshFrame
 
-__all__ = ["FRAME_KEYS", "FRAME_TEXT", "FRAME_VALUES", "mesh_frame", "whole_number"]
-
 FRAME_KEYS = ("forward", "up", "unit", "length_m")
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 FRAME_VALUES = {"forward": _AXES, "up": _AXES, "unit": ("m", "cm", "mm", "in")}
@@ -34,11 +32,3 @@ def mesh_frame(values: dict[str, str], where: str) -> MeshFrame:
     except ValueError as error:
         raise InputError(f"length_m={length!r} is not a length", where=where, remedy="Give length_m=4.5") from error
     return MeshFrame(**frame, length_m=length_m)
-
-
-def whole_number(values: dict[str, str], key: str, default: int, where: str) -> int:
-    """The positive whole number behind a key. Raises: InputError for anything else."""
-    text = values.get(key, str(default))
-    if not text.isdecimal() or int(text) < 1:
-        raise InputError(f"{key}={text!r} is not a number of {key}", where=where, remedy=f"Give {key}={default}")
-    return int(text)

@@ -5,28 +5,18 @@ from __future__ import annotations
 import sys
 from types import TracebackType
 
-__all__ = ["SecondsBar"]
+from shift3d.progress_bar import progress_bar
 
 
 class SecondsBar:
     """A bar on stderr whose total is what the whole is expected to take; it corrects the expectation as it goes.
 
-    Args:
-        seconds: expected in all.
+    Args: seconds: expected in all.
     """
 
     def __init__(self, seconds: float) -> None:
-        from tqdm import tqdm
-
-        terminal = sys.stderr.isatty()
-        self._bar = tqdm(
-            total=seconds,
-            bar_format="{percentage:3.0f} %|{bar}| {elapsed}<{remaining}{postfix}",
-            dynamic_ncols=True,
-            mininterval=0.2 if terminal else 30.0,
-            smoothing=0.0,
-            file=sys.stderr,
-        )
+        shown = "{percentage:3.0f} %|{bar}| {elapsed}<{remaining}{postfix}"
+        self._bar = progress_bar(slow_s=30.0, total=seconds, bar_format=shown, smoothing=0.0)
 
     def __enter__(self) -> SecondsBar:
         return self

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import shift3d
 
-__all__ = ["version_lines"]
-
 _LIBRARIES = ("torch", "ray")
 
 

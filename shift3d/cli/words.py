@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from shift3d.cli.completion import plan_words
 from shift3d.errors import InputError, empty_error
 from shift3d.settings.folders import files
 
 if TYPE_CHECKING:
     from shift3d.cli.job_spec import JobSpec
-    from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
+    from shift3d.settings.schema.config import RunnerConfig
     from shift3d.store.location import Location
 
-__all__ = ["Request", "add_words", "read_words", "runner_of", "split_words", "take_folders"]
+
+SWEEP_WORDS = "the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs"
+SWEEP_METAVAR = "NAME | key=value"
+RUNNER = ("where it runs: settings of conf/runner", "runner=...")
+"""Help and metavar of the words of commands that `runner_of` reads."""
 
 
 @dataclass(frozen=True)
@@ -34,22 +36,10 @@ class Request:
     job: JobSpec | None
 
 
-def add_words(parser: argparse.ArgumentParser, completer: Callable[..., list[str]] = plan_words) -> None:
-    """The words, as argparse and tab completion see them."""
-    words = parser.add_argument(
-        "words",
-        nargs="*",
-        metavar="NAME | key=value",
-        help="the sweep's name, overrides, out=DIR for the folder to write to, job=NAME for where it runs",
-    )
-    words.completer = completer  # type: ignore[attr-defined]
-
-
 def read_words(words: Sequence[str]) -> Request:
     """Words to what they ask for.
 
-    Raises:
-        InputError: a folder that cannot be used, a job that there is not, or a sweep's folder that is damaged.
+    Raises: InputError: a folder that cannot be used, a job that there is not, or a sweep's folder that is damaged.
     """
     from shift3d.cli.job_spec import take_job
     from shift3d.sweep.planning.spec_file import read_spec
@@ -69,8 +59,7 @@ def read_words(words: Sequence[str]) -> Request:
 def split_words(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
     """Words to (name, overrides, out).
 
-    Raises:
-        InputError: out= is empty, or a URL that cannot be used.
+    Raises: InputError: out= is empty, or a URL that cannot be used.
     """
     name = "default"
     if words and "=" not in words[0] and not words[0].startswith(("+", "~")):
@@ -82,8 +71,7 @@ def split_words(words: Sequence[str]) -> tuple[str, list[str], Location | None]:
 def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[str]]:
     """The folders that words name as ``key=FOLDER``, and the other words.
 
-    Raises:
-        InputError: one is empty, or a URL that cannot be used.
+    Raises: InputError: one is empty, or a URL that cannot be used.
     """
     from shift3d.store.resolve import as_location
 
@@ -93,11 +81,10 @@ def take_folders(key: str, words: Sequence[str]) -> tuple[list[Location], list[s
     return [as_location(folder) for folder in named], [word for word in words if not word.startswith(f"{key}=")]
 
 
-def runner_of(words: Sequence[str], command: str) -> RayRunnerConfig | LocalRunnerConfig:
+def runner_of(words: Sequence[str], command: str) -> RunnerConfig:
     """The runner that overrides describe, from what conf/ has, for a command on what a sweep has found.
 
-    Raises:
-        InputError: another setting than the runner's; what was searched is taken as it is.
+    Raises: InputError: another setting than the runner's; what was searched is taken as it is.
     """
     from shift3d.settings.compose import compose_sweep
     from shift3d.settings.expand import expand

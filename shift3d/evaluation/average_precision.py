@@ -11,8 +11,6 @@ import numpy.typing as npt
 from shift3d.evaluation.frames import Comparison
 from shift3d.evaluation.precision_recall import PrecisionRecall
 
-__all__ = ["FrameMatches", "area_exact", "area_r40", "greedy_curve", "match_frame"]
-
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 

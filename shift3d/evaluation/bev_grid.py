@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CELL_SIZE_M", "BevGrid", "bev_grid"]
-
 CELL_SIZE_M = 10.0
 
 FloatArray = npt.NDArray[np.float64]
@@ -39,8 +37,7 @@ def bev_grid(
         before, after: (N,) scores of the original and of the changed vehicle.
         cell_size_m: edge of a square cell; the corners lie at its multiples.
 
-    Raises:
-        ValueError: shapes that differ, a position or a score that is not finite.
+    Raises: ValueError: shapes that differ, a position or a score that is not finite.
 
     Source: SHIFT3D fig. bev_score (10 m x 10 m cells, average reduction in detection scores).
     """

@@ -23,8 +23,6 @@ from shift3d.evaluation.waymo import (
     cutoff_counts,
 )
 
-__all__ = ["Area", "BreakdownRow", "breakdown", "overall_areas"]
-
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 

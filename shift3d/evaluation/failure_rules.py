@@ -9,8 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Condition", "FailureRule", "aspect_deg", "find_rules"]
-
 DEPTH = 3
 """Most splits to a leaf: a rule of more conditions is read by nobody."""
 LEAST_SHARE, LEAST_OBJECTS = 0.05, 8

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from shift3d.geometry.iou import iou_3d, iou_bev
 
-__all__ = ["VIEWS", "Comparison", "DetectedFrame", "Found", "Truth", "View", "compare", "heading_accuracy"]
-
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["ASPECTS", "MAX_RANGE_M", "POINT_BINS", "RANGE_BINS_M", "Group", "aspect", "groups_of"]
-
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 

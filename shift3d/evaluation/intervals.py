@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from shift3d.seeding import generator
 
-__all__ = ["CONFIDENCE", "DRAWS", "frame_weights", "interval", "weighted_median"]
-
 Floats = npt.NDArray[np.float64]
 
 CONFIDENCE = 0.95

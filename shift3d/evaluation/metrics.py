@@ -12,8 +12,6 @@ from shift3d.evaluation.frames import VIEWS, Comparison, DetectedFrame, View, co
 from shift3d.evaluation.precision_recall import PrecisionRecall
 from shift3d.evaluation.waymo import LEVELS, WaymoRules, assign, waymo_curve
 
-__all__ = ["IOU_THRESHOLDS", "KITTI_DIFFICULTIES", "RANGES_M", "Metric", "evaluate", "kitti_curve"]
-
 IOU_THRESHOLDS = (0.7, 0.5)
 # Waymo's own bins are the last three; a sensor's labels end at 75 m.
 RANGES_M = ((0.0, 75.0), (0.0, 50.0), (0.0, 30.0), (30.0, 50.0), (50.0, 75.0))

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["RecallCurve", "area_under", "recall_curve"]
-
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -27,11 +25,9 @@ class RecallCurve:
 def recall_curve(scores: npt.ArrayLike) -> RecallCurve:
     """The share of inserted vehicles that are detected above each score threshold.
 
-    Args:
-        scores: (N,) best score of each vehicle, 0 where no box was near it, in [0, 1].
+    Args: scores: (N,) best score of each vehicle, 0 where no box was near it, in [0, 1].
 
-    Raises:
-        ValueError: no score, or one outside [0, 1] or NaN.
+    Raises: ValueError: no score, or one outside [0, 1] or NaN.
 
     Source: SHIFT3D section Evaluation Metrics (a detection has a score GREATER than the threshold). Knots at
     the scores themselves are our choice: nothing is lost to a grid of thresholds.

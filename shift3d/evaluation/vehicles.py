@@ -13,8 +13,6 @@ from shift3d.evaluation.frames import DetectedFrame, compare
 from shift3d.evaluation.groups import aspect
 from shift3d.geometry.iou import iou_3d
 
-__all__ = ["ERRORS", "FOUND_SCORE", "MATCH_IOU", "VehicleRows", "vehicle_rows"]
-
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]

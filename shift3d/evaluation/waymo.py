@@ -19,19 +19,6 @@ from scipy.optimize import linear_sum_assignment
 from shift3d.evaluation.frames import Comparison
 from shift3d.evaluation.precision_recall import PrecisionRecall
 
-__all__ = [
-    "LEVELS",
-    "SCORE_CUTOFFS",
-    "Assignment",
-    "CutoffCounts",
-    "WaymoRules",
-    "area_with_gaps",
-    "assign",
-    "curve_of",
-    "cutoff_counts",
-    "waymo_curve",
-]
-
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]

@@ -16,8 +16,6 @@ from shift3d.sweep.planning.plan import Plan
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["SweepObject", "SweepObjects", "scored_objects", "stable_objects"]
-
 
 @dataclass(frozen=True)
 class SweepObject:
@@ -115,9 +113,8 @@ def stable_objects(folder: LocationLike, detector: str, weights_hash: str, metho
     """The objects of a method that a detector may be fine-tuned on: those that are still hard at reference accuracy.
 
     weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_files.detector_hash`.
-    Raises:
-        InputError: as `scored_objects`; the sweep is not verified, has no stable object, attacked other weights, or ran
-            on streets of another split than train.
+    Raises: InputError: as `scored_objects`; the sweep is not verified, has no stable object, attacked other weights, or
+    ran on streets of another split than train.
     """
     found = scored_objects(folder, detector, (method,))
     where = str(found.folder)

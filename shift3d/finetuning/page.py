@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, Section, Terms
 from shift3d.analysis.html.document import document
-from shift3d.analysis.html.figure import LEGEND_BELOW, axis, band, line, plot, plotly_library
-from shift3d.analysis.html.sections.curves import thresholds
-from shift3d.analysis.statistics.intervals import recall_band
+from shift3d.analysis.html.figure import plotly_library
+from shift3d.analysis.html.sections.curves import RecallCurve, recall_plot
 from shift3d.analysis.tables.table import Cell, Table, number
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA
 from shift3d.wording import counted
-
-__all__ = ["finetune_page", "gains_table", "seeds_table"]
 
 OBJECTS = {
     "baseline": "unchanged",
@@ -123,24 +119,13 @@ def _panels(scores: pd.DataFrame) -> list[Plot]:
 
 
 def _panel(key: str, scene_set: str, objects: str, rows: pd.DataFrame) -> Plot:
-    traces: list[dict[str, Any]] = []
-    at, areas = thresholds().astype(np.float32), []
-    for model, own in rows.groupby("model", sort=False):
-        recall, low, high = recall_band(own["score"], list(own["place"]), thresholds())
-        name = f"{MODELS[str(model)]}, {own['score'].mean():.3f}"
-        style = {"shape": "hv", "color": COLOURS[str(model)], "width": 3 if model == TUNED else 2}
-        traces += band(at, low, high, COLOURS[str(model)], line={"shape": "hv"}, legendgroup=str(model))
-        traces.append(line(at, recall, MODELS[str(model)], style, legendgroup=str(model)) | {"name": name})
-        areas.append(name)
-    layout = {
-        "xaxis": axis("score threshold", range=[0, 1]),
-        "yaxis": axis("recall", range=[0, 1.02]),
-        "legend": LEGEND_BELOW,
-        "hovermode": "x unified",
-    }
+    found = [
+        RecallCurve(MODELS[model], own["score"], own["place"], COLOURS[model], width=3 if model == TUNED else 2)
+        for model, own in rows.groupby("model", sort=False)
+    ]
     about = f"{SCENE_SETS[scene_set]}, objects {OBJECTS[objects]}"
     caption = f"{about}: {counted(rows['place'].nunique(), 'scene')}; seeds pooled"
-    return plot(key, traces, layout, f"Threshold-recall curves, {about}. Areas: {'; '.join(areas)}", caption, 340)
+    return recall_plot(key, found, f"Threshold-recall curves, {about}", caption)
 
 
 def _what(objects: Any, metric: str) -> str:

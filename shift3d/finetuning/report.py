@@ -20,8 +20,6 @@ from shift3d.store.atomic import write_atomic
 from shift3d.store.tables import write_table
 from shift3d.training.detector.detect_scenes import read_answer
 
-__all__ = ["HELD_OUT", "NATURAL", "Tuned", "mirror", "score_held_out", "write_report"]
-
 HELD_OUT = ("held_out", "other_vehicles")
 """Folders of the sweeps over held-out streets: of vanilla in the fine-tuning's folder, of a tuned model in its own."""
 NATURAL = "natural"

@@ -17,8 +17,6 @@ from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.scoring import score_points
 from shift3d.training.provenance import refuse_tuned_scenes
 
-__all__ = ["METHODS", "RESCORED", "object_scores", "rescored"]
-
 METHODS = ("baseline", "adversarial")
 """Methods whose objects are scored."""
 RESCORED = pa.schema(

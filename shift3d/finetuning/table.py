@@ -14,8 +14,6 @@ from shift3d.evaluation.breakdown import Area
 from shift3d.evaluation.intervals import interval
 from shift3d.store.schemas import schema_of_columns
 
-__all__ = ["ADAPTIVE", "FINETUNE", "TUNED", "VANILLA", "finetune_table", "natural_rows", "seed_means"]
-
 VANILLA, TUNED = "vanilla", "finetuned"
 ADAPTIVE = "adversarial_adaptive"
 _KEY = ["vehicle", "place", "settings"]

@@ -39,8 +39,6 @@ from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_sc
 from shift3d.training.progress import Report, averaged
 from shift3d.training.provenance import write_provenance
 
-__all__ = ["RATE", "fine_tune", "natural_scenes", "object_scene", "object_scenes", "objects_digest", "tuning_recipe"]
-
 
 def objects_digest(found: SweepObjects) -> str:
     """64 bits of which objects they are, hex."""

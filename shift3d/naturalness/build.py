@@ -23,8 +23,6 @@ from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.store.user_cache import source_digest, user_cache
 from shift3d.wording import counted
 
-__all__ = ["build_reference", "load_reference", "reference_file"]
-
 CALIBRATED = 400
 """Members that are left out, one after the other, for the calibration: of more, these, spread over all."""
 _PROCESSES, _LEAST_FOR_PROCESSES = 2, 150
@@ -74,9 +72,8 @@ def reference_file(source: ReferenceSource) -> Path:
 def build_reference(source: ReferenceSource, where: str) -> tuple[list[Member], Calibration]:
     """Build every member of a set and calibrate it; two processes and a progress bar where that takes long.
 
-    Raises:
-        InputError: a member that cannot be read; no members, or fewer than a calibration needs; members of sizes that
-            no vehicle has, as another unit gives them.
+    Raises: InputError: a member that cannot be read; no members, or fewer than a calibration needs; members of sizes
+    that no vehicle has, as another unit gives them.
     """
     builds = source.members()
     if len(builds) < FEWEST:

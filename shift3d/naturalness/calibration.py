@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FEWEST", "NATURAL_PERCENTILE", "NATURAL_RULE", "Calibration"]
-
 NATURAL_PERCENTILE = 95.0
 """Of the members left out 95 in 100 are natural by this measure, and 5 are not."""
 NATURAL_RULE = (

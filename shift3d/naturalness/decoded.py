@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
     from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["decoded_mesh", "decoded_surface"]
-
 RESOLUTION, COARSEST, MARGINS = 49, 12, (1.0, 0.6)
 """Nodes along the unit sphere's cube, 10 cm apart on a car, and cells of the first grid."""
 _SURVEYED = 1024

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
     from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["NO_SURFACE", "Naturalness", "NaturalnessMeasure"]
-
 
 @dataclass(frozen=True)
 class NaturalnessMeasure:

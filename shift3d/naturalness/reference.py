@@ -20,18 +20,6 @@ from shift3d.store.safetensors_file import write_safetensors
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = [
-    "PROBES",
-    "Member",
-    "Nearest",
-    "ReferenceSet",
-    "fingerprint",
-    "left_out_cm",
-    "likely_nearest",
-    "read_reference",
-    "write_reference",
-]
-
 _SPACING_M, _REACH_M = 0.25, 0.5
 PROBES: NDArray[np.float64] = np.stack(
     np.meshgrid(

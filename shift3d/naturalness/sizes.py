@@ -12,8 +12,6 @@ import numpy as np
 from shift3d.naturalness.surface import Surface
 from shift3d.vehicles.family.published import INCH_M, PUBLISHED, TRAILERS
 
-__all__ = ["Sizes", "published_ranges", "sizes_of"]
-
 SIZE_TOLERANCE_M, RATIO_TOLERANCE = 0.03, 0.03
 """What a decoder's surface may be off: sizes of the shipped family by up to 2 cm, ratios by as much of themselves."""
 LIFT_M = 12 * INCH_M

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from shift3d.vehicles.mesh_frame import MeshFrame
 
-__all__ = ["MeshReference", "ReferenceSource", "SetReference", "WideReference", "reference_source", "source_hash"]
-
 Build = Callable[[], "tuple[str, trimesh.Trimesh]"]
 VERSION = 1
 """Raised when the same settings come to mean other members."""

@@ -11,8 +11,6 @@ from shift3d.naturalness.sizes import published_ranges
 from shift3d.retrieval.fit import turned
 from shift3d.scenes.scene import Scene
 
-__all__ = ["FEWEST_POINTS", "Crop", "crop_vehicles", "seen_sides"]
-
 Array = NDArray[np.float64]
 FEWEST_POINTS = 10
 FLOOR_M = 0.2

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from shift3d.retrieval.subspace import Subspace
 
-__all__ = ["Fit", "fit_shape", "turned"]
-
 Array = NDArray[np.float64]
 ITERATIONS = 12
 NOISE_M = 0.03

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 
-__all__ = ["Pool", "excluded"]
-
 Array = NDArray[np.float64]
 RANGE_RATIO, POINTS_RATIO = 1.25, 1.5
 """How far range and number of points of a control may lie from the matched vehicle's, as factors."""

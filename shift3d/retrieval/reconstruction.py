@@ -17,8 +17,6 @@ from shift3d.retrieval.fit import SHIFT_M, STRETCH, TURN_RAD, Fit, fit_shape, tu
 from shift3d.retrieval.subspace import Subspace
 from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["FLAGS", "Reconstructor"]
-
 FLAGS = {
     "one_side": "the points lie along one side of the vehicle at most",
     "wrong_box": "a fourth of the points lie more than 15 cm from the shape, or the shape lies three standard "

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from shift3d.sdf.decoder import Decoder
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 
-__all__ = ["COMPONENTS", "Subspace"]
-
 COMPONENTS = 10
 BALL = 0.95
 """Share of a Gaussian's mass that the ellipsoid holds, as in `attack.space`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from shift3d.detectors.names import ONNX
 from shift3d.errors import InputError
@@ -12,19 +12,12 @@ from shift3d.settings import messages
 from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.compose import Values
 from shift3d.settings.schema.config import AccuracyConfig, Config
+from shift3d.settings.schema.records import Count, Number, Positive, Record
 
-__all__ = ["FrontierConfig", "FrontierSweep", "MeasuredCase", "MeasuredSetting", "expand_settings", "validate_frontier"]
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=1)]
 _CROP = "crop_m"
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class MeasuredSetting(_Record):
+class MeasuredSetting(Record):
     """One setting, or one line of the diagram where ``over`` has values.
 
     name: unique; with ``over``, "{}" in it is where the value goes. method: the line it belongs to. preset: what it
@@ -42,7 +35,7 @@ class MeasuredSetting(_Record):
     name: str
     method: str
     preset: Literal["draft", "standard", "paper", "reference"]
-    render: dict[str, bool | int | float | str] = {}
+    render: dict[str, bool | int | float | str] = Field(default={})
     over: dict[str, Annotated[list[float], Field(min_length=1)]] = Field(default={}, max_length=1)
     detector: Literal["bfloat16", "float32", "float64"] | None = None
     crop_m: Positive | None = 8.0
@@ -52,18 +45,18 @@ class MeasuredSetting(_Record):
     incremental: bool = True
     displaced: bool = True
     steps: Count = 1
-    attack_steps: Annotated[int, Field(ge=0)] = 0
+    attack_steps: Number = 0
     bfloat16: bool = False
 
 
-class MeasuredCase(_Record):
+class MeasuredCase(Record):
     """One vehicle at one distance, in the first scene that has room for it there."""
 
     vehicle: str
     range_m: Positive
 
 
-class FrontierConfig(_Record):
+class FrontierConfig(Record):
     """What is measured, on what, and how often.
 
     within_m: how far from its distance a vehicle may stand. min_object_points: fewest returns on it. descent_steps:
@@ -77,7 +70,7 @@ class FrontierConfig(_Record):
     cases: Annotated[list[MeasuredCase], Field(min_length=1)]
     within_m: Positive
     min_object_points: Count
-    descent_steps: Annotated[int, Field(ge=0)]
+    descent_steps: Number
     warm_steps: Count
     repeats: Count
     seconds: Positive
@@ -110,9 +103,8 @@ def validate_frontier(values: Values, where: str) -> FrontierSweep:
 def expand_settings(config: FrontierConfig) -> list[tuple[MeasuredSetting, AccuracyConfig]]:
     """Settings with ``over`` written out, and each one's accuracy, in the file's order.
 
-    Raises:
-        InputError: two settings of one name, an override that the renderer does not have or cannot take, a name
-            without a place for its value, or a name in ``quick`` that is none.
+    Raises: InputError: two settings of one name, an override that the renderer does not have or cannot take, a name
+    without a place for its value, or a name in ``quick`` that is none.
     """
     where, found = "frontier.settings", []
     for setting in config.settings:

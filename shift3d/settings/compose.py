@@ -20,8 +20,6 @@ from shift3d.settings.schema.config import Config
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-__all__ = ["Axis", "Composed", "compose_sweep", "sweep_names", "validate"]
-
 Values = dict[str, Any]
 _SMALL = "small"
 
@@ -63,9 +61,8 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     the same key in its place; the order is Hydra's own multirun order. ``size=small`` stands for the overrides that
     the sweep's file lists under ``small``; those that are given come after them.
 
-    Raises:
-        InputError: unknown sweep, group, option or setting; an unreadable or empty override; a continuous axis; a small
-            size of a sweep that has none.
+    Raises: InputError: unknown sweep, group, option or setting; an unreadable or empty override; a continuous axis; a
+    small size of a sweep that has none.
     """
     where = f"sweep {name}"
     file = find("sweeps", name)
@@ -157,8 +154,7 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
 def _search_path() -> list[str]:
     """Where Hydra looks for groups, and then for sweeps that a sweep is made of, quoted for its grammar.
 
-    Raises:
-        InputError: another program's settings stand where shift3d's own would be taken from.
+    Raises: InputError: another program's settings stand where shift3d's own would be taken from.
     """
     folders = [folder.absolute() for folder in [*places("conf"), *places("sweeps")] if folder.is_dir()]
     own, theirs = folders[0] / "config.yaml", shipped("conf") / "config.yaml"

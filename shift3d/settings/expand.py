@@ -9,14 +9,11 @@ from shift3d.errors import InputError
 from shift3d.settings.compose import Composed, Values, validate
 from shift3d.settings.schema.config import Config
 
-__all__ = ["expand"]
-
 
 def expand(composed: Composed) -> Iterator[Config]:
     """Checked settings of every combination; the last axis varies fastest, as in Hydra's BasicSweeper.
 
-    Raises:
-        InputError: a combination that the schema refuses, or settings of the runner or tracking as an axis.
+    Raises: InputError: a combination that the schema refuses, or settings of the runner or tracking as an axis.
     """
     where = f"sweep {composed.name}"
     for axis in composed.axes:

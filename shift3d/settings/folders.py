@@ -13,8 +13,6 @@ from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["files", "find", "looked_in", "own_folders", "places", "shipped", "shown"]
-
 
 def shipped(path: str) -> Path:
     """A folder that ships. path: ``sweeps``, ``jobs``, ``conf`` or below. Raises InputError where it is missing."""

@@ -22,8 +22,6 @@ _UNIONS = (
     "tracking",
 )
 
-__all__ = ["choice_error", "from_hydra", "from_validation", "one_of", "unreadable"]
-
 
 def one_of(value: str, allowed: Iterable[str]) -> str:
     """``Did you mean 'suv'? One of: coupe, suv`` (the first sentence where something is close)."""
@@ -73,8 +71,7 @@ def from_hydra(
 ) -> InputError:
     """Hydra's message in our form: what, the names that exist, and the nearest one.
 
-    Args:
-        config: the settings without any override, for the names of fields. options: of a group, by its name.
+    Args: config: the settings without any override, for the names of fields. options: of a group, by its name.
     """
     text = str(error)
     # Of one option Hydra says that it did not find it, of one in a list that it could not load it.

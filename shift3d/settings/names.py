@@ -16,8 +16,6 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator
 
-__all__ = ["Text", "quoted", "text_settings"]
-
 _NUMBER = re.compile(r"(?<![^\s=,\[])[-+]?[\d._]+(?:[eE][-+]?\d+)?(?![^\s,\]])")
 
 

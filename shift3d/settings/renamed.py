@@ -7,8 +7,6 @@ from typing import Any
 
 from shift3d.errors import InputError
 
-__all__ = ["current_settings", "renamed_error"]
-
 _RENDER = "accuracy.render."
 _NAMES = {
     "accuracy.render.unchecked_m": "accuracy.render.final_newton_m",
@@ -52,8 +50,7 @@ def renamed_error(key: str, value: Any = None) -> InputError | None:
 def current_settings(values: Mapping[str, Any], where: str) -> dict[str, Any]:
     """A task's settings of the renderer, of this or an older program, by the valid names.
 
-    Raises:
-        InputError: a solver that is gone.
+    Raises: InputError: a solver that is gone.
     """
     found = {
         _NAMES.get(_RENDER + name, _RENDER + name).removeprefix(_RENDER): value

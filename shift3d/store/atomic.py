@@ -15,10 +15,6 @@ from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = [
-    "DiskFullError", "UncertainError", "check_writable", "disk_error", "leftovers", "put_if_absent", "write_atomic",
-]  # fmt: skip
-
 _TEMPORARY = ".tmp-"
 # .tmp-<process>-<machine><one use>-<final name>; earlier programs left the middle part out.
 _OWNER = re.compile(r"\.tmp-(\d+)-(?:([0-9a-f]{8})[0-9a-f]{8}-)?")
@@ -39,8 +35,7 @@ def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
         path: final name; an existing file is replaced in one step.
         write: the bytes, or a function that writes the file it is given the name of.
 
-    Raises:
-        InputError: the disk is full or not writable; nothing is left under either name.
+    Raises: InputError: the disk is full or not writable; nothing is left under either name.
     """
     temporary = _temporary(path)
     with _clear_disk_errors(path), _removed_on_failure(temporary):
@@ -84,8 +79,7 @@ def check_writable(folder: Path, word: str = "out=DIR") -> None:
 
     word: what names another folder, for the message.
 
-    Raises:
-        InputError: it cannot; the message says what to do.
+    Raises: InputError: it cannot; the message says what to do.
     """
     with _clear_disk_errors(folder, word):
         nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())

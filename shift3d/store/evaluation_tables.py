@@ -9,8 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from shift3d.store.schemas import schema_of_columns
-
-__all__ = ["EVALUATION_SCHEMAS", "EVALUATION_SCHEMA_VERSION", "evaluation_table"]
+from shift3d.store.tables import check_table
 
 EVALUATION_SCHEMA_VERSION = 2
 
@@ -58,18 +57,12 @@ def evaluation_table(name: str, columns: Mapping[str, Sequence[Any] | np.ndarray
     """Columns of equal length as a table of the schema ``name``. NaN in a column that may be null becomes null.
 
     Raises:
-        ValueError: a column is missing or unknown, or one that may not be null holds None, NaN or infinity.
+        ValueError: a column is missing or unknown. InputError: one that may not be null holds None, NaN or infinity.
     """
     schema = EVALUATION_SCHEMAS[name]
     if set(columns) != set(schema.names):
         raise ValueError(f"{name}: columns {sorted(set(columns) ^ set(schema.names))} are missing or unknown")
-    arrays = []
-    for field in schema:
-        array = pa.array(columns[field.name], type=field.type, from_pandas=field.nullable)
-        broken = array.null_count > 0 and not field.nullable
-        if pa.types.is_floating(field.type):
-            broken |= not np.isfinite(array.drop_null().to_numpy()).all()
-        if broken:
-            raise ValueError(f"{name}.{field.name} holds a value that is missing or not finite")
-        arrays.append(array)
-    return pa.Table.from_arrays(arrays, schema=schema)
+    arrays = [pa.array(columns[field.name], type=field.type, from_pandas=field.nullable) for field in schema]
+    table = pa.Table.from_arrays(arrays, schema=schema)
+    check_table(table, schema, name)
+    return table

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
-from shift3d.store.log import Commit, CommitLog, entry_names, read_entry, read_log
+from shift3d.store.log import CommitLog, committed_rows
+from shift3d.store.log_entries import Commit, entry_names, read_entry, read_log
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.segments import committed_rows
-
-__all__ = ["Compacted", "Garbage", "collect", "compact", "find_garbage"]
 
 _SEGMENT = re.compile(r"\d{8}-(\d+-[0-9a-f]{8})-\w+\.parquet")
 
@@ -46,8 +44,7 @@ def find_garbage(folder: LocationLike) -> Garbage:
     driver whose session is in the log: to the last one, which may be about to commit it and is left alone, or to an
     earlier one, which never can. No clock is needed.
 
-    Raises:
-        InputError: the log is damaged; nothing is garbage then.
+    Raises: InputError: the log is damaged; nothing is garbage then.
     """
     folder = as_location(folder)
     log, data = folder / "_log", folder / "data"
@@ -105,8 +102,7 @@ def compact(folder: LocationLike) -> Compacted:
     It opens a session, so a driver that runs is stopped at its next commit. The new entry makes the new segments count
     and the old ones not, in one step; only then are the old ones removed.
 
-    Raises:
-        InputError: the folder has no log, it is damaged, another driver began meanwhile, or the disk is full.
+    Raises: InputError: the folder has no log, it is damaged, another driver began meanwhile, or the disk is full.
     """
     folder = as_location(folder)
     entries = read_log(folder)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any
 
@@ -21,12 +21,10 @@ import pyarrow as pa
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.store.location import Location, UncertainError
-from shift3d.store.log_entries import Commit, entry_name, entry_names, entry_of, read_entry, read_log
+from shift3d.store.log_entries import Commit, entry_name, entry_of, read_log
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.schemas import SCHEMA_VERSION
-from shift3d.store.tables import write_table
-
-__all__ = ["Commit", "CommitLog", "TakenOverError", "entry_names", "read_entry", "read_log"]
+from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
+from shift3d.store.tables import read_table, write_table
 
 _BEGINNINGS = 50
 
@@ -47,8 +45,7 @@ class CommitLog:
     Attributes:
         entries: all of them, in order.
 
-    Raises:
-        InputError: the log cannot be read or written, or is another sweep's.
+    Raises: InputError: the log cannot be read or written, or is another sweep's.
     """
 
     def __init__(self, folder: LocationLike, spec_hash: str) -> None:
@@ -88,8 +85,7 @@ class CommitLog:
     def commit(self, done: tuple[str, ...], quarantined: tuple[str, ...], tables: dict[str, pa.Table]) -> Commit:
         """Write the segments, then the entry that makes them count.
 
-        Args:
-            done, quarantined: task ids. tables: segment tables by name; empty ones are left out.
+        Args: done, quarantined: task ids. tables: segment tables by name; empty ones are left out.
 
         Raises:
             TakenOverError: another driver wrote this entry; these rows are not part of the sweep.
@@ -187,3 +183,25 @@ def _driver_of(path: Location) -> str:
         return f"driver {json.loads(path.read_bytes())['driver']}"
     except (OSError, ValueError, KeyError):
         return "it"
+
+
+def committed_rows(folder: LocationLike, entries: Sequence[Commit], name: str) -> pa.Table:
+    """Every row of one table that was committed, in the order of the log.
+
+    Raises: InputError: a segment is missing, torn, or of another length than was committed.
+    """
+    files = [(dict(entry.segments)[name], dict(entry.rows)[name]) for entry in entries if name in dict(entry.segments)]
+    data = as_location(folder) / "data"
+    parts = data.each(lambda file: _segment(data, name, *file), files)
+    return pa.concat_tables([SCHEMAS[name].empty_table(), *parts])
+
+
+def _segment(data: Location, name: str, file_name: str, rows: int) -> pa.Table:
+    part = read_table(data / file_name, name)
+    if part.num_rows != rows:
+        raise InputError(
+            f"has {part.num_rows} rows, {rows} were committed",
+            where=str(data / file_name),
+            remedy="Restore it from a copy, or remove the output folder and run the sweep again",
+        )
+    return part

@@ -18,8 +18,6 @@ from shift3d.store.migrations import steps
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SEGMENTS
 
-__all__ = ["Commit", "entry_name", "entry_names", "entry_of", "read_entry", "read_log"]
-
 _ENTRY = re.compile(r"\d{8}\.json")
 _TRIES = 5
 _RESTORE = "Restore the file from a copy, or remove the output folder and run the sweep again"
@@ -47,8 +45,7 @@ class Commit:
 def read_log(folder: LocationLike) -> list[Commit]:
     """The entries that count, in order: all of them, or from the last compaction on, which says what was before it.
 
-    Raises:
-        InputError: an entry is missing, torn, or of a schema version that this program cannot read.
+    Raises: InputError: an entry is missing, torn, or of a schema version that this program cannot read.
     """
     log = as_location(folder) / "_log"
     for _ in range(_TRIES):
@@ -60,8 +57,7 @@ def read_log(folder: LocationLike) -> list[Commit]:
 def entry_names(log: Location) -> list[str]:
     """Names of all entries that are there, those that a compaction replaced included, in order. log: the folder _log.
 
-    Raises:
-        InputError: a name that no driver gave.
+    Raises: InputError: a name that no driver gave.
     """
     names = [name for name in log.names() if name.endswith(".json") and name[0].isdigit()]
     for name in names:
@@ -89,8 +85,7 @@ def _read(log: Location, names: list[str]) -> list[Commit]:
 def read_entry(path: Location) -> Commit:
     """One entry.
 
-    Raises:
-        FileNotFoundError: it is not there. InputError: it is torn, or of a version that this program cannot read.
+    Raises: FileNotFoundError: it is not there. InputError: it is torn, or of a version that this program cannot read.
     """
     try:
         values = json.loads(path.read_bytes())

@@ -17,8 +17,6 @@ import pyarrow as pa
 from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
 
-__all__ = ["STEPS", "Step", "steps"]
-
 Values = dict[str, Any]
 
 
@@ -118,8 +116,7 @@ STEPS: Mapping[int, Step] = {
 def steps(version: object, where: str) -> list[Step]:
     """The steps from a version that was found to this one; none for this one.
 
-    Raises:
-        InputError: the version is newer than this program, or older than the oldest that there is a step for.
+    Raises: InputError: the version is newer than this program, or older than the oldest that there is a step for.
     """
     oldest = min(STEPS)
     if isinstance(version, int) and oldest <= version <= SCHEMA_VERSION:

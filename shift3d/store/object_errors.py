@@ -6,8 +6,6 @@ import re
 
 from shift3d.errors import InputError
 
-__all__ = ["explained"]
-
 _CREDENTIALS = {
     "s3": "Set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or give the machine a role",
     "gs": "Set GOOGLE_SERVICE_ACCOUNT to a key file, or give the machine a service account",

@@ -32,8 +32,6 @@ from shift3d.store.object_errors import explained
 if TYPE_CHECKING:
     from obstore.store import RetryConfig
 
-__all__ = ["SCHEMES", "ObjectLocation", "object_location"]
-
 SCHEMES = ("s3", "gs")
 _THREADS = 16
 _IN_ONE_PIECE = 32 * 2**20
@@ -55,8 +53,7 @@ _ERRORS = (BaseError, OSError, ValueError, RuntimeError)
 def object_location(url: str) -> ObjectLocation:
     """``s3://bucket/prefix`` or ``gs://bucket/prefix`` as a location.
 
-    Raises:
-        InputError: another scheme, no bucket, or settings in the environment that cannot be used.
+    Raises: InputError: another scheme, no bucket, or settings in the environment that cannot be used.
     """
     scheme, _, rest = url.partition("://")
     bucket, _, prefix = rest.partition("/")
@@ -141,7 +138,6 @@ class ObjectLocation(Location):
 
     @property
     def name(self) -> str:
-        """See `Location`."""
         return self.key.rpartition("/")[2]
 
     @property
@@ -152,14 +148,12 @@ class ObjectLocation(Location):
         return ObjectLocation(self.scheme, self.bucket, f"{self.key}/{part}".strip("/"))
 
     def absolute(self) -> ObjectLocation:
-        """See `Location`."""
         return self
 
     def is_file(self) -> bool:
         """See `Location`.
 
-        Raises:
-            InputError: the store cannot be asked.
+        Raises: InputError: the store cannot be asked.
         """
         try:
             self.size()
@@ -211,7 +205,6 @@ class ObjectLocation(Location):
             obstore.put(self._client, self.key, content, use_multipart=len(content) > _IN_ONE_PIECE)
 
     def put_if_absent(self, content: bytes) -> bool:
-        """See `Location`."""
         try:
             with _clear_errors(str(self)):
                 obstore.put(self._client, self.key, content, mode="create", use_multipart=False)
@@ -231,7 +224,6 @@ class ObjectLocation(Location):
             raise UncertainError(error.what, error.where, error.remedy) from error
 
     def delete(self) -> None:
-        """See `Location`."""
         with _clear_errors(str(self)), contextlib.suppress(FileNotFoundError):
             obstore.delete(self._client, self.key)
 
@@ -253,7 +245,6 @@ class ObjectLocation(Location):
         raise InputError(what, where=str(self), remedy=remedy)
 
     def each(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """See `Location`."""
         if len(items) < 2:
             return [function(item) for item in items]
         with ThreadPoolExecutor(_THREADS) as threads:

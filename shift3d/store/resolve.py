@@ -8,10 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from shift3d.errors import InputError
-from shift3d.store.local_files import LocalLocation
-from shift3d.store.location import Location
-
-__all__ = ["LocationLike", "as_location", "local_copy"]
+from shift3d.store.location import LocalLocation, Location
 
 LocationLike = Location | Path | str
 """What functions that read or write a sweep's folder take: a location, a path, or either of them as text."""
@@ -20,9 +17,8 @@ LocationLike = Location | Path | str
 def as_location(place: LocationLike) -> Location:
     """A path, ``s3://bucket/prefix`` or ``gs://bucket/prefix`` as a location. Of text, ~ is the home folder.
 
-    Raises:
-        InputError: the text is empty, the URL has no bucket or another scheme, or settings in the environment cannot be
-            used.
+    Raises: InputError: the text is empty, the URL has no bucket or another scheme, or settings in the environment
+    cannot be used.
     """
     if isinstance(place, Location):
         return place
@@ -41,8 +37,7 @@ def local_copy(folder: LocationLike, names: Sequence[str]) -> Iterator[Path]:
 
     For libraries that read paths alone. A local folder is given as it is, with whatever else it holds.
 
-    Raises:
-        InputError: they cannot be read. FileNotFoundError: a file that was listed is gone.
+    Raises: InputError: they cannot be read. FileNotFoundError: a file that was listed is gone.
     """
     location = as_location(folder)
     if isinstance(location, LocalLocation):

@@ -8,9 +8,6 @@ from pathlib import Path
 
 import pyarrow as pa
 
-__all__ = ["AGGREGATES", "FOLLOW_UPS", "GROUP_COLUMNS", "SCHEMAS", "SCHEMA_VERSION", "SEGMENTS", "SPEC_COLUMNS"]
-__all__ += ["ABOUT", "MEANINGS", "schema_of_columns"]
-
 _FILE = tomllib.loads((Path(__file__).parent / "tables.toml").read_text(encoding="utf-8"))
 SCHEMA_VERSION: int = _FILE["version"]
 _GROUPS: dict[str, str] = _FILE["groups"]
@@ -54,6 +51,8 @@ def _names(*groups: str) -> tuple[str, ...]:
 
 SPEC_COLUMNS = _names("task", "settings")
 """Columns that the spec of a task determines: filled in by the sweep."""
+POSE_COLUMNS = _names("pose")
+"""x, y, z, yaw, pitch and roll of an object, in the order of theta (6,)."""
 GROUP_COLUMNS = _names("group")
 """What distinguishes the groups of tasks that a curve, an AUC or a grid is taken over."""
 # Written by commits, task by task. A table that a folder does not have is empty: those that came later than the first
@@ -64,6 +63,8 @@ SEGMENTS = (
 )
 FOLLOW_UPS = ("verification", "vehicle_pool", "retrieved", "patterns")
 """Those that commands of their own make of a sweep that has finished."""
+SWEPT = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
+"""Those that a sweep itself makes."""
 # Computed from the plan and the scores when a sweep has finished.
 AGGREGATES = tuple(name for name in _FILE["tables"] if name not in SEGMENTS)
 _TYPES = {name: kind for name, (kind, _, _) in _COLUMNS.items()}

@@ -10,27 +10,27 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
-from shift3d.store.local_files import LocalLocation
-from shift3d.store.location import Location
+from shift3d.store.location import LocalLocation
 from shift3d.store.migrations import steps
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
-
-__all__ = ["check_table", "read_table", "table_bytes", "table_from_rows", "write_table"]
 
 _ROW_GROUP = 65_536
 _RESTORE = "Restore it from a copy, or remove the output folder and run the sweep again"
 
 
 def table_from_rows(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Rows of plain Python or NumPy values as a table of the schema ``name``.
+    """Rows as a table of the sweep's schema ``name``. Raises: ValueError as `table_of`."""
+    return table_of(SCHEMAS[name], rows)
 
-    Raises:
-        ValueError: a row has an unknown column, lacks one that may not be null, or holds a value of another
-            type. It is the task's defect, so the message names the column, and no file is touched.
+
+def table_of(schema: pa.Schema, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """Rows of plain Python or NumPy values as a table of a schema; columns that may be null may be left out.
+
+    Raises: ValueError: a row has an unknown column, lacks one that may not be null, or holds a value of another type.
+        It is the task's defect, so the message names the column, and no file is touched.
     """
-    schema = SCHEMAS[name]
-    names = set(schema.names)
+    name, names = schema.metadata[b"shift3d.schema"].decode(), set(schema.names)
     for row in rows:
         if not names.issuperset(row):
             raise ValueError(f"{name} has no column {sorted(set(row) - names)}")
@@ -45,24 +45,21 @@ def _column(name: str, field: pa.Field, values: list[Any]) -> pa.Array:
         array = pa.array(values, type=field.type)
     except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
         raise ValueError(f"{name}.{field.name}: {error}") from error
-    if pa.types.is_floating(field.type) and not np.isfinite(array.to_numpy(zero_copy_only=False)).all():
-        bad = [v for v in values if v is not None and not np.isfinite(v)]
+    if pa.types.is_floating(field.type):
+        bad = [value for value in values if value is not None and not np.isfinite(value)]
         if bad:
             raise ValueError(f"{name}.{field.name} is {bad[0]}")
     return array
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    return value
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def write_table(path: LocationLike, table: pa.Table) -> None:
     """Write a Parquet file atomically. The same table content gives the same bytes.
 
-    Raises:
-        InputError: the disk is full or not writable.
+    Raises: InputError: the disk is full or not writable.
     """
     as_location(path).write_atomic(table_bytes(table))
 
@@ -86,23 +83,10 @@ def read_table(
     filters: (column, operator, value) that rows must satisfy, as pyarrow has them. content: the file's bytes, where
     the caller has them.
 
-    Raises:
-        InputError: the file is missing, torn, or of another schema or version.
+    Raises: InputError: the file is missing, torn, or of another schema or version.
     """
-    location = as_location(path)
-    try:
-        source = _source(location, content)
-        table = pq.read_table(source, partitioning=None, filters=filters, page_checksum_verification=True)
-        table = table.select(table.column_names)  # a damaged name may be no text
-    except (OSError, pa.ArrowException, ValueError, KeyError) as error:  # a damaged header has many ways to fail
-        raise InputError(
-            f"cannot be read as Parquet ({type(error).__name__})",
-            where=str(path),
-            remedy=_RESTORE,
-        ) from error
-    metadata = table.schema.metadata or {}
-    version = metadata.get(b"shift3d.schema_version", b"none").decode(errors="replace")
-    if metadata.get(b"shift3d.schema", b"").decode(errors="replace") != name:
+    table, found, version = read_parquet(path, _RESTORE, filters, content)
+    if found != name:
         raise InputError(f"is not a {name} table", where=str(path), remedy=_RESTORE)
     if version != str(SCHEMA_VERSION):
         for step in steps(int(version) if version.isdecimal() else version, str(path)):
@@ -112,20 +96,44 @@ def read_table(
     return table
 
 
-def _source(location: Location, content: bytes | None) -> Any:
-    if content is None and isinstance(location, LocalLocation):
-        return location.path
-    return pa.BufferReader(location.read_bytes() if content is None else content)
+def read_parquet(
+    path: LocationLike,
+    remedy: str,
+    filters: list[tuple[str, str, Any]] | None = None,
+    content: bytes | None = None,
+) -> tuple[pa.Table, str, str]:
+    """A Parquet file of ours, and the schema and the version that its metadata name.
+
+    filters, content: as of `read_table`. Raises: InputError with the remedy: the file is missing or torn.
+    """
+    location = as_location(path)
+    try:
+        source: Any = pa.BufferReader(content) if content is not None else None
+        if source is None:
+            source = location.path if isinstance(location, LocalLocation) else pa.BufferReader(location.read_bytes())
+        table = pq.read_table(source, partitioning=None, filters=filters, page_checksum_verification=True)
+        table = table.select(table.column_names)  # a damaged name may be no text
+    except FileNotFoundError as error:
+        raise InputError("is missing", str(path), remedy) from error
+    except (OSError, pa.ArrowException, ValueError, KeyError) as error:  # a damaged header has many ways to fail
+        raise InputError(f"cannot be read as Parquet ({type(error).__name__})", str(path), remedy) from error
+    metadata = table.schema.metadata or {}
+    schema, version = (
+        metadata.get(f"shift3d.{key}".encode(), b"none").decode(errors="replace")[:40]
+        for key in ("schema", "schema_version")
+    )
+    return table, schema, version
 
 
 def check_table(table: pa.Table, schema: pa.Schema, path: LocationLike) -> None:
     """Refuse a table that has not a schema's columns and types, or lacks values, or holds NaN or infinity.
 
-    Raises:
-        InputError: naming the file and the column.
+    Raises: InputError: naming the file and the column.
     """
     if table.schema.names != schema.names:
-        raise InputError("has not the columns of its kind", where=str(path), remedy=_RESTORE)
+        lacking = [name for name in schema.names if name not in table.schema.names]
+        what = f"has no column {lacking[0]}" if lacking else "has not the columns of its kind"
+        raise InputError(what, where=str(path), remedy=_RESTORE)
     for field in schema:
         column, found = table[field.name], table.schema.field(field.name)
         if (found.type, found.nullable) != (field.type, field.nullable) or (column.null_count and not field.nullable):

@@ -7,8 +7,6 @@ import hashlib
 import os
 from pathlib import Path
 
-__all__ = ["source_digest", "user_cache"]
-
 
 def user_cache() -> Path:
     """``shift3d`` in XDG_CACHE_HOME, or in ~/.cache; it may not be there yet."""

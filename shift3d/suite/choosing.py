@@ -13,9 +13,6 @@ from shift3d.store.tables import read_table
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["CHOICES", "Choice", "Chosen", "choose_solutions"]
-
-CHOICES = ("random", "hardest")
 _KEY = ["task_id", "method", "replicate"]
 
 
@@ -56,8 +53,7 @@ def choose_solutions(final: Location, choice: Choice) -> Chosen:
     Left out: what has no score or breaks a constraint, what a verification found unstable, and shapes that are not
     natural where that was measured.
 
-    Raises:
-        InputError: the sweep is not finished, has no such method, or nothing of it is eligible.
+    Raises: InputError: the sweep is not finished, has no such method, or nothing of it is eligible.
     """
     if not (final / "scores.parquet").is_file():
         raise InputError("the sweep is not finished", str(final), "Run its command again: it resumes")

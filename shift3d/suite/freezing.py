@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pyarrow as pa
-import torch
 from numpy.typing import NDArray
 
 import shift3d
 from shift3d.attack.objective import object_box
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.suite.choosing import Choice, Chosen, choose_solutions
@@ -24,8 +23,8 @@ from shift3d.suite.frozen import FrozenSuite, background_file, blake2b, manifest
 from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, read_suite_table, suite_table, suite_table_bytes
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.task.assets import Assets, load_assets, score_precision
+from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.follow_ups.verify import SCORE_TOLERANCE
-from shift3d.task.problem import build_problem
 from shift3d.task.scoring import score_box
 
 if TYPE_CHECKING:
@@ -35,10 +34,7 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.plan import Plan
     from shift3d.task.spec import TaskSpec
 
-__all__ = ["Frames", "Frozen", "freeze_suite"]
-
 Frames = Literal["copied", "referenced"]
-_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
 _SCENE = "unfinished-"
 """Begins the names of files that hold the objects of one scene until the suite is whole."""
@@ -103,14 +99,12 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     The same sweep and choice give the same bytes, killed and resumed. ``suite.json`` is written last: a folder without
     it is no suite, and the same call goes on scene by scene; with it, nothing is written again.
 
-    Args:
-        frames: "copied" puts the scenes' points into the suite. "referenced" puts in where they come from: the gate
-            then needs the data set, or generates the streets again, and the suite holds nothing of recorded frames but
-            the points that an object moved.
+    Args: frames: "copied" puts the scenes' points into the suite. "referenced" puts in where they come from: the gate
+    then needs the data set, or generates the streets again, and the suite holds nothing of recorded frames but the
+    points that an object moved.
 
-    Raises:
-        InputError: see `choose_solutions`; another suite or something else in the folder; a scene, vehicle or detector
-            that is not the sweep's any more.
+    Raises: InputError: see `choose_solutions`; another suite or something else in the folder; a scene, vehicle or
+    detector that is not the sweep's any more.
     Source: our choice: the paper has no gate.
     """
     sweep, to = as_location(sweep), as_location(to)
@@ -166,17 +160,14 @@ def _objects(
 ) -> tuple[list[dict[str, Any]], dict[str, int], float | None]:
     """Rows of ``objects.parquet``, scene by scene, a control before what was made of it; what was left out; the
     largest difference of scores, None where every scene was there already."""
-    from tqdm import tqdm
-
     known = chosen.scores[chosen.scores["scored_by"] == chosen.scores["detector"]]
     keys = zip(known["task_id"], known["method"], known["replicate"], strict=True)
     freezing = _Freezing(plan, writing, dict(zip(keys, known["score"], strict=True)), chosen.controls)
-    slow = {} if sys.stderr.isatty() else {"mininterval": 15.0}
     objects: dict[str, dict[str, Any]] = {}
     left_out: Counter[str] = Counter()
     # Scene by scene, so that each is loaded once.
     scenes = chosen.hard.groupby(["dataset", "scene"], sort=True)
-    with tqdm(total=len(chosen.hard), desc="freezing", unit="object", dynamic_ncols=True, **slow) as progress:
+    with progress_bar(total=len(chosen.hard), desc="freezing", unit="object") as progress:
         for (dataset, scene), hard in scenes:
             for row in freezing.scene(f"{dataset}/{scene}", hard):
                 if row["role"] == _LEFT_OUT:
@@ -241,12 +232,8 @@ def _object(
     spec: TaskSpec, solution: Mapping[str, Any], assets: Assets, writing: _Writing
 ) -> tuple[dict[str, Any], float]:
     """A solution's row without its role, and what the attacked detector makes of it."""
-    theta = torch.tensor([solution[name] for name in _POSE], dtype=torch.float64)
-    problem = build_problem(spec, assets, theta, assets.drawn_vehicle(spec, solution))
-    scene = assets.scene(spec)[0]
-    code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
-    with torch.no_grad():
-        rendering = problem.insert(code, theta)
+    found = render_solution(spec, solution, assets)
+    problem, theta, rendering, scene = found.problem, found.theta, found.rendering, assets.scene(spec)[0]
     box, radius_m = object_box(theta, problem.vehicle.size_m, problem.ground_z_m), spec.attack.detection_radius_m
     detectors = {spec.detector: problem.detector}
     score = score_box(rendering.points, box, problem.ground_z_m, radius_m, detectors)[spec.detector].score

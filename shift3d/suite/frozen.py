@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from shift3d.scenes.sets import SceneSet
 
-__all__ = ["FrozenSuite", "background_file", "blake2b", "box_of", "manifest_bytes", "read_manifest", "read_suite"]
-
 _CHANGED = "Restore it from a copy, or freeze the suite again: scores on other objects cannot be compared"
 _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
 
@@ -74,8 +72,7 @@ class FrozenSuite:
     def background(self, name: str) -> NDArray[np.float32]:
         """Points (N, 3) of a scene without the object, scene frame, metres.
 
-        Raises:
-            InputError: the file or frame is missing, or not what was frozen.
+        Raises: InputError: the file or frame is missing, or not what was frozen.
         """
         if self.manifest["frames"] == "copied":
             file = self.folder / background_file(name)
@@ -120,8 +117,7 @@ def read_suite(folder: LocationLike, root: str | None = None) -> FrozenSuite:
 
     root: of referenced frames, see `FrozenSuite`.
 
-    Raises:
-        InputError: no suite, one of another version, or a file that is missing or changed; the file is named.
+    Raises: InputError: no suite, one of another version, or a file that is missing or changed; the file is named.
     """
     folder = as_location(folder)
     path = folder / "suite.json"

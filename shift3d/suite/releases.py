@@ -16,8 +16,6 @@ from shift3d.suite.tables import SUITE_SCHEMAS, read_suite_table, suite_table, s
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Release", "accept_release", "last_release"]
-
 _NAME = re.compile(r"(\d{8})\.parquet")
 
 
@@ -40,8 +38,7 @@ def last_release(suite: FrozenSuite, folder: Location, detector: str, number: in
     """The last accepted release of a detector, or the one of a number; else what the sweep's own weights scored; None:
     the detector has never scored these objects.
 
-    Raises:
-        InputError: no release of that number and detector, or a file that is damaged or another suite's.
+    Raises: InputError: no release of that number and detector, or a file that is damaged or another suite's.
     """
     for name in sorted(filter(_NAME.fullmatch, folder.names()), reverse=True):
         release = _read(suite, folder / name, int(name[:8]))
@@ -58,8 +55,7 @@ def accept_release(
 ) -> int:
     """Put scores into the history as the next release; its number. The last release once more is not put in again.
 
-    Raises:
-        InputError: another gate was quicker, or the folder cannot be written to.
+    Raises: InputError: another gate was quicker, or the folder cannot be written to.
     """
     if last is not None and last.number and (last.weights, last.scores) == (scorer.digest, scores):
         return last.number

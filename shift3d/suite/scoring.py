@@ -19,8 +19,6 @@ from shift3d.suite.frozen import FrozenSuite, box_of
 from shift3d.suite.tables import read_suite_table, suite_table, suite_table_bytes
 from shift3d.task.scoring import score_box
 
-__all__ = ["Scorer", "score_suite"]
-
 
 @dataclass
 class Scorer:
@@ -59,8 +57,7 @@ def score_suite(suite: FrozenSuite, scorer: Scorer, folder: Location, workers: i
         folder: of this suite's and this detector's answers alone.
         workers: processes.
 
-    Raises:
-        InputError: a scene or a file of answers that is missing or damaged, or the disk is full.
+    Raises: InputError: a scene or a file of answers that is missing or damaged, or the disk is full.
     """
     names = list(dict.fromkeys(suite.objects["background"]))
     files = {name: folder / f"{name}.parquet" for name in names}

@@ -9,11 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
-from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.resolve import LocationLike
 from shift3d.store.schemas import schema_of_columns
-from shift3d.store.tables import check_table
-
-__all__ = ["SUITE_SCHEMAS", "SUITE_VERSION", "read_suite_table", "suite_table", "suite_table_bytes"]
+from shift3d.store.tables import check_table, read_parquet
 
 SUITE_VERSION = 1
 """Of the suite's files. A suite of another version is refused."""
@@ -50,8 +48,7 @@ SUITE_SCHEMAS: dict[str, pa.Schema] = {
 
 def suite_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
     """Rows of plain values as a table of a suite's schema."""
-    schema = SUITE_SCHEMAS[name]
-    return pa.Table.from_pylist([dict(row) for row in rows], schema=schema)
+    return pa.Table.from_pylist([dict(row) for row in rows], schema=SUITE_SCHEMAS[name])
 
 
 def suite_table_bytes(table: pa.Table) -> bytes:
@@ -73,23 +70,11 @@ def suite_table_bytes(table: pa.Table) -> bytes:
 def read_suite_table(path: LocationLike, name: str, content: bytes | None = None) -> pa.Table:
     """Read one of the files. content: its bytes, where the caller has them.
 
-    Raises:
-        InputError: the file is missing, torn, or of another schema or version.
+    Raises: InputError: the file is missing, torn, or of another schema or version.
     """
-    remedy = "Restore it from a copy, or freeze the suite again"
-    try:
-        source = pa.BufferReader(as_location(path).read_bytes() if content is None else content)
-        table = pq.read_table(source, partitioning=None, page_checksum_verification=True)
-        table = table.select(table.column_names)  # a damaged name may be no text
-    except FileNotFoundError as error:
-        raise InputError("is missing", str(path), remedy) from error
-    except (OSError, pa.ArrowException, ValueError, KeyError) as error:
-        raise InputError(f"cannot be read as Parquet ({type(error).__name__})", str(path), remedy) from error
-    metadata, schema = table.schema.metadata or {}, SUITE_SCHEMAS[name]
-    found = {key: metadata.get(key, b"none") for key in (b"shift3d.schema", b"shift3d.schema_version")}
-    if any(found[key] != schema.metadata[key] for key in found):
-        kind, version = (value.decode(errors="replace")[:40] for value in found.values())
+    table, kind, version = read_parquet(path, "Restore it from a copy, or freeze the suite again", content=content)
+    if (kind, version) != (f"suite_{name}", str(SUITE_VERSION)):
         what = f"is {kind}, version {version}; this program reads suite_{name}, version {SUITE_VERSION}"
         raise InputError(what, str(path), "Use the version of shift3d that wrote it, or freeze the suite again")
-    check_table(table, schema, path)
+    check_table(table, SUITE_SCHEMAS[name], path)
     return table

@@ -14,10 +14,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import RunnerConfig
 from shift3d.signals import stop_signals
 from shift3d.store.location import Location
-from shift3d.store.log import Commit, CommitLog, TakenOverError
+from shift3d.store.log import CommitLog, TakenOverError
+from shift3d.store.log_entries import Commit
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.execution.abort import AbortRule
 from shift3d.sweep.execution.progress import Progress
@@ -32,8 +33,6 @@ from shift3d.sweep.results.final import FinalTables, segments_in_plan_order, wri
 from shift3d.sweep.results.reuse import take_finished
 from shift3d.sweep.status import State, StatusWriter
 
-__all__ = ["SweepResult", "cheapest_first", "run_sweep"]
-
 
 def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
     """Positions in a plan, pose attacks before shape attacks wherever neighbours share a vehicle.
@@ -41,8 +40,7 @@ def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
     A pose attack takes about two thirds of a shape attack's time and makes no mesh, so a sweep's first result is there
     sooner. Tasks of a vehicle stay together: a worker prepares each vehicle once. Otherwise in plan order.
 
-    Args:
-        positions: ascending.
+    Args: positions: ascending.
 
     Source: our choice.
     """
@@ -55,7 +53,6 @@ def cheapest_first(tasks: Tasks, positions: np.ndarray) -> np.ndarray:
     return positions[np.argsort(2 * runs + is_shape[template], kind="stable")]
 
 
-RunnerConfig = RayRunnerConfig | LocalRunnerConfig
 Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
 
 

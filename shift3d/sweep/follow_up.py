@@ -2,20 +2,57 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
-from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
+import numpy as np
+import pyarrow.compute as pc
+
+from shift3d.errors import InputError
+from shift3d.settings.schema.config import RunnerConfig
 from shift3d.store.location import Location
-from shift3d.store.log import Commit
-from shift3d.store.tables import write_table
-from shift3d.sweep.drive import SweepResult, run_sweep
+from shift3d.store.log_entries import Commit, read_log
+from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.tables import read_table, write_table
+from shift3d.sweep.drive import Finish, SweepResult, run_sweep
+from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.results.final import FinalTables, segments_in_plan_order
+from shift3d.sweep.results.final import FinalTables, check_segments, segments_in_plan_order, write_final
+from shift3d.sweep.results.verified_scores import FOLDER
+from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.spec import TaskSpec
 
-__all__ = ["follow_up", "follow_up_tables"]
 
-Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
+def solved_tasks(folder: LocationLike) -> Plan:
+    """The tasks of a finished sweep that have solutions, in its order.
+
+    Tasks of one vehicle in one scene share their baseline, which a worker scores again once: in this order they lie
+    far apart, so that two workers do not begin it at the same time.
+
+    Raises: InputError: the folder is not a sweep's, it has not finished, or nothing in it was scored.
+    """
+    folder = as_location(folder)
+    plan = read_plan(folder)
+    path = folder / "final" / "solutions.parquet"
+    if not path.is_file():
+        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
+    read_table(folder / "final" / "scores.parquet", "scores")  # damaged, it would fail every task
+    solved = pc.unique(read_table(path, "solutions")["task_id"])
+    tasks = plan.tasks.select(np.flatnonzero(pc.is_in(plan.tasks.ids, value_set=solved).to_numpy(zero_copy_only=False)))
+    if not len(tasks):
+        raise InputError("no task has a solution", where=str(path), remedy="See status in final/scores.parquet")
+    results = str((folder / "final").absolute())
+    assets = tuple(dataclasses.replace(part, results=results) for part in plan.assets)
+    return dataclasses.replace(plan, tasks=tasks, assets=assets)
+
+
+def follow_up_kind(run: Callable[[TaskSpec, Any], TaskResult], load: Callable[[AssetsSpec], Any]) -> TaskKind:
+    """A task about another one's solutions. run, load: see `TaskKind`."""
+    from shift3d.settings.catalogue.reading import read_catalogue
+
+    return TaskKind(run=run, load=load, catalogue=read_catalogue, single=False)
 
 
 def follow_up_tables(table: str) -> Finish:
@@ -32,14 +69,45 @@ def follow_up_tables(table: str) -> Finish:
 
 
 def follow_up(
-    folder: Location, plan: Plan, runner: RayRunnerConfig | LocalRunnerConfig, kind: TaskKind, own: Location, table: str
+    folder: Location, plan: Plan, runner: RunnerConfig, kind: TaskKind, own: Location, table: str
 ) -> SweepResult:
     """Run what is left of it in a folder of its own, and put its table into the sweep's ``final/``.
 
-    Exactly once, resumable and to the same bytes, as a sweep. folder: the sweep's. plan: of `verification_plan`.
+    Exactly once, resumable and to the same bytes, as a sweep. folder: the sweep's. plan: of `solved_tasks`.
     Raises: InputError as `run_sweep`.
     """
     result = run_sweep(plan, runner, kind, own, follow_up_tables(table))
     if result.final is not None:
         write_table(folder / "final" / f"{table}.parquet", result.final.tables[table])
     return result
+
+
+def verify_sweep(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepResult:
+    """Verify what is left of a finished sweep's solutions, and put the result into its final tables.
+
+    Exactly once, resumable and to the same bytes, as a sweep. plan: of `solved_tasks`.
+
+    Raises: InputError: as `run_sweep`; a segment of the sweep is damaged, which is found before anything runs.
+    """
+    from shift3d.task.follow_ups.verify import load_verify_assets, verify_task
+
+    folder = as_location(folder)
+    check_segments(folder, read_log(folder))
+
+    def finish(own: Location, verified: Plan, entries: Sequence[Commit]) -> FinalTables:
+        follow_up_tables("verification")(own, verified, entries)
+        return write_final(folder, read_plan(folder), read_log(folder))
+
+    return run_sweep(plan, runner, follow_up_kind(verify_task, load_verify_assets), folder / FOLDER, finish)
+
+
+def measure_patterns(folder: LocationLike, runner: RunnerConfig) -> SweepResult:
+    """Measure what is left of a finished sweep's solutions, and write ``final/patterns.parquet``.
+
+    Raises: InputError as `follow_up` and `solved_tasks`.
+    """
+    from shift3d.task.follow_ups.patterns import patterns_task
+    from shift3d.task.follow_ups.verify import load_verify_assets
+
+    folder, kind = as_location(folder), follow_up_kind(patterns_task, load_verify_assets)
+    return follow_up(folder, solved_tasks(folder), runner, kind, folder / "patterns", "patterns")

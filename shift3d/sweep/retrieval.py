@@ -10,39 +10,19 @@ import dataclasses
 import hashlib
 
 from shift3d.errors import InputError
-from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
+from shift3d.settings.schema.config import RunnerConfig
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.drive import SweepResult, run_sweep
-from shift3d.sweep.follow_up import follow_up, follow_up_tables
-from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.follow_up import follow_up, follow_up_kind, follow_up_tables, solved_tasks
+from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.verification import verification_plan
 
-__all__ = ["build_pool", "pool_kind", "pool_plan", "retrieval_kind", "retrieve"]
-
-RunnerConfig = RayRunnerConfig | LocalRunnerConfig
 FOLDER = "retrieval"
 """Where retrievals lie in their sweep's folder, one a pool: a sweep's folders themselves, each with a log."""
 _POOL = "vehicle_pool"
 _VERSION = 1
 """Raised when a crop comes to another fit under the same settings: part of the name that a pool's hash is made from."""
-
-
-def pool_kind() -> TaskKind:
-    """A task that crops and fits the vehicles of one scene."""
-    from shift3d.settings.catalogue.reading import read_catalogue
-    from shift3d.task.follow_ups.vehicle_pool import load_pool_assets, pool_task
-
-    return TaskKind(run=pool_task, load=load_pool_assets, catalogue=read_catalogue, single=False)
-
-
-def retrieval_kind() -> TaskKind:
-    """A task that scores the kin of another one's shape in its place."""
-    from shift3d.settings.catalogue.reading import read_catalogue
-    from shift3d.task.follow_ups.retrieval import load_retrieval_assets, retrieval_task
-
-    return TaskKind(run=retrieval_task, load=load_retrieval_assets, catalogue=read_catalogue, single=False)
 
 
 def pool_plan(plan: Plan) -> Plan:
@@ -59,7 +39,9 @@ def build_pool(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepR
 
     Exactly once, resumable and to the same bytes, as a sweep. Raises: InputError as `run_sweep`.
     """
-    return run_sweep(plan, runner, pool_kind(), folder, follow_up_tables(_POOL))
+    from shift3d.task.follow_ups.vehicle_pool import load_pool_assets, pool_task
+
+    return run_sweep(plan, runner, follow_up_kind(pool_task, load_pool_assets), folder, follow_up_tables(_POOL))
 
 
 def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> SweepResult:
@@ -69,20 +51,20 @@ def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> 
     Exactly once, resumable and to the same bytes, as a sweep.
     Raises: InputError as `run_sweep`, and for a sweep or a pool that has not finished, or of different decoders.
     """
+    from shift3d.task.follow_ups.retrieval import load_retrieval_assets, retrieval_task
+
     folder, pool = as_location(folder), as_location(pool)
-    plan = verification_plan(folder)
+    plan = solved_tasks(folder)
     _check_decoders(plan, pool)
     content = _pool_bytes(pool)
     (folder / "final" / f"{_POOL}.parquet").write_atomic(content)
     digest = hashlib.blake2b(content, digest_size=6).hexdigest()
-
-    return follow_up(folder, plan, runner, retrieval_kind(), folder / FOLDER / digest, "retrieved")
+    kind = follow_up_kind(retrieval_task, load_retrieval_assets)
+    return follow_up(folder, plan, runner, kind, folder / FOLDER / digest, "retrieved")
 
 
 def _check_decoders(plan: Plan, pool: Location) -> None:
     """Raises InputError where the pool's codes are of another decoder than the sweep's."""
-    from shift3d.sweep.planning.folder import read_plan
-
     ours = {assets.hashes.get("decoder") for assets in plan.assets}
     theirs = {assets.hashes.get("decoder") for assets in read_plan(pool).assets}
     if ours != theirs:

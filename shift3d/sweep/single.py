@@ -10,14 +10,11 @@ from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.wording import counted
 
-__all__ = ["run_single"]
-
 
 def run_single(plan: Plan, kind: TaskKind, task_id: str) -> str:
     """Run the task whose id begins with ``task_id``, and return its scores and timings as text.
 
-    Raises:
-        InputError: no task of the plan, or several, have such an id. Whatever the task itself raises.
+    Raises: InputError: no task of the plan, or several, have such an id. Whatever the task itself raises.
     """
     found = plan.tasks.starting_with(task_id)
     if len(found) != 1:

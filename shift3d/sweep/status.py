@@ -19,16 +19,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.store.log import CommitLog
-    from shift3d.sweep.execution.running import Running
-
-__all__ = ["State", "StatusWriter", "SweepStatus", "read_status", "status_lines"]
+    from shift3d.sweep.execution.worker import Running
 
 _FILE = "status.json"
 _EVERY_S = 3.0
@@ -112,8 +110,7 @@ class SweepStatus:
 def read_status(folder: LocationLike) -> SweepStatus:
     """The status of the sweep in ``folder``.
 
-    Raises:
-        InputError: the folder is not a sweep's, or its log is damaged.
+    Raises: InputError: the folder is not a sweep's, or its log is damaged.
     """
     folder = as_location(folder)
     spec = read_spec(folder)

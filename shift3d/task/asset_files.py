@@ -10,8 +10,6 @@ from pathlib import Path, PurePath
 from shift3d.task.exchange import AssetsSpec
 from shift3d.vehicles.names import WIDE
 
-__all__ = ["NamedFiles", "named_files", "with_files_in"]
-
 
 @dataclass(frozen=True)
 class NamedFiles:

@@ -183,8 +183,7 @@ def require_planned(what: str, planned: str | None, found: str) -> None:
 def load_assets(spec: AssetsSpec) -> Assets:
     """Load everything that tasks of a sweep share.
 
-    Raises:
-        InputError: naming the file that is missing or unusable, or weights that are not those of the plan.
+    Raises: InputError: naming the file that is missing or unusable, or weights that are not those of the plan.
     """
     for name, path in spec.detectors.items():
         found = detector_hash(name, path, spec.modules.get(name), spec.layouts.get(name))
@@ -220,8 +219,7 @@ def _vehicle_config(values: Mapping[str, Any]) -> VehicleSetConfig | DeepSdfVehi
 def render_settings(spec: TaskSpec) -> RenderSettings:
     """The renderer's settings that a task states in plain values; what an older program did not state is the preset's.
 
-    Raises:
-        InputError: no dtype, or a solver that is gone.
+    Raises: InputError: no dtype, or a solver that is gone.
     """
     where = f"task {spec.task_id}"
     values = current_settings(spec.accuracy_settings, where)

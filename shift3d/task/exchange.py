@@ -6,26 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["AssetsSpec", "Row", "TaskResult"]
-
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class TaskResult:
-    """What a task hands back: rows of plain Python and NumPy values, in a fixed order.
+    """What a task hands back: rows of plain Python and NumPy values, in a fixed order, for the tables of these names.
 
-    scores, solutions, timings: rows whose keys are the columns of design section 5 that the spec does not
-    already determine (the columns of ``store.schemas.SPEC_COLUMNS`` are filled in by the sweep).
-    verification: likewise, of a task that verifies another one's solutions. trajectories: likewise, a row a step.
-    transfers: likewise, a row a scene that a solution was put into and a detector. shapes: likewise, a row a shape.
-    vehicle_pool: a row a labelled vehicle of the task's scene. retrieved: a row a vehicle of a pool and a detector.
-    patterns: a row a mesh that was measured.
+    Their keys are the columns that the spec does not determine; the sweep fills in `store.schemas.SPEC_COLUMNS`.
     """
 
-    scores: list[Row]
-    solutions: list[Row]
-    timings: list[Row]
+    scores: list[Row] = field(default_factory=list)
+    solutions: list[Row] = field(default_factory=list)
+    timings: list[Row] = field(default_factory=list)
     verification: list[Row] = field(default_factory=list)
     trajectories: list[Row] = field(default_factory=list)
     transfers: list[Row] = field(default_factory=list)

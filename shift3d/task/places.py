@@ -15,8 +15,6 @@ from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.task.spec import PlacementSpec
 
-__all__ = ["constraints_of", "limits_of", "other_vehicles", "place_lines", "survey_scene"]
-
 
 def limits_of(where: PlacementSpec) -> PlacementLimits:
     """Where places are drawn."""

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from shift3d.effects.chain import EffectChain
     from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["as_vehicle", "build_problem", "place_vehicle"]
-
 
 def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     """Where the vehicle stands: the same for every task of this vehicle, scene and placement settings.
@@ -47,8 +45,7 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicl
     """The task's vehicle, placed at ``theta`` (6,), before the detector that scores it.
 
     vehicle: another one of the same decoder in its place.
-    Raises:
-        InputError: a scene or vehicle that cannot be loaded.
+    Raises: InputError: a scene or vehicle that cannot be loaded.
     """
     scene, beams = assets.scene(spec)
     settings = render_settings(spec)

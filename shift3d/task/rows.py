@@ -11,13 +11,13 @@ from torch import Tensor
 from shift3d.attack.objective import latent_distance
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.naturalness.measure import NaturalnessMeasure
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.task.audit import Audit
 from shift3d.task.exchange import Row, TaskResult
 from shift3d.task.scoring import Candidate, Scored
 from shift3d.task.spec import TaskSpec
 
 _SIZES = ("length_m", "width_m", "height_m", "clearance_m", "asymmetry_cm")
-_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
 class Rows:
@@ -48,7 +48,7 @@ class Rows:
         """
         measured, theta = scored.measurement, [float(value) for value in candidate.theta]
         check, rendering = measured.check, measured.rendering
-        pose = dict(zip(_POSE, theta, strict=True))
+        pose = dict(zip(POSE_COLUMNS, theta, strict=True))
         same: Row = pose | {
             "latent_distance": latent_distance(candidate.code, baseline_code),
             "range_m": math.hypot(theta[0], theta[1]),
@@ -162,7 +162,7 @@ def _step_row(record: StepRecord, best_step: int) -> Row:
         "step": record.step,
         "kept": record.step == best_step,
         **{name: value if math.isfinite(value) else None for name, value in losses.items()},
-        **dict(zip(_POSE, record.theta, strict=True)),
+        **dict(zip(POSE_COLUMNS, record.theta, strict=True)),
         "object_points": record.check.object_points,
         "valid": record.valid,
     }

@@ -19,7 +19,7 @@ from shift3d.naturalness.measure import NaturalnessMeasure
 from shift3d.placement.sampling import NoPlacement
 from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
-from shift3d.task.assets import Assets, load_assets, score_precision, search_precision
+from shift3d.task.assets import Assets, score_precision, search_precision
 from shift3d.task.audit import AUDITED, audit
 from shift3d.task.exchange import TaskResult
 from shift3d.task.problem import as_vehicle, build_problem, place_vehicle
@@ -30,8 +30,6 @@ from shift3d.task.spec import TaskSpec
 from shift3d.task.transfer import put_elsewhere
 from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["build_problem", "load_assets", "place_vehicle", "run_task"]
-
 
 def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
     """Run one task.
@@ -39,8 +37,7 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
     A pure function of the spec and the content that its hashes name, on one thread: the same bytes wherever
     it runs. A scene with no place for the vehicle gives rows with status "no_placement" and no score.
 
-    Raises:
-        InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+    Raises: InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
     Source: SHIFT3D Algorithm 1, sections Setup and Evaluation Metrics.
     """
     start = time.perf_counter()
@@ -165,9 +162,9 @@ def _random(
     """A shape as far from the baseline's code as the solution, a pose within its limits, or both; None without one."""
     if spec.mode == "pose":
         drawn = random_pose(problem, rng, pose_limits(spec))
-        return None if drawn is None else (problem.code0, drawn[0])
+        return None if drawn is None else (problem.code0, drawn)
     code = random_code(problem.code0, distance, rng)
     if spec.mode == "shape":
         return code, on_ground(code, problem, SNAP_M)
     drawn = random_pose(replace(problem, code0=code, space=None), rng, pose_limits(spec))
-    return None if drawn is None else (code, drawn[0])
+    return None if drawn is None else (code, drawn)

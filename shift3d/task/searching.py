@@ -27,8 +27,6 @@ from shift3d.task.transfer import problems_elsewhere
 from shift3d.vehicles.sources import space_hash
 from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["best_of_draws", "edited_vehicle", "pose_limits", "search_task"]
-
 
 def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> AttackResult:
     """The solution of a task's search, within its number of evaluations.

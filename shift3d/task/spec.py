@@ -18,8 +18,6 @@ from typing import Any, Literal
 from shift3d.attack.names import SearchName, SpaceName
 from shift3d.seeding import derive_seed
 
-__all__ = ["SPEC_VERSION", "AttackSpec", "PlacementSpec", "TaskSpec", "TransferScene", "split_label"]
-
 # Raised when the same fields come to mean another result (a changed algorithm under unchanged settings).
 SPEC_VERSION = 6
 # Version 5 names some settings otherwise; its tasks are read and keep their ids.

@@ -11,16 +11,13 @@ from torch import Tensor
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.placement.sampling import NoPlacement
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.task.assets import Assets, score_precision
 from shift3d.task.exchange import Row
 from shift3d.task.problem import as_vehicle, build_problem, place_vehicle
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec, TransferScene
 from shift3d.vehicles.vehicle import Vehicle
-
-__all__ = ["problems_elsewhere", "put_elsewhere"]
-
-_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
 def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[AttackProblem]:
@@ -47,8 +44,7 @@ def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor, vehicle: Vehicle
     baseline under its own constraints; the shape stands on the ground at the same x, y and heading. A scene without
     room is a row without scores.
 
-    Raises:
-        InputError: a scene that cannot be loaded, or is not what the task was planned with.
+    Raises: InputError: a scene that cannot be loaded, or is not what the task was planned with.
     Source: SHIFT3D, Adversarial Shape Generation Results (10 distinct scenes, random yaw, the baseline under identical
         rotation and translation). That the height follows the shape is our choice, as in `attack.shape`.
     """
@@ -71,7 +67,7 @@ def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor, ve
     after = score_object(there, code, stands, radius_m, others)
     theta = [float(value) for value in placement.theta]
     known |= {
-        **dict(zip(_POSE, theta, strict=True)),
+        **dict(zip(POSE_COLUMNS, theta, strict=True)),
         "z_shape_m": float(stands[2]),
         "range_m": math.hypot(theta[0], theta[1]),
         "object_points_baseline": before.measurement.rendering.object_points,

@@ -14,9 +14,11 @@ import pyarrow as pa
 from benchmarks.worker_memory import peak_mb
 
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue.reading import Catalogue, SceneEntry
+from shift3d.settings.catalogue.reading import Catalogue
+from shift3d.settings.catalogue.scene_cache import SceneEntry
 from shift3d.settings.compose import compose_sweep
-from shift3d.settings.schema.config import Config, StreetConfig
+from shift3d.settings.schema.config import Config
+from shift3d.settings.schema.scenes import StreetConfig
 from shift3d.store.log import CommitLog
 from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import Plan, make_plan

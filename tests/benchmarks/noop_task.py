@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue.reading import Catalogue, SceneEntry, read_catalogue
-from shift3d.settings.schema.config import Config, StreetConfig
+from shift3d.settings.catalogue.reading import Catalogue, read_catalogue
+from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.schema.config import Config
+from shift3d.settings.schema.scenes import StreetConfig
 from shift3d.sweep.planning.kind import TaskKind
+from shift3d.task.assets import load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
-from shift3d.task.run import load_assets, run_task
+from shift3d.task.run import run_task
 from shift3d.task.spec import TaskSpec
 
 _ROW = {

@@ -30,7 +30,7 @@ def run_phase(kind_name: str, sweep: str, workers: int, overrides: Sequence[str]
 
     from shift3d.settings.compose import compose_sweep
     from shift3d.store.location import Location
-    from shift3d.store.log import Commit
+    from shift3d.store.log_entries import Commit
     from shift3d.sweep.drive import run_sweep
     from shift3d.sweep.planning.plan import Plan, make_plan
     from shift3d.sweep.results.final import FinalTables, segments_in_plan_order

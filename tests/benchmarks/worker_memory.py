@@ -14,7 +14,7 @@ from shift3d.scenes.labels import Labels
 from shift3d.scenes.scene import Scene
 from shift3d.sweep.execution.worker import Worker
 from shift3d.sweep.planning.kind import TaskKind
-from shift3d.sweep.planning.plan import PlannedTask
+from shift3d.sweep.planning.tasks import PlannedTask
 from shift3d.task.assets import Assets
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.run import run_task

@@ -20,7 +20,7 @@ from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec
-from shift3d.task.run import build_problem, place_vehicle
+from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 
 __all__ = [

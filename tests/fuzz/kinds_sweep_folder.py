@@ -17,10 +17,11 @@ from valid_sweeps import FRONTIER, plan, write_frontier, write_sweep
 from value_mutations import mutate_values
 
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, machine_of, read_frontier
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.store.schemas import SCHEMAS
 from shift3d.store.tables import read_table
-from shift3d.sweep.planning.folder import read_plan, read_spec
+from shift3d.sweep.planning.folder import read_plan
+from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.sweep.results.final import write_final
 
 

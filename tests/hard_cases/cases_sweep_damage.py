@@ -12,7 +12,8 @@ from valid_sweeps import DRIVER, plan, rows, write_frontier, write_sweep
 
 from shift3d.errors import InputError
 from shift3d.store.frontier_table import read_frontier
-from shift3d.store.log import CommitLog, read_log
+from shift3d.store.log import CommitLog
+from shift3d.store.log_entries import read_log
 from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final

@@ -12,9 +12,11 @@ from catalogue import hard_case
 from clear_errors import place, refused
 from valid_sweeps import DRIVER, plan, rows, write_sweep
 
-from shift3d.store.log import CommitLog, read_log
+from shift3d.store.log import CommitLog
+from shift3d.store.log_entries import read_log
 from shift3d.store.tables import read_table, table_from_rows
-from shift3d.sweep.planning.folder import open_folder, read_plan, read_spec
+from shift3d.sweep.planning.folder import open_folder, read_plan
+from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.sweep.results.final import FinalTables, write_final
 
 AREA = "sweep"

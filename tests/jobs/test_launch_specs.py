@@ -17,7 +17,8 @@ from jobs.kuberay_schema import RAY_JOB
 
 from shift3d.cli.command import key_values
 from shift3d.cli.commands.detectors import gate
-from shift3d.cli.job_spec import JobSpec, job_names, read_job, take_job
+from shift3d.cli.completion import job_names
+from shift3d.cli.job_spec import JobSpec, read_job, take_job
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep, validate

@@ -15,8 +15,10 @@ from pathlib import Path
 
 from shift3d.scenes.facts import SceneFacts
 from shift3d.seeding import generator
-from shift3d.settings.catalogue.reading import Catalogue, SceneEntry
-from shift3d.settings.schema.config import Config, StreetConfig
+from shift3d.settings.catalogue.reading import Catalogue
+from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.schema.config import Config
+from shift3d.settings.schema.scenes import StreetConfig
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.spec import TaskSpec

@@ -16,7 +16,7 @@ from bucket_server import ENVIRONMENT, bucket_server, new_bucket
 from drivers import DETERMINISTIC, DRIVER, QUICK, Drivers
 
 from shift3d.store.location import Location
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 

@@ -16,12 +16,14 @@ from shift3d.analysis.results import natural_by_task
 from shift3d.cli.main import main
 from shift3d.errors import InputError
 from shift3d.settings.schema.config import LocalRunnerConfig
-from shift3d.store.log import CommitLog, read_log
+from shift3d.store.log import CommitLog
+from shift3d.store.log_entries import read_log
 from shift3d.store.migrations import STEPS, steps
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 from shift3d.store.tables import read_table, table_from_rows
 from shift3d.sweep.drive import run_sweep
-from shift3d.sweep.planning.folder import open_folder, read_plan, read_spec
+from shift3d.sweep.planning.folder import open_folder, read_plan
+from shift3d.sweep.planning.spec_file import read_spec
 
 REFERENCE = Path(__file__).resolve().parents[1] / "reference"
 LOCAL = LocalRunnerConfig(kind="local", commit_seconds=0, abort_after=None, abort_share=None)

@@ -12,7 +12,7 @@ import pytest
 from shift3d.cli.main import main
 from shift3d.naturalness.decoded import decoded_mesh
 from shift3d.scenes.kitti.writing import frame_files
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.store.tables import read_table
 from shift3d.vehicles.sources import VehicleSet
 

@@ -12,7 +12,7 @@ import pytest
 from bucket_server import ENVIRONMENT, bucket_server, new_bucket
 
 from shift3d.cli.main import main
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import pandas as pd
 
 from shift3d.seeding import generator
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["Case", "falls", "hardest", "random_positions"]
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,6 @@ from shift3d.suite.frozen import FrozenSuite, box_of
 from shift3d.suite.scoring import Scorer
 from shift3d.task.scoring import boxes_around
 
-__all__ = ["FrozenView", "view_of"]
-
 FloatArray = NDArray[np.float64]
 _SIDE_M = 3.0
 

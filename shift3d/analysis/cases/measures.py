@@ -5,8 +5,6 @@ from __future__ import annotations
 from shift3d.analysis.tables.patterns import NAMES
 from shift3d.vehicles.mesh_measures import Measures
 
-__all__ = ["change_lines", "in_words"]
-
 # Sentences for less and more, and from which change on a change is named: below it the mesh's own grid speaks.
 _WORDS = {
     "length_cm": ("{} cm shorter", "{} cm longer", 1.0),

@@ -17,20 +17,7 @@ if TYPE_CHECKING:
     from shift3d.sweep.planning.tasks import PlannedTask
     from shift3d.task.assets import Assets
 
-__all__ = [
-    "POSE",
-    "VIEW_M",
-    "Loaded",
-    "Rendered",
-    "best_box",
-    "oriented",
-    "render_again",
-    "simplified",
-    "thinned",
-]
-
 FloatArray = NDArray[np.float64]
-POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 VIEW_M = 10.0
 """Half side of the view from above, metres."""
 _THIN_M, _MOST_POINTS = 0.12, 2500
@@ -91,22 +78,15 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
     centre_xy: (2,) middle of the view.
     Raises: InputError for what cannot be loaded, or is not what was planned with, and for a code without a surface.
     """
-    import torch
+    from shift3d.attack.objective import object_box
+    from shift3d.task.follow_ups.rendered import render_solution
+    from shift3d.task.scoring import boxes_around
 
-    from shift3d.attack.objective import SCORE_RADIUS_M, object_box
-    from shift3d.attack.problem import measure
-    from shift3d.task.run import build_problem
-
-    spec = task.spec
-    theta = torch.tensor([float(solution[name]) for name in POSE], dtype=torch.float64)
-    assets = loaded.assets(task)
-    problem = build_problem(spec, assets, theta, assets.drawn_vehicle(spec, solution))
-    code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
-    with torch.no_grad():
-        measured = measure(problem, code, theta, radius_m=SCORE_RADIUS_M)
-    rendering = measured.rendering
+    again = render_solution(task.spec, solution, loaded.assets(task))
+    problem, theta, rendering = again.problem, again.theta, again.rendering
     box = object_box(theta, problem.vehicle.size_m, problem.ground_z_m)
-    found, score = best_box(measured.proposals, box, spec.attack.detection_radius_m)
+    proposals = boxes_around(rendering.points, box, problem.ground_z_m, {"it": problem.detector})["it"]
+    found, score = best_box(proposals, box, task.spec.attack.detection_radius_m)
     here = np.ones(len(rendering.points), bool) if rendering.returned is None else rendering.returned.numpy()
     points, hits = rendering.points.double().numpy()[:, :2], rendering.hit_mask.numpy()
     return Rendered(

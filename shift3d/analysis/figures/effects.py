@@ -4,24 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import log
-from typing import TYPE_CHECKING
 
+from matplotlib.figure import Figure
+
+from shift3d.analysis.tables.effects import EffectImpact
 from shift3d.effects.applicability import IMPACT_BOUND
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from shift3d.analysis.tables.effects import EffectImpact
-
-__all__ = ["effects_figure"]
 
 _LEAST_MS, _LEAST = 0.5, 1e-4
 
 
 def effects_figure(impacts: Sequence[EffectImpact]) -> Figure:
     """Change of the baseline's score against milliseconds; what lies below the line is left out by auto."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(7.2, 4.6), dpi=110, layout="constrained")
     axes = figure.subplots()
     drawn: list[tuple[float, float]] = []

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-__all__ = ["COLOURS", "pixels_png", "png"]
-
 COLOURS = {
     "baseline": "#7d7d7d",
     "random": "#2f8fc9",

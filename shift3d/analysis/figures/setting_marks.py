@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex, to_rgb
 
 from shift3d.accuracy_time.pareto import effective_error_m
 from shift3d.analysis.figures.labels import PointLabel
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-
-__all__ = ["RING", "Style", "joined", "labels_of", "mark_settings", "same_as_presets", "styles_of"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -128,7 +125,5 @@ def labels_of(rows: pd.DataFrame, x: FloatArray, styles: dict[str, Style]) -> li
 
 def _dark(colour: str) -> str:
     """A colour in which text can be read on white."""
-    from matplotlib.colors import to_hex, to_rgb
-
     red, green, blue = to_rgb(colour)
     return to_hex((0.7 * red, 0.7 * green, 0.7 * blue))

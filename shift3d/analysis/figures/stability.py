@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import pandas as pd
+from matplotlib.figure import Figure
 
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.methods import METHODS
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
-
-__all__ = ["stability_figure"]
-
 
 def stability_figure(verification: pd.DataFrame) -> Figure:
     """Scores against those of the reference, and margins against the least margin of the draws."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(11, 4.6), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2)
     for method, label in METHODS.items():

@@ -5,22 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
 from shift3d.accuracy_time.pareto import ZERO_BELOW, drawable, effective_error_m, misplaced
 from shift3d.analysis.figures.labels import place_labels
 from shift3d.analysis.figures.setting_marks import Style, joined, labels_of, mark_settings, same_as_presets, styles_of
 from shift3d.analysis.tables.table import length, milliseconds, share
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-__all__ = ["work_precision_figure"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -55,15 +54,10 @@ def work_precision_figure(frame: pd.DataFrame, scenes: str | Sequence[str] | Non
         scenes: one set or several, a row of panels each, and one more for what is ready for a gradient; None: all sets
             of the frame.
 
-    Returns:
-        A figure whose layout is final, with an Agg canvas.
+    Returns: A figure whose layout is final, with an Agg canvas.
 
-    Raises:
-        ValueError: a set has no rows.
+    Raises: ValueError: a set has no rows.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     names = [scenes] if isinstance(scenes, str) else list(scenes or dict.fromkeys(frame["scenes"]))
     same = same_as_presets(frame)
     drawn = frame[~frame["method"].isin(same)]
@@ -88,8 +82,7 @@ def work_precision_figure(frame: pd.DataFrame, scenes: str | Sequence[str] | Non
 def _groups(rows: pd.DataFrame, name: str) -> list[tuple[str, pd.DataFrame]]:
     """A scene set's settings by what is timed, with a title each: renderings, and those ready for a gradient.
 
-    Raises:
-        ValueError: there is none.
+    Raises: ValueError: there is none.
     """
     if rows.empty:
         raise ValueError(f"no setting was measured on the scenes {name!r}")
@@ -121,8 +114,6 @@ def _draw(axes: Axes, rows: pd.DataFrame, panel: _Panel, styles: dict[str, Style
 
 def _mark_errors(axes: Axes, values: FloatArray, panel: _Panel) -> None:
     """Limits and ticks of the horizontal axis: decades, and zero where there is one."""
-    from matplotlib.ticker import NullLocator
-
     axes.xaxis.set_minor_locator(NullLocator())
     positive = values[values > 0]
     if not len(positive):
@@ -153,8 +144,6 @@ def _ticks(low: float, high: float) -> list[float]:
 
 def _label_times(pair: Sequence[Axes], rows: pd.DataFrame, name: str) -> None:
     """The shared vertical axis: milliseconds to the left of the pair, the ratio to paper to its right."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
-
     left, right = pair
     low, high = float(rows["ms_low"].min()) / 2, float(rows["ms_high"].max()) * 2
     left.set_ylim(low, high)
@@ -172,7 +161,6 @@ def _label_times(pair: Sequence[Axes], rows: pd.DataFrame, name: str) -> None:
 
 def _label_ratios(right: Axes, paper_ms: float, low: float, high: float) -> None:
     """A second vertical axis: how many times as fast as paper, where that was measured."""
-    from matplotlib.ticker import FuncFormatter, NullLocator
 
     def other(value: Any) -> Any:
         return paper_ms / np.maximum(value, 1e-300)
@@ -192,8 +180,6 @@ def _place_labels(axes: Axes, rows: pd.DataFrame, x: FloatArray, styles: dict[st
 
 
 def _legend(figure: Figure, frame: pd.DataFrame, styles: dict[str, Style], same: Sequence[str]) -> None:
-    from matplotlib.lines import Line2D
-
     entries = []
     for method, style in styles.items():
         knobs = frame.loc[(frame["method"] == method) & frame["knob"].notna()]

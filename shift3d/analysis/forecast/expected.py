@@ -15,16 +15,14 @@ import pyarrow.compute as pc
 
 from shift3d.analysis.tables.accuracy.cost import measured_presets
 from shift3d.effects.applicability import measured_impact
-from shift3d.store.log import read_log
+from shift3d.store.log import committed_rows
+from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import Tasks
-from shift3d.sweep.results.final import committed_rows
 from shift3d.task.spec import TaskSpec
 from shift3d.wording import counted
-
-__all__ = ["SHIPPED", "Expected", "TaskParts", "expected", "expected_lines", "finished_in", "searched", "shipped_parts"]
 
 SHIPPED = Path(__file__).resolve().parent.parent / "measured" / "task_parts.json"
 """Written by ``docs/scripts/shipped.py``."""
@@ -96,8 +94,7 @@ class Expected:
 def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
     """Of each task whether one of some sweeps' folders has its result.
 
-    Raises:
-        InputError: a log cannot be read.
+    Raises: InputError: a log cannot be read.
     """
     done = np.zeros(len(tasks), dtype=bool)
     for folder in folders:
@@ -110,11 +107,9 @@ def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
 def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
     """What tasks will take one worker.
 
-    Args:
-        folders: of sweeps, finished or not; the first one that has run something says how long a task takes.
+    Args: folders: of sweeps, finished or not; the first one that has run something says how long a task takes.
 
-    Raises:
-        InputError: a folder is no sweep's, or damaged.
+    Raises: InputError: a folder is no sweep's, or damaged.
     """
     model = _Model()
     for folder in folders:
@@ -197,12 +192,10 @@ def expected_lines(
 ) -> str:
     """What is left to run of a plan, in words: time with some workers, and core-hours.
 
-    Args:
-        out: the folder that the sweep would write to, where it is known; others: those whose results it would take
-            over; timings: those that say how long tasks take, asked before these.
+    Args: out: the folder that the sweep would write to, where it is known; others: those whose results it would take
+    over; timings: those that say how long tasks take, asked before these.
 
-    Raises:
-        InputError: a folder of others or timings is no sweep's, or damaged.
+    Raises: InputError: a folder of others or timings is no sweep's, or damaged.
     """
     own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
     done = finished_in(plan.tasks, [*own, *others])

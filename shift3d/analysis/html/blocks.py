@@ -8,23 +8,6 @@ from dataclasses import dataclass
 
 from shift3d.analysis.tables.table import Table
 
-__all__ = [
-    "Article",
-    "Block",
-    "Command",
-    "Fold",
-    "Heading",
-    "Items",
-    "Panels",
-    "Paragraph",
-    "Picture",
-    "Plot",
-    "Section",
-    "Terms",
-    "TurnButtons",
-    "folded",
-]
-
 
 @dataclass(frozen=True)
 class Paragraph:

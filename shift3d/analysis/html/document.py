@@ -9,8 +9,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from shift3d.analysis.html.blocks import Block, Section
 
-__all__ = ["blocks_html", "document"]
-
 
 @cache
 def _templates() -> Environment:

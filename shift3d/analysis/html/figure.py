@@ -9,8 +9,6 @@ import numpy as np
 
 from shift3d.analysis.html.blocks import Plot
 
-__all__ = ["DASHES", "LEGEND_BELOW", "axis", "band", "filled", "line", "plot", "plotly_library", "short"]
-
 DASHES = {
     "baseline": "solid",
     "random": "dot",
@@ -55,8 +53,7 @@ def plot(
         label: what the figure shows, for who cannot see it. caption: above it.
         pair: key of the 3D view that turns with this one.
 
-    Raises:
-        ValueError: a trace or layout that plotly does not know.
+    Raises: ValueError: a trace or layout that plotly does not know.
     """
     import plotly.graph_objects as go
     import plotly.io

@@ -13,11 +13,9 @@ from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Article, Block, Panels, Paragraph, Plot, Section, Terms
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import LEGEND_BELOW, axis, plot, plotly_library, short
-from shift3d.analysis.html.sections.case_figures import dots, outline
+from shift3d.analysis.html.scene_figures import dots, seen_from_above, true_to_scale
 from shift3d.analysis.statistics.releases import Rates
 from shift3d.analysis.tables.gate import Comparison, measures_table, power_table, simulation_table, worst_table
-
-__all__ = ["GatePage", "gate_html"]
 
 _MEANING = {
     "hard object": "a solution of the sweep, in its scene, frozen when the suite was made",
@@ -80,36 +78,19 @@ def _articles(page: GatePage) -> list[Block]:
 
 
 def _above(key: str, view: FrozenView) -> Plot:
-    traces = [*_points(view.scene_xy, view.object_xy), outline(view.box, "#2f9e44", "dash", "ground truth")]
-    if view.found is not None:
-        traces.append(outline(view.found, "#9b5de5", "solid", f"best box, {view.score:.3f}"))
-    best = f"best box {view.score:.3f}" if view.found is not None else "no box within the detection radius"
-    return _true_to_scale(key, traces, f"From above, scene frame: {best}", view.box[:2], 10.0, ("x, m", "y, m"))
+    traces, best = seen_from_above(view, COLOURS["adversarial"], "object's points")
+    caption = f"From above, scene frame: {best}"
+    return true_to_scale(key, traces, caption, caption, view.box[:2], 10.0)
 
 
 def _side(key: str, view: FrozenView) -> Plot:
     half, top, bottom = view.box[3] / 2.0, view.box[2] + view.box[5] / 2.0, view.box[2] - view.box[5] / 2.0
     edge = {"x": [-half, half, half, -half, -half], "y": short([bottom, bottom, top, top, bottom])}
     box = {"type": "scatter", "mode": "lines", **edge, "name": "ground truth"}
-    traces = [*_points(view.scene_side, view.object_side), {**box, "line": {"color": "#2f9e44", "dash": "dash"}}]
-    middle = np.array([0.0, 1.0])
-    return _true_to_scale(key, traces, "From the side, front to the right", middle, 5.0, ("along, m", "height, m"))
-
-
-def _points(scene: Any, own: Any) -> list[dict[str, Any]]:
-    return [dots(scene, "#8a8a8a", 2, "scene"), dots(own, COLOURS["adversarial"], 3, "object's points")]
-
-
-def _true_to_scale(
-    key: str, traces: list[dict[str, Any]], caption: str, middle: Any, half_m: float, names: tuple[str, str]
-) -> Plot:
-    spans = [{"range": [round(float(c) - half_m, 2), round(float(c) + half_m, 2)]} for c in middle]
-    layout = {
-        "xaxis": axis(names[0], **spans[0], constrain="domain", zeroline=False),
-        "yaxis": axis(names[1], **spans[1], scaleanchor="x", constrain="domain", zeroline=False),
-        "legend": LEGEND_BELOW,
-    }
-    return plot(key, traces, layout, caption, caption, 380)
+    own = dots(view.object_side, COLOURS["adversarial"], 3, "object's points")
+    traces = [dots(view.scene_side, "#8a8a8a", 2, "scene"), own, {**box, "line": {"color": "#2f9e44", "dash": "dash"}}]
+    caption, middle = "From the side, front to the right", np.array([0.0, 1.0])
+    return true_to_scale(key, traces, caption, caption, middle, 5.0, names=("along, m", "height, m"))
 
 
 def _scatter(found: Comparison) -> Plot:

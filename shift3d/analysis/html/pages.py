@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.work_precision import work_precision_figure
@@ -21,11 +23,6 @@ from shift3d.store.atomic import write_atomic
 from shift3d.store.frontier_table import machine_of, read_frontier
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["frontier_html", "write_effects_page", "write_frontier_report", "write_stability_page"]
 
 
 def frontier_html(frame: pd.DataFrame, machine: Mapping[str, Any]) -> str:
@@ -51,11 +48,9 @@ def write_frontier_report(folder: Path) -> str:
 
     The same table gives the same bytes. The report can be written again from the table alone.
 
-    Returns:
-        What is printed: the table and the advice.
+    Returns: What is printed: the table and the advice.
 
-    Raises:
-        InputError: no frontier there, or one of another schema version; a disk that is full or not writable.
+    Raises: InputError: no frontier there, or one of another schema version; a disk that is full or not writable.
     """
     table = read_frontier(folder / "frontier.parquet")
     if not table.num_rows:
@@ -77,8 +72,7 @@ def write_effects_page(path: LocationLike, sweep: str, impacts: Sequence[EffectI
 def write_stability_page(path: LocationLike, sweep: str, scores: pd.DataFrame, verification: pd.DataFrame) -> Location:
     """Write the page of one sweep's stability, every unstable solution named; the same tables to the same bytes.
 
-    Raises:
-        InputError: the disk is full or not writable.
+    Raises: InputError: the disk is full or not writable.
     """
     blocks = stability_blocks(verification, shown=None)
     return _written(path, f"Stability of {sweep}", [Section("stability", "Scored again", blocks)], diagnostics(scores))

@@ -5,12 +5,11 @@ from __future__ import annotations
 from shift3d.analysis.cases.rendered import Loaded
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
-from shift3d.analysis.html.sections.auc import auc, sensors
+from shift3d.analysis.html.sections.auc import auc, differences, sensors
 from shift3d.analysis.html.sections.bev import bev, transfer_grid
 from shift3d.analysis.html.sections.budgets import budgets
 from shift3d.analysis.html.sections.cases import hard_cases
 from shift3d.analysis.html.sections.curves import curves
-from shift3d.analysis.html.sections.differences import differences
 from shift3d.analysis.html.sections.effects import effects
 from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import in_short
@@ -25,8 +24,6 @@ from shift3d.analysis.variants import variants
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
-
-__all__ = ["report_page", "write_report"]
 
 
 def report_page(sweep: Sweep, cases: int = 4) -> str:
@@ -66,8 +63,7 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
 def write_report(folder: LocationLike, cases: int = 4) -> Location:
     """Write ``report.html`` into a finished sweep's folder, whole or not at all; returns its path.
 
-    Raises:
-        InputError: the folder is no finished sweep's, a table in it is damaged, or the disk is full.
+    Raises: InputError: the folder is no finished sweep's, a table in it is damaged, or the disk is full.
     """
     path = as_location(folder) / "report.html"
     path.write_atomic(report_page(read_sweep(folder), cases).encode())

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-__all__ = ["share_view", "shared_views"]
-
 _KEY = "auc"
 _TAG = f"mlflow.sharedViewState.{_KEY}"
 _MOST_COLUMNS = 24

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-__all__ = ["attempt", "experiment_of", "flat", "log", "metric_name", "open_client", "patience", "rounded", "runs_of"]
-
 # An MLflow that is away must not hold a finished sweep up for MLflow's own default of minutes.
 _PATIENCE = {
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",

@@ -1,16 +1,17 @@
-"""One MLflow run a measurement that is a folder: its numbers, and its files."""
+"""One MLflow run a measurement that is a folder, as a frontier's and a gate's are: its numbers, and its files."""
 
 from __future__ import annotations
 
 import hashlib
+import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, runs_of
 from shift3d.errors import InputError
-
-__all__ = ["mirror_measured"]
+from shift3d.store.frontier_table import FRONTIER_SCHEMA, machine_of, read_frontier
 
 
 def mirror_measured(
@@ -29,8 +30,7 @@ def mirror_measured(
     Args:
         files: of the folder, which become artifacts; the first is the measured table.
         params: nested plain values. uri, experiment: of the store.
-    Returns:
-        None, or why MLflow could not be written.
+    Returns: None, or why MLflow could not be written.
     """
 
     def write() -> None:
@@ -51,3 +51,75 @@ def mirror_measured(
         client.set_terminated(run.info.run_id, "FINISHED")
 
     return attempt(write)
+
+
+_FRONTIER_FILES = ("frontier.parquet", "frontier.png", "report.html", "advice.txt")
+# What names a row is no metric of it.
+_NAMES = ("setting", "method", "knob", "knob_name", "preset", "start", "grid", "gradient", "scenes")
+_LONGEST_NAME = 250  # MLflow's own limit
+
+
+def mirror_frontier(folder: Path, uri: str, experiment: str) -> str | None:
+    """Write the run "frontier-<hash of frontier.parquet>", or write it again in place.
+
+    The hash is that of the measured table: another measurement is another run, so that they can be compared, and the
+    same folder mirrored twice is one.
+
+    Args:
+        folder: with frontier.parquet, frontier.png, report.html and advice.txt, which become artifacts.
+        uri, experiment: of the store.
+
+    Returns: None, or why MLflow could not be written.
+    """
+    try:
+        table = read_frontier(folder / "frontier.parquet")
+    except InputError as error:
+        return str(error)
+    metrics = frontier_metrics(table.to_pylist())
+    params = {f"machine.{_clean(name)}": value for name, value in machine_of(table).items()}
+    return mirror_measured("frontier", folder, _FRONTIER_FILES, metrics, params, uri, experiment)
+
+
+def frontier_metrics(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Every number of every row as ``<scenes>/<setting>/<column>``, in characters that MLflow takes.
+
+    What is null is left out; `pareto` is 1 or 0. Of settings whose names differ only in characters that MLflow does
+    not take, the later ones get a number.
+
+    Args: rows: the frontier's, as plain values by column.
+    """
+    columns = [name for name in FRONTIER_SCHEMA.names if name not in _NAMES]
+    metrics: dict[str, float] = {}
+    taken: set[str] = set()
+    for row in rows:
+        # Room for the longest column's name and a number.
+        name = plain = f"{_clean(row['scenes'])}/{_clean(row['setting'])}"[: _LONGEST_NAME - 40].rstrip("/ .")
+        number = 2
+        while name in taken:
+            name, number = f"{plain} {number}", number + 1
+        taken.add(name)
+        metrics |= {f"{name}/{column}": float(row[column]) for column in columns if row[column] is not None}
+    return metrics
+
+
+def _clean(text: str) -> str:
+    """Text as one part of a metric's path: no separators, nothing that a path would simplify away."""
+    return re.sub(r"[^\w\-. ]", "_", text).strip(" .") or "_"
+
+
+GATE_EXPERIMENT = "shift3d-gate"
+_GATE_FILES = ("verdict.json", "gate.parquet", "gate.html")
+
+
+def mirror_gate(folder: Path, uri: str) -> str | None:
+    """Write the run of a gate's folder; the same suite, weights and release before are one run, written in place.
+
+    Returns None, or why MLflow could not be written.
+    """
+    verdict = json.loads((folder / _GATE_FILES[0]).read_bytes())
+    metrics = {"worse": float(verdict["worse"])}
+    for measure in verdict["measures"]:
+        title = f"{measure['role']}/{measure['name']}"
+        metrics |= {f"{title}/{what}": measure[what] for what in ("before", "after", "change", "p_value")}
+    metrics |= {f"{role}/lost": counts["lost"] for role, counts in verdict["objects"].items()}
+    return mirror_measured("gate", folder, _GATE_FILES, metrics, verdict["facts"], uri, GATE_EXPERIMENT)

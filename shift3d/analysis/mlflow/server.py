@@ -10,8 +10,6 @@ from shift3d.analysis.mlflow.auc_view import shared_views
 from shift3d.analysis.mlflow.client import patience
 from shift3d.errors import InputError
 
-__all__ = ["HOST", "open_port", "serve"]
-
 HOST = "127.0.0.1"
 _SHUTDOWN_S = 3  # for requests in flight, after SIGINT or SIGTERM
 
@@ -19,8 +17,7 @@ _SHUTDOWN_S = 3  # for requests in flight, after SIGINT or SIGTERM
 def open_port(port: int) -> socket.socket:
     """A listening socket on loopback. Who connects before the server is up waits for it.
 
-    Raises:
-        InputError: the port is taken, needs rights or is no port.
+    Raises: InputError: the port is taken, needs rights or is no port.
     """
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

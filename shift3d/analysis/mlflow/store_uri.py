@@ -11,8 +11,6 @@ from shift3d.settings.messages import choice_error
 from shift3d.settings.schema.config import MlflowConfig, NoTrackingConfig
 from shift3d.store.atomic import check_writable
 
-__all__ = ["check_store", "check_tracking"]
-
 _SCHEMES = (
     "sqlite", "http", "https", "file", "postgresql", "mysql", "mssql", "databricks", "databricks-uc", "uc",
 )  # fmt: skip
@@ -28,8 +26,7 @@ def check_tracking(tracking: MlflowConfig | NoTrackingConfig) -> None:
 def check_store(uri: str, where: str = "tracking.uri") -> None:
     """Refuse a store that MLflow would refuse, and a file or folder that cannot be written. A server may be away.
 
-    Raises:
-        InputError: naming the schemes that there are, or the folder.
+    Raises: InputError: naming the schemes that there are, or the folder.
     """
     if not uri:
         raise InputError("no store is named", where=where, remedy="Give one, as sqlite:///mlflow.db")

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
 from shift3d.analysis.mlflow.auc_view import share_view
 from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, metric_name, open_client, rounded, runs_of
 from shift3d.analysis.mlflow.sweep_groups import MOST_GROUPS, Recall, budget_points, groups, overall
@@ -17,12 +19,8 @@ from shift3d.analysis.tables.retrieval import retrieval_groups
 from shift3d.store.resolve import LocationLike, local_copy
 
 if TYPE_CHECKING:
-    import pandas as pd
     from mlflow import MlflowClient
     from mlflow.entities import Run
-
-
-__all__ = ["SweepRecord", "follow_up_metrics", "mirror"]
 
 
 def follow_up_metrics(tables: Mapping[str, pd.DataFrame]) -> dict[str, float]:

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from shift3d.analysis.mlflow.client import metric_name
 from shift3d.analysis.tables.budgets import budget_curves
 from shift3d.analysis.variants import SETTINGS, variants
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["MOST_GROUPS", "Group", "budget_points", "groups", "overall"]
 
 MOST_GROUPS = 200
 """Groups that get a run of their own: beyond that, MLflow's lists show nothing to anybody."""
@@ -46,8 +42,7 @@ class Group:
 def groups(auc: pd.DataFrame, curves: pd.DataFrame) -> list[Group]:
     """The groups that are shown: at most :data:`MOST_GROUPS`, those of the chosen lambda first, in the table's order.
 
-    Args:
-        auc, curves: ``final/auc.parquet`` and ``final/curves.parquet`` as frames.
+    Args: auc, curves: ``final/auc.parquet`` and ``final/curves.parquet`` as frames.
     """
     recalls = dict(_recalls(curves))
     several = _several(auc)
@@ -66,9 +61,8 @@ def groups(auc: pd.DataFrame, curves: pd.DataFrame) -> list[Group]:
 def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], dict[str, Recall]]:
     """AUCs by vehicle and their means over vehicles, of the chosen lambda, and the mean recall curves.
 
-    Returns:
-        ``auc/shape/coupe/adversarial`` and, of the mean, ``shape/adversarial`` to a number: a column of MLflow's list
-        shows some twelve letters. ``recall/shape/adversarial`` to (101,), the mean over vehicles.
+    Returns: ``auc/shape/coupe/adversarial`` and, of the mean, ``shape/adversarial`` to a number: a column of MLflow's
+    list shows some twelve letters. ``recall/shape/adversarial`` to (101,), the mean over vehicles.
     """
     recalls = dict(_recalls(curves))
     values: dict[str, float] = {}

@@ -4,25 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from shift3d.seeding import generator
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = [
-    "Interval",
-    "difference_interval",
-    "mean_interval",
-    "ratio_interval",
-    "recall_band",
-    "resampled_band",
-    "vehicle_mean_interval",
-]
 
 FloatArray = NDArray[np.float64]
 _CONFIDENCE = 0.95

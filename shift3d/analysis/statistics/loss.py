@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from shift3d.seeding import generator
 
-__all__ = ["detectable_loss", "flip_p_values", "objects_needed", "recall_power", "scene_sums"]
-
 FloatArray = NDArray[np.float64]
 _FLIPS = 9_999
 _ALL_PATTERNS = 13

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["Paired", "holm", "paired"]
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from shift3d.analysis.statistics.loss import flip_p_values, scene_sums
 from shift3d.seeding import generator
 
-__all__ = ["MEASURES", "Rates", "Rule", "measured_differences", "stopped_releases"]
-
 FloatArray = NDArray[np.float64]
 MEASURES = ("recall", "mean score")
 """Of each role's objects: what a gate tests."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+
+import pandas as pd
 
 from shift3d.analysis.results import natural_by_task
 from shift3d.analysis.statistics.intervals import ratio_interval, vehicle_mean_interval
@@ -14,12 +15,6 @@ from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores
 from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
 from shift3d.wording import counted
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-
-__all__ = ["auc_table", "natural_rows", "natural_sentence", "natural_table", "ratio_texts"]
 
 
 def natural_table(scores: pd.DataFrame) -> Table | None:

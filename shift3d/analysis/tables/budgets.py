@@ -5,18 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import pandas as pd
 
 from shift3d.analysis.statistics.intervals import Interval, ratio_interval
 from shift3d.analysis.statistics.paired import paired
-from shift3d.analysis.tables.table import Table, number
+from shift3d.analysis.tables.table import Table, interval_text, number
 from shift3d.analysis.variants import Variant
 from shift3d.task.spec import split_label
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["ANY_SHAPE", "BudgetCurve", "budget_curves", "budget_table"]
 
 ANY_SHAPE = 100.0
 """The budget of a search without one: no percentile lies beyond it."""
@@ -58,9 +54,9 @@ def budget_table(found: Sequence[Variant]) -> Table | None:
     for curve in budget_curves(found):
         for budget, variant in curve.variants.items():
             shown = "any shape" if budget == ANY_SHAPE else f"{budget:g}"
-            ratios = [_text(curve.ratio(budget, method)) for method in ("random_search", "adversarial")]
+            ratios = [interval_text(curve.ratio(budget, method), 2, "") for method in ("random_search", "adversarial")]
             gain = paired(variant.rows, "adversarial", "random_search")
-            difference = "-" if gain is None else _text(gain.interval, 3)
+            difference = interval_text(None if gain is None else gain.interval, 3)
             means = [number(variant.aucs.mean(name, variant.vehicles)) for name in ("baseline", "adversarial")]
             lines.append([f"{curve.title}, {shown}", *_shapes(variant.rows), *means, *ratios, difference])
     header = ["search, percentile", "natural", "cm", "baseline", "adversarial", "of baseline, random draws",
@@ -76,10 +72,3 @@ def _shapes(rows: pd.DataFrame) -> list[str]:
     natural = f"{int(judged['natural'].eq(True).sum())} of {len(judged)}" if len(judged) else "-"
     apart = float(own["surface_distance_cm"].median()) if "surface_distance_cm" in own else math.nan
     return [natural, "-" if math.isnan(apart) else f"{apart:.1f}"]
-
-
-def _text(found: Interval | None, digits: int = 2) -> str:
-    if found is None:
-        return "-"
-    between = f" [{found.low:.{digits}f}, {found.high:.{digits}f}]" if found.high < float("inf") else ""
-    return f"{found.mean:.{digits}f}{between}"

@@ -5,14 +5,10 @@ from __future__ import annotations
 import functools
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import pandas as pd
 
 from shift3d.analysis.tables.table import Table
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["MEASURES", "choice_tables", "papers_choice", "reasons"]
 
 MEASURES = {"alpha": "AUC of what was found", "lambda": "mean adversarial loss"}
 _PAPER = Path(__file__).resolve().parents[1] / "measured" / "paper_choices.json"

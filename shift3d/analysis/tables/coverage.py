@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_table
@@ -16,11 +18,6 @@ from shift3d.analysis.variants import variants
 from shift3d.methods import METHODS
 from shift3d.sweep.planning.tasks import Tasks
 from shift3d.wording import counted
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["coverage_lines", "nothing_placed", "rows_by_status", "stage_times", "sweep_report", "trial_caveat"]
 
 
 def sweep_report(sweep: Sweep) -> str:
@@ -70,8 +67,7 @@ def trial_caveat(tasks: Tasks) -> str | None:
 def nothing_placed(scores: pd.DataFrame, settings: Mapping[str, Any]) -> str | None:
     """That nothing fitted, what a place had to be, and which settings to widen; None where some vehicle found one.
 
-    Args:
-        scores: the table of ``final/``. settings: of the sweep's first task.
+    Args: scores: the table of ``final/``. settings: of the sweep's first task.
     """
     if scores.empty or not scores["status"].eq("no_placement").all():
         return None

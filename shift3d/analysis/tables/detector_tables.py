@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from shift3d.evaluation.vehicles import VehicleRows
     from shift3d.training.detector.detect_scenes import Answer
 
-__all__ = ["breakdown_tables", "evaluation_tables", "group_table", "metric_table", "summary_table"]
-
 _MEASURES = (
     ("AP", "BEV", "BEV AP"),
     ("APH", "BEV", "BEV APH"),

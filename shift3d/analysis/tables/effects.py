@@ -9,28 +9,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import pandas as pd
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
-from shift3d.analysis.tables.table import Table
+from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = [
-    "LEAST_SCENES",
-    "MEANINGS",
-    "EffectImpact",
-    "effect_impacts",
-    "effect_milliseconds",
-    "effect_table",
-    "write_impact",
-]
 
 LEAST_SCENES = 8
 """Fewer say too little for `auto` to go by (our choice: at 8 the intervals hold in 88 % of the cases, not in 95 %)."""
@@ -70,11 +58,9 @@ class EffectImpact:
 def effect_impacts(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> list[EffectImpact]:
     """Every effect that ran alone, in the order of the physics.
 
-    Args:
-        scores: the table of ``final/``. milliseconds: see `effect_milliseconds`.
+    Args: scores: the table of ``final/``. milliseconds: see `effect_milliseconds`.
 
-    Raises:
-        InputError: no task ran without effects, or none with one of them.
+    Raises: InputError: no task ran without effects, or none with one of them.
     """
     scored = _by_effect(scores[scores["score"].notna() & scores["method"].isin(["baseline", "adversarial"])])
     plain = scored[scored["effect"] == ""]
@@ -129,9 +115,9 @@ def effect_table(impacts: Sequence[EffectImpact]) -> Table:
             impact.effect.replace("_", " "),
             str(impact.scenes),
             str(impact.objects),
-            _interval(impact.score_change, sign=""),
-            _interval(impact.auc_baseline),
-            "-" if impact.auc_adversarial is None else _interval(impact.auc_adversarial),
+            interval_text(impact.score_change, 3, ""),
+            interval_text(impact.auc_baseline, 3),
+            interval_text(impact.auc_adversarial, 3),
             f"{impact.milliseconds:.0f}",
             "yes" if impact.measured.matters else "left out",
         ]
@@ -141,12 +127,6 @@ def effect_table(impacts: Sequence[EffectImpact]) -> Table:
               "auto"]  # fmt: skip
     kinds = ["ours" if impact.measured.matters else "dominated" for impact in impacts]
     return Table("Measured impact of effects", header, lines, kinds)
-
-
-def _interval(interval: Interval, sign: str = "+") -> str:
-    if not isfinite(interval.low):
-        return f"{interval.mean:{sign}.3f} (one scene)"
-    return f"{interval.mean:{sign}.3f} [{interval.low:{sign}.3f}, {interval.high:{sign}.3f}]"
 
 
 def write_impact(path: Path, sweep: str, impacts: list[EffectImpact]) -> Path:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from shift3d.analysis.statistics.intervals import Interval, difference_interval
@@ -17,11 +18,7 @@ from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg,
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from shift3d.analysis.results import Sweep
-
-__all__ = ["TriedRule", "failure_rules", "rule_text", "rules_table"]
 
 _QUANTITIES = {
     "range_m": ("range", " m", 1.0, 0),

@@ -4,29 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.statistics.loss import detectable_loss, flip_p_values, objects_needed, scene_sums
 from shift3d.analysis.statistics.releases import MEASURES, Rates, Rule, measured_differences, stopped_releases
-from shift3d.analysis.tables.table import Table
+from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.wording import counted
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = [
-    "Comparison",
-    "Measure",
-    "compare",
-    "measures_table",
-    "power_table",
-    "simulated_rates",
-    "simulation_table",
-    "worst_table",
-]
 
 _ROLES = {"hard": "hard objects", "control": "controls"}
 _LOSS = 0.02
@@ -150,7 +136,7 @@ def measures_table(found: Comparison) -> Table:
             measure.title,
             f"{measure.before:.3f}",
             f"{measure.after:.3f}",
-            f"{measure.change.mean:+.3f} ({measure.change.low:+.3f} to {measure.change.high:+.3f})",
+            interval_text(measure.change, 3),
             f"{measure.p_value:.4f}",
             "worse" if measure.worse else "",
         ]
@@ -186,25 +172,25 @@ def worst_table(found: Comparison, most: int = 40) -> Table:
     return Table(f"{counted(len(rows), 'object')} with a lower score{more}", header, lines)
 
 
-def power_table(measures: int, level: float, loss: float = _LOSS) -> Table:
+def power_table(measures: int, level: float) -> Table:
     """How many hard objects show a loss of recall, by how many change sides without a loss."""
     lines = []
     for churn in _CHURNS:
-        needed = [objects_needed(loss, churn, power, level / measures) for power in _POWERS]
+        needed = [objects_needed(_LOSS, churn, power, level / measures) for power in _POWERS]
         lines.append([f"{100 * churn:g} %", *("more than a million" if n is None else f"{n:,}" for n in needed)])
     header = ["lost and gained without a loss, each", *(f"{power:.0%} power" for power in _POWERS)]
-    return Table(f"Hard objects that show a loss of {100 * loss:g} points of recall, at most", header, lines)
+    return Table(f"Hard objects that show a loss of {100 * _LOSS:g} points of recall, at most", header, lines)
 
 
-def simulated_rates(found: Comparison, loss: float = _LOSS) -> list[Rates]:
+def simulated_rates(found: Comparison) -> list[Rates]:
     """How often this gate stops releases simulated around the scores before."""
     rows = found.rows.sort_values("object_id", kind="stable")
     hard, places = (rows["role"] == "hard").to_numpy(), list(rows["dataset"] + "/" + rows["scene"])
     scores = rows["score_before"].to_numpy()
-    return [stopped_releases(scores, hard, places, noise, loss, found.rule) for noise in _NOISES]
+    return [stopped_releases(scores, hard, places, noise, _LOSS, found.rule) for noise in _NOISES]
 
 
-def simulation_table(rates: list[Rates], loss: float = _LOSS) -> Table:
+def simulation_table(rates: list[Rates]) -> Table:
     """Of `simulated_rates`."""
     lines = [
         [
@@ -216,5 +202,5 @@ def simulation_table(rates: list[Rates], loss: float = _LOSS) -> Table:
         for rate in rates
     ]
     header = ["noise of the logits", "hard objects lost without a loss", "stopped without a loss", "stopped with it"]
-    title = f"200 simulated releases of these objects, without a loss and with {100 * loss:g} points of recall"
+    title = f"200 simulated releases of these objects, without a loss and with {100 * _LOSS:g} points of recall"
     return Table(title, header, lines)

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from shift3d.analysis.variants import Aucs
 
-__all__ = ["PAPER_AUC", "PaperTable", "paper_table"]
-
 PAPER_AUC = Path(__file__).resolve().parents[1] / "measured" / "paper_auc.json"
 """Copied from the paper's LaTeX: tab:auc_z, tab:auc_theta, tab:sst_auc_z, tab:sst_auc_theta."""
 

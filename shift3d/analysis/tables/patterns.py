@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
 from shift3d.evaluation.failure_rules import aspect_deg
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["NAMES", "Pattern", "pattern_groups", "patterns_table"]
 
 _GROUP = ["mode", "search", "lambda", "alpha", "detector"]
 _KEY = ["task_id"]

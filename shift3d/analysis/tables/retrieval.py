@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import pandas as pd
 
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["Kin", "kept", "pool_table", "retrieval_groups", "retrieval_table"]
 
 _POINTS = ((10, 30), (30, 100), (100, 300), (300, 1000), (1000, None))
 _GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
@@ -111,10 +107,10 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
         rows, matched = group.rows, group.matched
         line = [group.label, group.scored_by, f"{len(rows)} of {group.solutions}"]
         line += [number(mean, 3) for mean in group.means.values()]
-        line.append(_difference(rows["score"] - rows["score_baseline"], rows["place"]))
-        line.append(_difference(matched["score"] - matched["control"], matched["place"]))
+        line.append(_mean(rows["score"] - rows["score_baseline"], rows["place"]))
+        line.append(_mean(matched["score"] - matched["control"], matched["place"]))
         in_log = matched.drop_duplicates(["pool_scene", "pool_label"])
-        line.append(_difference(in_log["pool_score"] - in_log["control_in_log"], in_log["pool_scene"]))
+        line.append(_mean(in_log["pool_score"] - in_log["control_in_log"], in_log["pool_scene"]))
         lines.append(line)
     if not lines:
         return Table("No vehicle of the pool is near enough to a shape", ["", "retrieved"], [["", "0"]])
@@ -123,5 +119,5 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
     return Table("The shapes' natural kin, put in their place", header, lines)
 
 
-def _difference(values: pd.Series, places: pd.Series) -> str:
-    return interval_text(mean_interval(values, list(places)), 3) if len(values) else "-"
+def _mean(values: pd.Series, places: pd.Series) -> str:
+    return interval_text(mean_interval(values, list(places)) if len(values) else None, 3)

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import pandas as pd
 
 from shift3d.analysis.statistics.intervals import mean_interval, ratio_interval
-from shift3d.analysis.tables.table import Table, number
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["MISSED_BELOW", "paired_scores", "sensor_table", "transfer_table"]
+from shift3d.analysis.tables.table import Table, interval_text, number
 
 _TRANSFER_GROUP = ["search", "lambda", "alpha", "detector", "scored_by"]
 
@@ -30,11 +25,10 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
         before = rows.assign(score=rows["score_baseline"])
         after, fell = _vehicle_mean(rows), mean_interval(rows["score"] < rows["score_baseline"], list(rows["place"]))
         ratio = ratio_interval(rows, before)
-        interval = "-" if ratio is None else f"{ratio.mean:.2f} [{number(ratio.low, 2)}, {number(ratio.high, 2)}]"
         name = f"{search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
         counts = [str(len(rows)), str(rows["other_scene"].nunique())]
         means = [number(_vehicle_mean(before)), number(after)]
-        lines.append([name, scored_by, *counts, *means, interval, f"{fell.mean:.0%}"])
+        lines.append([name, scored_by, *counts, *means, interval_text(ratio, 2, ""), f"{fell.mean:.0%}"])
     header = ["", "scored by", "placements", "scenes", "baseline", "shape", "ratio", "lower in"]
     return Table("The shapes in scenes that they were not searched in", header, lines)
 
@@ -87,7 +81,9 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
             if both.empty:
                 continue
             missed, missed_first = both[beams] < MISSED_BELOW, both[first] < MISSED_BELOW
-            difference = "-" if beams == first else _difference(both, first, beams)
+            apart = both[beams] - both[first]
+            streets = list(both.index.get_level_values("street"))
+            difference = "-" if beams == first else interval_text(mean_interval(apart, streets), 3)
             lines.append(
                 [
                     f"{method}, {mode}, {search}, {detector}",
@@ -105,9 +101,3 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
               "of first's misses"]  # fmt: skip
     title = f"The same vehicles at the same places under other beams; missed: a score below {MISSED_BELOW:g}"
     return Table(title, header, lines) if lines else None
-
-
-def _difference(both: pd.DataFrame, first: str, beams: str) -> str:
-    found = mean_interval(both[beams] - both[first], list(both.index.get_level_values("street")))
-    between = f" [{found.low:+.3f}, {found.high:+.3f}]" if found.high < float("inf") else ""
-    return f"{found.mean:+.3f}{between}"

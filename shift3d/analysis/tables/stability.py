@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from shift3d.analysis.tables.table import Table
 from shift3d.methods import METHODS
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["MEANINGS", "stability_lines", "stability_table", "unstable_lines"]
 
 MEANINGS = {
     "verified": "solutions that were scored again",

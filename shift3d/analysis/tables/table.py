@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from shift3d.analysis.statistics.intervals import Interval
 
-__all__ = ["Cell", "Table", "factor", "interval_text", "length", "milliseconds", "number", "share"]
-
 _UNITS_M = ((1.0, "m"), (1e-3, "mm"), (1e-6, "\N{MICRO SIGN}m"), (1e-9, "nm"))
 
 
@@ -82,8 +80,10 @@ def number(value: float | None, digits: int = 3) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def interval_text(interval: Interval, digits: int) -> str:
-    """A difference with its sign and its interval: "-0.12 [-0.20, -0.03]"."""
+def interval_text(interval: Interval | None, digits: int, sign: str = "+") -> str:
+    """A difference with its interval: "-0.12 [-0.20, -0.03]"; None as "-". sign: "" for what is no difference."""
+    if interval is None:
+        return "-"
     if math.isinf(interval.high):
-        return f"{interval.mean:+.{digits}f} (one scene)"
-    return f"{interval.mean:+.{digits}f} [{number(interval.low, digits)}, {number(interval.high, digits)}]"
+        return f"{interval.mean:{sign}.{digits}f} (one scene)"
+    return f"{interval.mean:{sign}.{digits}f} [{interval.low:{sign}.{digits}f}, {interval.high:{sign}.{digits}f}]"

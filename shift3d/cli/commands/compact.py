@@ -5,11 +5,8 @@ from __future__ import annotations
 import argparse
 
 from shift3d.cli.command import Command
-from shift3d.cli.commands.gc import sweeps_in
-from shift3d.cli.completion import folder_words
+from shift3d.cli.commands.gc import OUT, dry_run, sweeps_in
 from shift3d.wording import counted
-
-__all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
 Merges the commit log of a sweep into one entry and its segments into one file a table, so that they are read fast.
@@ -23,15 +20,9 @@ examples:
   shift3d compact s3://bucket/runs/kitti"""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
-    out.completer = folder_words  # type: ignore[attr-defined]
-    parser.add_argument("--dry-run", action="store_true", help="say what would be merged, and merge nothing")
-
-
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.store.housekeeping import compact
-    from shift3d.store.log import read_log
+    from shift3d.store.log_entries import read_log
 
     for folder in sweeps_in(arguments.out):
         if arguments.dry_run:
@@ -52,4 +43,6 @@ def _files(entries: int, segments: int) -> str:
     return f"{counted(entries, 'log entry', 'log entries')} and {counted(segments, 'segment')}"
 
 
-COMMAND = Command("compact", "merge a sweep's files into few", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "compact", "merge a sweep's files into few", _DESCRIPTION, _EPILOG, _run, OUT, options=dry_run("merged", "merge")
+)

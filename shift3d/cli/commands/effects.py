@@ -4,19 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from shift3d.cli.command import Command
-from shift3d.cli.completion import folder_words
+from shift3d.cli.command import FINISHED, Command
 from shift3d.errors import InputError
 from shift3d.wording import counted
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from shift3d.store.location import Location
-
-__all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
 How far does an effect move scores, and what does it cost? From the tables of a sweep that ran the same tasks
@@ -31,9 +22,7 @@ examples:
   shift3d effects outputs/effects-1a2b3c4d5e6f7a8b --times outputs/bench.json --adopt"""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    out.completer = folder_words  # type: ignore[attr-defined]
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--times", metavar="FILE", type=Path, help='milliseconds from outputs/bench.json (make bench ARGS="-k effects")'
     )
@@ -41,21 +30,10 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--adopt", action="store_true", help="let effects=auto go by these numbers")
 
 
-def _tables(folder: Location) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Scores and timings of a finished sweep."""
-    from shift3d.store.tables import read_table
-
-    scores, timings = (
-        read_table(folder / "final" / f"{name}.parquet", name).to_pandas() for name in ("scores", "timings")
-    )
-    return scores, timings
-
-
 def _measured(path: Path) -> dict[str, float]:
     """Effect to milliseconds, of a benchmark's results.
 
-    Raises:
-        InputError: a file that holds none.
+    Raises: InputError: a file that holds none.
     """
     import json
 
@@ -82,11 +60,14 @@ def _run(arguments: argparse.Namespace) -> int:
     )
     from shift3d.effects.applicability import MEASURED_IMPACT
     from shift3d.store.resolve import as_location
+    from shift3d.store.tables import read_table
     from shift3d.sweep.planning.folder import read_plan
 
     folder = as_location(arguments.out)
     sweep = read_plan(folder).sweep
-    scores, timings = _tables(folder)
+    scores, timings = (
+        read_table(folder / "final" / f"{name}.parquet", name).to_pandas() for name in ("scores", "timings")
+    )
     milliseconds = _measured(arguments.times) if arguments.times else effect_milliseconds(scores, timings)
     impacts = effect_impacts(scores, milliseconds)
     print(f"{effect_table(impacts)}\n")
@@ -101,4 +82,6 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("effects", "the measured impact of each effect", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "effects", "the measured impact of each effect", _DESCRIPTION, _EPILOG, _run, FINISHED, options=_options
+)

@@ -6,17 +6,15 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from shift3d.cli.command import Command, key_values, writable_folder
+from shift3d.cli.command import Command, key_values, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame, whole_number
+from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.vehicles.fit import MeshFit
     from shift3d.vehicles.mesh_frame import MeshFrame
-
-__all__ = ["COMMAND"]
 
 _KEYS = ("out", "decoder", "steps", *FRAME_KEYS)
 
@@ -35,13 +33,6 @@ examples:
 
 {FRAME_TEXT}
 A decoder draws what it was trained on: shift3d train model=sdf vehicles=PATH trains one on your meshes."""
-
-
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("path", metavar="PATH", help="a mesh, or a folder of meshes")
-    text = f"out=DIR decoder=FILE steps=N {'= '.join(FRAME_KEYS)}="
-    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
-    words.completer = key_words(_KEYS, FRAME_VALUES)  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -76,4 +67,13 @@ def _doubts(fit: MeshFit, frame: MeshFrame) -> list[str]:
     return doubts
 
 
-COMMAND = Command("fit", "vehicles from your own meshes", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "fit",
+    "vehicles from your own meshes",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words=f"out=DIR decoder=FILE steps=N {'= '.join(FRAME_KEYS)}=",
+    complete=key_words(_KEYS, FRAME_VALUES),
+    options=lambda parser: parser.add_argument("path", metavar="PATH", help="a mesh, or a folder of meshes"),
+)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, writable_folder
 from shift3d.cli.completion import overrides
+from shift3d.cli.outcomes import mirror
 from shift3d.cli.words import take_folders
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
@@ -20,8 +22,6 @@ if TYPE_CHECKING:
     from shift3d.accuracy_time.drive import FrontierPlan, SceneGroup
     from shift3d.accuracy_time.settings import Setting
     from shift3d.settings.accuracy_time import FrontierSweep
-
-__all__ = ["COMMAND", "frontier_words", "groups_of", "plan_of"]
 
 _NAME = "accuracy_time"
 _WINDOW_M = 12.0  # of the truth's detector: wider than any setting's but the whole scene's
@@ -54,11 +54,7 @@ def frontier_words(prefix: str, **_: Any) -> list[str]:
     return [word for word in ("kitti=",) if word.startswith(prefix)] + overrides(prefix)
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    words = parser.add_argument(
-        "words", nargs="*", metavar="key=value", help="overrides, kitti=PATH, and out=DIR for the folder to write to"
-    )
-    words.completer = frontier_words  # type: ignore[attr-defined]
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", metavar="REGEX", help="only settings whose name it is found in")
     parser.add_argument("--quick", action="store_true", help="a few settings on one case (frontier.quick)")
     parser.add_argument("--again", action="store_true", help="forget what was measured here, but for the truth")
@@ -89,7 +85,9 @@ def _run(arguments: argparse.Namespace) -> int:
         print("interrupted: the same command resumes", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not part:
-        _mirror(config, folder)
+        from shift3d.analysis.mlflow.measured import mirror_frontier
+
+        mirror(config.tracking, partial(mirror_frontier, folder))
     return 0
 
 
@@ -107,8 +105,7 @@ def _config(words: list[str]) -> FrontierSweep:
 def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[FrontierPlan, list[str]]:
     """What is measured, and the names of settings that this processor is no match for.
 
-    Raises:
-        InputError: a pattern that is none, or that no setting's name matches.
+    Raises: InputError: a pattern that is none, or that no setting's name matches.
     """
     from shift3d.accuracy_time.drive import FrontierPlan
     from shift3d.accuracy_time.run import Repeats
@@ -153,22 +150,11 @@ def _setting(setting: Any, accuracy: Any) -> Setting:
     from shift3d.settings.catalogue.reading import accuracy_settings
 
     knob_name, values = next(iter(setting.over.items()), (None, [None]))
-    return Setting(
-        name=setting.name,
-        method=setting.method,
-        accuracy=accuracy_settings(accuracy),
-        knob=values[0],
-        knob_name=knob_name,
-        preset=setting.preset if setting.name == setting.preset else None,
-        crop_m=setting.crop_m,
-        warm=setting.warm,
-        gradient=setting.gradient,
-        grid=setting.grid,
-        incremental=setting.incremental,
-        displaced=setting.displaced,
-        steps=setting.steps,
-        attack_steps=setting.attack_steps,
-    )
+    own = {each.name for each in fields(Setting)} - {"preset"}
+    preset = setting.preset if setting.name == setting.preset else None
+    same: dict[str, Any] = {name: value for name, value in setting.model_dump().items() if name in own}
+    accuracy = accuracy_settings(accuracy)
+    return Setting(**same, accuracy=accuracy, knob=values[0], knob_name=knob_name, preset=preset)
 
 
 def _preset(name: Any, crop_m: float) -> Setting:
@@ -183,8 +169,7 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
     """The sweep's scenes, and KITTI's where they are asked for. Raises InputError for a folder without frames."""
     from shift3d.accuracy_time.drive import SceneGroup
     from shift3d.settings.catalogue.foreign import detector_layouts
-    from shift3d.settings.schema.config import KittiConfig
-    from shift3d.settings.schema.scenes import scene_set
+    from shift3d.settings.schema.scenes import KittiConfig, scene_set
     from shift3d.task.exchange import AssetsSpec
     from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 
@@ -244,20 +229,14 @@ def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: boo
     print(f"\n{write_frontier_report(folder)}\n\n{folder / 'report.html'}, frontier.parquet, frontier.png, advice.txt")
 
 
-def _mirror(config: FrontierSweep, folder: Path) -> None:
-    from shift3d.settings.schema.config import MlflowConfig
-
-    if not isinstance(config.tracking, MlflowConfig):
-        return
-    from shift3d.analysis.mlflow.accuracy_time import mirror_frontier
-
-    uri = config.tracking.uri
-    if problem := mirror_frontier(folder, uri, config.tracking.experiment):
-        print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
-    else:
-        print(f"in MLflow, {uri}: shift3d ui")
-
-
 COMMAND = Command(
-    "frontier", "measure what accuracy costs in time", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+    "frontier",
+    "measure what accuracy costs in time",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words="overrides, kitti=PATH, and out=DIR for the folder to write to",
+    complete=frontier_words,
+    options=_options,
+    resumes=True,
 )

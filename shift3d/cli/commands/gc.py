@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
-from shift3d.cli.completion import folder_words
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.store.location import Location
-
-__all__ = ["COMMAND", "sweeps_in"]
 
 _DESCRIPTION = """\
 Removes from a sweep's folder (or s3://, gs://) what killed drivers left: segments that the commit log does not name,
@@ -25,19 +23,20 @@ examples:
   shift3d gc outputs/default-1a2b3c4d5e6f7a8b
   shift3d gc s3://bucket/runs/kitti"""
 _SHOWN = 20
+OUT = "output folder of a sweep, or its URL"
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a sweep, or its URL")
-    out.completer = folder_words  # type: ignore[attr-defined]
-    parser.add_argument("--dry-run", action="store_true", help="say what would be removed, and remove nothing")
+def dry_run(done: str, do: str) -> Callable[[argparse.ArgumentParser], object]:
+    """The option that says what would be done, and does nothing."""
+    return lambda parser: parser.add_argument(
+        "--dry-run", action="store_true", help=f"say what would be {done}, and {do} nothing"
+    )
 
 
 def sweeps_in(out: str) -> list[Location]:
     """A sweep's folder, and its verification's, which is a sweep itself.
 
-    Raises:
-        InputError: it is no sweep's folder.
+    Raises: InputError: it is no sweep's folder.
     """
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.spec_file import read_spec
@@ -71,4 +70,6 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("gc", "remove what killed drivers left", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "gc", "remove what killed drivers left", _DESCRIPTION, _EPILOG, _run, OUT, options=dry_run("removed", "remove")
+)

@@ -10,8 +10,6 @@ from shift3d.cli.command import Command
 from shift3d.errors import InputError
 from shift3d.settings.folders import files, looked_in, shown
 
-__all__ = ["COMMAND"]
-
 _DESCRIPTION = """\
 Lists the launch specs: how a sweep is started on this machine, a Ray cluster, Kubernetes, Slurm or AWS. NAME prints one
 of them; its first lines say how it is used. Those of a folder jobs/ where the command runs come first."""
@@ -29,7 +27,7 @@ def _names(prefix: str = "", **_: Any) -> list[str]:
     return [name for name in files("jobs", "*") if name.startswith(prefix)]
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
+def _options(parser: argparse.ArgumentParser) -> None:
     name = parser.add_argument("name", nargs="?", metavar="NAME", help="print this one")
     name.completer = _names  # type: ignore[attr-defined]
 
@@ -58,4 +56,4 @@ def _summary(path: Path) -> str:
     return comment.removeprefix("# ").split(". ")[0]
 
 
-COMMAND = Command("jobs", "list the launch specs, or print one", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command("jobs", "list the launch specs, or print one", _DESCRIPTION, _EPILOG, _run, options=_options)

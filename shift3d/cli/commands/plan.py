@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.cli import words
 from shift3d.cli.command import Command
+from shift3d.cli.completion import plan_words
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -16,9 +17,6 @@ if TYPE_CHECKING:
     from shift3d.store.location import Location
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
-
-__all__ = ["COMMAND", "add_tasks", "show", "show_places"]
-
 
 _DESCRIPTION = """\
 Says how many tasks a sweep has; which effects their scenes call for, with what each costs; how long it would take;
@@ -43,11 +41,6 @@ def add_tasks(parser: argparse.ArgumentParser, when: str = "") -> None:
     parser.add_argument("--places", action="store_true", help=f"{when}count the places of each scene, up to 20 scenes")
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    words.add_words(parser)
-    add_tasks(parser)
-
-
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.sweep.planning.kind import shift3d_kind
 
@@ -59,8 +52,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
 
     places: count those of each scene.
 
-    Raises:
-        InputError: the sweep itself would be refused.
+    Raises: InputError: the sweep itself would be refused.
     """
     from shift3d.analysis.forecast.expected import expected_lines
     from shift3d.analysis.mlflow.store_uri import check_tracking
@@ -121,6 +113,9 @@ COMMAND = Command(
     "show what a sweep would run",
     _DESCRIPTION,
     _EPILOG,
-    _add_arguments,
     _run,
+    words=words.SWEEP_WORDS,
+    metavar=words.SWEEP_METAVAR,
+    complete=plan_words,
+    options=add_tasks,
 )

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from shift3d.cli.command import Command
-from shift3d.cli.completion import folder_words
-
-__all__ = ["COMMAND"]
+from shift3d.cli.command import FINISHED, Command
 
 _DESCRIPTION = """\
 Writes OUT/report.html, one page that needs nothing but itself: the result in short, the hard cases in 3D, 50 solutions
@@ -24,9 +21,7 @@ Hard cases are rendered again and random ones drawn, which takes about a minute.
 part on stability."""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    out.completer = folder_words  # type: ignore[attr-defined]
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", metavar="N", type=_count, default=4, help="hard cases to show (default 4)")
 
 
@@ -47,4 +42,4 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("report", "write a finished sweep's page", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command("report", "write a finished sweep's page", _DESCRIPTION, _EPILOG, _run, FINISHED, options=_options)

@@ -14,8 +14,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from shift3d.settings.schema.config import Config
 
-__all__ = ["COMMAND", "scenes_words"]
-
 _ACTIONS = ("list", "show")
 _WORDS = ("scene=", "scenes=", "scenes.", "attack.placement.")
 _SWEEP = "smoke"  # only its settings of scenes count; any would do
@@ -42,16 +40,6 @@ def scenes_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_
         return [word for word in _ACTIONS if word.startswith(prefix)]
     known = overrides(prefix)
     return [word for word in known if word.startswith((*_WORDS, "out="))]
-
-
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    words = parser.add_argument(
-        "words",
-        nargs="*",
-        metavar="WORD",
-        help="list or show, then scenes=NAME scenes.root=PATH [scene=NAME] [out=FILE.png]",
-    )
-    words.completer = scenes_words  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -125,4 +113,13 @@ def _show(config: Config, out: str | None) -> int:
     return 0
 
 
-COMMAND = Command("scenes", "what a data set holds", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "scenes",
+    "what a data set holds",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words="list or show, then scenes=NAME scenes.root=PATH [scene=NAME] [out=FILE.png]",
+    metavar="WORD",
+    complete=scenes_words,
+)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
+from functools import partial
 from typing import TYPE_CHECKING
 
 from shift3d.cli.command import Command
 from shift3d.cli.commands.plan import add_tasks, show, show_places
 from shift3d.cli.completion import folder_words, sweep_words
-from shift3d.cli.words import Request, add_words, read_words
+from shift3d.cli.outcomes import interrupted, mirror
+from shift3d.cli.words import SWEEP_METAVAR, SWEEP_WORDS, Request, read_words
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from shift3d.sweep.drive import SweepResult
     from shift3d.sweep.planning.kind import TaskKind
     from shift3d.sweep.planning.plan import Plan
-
-__all__ = ["COMMAND", "run_with"]
 
 _DESCRIPTION = """\
 Runs the sweep NAME (default: default) and writes to outputs/NAME-<hash>/, or to out=DIR. DIR may be s3://BUCKET/PREFIX
@@ -57,8 +56,7 @@ examples:
   shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also what it gave up on"""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_words(parser, sweep_words)
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing, as: sweep plan")
     add_tasks(parser, "with plan or --dry-run: ")
     parser.add_argument(
@@ -121,10 +119,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         print(f"{result.reused} of {counted(result.planned, 'task')} were done in {others}")
     if result.final is None:
         command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
-        left = result.planned - result.done - result.quarantined
-        print(f"interrupted: {result.done} of {counted(result.planned, 'task')} done, {left} left", file=sys.stderr)
-        print(f"the same command resumes: {command}", file=sys.stderr)
-        return int(ExitCode.INTERRUPTED)
+        return interrupted(result, command=command)
     placed = _show(plan, config, result)
     return int(ExitCode.DONE if placed and not result.quarantined else ExitCode.INCOMPLETE)
 
@@ -202,13 +197,10 @@ def _show_effects(sweep: Sweep, folder: Location) -> None:
 
 
 def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
-    from shift3d.settings.schema.config import MlflowConfig
-
-    if not isinstance(config.tracking, MlflowConfig) or result.final is None:
-        return
-    from shift3d.analysis.mlflow.sweep import SweepRecord, follow_up_metrics, mirror
+    from shift3d.analysis.mlflow import sweep as mlflow_sweep
     from shift3d.analysis.results import natural_by_task
 
+    assert result.final is not None
     counts: dict[str, float] = {
         "tasks_done": result.done,
         "tasks_quarantined": result.quarantined,
@@ -219,16 +211,22 @@ def _mirror(plan: Plan, config: Config, result: SweepResult) -> None:
         counts |= {"solutions_verified": len(stable), "solutions_unstable": int((~stable).sum())}
     if verdicts := natural_by_task(result.final.frame("scores")):
         counts |= {"shapes_measured": len(verdicts), "shapes_natural": sum(verdicts.values())}
-    counts |= follow_up_metrics({name: result.final.frame(name) for name in result.final.tables})
+    counts |= mlflow_sweep.follow_up_metrics({name: result.final.frame(name) for name in result.final.tables})
     settings = {"settings": plan.settings, "axes": plan.axes}
     auc, curves = result.final.frame("auc"), result.final.frame("curves")
-    record = SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, auc, curves, counts)
-    uri = config.tracking.uri
-    if problem := mirror(record, uri, config.tracking.experiment):
-        print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
-        print("the same command again writes it there once MLflow answers", file=sys.stderr)
-    else:
-        print(f"MLflow run {plan.sweep}-{plan.spec_hash} in {uri}: shift3d ui")
+    record = mlflow_sweep.SweepRecord(plan.sweep, plan.spec_hash, result.folder, settings, auc, curves, counts)
+    mirror(config.tracking, partial(mlflow_sweep.mirror, record), f"{plan.sweep}-{plan.spec_hash}")
 
 
-COMMAND = Command("sweep", "run a sweep, or resume it", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True)
+COMMAND = Command(
+    "sweep",
+    "run a sweep, or resume it",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words=SWEEP_WORDS,
+    metavar=SWEEP_METAVAR,
+    complete=sweep_words,
+    options=_options,
+    resumes=True,
+)

@@ -8,12 +8,10 @@ from pathlib import Path
 from shift3d.cli.command import Command
 from shift3d.errors import InputError
 
-__all__ = ["COMMAND"]
-
 _DEFAULT_URI = "sqlite:///mlflow.db"
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--uri", default=_DEFAULT_URI, help="the store that sweeps write to (%(default)s)")
     parser.add_argument("--port", type=int, default=5000, help="port on 127.0.0.1 (%(default)s); 0: any free one")
 
@@ -40,6 +38,6 @@ COMMAND = Command(
     "compare sweeps in MLflow, on loopback",
     "Serves the MLflow runs of finished sweeps on 127.0.0.1: AUCs, settings and files side by side.",
     "example:\n  shift3d ui --port 5001",
-    _add_arguments,
     _run,
+    options=_options,
 )

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from shift3d.scenes.sets import SceneSet
 
-__all__ = ["compare_with_original", "compiled_network", "require_score_only"]
-
 _COMPARED_SCENES = 3
 _done: dict[tuple[str, ...], str] = {}
 

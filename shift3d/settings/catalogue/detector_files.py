@@ -17,8 +17,6 @@ from shift3d.settings.schema.config import (
 if TYPE_CHECKING:
     pass
 
-__all__ = ["detector_hash", "file_hash", "scoring_detectors", "weights_file"]
-
 
 def weights_file(name: str, override: str | None) -> Path:
     """A detector's file of weights: the one given, or the one that ships. Raises InputError where it is missing."""
@@ -42,8 +40,7 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     without weights stops nobody who did not ask for it. The small SST stands in for the published one then: where both
     are there, it scores only what it is asked to.
 
-    Raises:
-        InputError: weights of a detector that was asked for are missing, or a user's files are no detector.
+    Raises: InputError: weights of a detector that was asked for are missing, or a user's files are no detector.
     """
     weights = config.weights_by_name()
     others: list[str] = list(config.scored_by or ())
@@ -67,8 +64,7 @@ def detector_hash(name: str, weights: str | None, module: str | None, layout: Ma
     Its weights, or its ONNX file; of the user's own, its Python file with its weights; of a foreign one, the layout
     that its config describes with its weights.
 
-    Raises:
-        InputError: a file is missing.
+    Raises: InputError: a file is missing.
     """
     if name == ONNX:
         return file_hash(_existing_file(weights or "", "Check detector.file"))

@@ -15,8 +15,6 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     from shift3d.settings.schema.config import DetectorConfig
 
-__all__ = ["detector_layouts", "layout_hash", "require_in_range"]
-
 
 def detector_layouts(config: DetectorConfig) -> dict[str, dict[str, Any]]:
     """What the config of a foreign detector says, by the detector's name, as plain values; nothing where none is asked.

@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
     from shift3d.vehicles.sources import VehicleSource
 
-__all__ = ["Catalogue", "SceneEntry", "accuracy_settings", "read_catalogue", "scene_set", "vehicle_source"]
-
-
 # Precision of the detector while it is descended; what was found is scored in float32 or better whatever this
 # says. bfloat16 changes the direction of a step and nothing that is reported. A processor without instructions for
 # it plans with float32, which is faster there; the plan says which, so that all workers of a sweep do the same.
@@ -139,11 +136,9 @@ def _check_render(settings: dict[str, Any]) -> None:
 def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
     """Load what tasks of these settings refer to, and hash it.
 
-    Args:
-        preview: scenes that would be made for their hash alone have none, see `scene_entries`.
+    Args: preview: scenes that would be made for their hash alone have none, see `scene_entries`.
 
-    Raises:
-        InputError: a missing file, or a scene that cannot be read.
+    Raises: InputError: a missing file, or a scene that cannot be read.
     """
     require_score_only(config)
     scenes = scene_set(config.scenes)

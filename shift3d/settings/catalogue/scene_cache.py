@@ -26,8 +26,6 @@ from shift3d.scenes.facts import SceneFacts
 from shift3d.store.atomic import write_atomic
 from shift3d.store.user_cache import source_digest, user_cache
 
-__all__ = ["SceneEntry", "keep_entry", "kept_entry"]
-
 # Layers that scenes are made by, and libraries that their last bits may depend on.
 _SOURCES = ("scenes", "vehicles", "sdf", "geometry", "seeding.py")
 _LIBRARIES = ("numpy", "pyarrow", "scipy", "embreex", "trimesh", "scikit-image", "libigl", "fast-simplification")

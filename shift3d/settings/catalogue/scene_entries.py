@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar
 from shift3d.scenes.facts import SceneFacts
 from shift3d.settings.catalogue.scene_cache import SceneEntry, keep_entry, kept_entry
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
-
-__all__ = ["scene_entries"]
 
 _FEW = 8
 """So many scenes are made for a preview, too: it takes seconds, and then the preview is exact."""
@@ -31,11 +29,9 @@ def scene_entries(
         preview: leave ``content_hash`` empty where many scenes would have to be made for it alone.
         skip_bad: leave out scenes that cannot be read. None: no setting of these scenes.
 
-    Returns:
-        the entries, and of each scene that is left out why.
+    Returns: the entries, and of each scene that is left out why.
 
-    Raises:
-        InputError: a scene cannot be read; with skip_bad, none can.
+    Raises: InputError: a scene cannot be read; with skip_bad, none can.
     """
     entries = {name: _known(scenes, name) for name in scenes.names()}
     unknown = [name for name, entry in entries.items() if entry is None or not entry.content_hash]
@@ -65,23 +61,11 @@ def _look(scenes: SceneSet, names: Sequence[str], skip_bad: bool | None) -> list
 
     skip_bad: the error of one that cannot be read stands in its place.
     """
-    from tqdm import tqdm
-
-    terminal = sys.stderr.isatty()
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         try:
-            return list(
-                tqdm(
-                    threads.map(lambda name: _look_at(scenes, name, skip_bad), names),
-                    desc="looking at scenes",
-                    total=len(names),
-                    unit="scene",
-                    delay=1.0,  # nothing is shown of what is done at once
-                    dynamic_ncols=True,
-                    mininterval=0.2 if terminal else 15.0,
-                    file=sys.stderr,
-                )
-            )
+            work = threads.map(lambda name: _look_at(scenes, name, skip_bad), names)
+            # delay: nothing is shown of what is done at once
+            return list(progress_bar(work, desc="looking at scenes", total=len(names), unit="scene", delay=1.0))
         except BaseException:
             threads.shutdown(cancel_futures=True)
             raise

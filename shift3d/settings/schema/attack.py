@@ -9,8 +9,6 @@ from pydantic import ConfigDict, Field, model_validator
 from shift3d.attack.names import SearchName, SpaceName
 from shift3d.settings.schema.records import LARGEST, Count, NotNegative, Number, Positive, Record
 
-__all__ = ["AttackConfig", "PlacementConfig"]
-
 
 class PlacementConfig(Record):
     """Where a vehicle may be put; metres."""

@@ -11,29 +11,7 @@ from shift3d.effects.applicability import NEEDS
 from shift3d.settings.names import Text
 from shift3d.settings.schema.attack import AttackConfig
 from shift3d.settings.schema.records import Count, NotNegative, Number, Positive, Record, Seed, Share
-from shift3d.settings.schema.scenes import KittiConfig, SceneConfig, StreetConfig, StreetOptionsConfig
-
-__all__ = [
-    "AccuracyConfig",
-    "Config",
-    "DeepSdfVehicleConfig",
-    "DetectorConfig",
-    "EffectsConfig",
-    "KittiConfig",
-    "LocalRunnerConfig",
-    "MeshReferenceConfig",
-    "MlflowConfig",
-    "NaturalnessConfig",
-    "NoReferenceConfig",
-    "NoTrackingConfig",
-    "RayRunnerConfig",
-    "SetReferenceConfig",
-    "StreetConfig",
-    "StreetOptionsConfig",
-    "VehicleConfig",
-    "VehicleSetConfig",
-    "WideReferenceConfig",
-]
+from shift3d.settings.schema.scenes import SceneConfig
 
 
 class VehicleSetConfig(Record):
@@ -252,6 +230,9 @@ class LocalRunnerConfig(Record):
     abort_share: Share | None
 
 
+RunnerConfig = RayRunnerConfig | LocalRunnerConfig
+
+
 class MlflowConfig(Record):
     """An MLflow store."""
 
@@ -280,7 +261,7 @@ class Config(Record):
     accuracy: AccuracyConfig
     effects: EffectsConfig
     naturalness: Annotated[NaturalnessConfig, Field(discriminator="kind")]
-    runner: Annotated[RayRunnerConfig | LocalRunnerConfig, Field(discriminator="kind")]
+    runner: Annotated[RunnerConfig, Field(discriminator="kind")]
     tracking: Annotated[MlflowConfig | NoTrackingConfig, Field(discriminator="kind")]
     size: Literal["full", "small"] = "full"
     mode: Literal["shape", "pose", "shape_pose"]

@@ -6,8 +6,6 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["LARGEST", "Count", "NotNegative", "Number", "Positive", "Record", "Seed", "Share"]
-
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 # Beyond these limits lie typing errors: a list of 10**12 scenes, squares of 1e300 that are infinite.
 _MOST, LARGEST = 10**6, 1e9

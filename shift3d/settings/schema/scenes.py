@@ -17,20 +17,6 @@ if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
 
-__all__ = [
-    "Argoverse2Config",
-    "FramesConfig",
-    "KittiConfig",
-    "NuScenesConfig",
-    "OpenPcdetConfig",
-    "SceneConfig",
-    "StreetConfig",
-    "StreetOptionsConfig",
-    "WaymoConfig",
-    "scene_config",
-    "scene_set",
-]
-
 Metres = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
 
 if TYPE_CHECKING:
@@ -140,8 +126,7 @@ def scene_config(values: Mapping[str, Any]) -> SceneConfig:
 def scene_set(config: SceneConfig) -> SceneSet:
     """The scenes that settings describe. Readers are imported when their data set is asked for.
 
-    Raises:
-        InputError: a missing or unreadable folder.
+    Raises: InputError: a missing or unreadable folder.
     """
     if isinstance(config, StreetConfig):
         from shift3d.scenes.sets import StreetScenes

@@ -9,8 +9,6 @@ from shift3d.exit_codes import ExitCode
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.wording import counted
 
-__all__ = ["AbortRule", "AbortedError"]
-
 # A share of fewer tasks than this says little.
 _LEAST_TASKS = 50
 # Errors are alike when they begin alike: names and numbers of a single task come later.
@@ -26,9 +24,8 @@ class AbortedError(InputError):
 class AbortRule:
     """Watches the outcomes of one run.
 
-    Args:
-        after: stop when the first so many tasks failed alike. share: stop when more than this part of at least 50 tasks
-            failed. None: never for this reason.
+    Args: after: stop when the first so many tasks failed alike. share: stop when more than this part of at least 50
+    tasks failed. None: never for this reason.
     """
 
     def __init__(self, after: int | None, share: float | None) -> None:

@@ -1,4 +1,4 @@
-"""Which tasks wait, which wait to be run alone, and how often each was tried: by position in the plan.
+"""Which tasks wait, how often each was tried, and how many a call to a worker gets: by position in the plan.
 
 Neighbours in a plan share a vehicle, and what a worker prepares for that vehicle takes about as long as a task. So each
 worker has a stretch of the plan to itself, and takes half of the longest one that is left when it has ended its own.
@@ -11,8 +11,6 @@ from collections.abc import Hashable, Sequence
 
 import numpy as np
 
-__all__ = ["Backlog"]
-
 # A task is quarantined after so many failures of a worker in which it was alone.
 _CHARGES = 2
 # A lost machine is not counted against the task, but so many lost machines are.
@@ -22,8 +20,7 @@ _LOSSES = 6
 class Backlog:
     """The tasks of a run that have no outcome yet and are in no worker's hands.
 
-    Args:
-        positions: to run, in this order. tried: attempts of earlier runs by position, so that numbers go on.
+    Args: positions: to run, in this order. tried: attempts of earlier runs by position, so that numbers go on.
     """
 
     def __init__(self, positions: Sequence[int] | np.ndarray, tried: dict[int, int] | None = None) -> None:
@@ -85,3 +82,32 @@ class Backlog:
     def put_back(self, positions: Sequence[int], alone: bool) -> None:
         """Tasks to be run again. alone: each without others, since one of them may have ended its worker."""
         (self._alone if alone else self._again).extend(positions)
+
+
+class BatchSizer:
+    """Grows from one task towards ``seconds`` of work a call, by what calls have taken so far.
+
+    Args: seconds: aim for one call. most: largest batch.
+    """
+
+    def __init__(self, seconds: float, most: int = 4096) -> None:
+        self._seconds = seconds
+        self._most = most
+        self._per_task_s: float | None = None
+        self._last = 1
+
+    def size(self, left: int, workers: int) -> int:
+        """Tasks for the next call. left: tasks not yet given out; the last ones are shared out evenly."""
+        fair = -(-left // max(workers, 1))
+        if self._per_task_s is None:
+            return 1
+        wanted = int(self._seconds / max(self._per_task_s, 1e-7))
+        # At most eight times the last size, so that one lucky task does not fix the size for all.
+        self._last = max(1, min(wanted, 8 * self._last, self._most))
+        return max(1, min(self._last, fair))
+
+    def finished(self, tasks: int, seconds: float) -> None:
+        """Learn from a call: how many tasks, and how long it took."""
+        if tasks:
+            new = seconds / tasks
+            self._per_task_s = new if self._per_task_s is None else 0.5 * self._per_task_s + 0.5 * new

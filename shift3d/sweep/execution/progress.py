@@ -6,10 +6,9 @@ import sys
 from collections.abc import Sequence
 from types import TracebackType
 
-from shift3d.sweep.execution.running import Running
+from shift3d.progress_bar import progress_bar
+from shift3d.sweep.execution.worker import Running
 from shift3d.wording import counted
-
-__all__ = ["Progress"]
 
 _LONG_S = 5.0
 
@@ -17,26 +16,12 @@ _LONG_S = 5.0
 class Progress:
     """A bar on stderr; where that is no terminal, a line now and then.
 
-    Args:
-        total: tasks of the sweep. finished: those that earlier runs finished. workers: shown beside the bar.
+    Args: total: tasks of the sweep. finished: those that earlier runs finished. workers: shown beside the bar.
     """
 
     def __init__(self, total: int, finished: int, workers: int) -> None:
-        from tqdm import tqdm
-
-        terminal = sys.stderr.isatty()
         self._failed = 0
-        self._bar = tqdm(
-            total=total,
-            initial=finished,
-            unit="task",
-            desc=_workers(workers),
-            dynamic_ncols=True,
-            mininterval=0.2 if terminal else 15.0,
-            maxinterval=1.0 if terminal else 60.0,
-            smoothing=0.05,
-            file=sys.stderr,
-        )
+        self._bar = progress_bar(total=total, initial=finished, unit="task", desc=_workers(workers), smoothing=0.05)
 
     def __enter__(self) -> Progress:
         return self

@@ -8,15 +8,11 @@ from typing import Protocol
 
 import numpy as np
 
-from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
-from shift3d.sweep.execution.batches import BatchSizer
-from shift3d.sweep.execution.running import Running
-from shift3d.sweep.execution.worker import BatchOutcome, Worker
-from shift3d.sweep.planning.kind import TaskKind
+from shift3d.settings.schema.config import LocalRunnerConfig, RunnerConfig
+from shift3d.sweep.execution.backlog import BatchSizer
+from shift3d.sweep.execution.worker import BatchOutcome, Running, Worker
+from shift3d.sweep.planning.kind import TaskKind, reproduce_command
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.planning.reproduce import reproduce_command
-
-__all__ = ["LocalRunner", "Runner", "make_runner"]
 
 
 class Runner(Protocol):
@@ -32,8 +28,7 @@ class Runner(Protocol):
 
         An outcome without tasks may be yielded at any time: a chance for the caller to commit and to draw.
 
-        Args:
-            positions: of the tasks in the plan.
+        Args: positions: of the tasks in the plan.
         """
         ...
 
@@ -87,14 +82,13 @@ class LocalRunner:
 def make_runner(
     kind: TaskKind,
     plan: Plan,
-    config: RayRunnerConfig | LocalRunnerConfig,
+    config: RunnerConfig,
     tasks_left: int,
     tried: dict[int, int] | None = None,
 ) -> Runner:
     """The runner that the settings name.
 
-    Args:
-        tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
+    Args: tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
     """
     if isinstance(config, LocalRunnerConfig):
         return LocalRunner(kind, plan, config.commit_seconds, tried or {})

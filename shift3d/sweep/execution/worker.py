@@ -18,24 +18,40 @@ import pyarrow as pa
 
 from shift3d.errors import InputError
 from shift3d.processor import configure_runtime
-from shift3d.store.schemas import SEGMENTS, SPEC_COLUMNS
+from shift3d.store.schemas import SCHEMAS, SEGMENTS, SPEC_COLUMNS
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.planning.kind import TaskKind
-from shift3d.sweep.planning.reproduce import with_command
+from shift3d.sweep.planning.kind import TaskKind, with_command
 from shift3d.sweep.planning.tasks import PlannedTask
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.spec import TaskSpec
-
-__all__ = ["BatchOutcome", "Worker", "attempt_row", "completed_rows"]
 
 # How often a task is tried, and the pause before each new try of I/O. A deterministic failure is tried
 # twice in case it was not deterministic after all; what the file system or the network did may pass.
 _DETERMINISTIC_TRIES = 2
 _IO_TRIES = 4
 _IO_PAUSE_S = (0.5, 2.0, 8.0)
-_OF_A_SCENE = ("task_id", "scene", "dataset")
 _GIVES_BACK_S = 1.0
 """After a batch this long memory is given back, which takes some hundredths of a second."""
+
+
+@dataclass(frozen=True)
+class Running:
+    """A call in flight. task: its first one. tasks: how many it holds. seconds: since it was given out.
+
+    worker: host and process that it was given to.
+    """
+
+    task: PlannedTask
+    tasks: int
+    seconds: float
+    worker: str
+
+    @property
+    def label(self) -> str:
+        """vehicle/scene, the mode, and how many more there are."""
+        spec = self.task.spec
+        more = f" +{self.tasks - 1}" if self.tasks > 1 else ""
+        return f"{spec.vehicle}/{spec.scene} {spec.mode}{more}"
 
 
 @dataclass
@@ -211,19 +227,12 @@ def completed_rows(spec: TaskSpec, sweep: str, result: TaskResult) -> dict[str, 
     """A result's rows with the columns that its spec determines."""
     known: Row = {name: getattr(spec, name) for name in SPEC_COLUMNS if name not in ("sweep", "lambda")}
     known |= {"sweep": sweep, "lambda": spec.lambda_}
-    effects = {"effects": list(spec.effects)}
-    return {
-        "scores": [{**effects, **row, **known} for row in result.scores],
-        "solutions": [{**effects, **row, **known} for row in result.solutions],
-        "timings": [{**row, "task_id": spec.task_id} for row in result.timings],
-        "verification": [{**row, **known} for row in result.verification],
-        "trajectories": [{**row, **known} for row in result.trajectories],
-        "transfers": [{**row, **known} for row in result.transfers],
-        "shapes": [{**row, **known} for row in result.shapes],
-        "vehicle_pool": [{**row, **{name: known[name] for name in _OF_A_SCENE}} for row in result.vehicle_pool],
-        "retrieved": [{**row, **known} for row in result.retrieved],
-        "patterns": [{**row, **known} for row in result.patterns],
-    }
+    found = {}
+    for name, rows in vars(result).items():
+        own = {column: known[column] for column in SCHEMAS[name].names if column in known}
+        effects = {"effects": list(spec.effects)} if "effects" in SCHEMAS[name].names else {}
+        found[name] = [effects | row | own for row in rows]
+    return found
 
 
 @dataclass

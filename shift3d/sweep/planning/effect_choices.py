@@ -15,8 +15,6 @@ from shift3d.settings.schema.config import Config
 if TYPE_CHECKING:
     from shift3d.render.field.object_field import VehicleFrame
 
-__all__ = ["EffectChoices", "EffectLine", "effect_table"]
-
 
 @dataclass(frozen=True)
 class EffectLine:
@@ -42,11 +40,9 @@ class EffectChoices:
     def of(self, config: Config, catalogue: Catalogue, vehicle: str, scenes: Sequence[int]) -> list[tuple[str, ...]]:
         """The names of the effects of tasks that attack a vehicle, in the order of the physics.
 
-        Args:
-            scenes: positions in the catalogue.
+        Args: scenes: positions in the catalogue.
 
-        Raises:
-            InputError: an effect is forced that a scene has no data for.
+        Raises: InputError: an effect is forced that a scene has no data for.
         """
         overrides = EffectSettings(**config.effects.overrides())
         frame, detector = catalogue.frame_of(vehicle), DetectorFacts(config.detector.name)

@@ -22,8 +22,6 @@ from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.task.exchange import AssetsSpec
 from shift3d.wording import counted
 
-__all__ = ["check_folder", "default_folder", "open_folder", "read_plan", "read_spec"]
-
 _LIBRARIES = ("numpy", "torch", "trimesh", "embreex", "scipy", "pyarrow", "ray", "hydra-core", "pydantic")
 
 
@@ -35,8 +33,7 @@ def default_folder(plan: Plan) -> Location:
 def check_folder(folder: LocationLike, plan: Plan) -> bool:
     """Make sure that a plan can run in a folder; whether it was begun there. Nothing is changed.
 
-    Raises:
-        InputError: the folder holds another sweep or something else, or cannot be written to.
+    Raises: InputError: the folder holds another sweep or something else, or cannot be written to.
     """
     folder = as_location(folder)
     folder.check_writable()
@@ -61,8 +58,7 @@ def check_folder(folder: LocationLike, plan: Plan) -> bool:
 def open_folder(folder: LocationLike, plan: Plan) -> None:
     """Create a sweep's folder, or check that an existing one is of the same plan.
 
-    Raises:
-        InputError: see `check_folder`; or the disk is full.
+    Raises: InputError: see `check_folder`; or the disk is full.
     """
     folder = as_location(folder)
     if not check_folder(folder, plan):
@@ -143,8 +139,7 @@ def _environment() -> dict[str, Any]:
 def read_plan(folder: LocationLike) -> Plan:
     """The plan of a sweep's folder, with every task's spec: what an export or a report starts from.
 
-    Raises:
-        InputError: the folder is not a sweep's, or a file in it is damaged.
+    Raises: InputError: the folder is not a sweep's, or a file in it is damaged.
     """
     folder = as_location(folder)
     spec = read_spec(folder)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.schema.config import Config
-from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["TaskKind", "shift3d_kind"]
+if TYPE_CHECKING:
+    from shift3d.sweep.planning.plan import Plan
 
 
 @dataclass(frozen=True)
@@ -36,13 +39,26 @@ class TaskKind:
 
 def shift3d_kind() -> TaskKind:
     """The real task: place a vehicle, attack it, score what was found."""
-    import functools
-
     from shift3d.settings.catalogue.reading import read_catalogue
-    from shift3d.task.assets import prepare_reference
-    from shift3d.task.run import load_assets, run_task
+    from shift3d.task.assets import load_assets, prepare_reference
+    from shift3d.task.run import run_task
 
     preview = functools.partial(read_catalogue, preview=True)
     return TaskKind(
         run=run_task, load=load_assets, catalogue=read_catalogue, preview=preview, prepare=prepare_reference
     )
+
+
+def reproduce_command(kind: TaskKind, plan: Plan) -> str:
+    """The command up to the task's id; empty where a kind's tasks cannot be run one by one."""
+    if not kind.single:
+        return ""
+    return " ".join([*map(shlex.quote, ["shift3d", "sweep", plan.sweep, *plan.overrides]), "--task"])
+
+
+def with_command(row: Row, command: str) -> Row:
+    """A row of ``attempts`` whose traceback ends with how to see it again."""
+    if not command:
+        return row
+    text = row["traceback"] or ""
+    return {**row, "traceback": f"{text}{chr(10) if text else ''}reproduce: {command} {row['task_id']}"}

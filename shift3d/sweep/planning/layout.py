@@ -20,8 +20,6 @@ from shift3d.sweep.planning.effect_choices import EffectChoices
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
 from shift3d.task.spec import TaskSpec, TransferScene
 
-__all__ = ["Layouts"]
-
 Effects = tuple[str, ...]
 
 
@@ -52,9 +50,8 @@ class Layouts:
 
         spec: what the tasks have in common.
 
-        Raises:
-            InputError: the scene is unknown, the set is empty or too small for the transfers, or an effect is forced
-                that a scene has no data for.
+        Raises: InputError: the scene is unknown, the set is empty or too small for the transfers, or an effect is
+        forced that a scene has no data for.
         """
         elsewhere = config.attack.search_scenes + config.attack.transfer_scenes
         transfers = elsewhere if config.mode == "shape" else 0

@@ -18,12 +18,10 @@ from shift3d.settings.expand import expand
 from shift3d.settings.schema.config import Config
 from shift3d.sweep.planning.effect_choices import EffectChoices, EffectLine
 from shift3d.sweep.planning.layout import Layouts
-from shift3d.sweep.planning.tasks import PlannedTask, TaskGroup, Tasks
+from shift3d.sweep.planning.tasks import Tasks
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.spec import BUDGET_RULE, AttackSpec, PlacementSpec, TaskSpec
-
-__all__ = ["Plan", "PlannedTask", "TaskGroup", "Tasks", "make_plan"]
 
 # Begins what a sweep's hash is taken of. It was the schema version once, and stays: a folder that an older
 # program began is the same sweep.
@@ -76,11 +74,9 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
     Combinations that ask for the same task (a pose attack under several lambda) give one task, at its first
     place in the order. Scenes vary fastest.
 
-    Returns:
-        the plan, and the settings of its first task (for ``runner`` and ``tracking``).
+    Returns: the plan, and the settings of its first task (for ``runner`` and ``tracking``).
 
-    Raises:
-        InputError: unknown names, unreadable scenes or weights, or an empty sweep.
+    Raises: InputError: unknown names, unreadable scenes or weights, or an empty sweep.
     """
     where = f"sweep {composed.name}"
     catalogues: dict[str, tuple[Catalogue, int]] = {}

@@ -24,8 +24,6 @@ from shift3d.sweep.planning.tasks import PlannedTask, Tasks
 from shift3d.sweep.planning.tasks_builder import tasks_of
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["plan_bytes", "read_tasks"]
-
 _SHARED = pa.dictionary(pa.int32(), pa.string())
 _SCHEMA = pa.schema(
     [
@@ -123,8 +121,7 @@ def read_tasks(content: bytes, where: str) -> Tasks:
 
     where: the file's path, for the error.
 
-    Raises:
-        InputError: it is no plan, damaged, or an id in it is not its task's.
+    Raises: InputError: it is no plan, damaged, or an id in it is not its task's.
     """
     import pyarrow.parquet as pq
 

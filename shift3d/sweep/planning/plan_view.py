@@ -9,8 +9,6 @@ from shift3d.sweep.planning.effect_choices import effect_table
 from shift3d.sweep.planning.plan import Plan
 from shift3d.wording import counted
 
-__all__ = ["plan_lines", "plan_summary", "skipped_lines"]
-
 _SHOWN = 20
 
 

@@ -11,14 +11,11 @@ from shift3d.store.migrations import steps
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 
-__all__ = ["read_spec"]
-
 
 def read_spec(folder: LocationLike) -> dict[str, Any]:
     """``spec.yaml`` of a sweep.
 
-    Raises:
-        InputError: there is none, it cannot be read, or it is of another schema version.
+    Raises: InputError: there is none, it cannot be read, or it is of another schema version.
     """
     path = as_location(folder) / "spec.yaml"
     try:

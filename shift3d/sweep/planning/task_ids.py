@@ -17,17 +17,6 @@ import pyarrow as pa
 
 from shift3d.task.spec import TaskSpec, TransferScene
 
-__all__ = [
-    "TaskScene",
-    "in_scene",
-    "read_task_scene",
-    "read_template",
-    "task_ids",
-    "task_scene_json",
-    "template_json",
-    "template_of",
-]
-
 TaskScene = tuple[str, str, tuple[TransferScene, ...]]
 """A scene, the hash of its content, and the scenes of transfers."""
 _VARYING = ("scene", "scene_hash", "transfer_scenes")
@@ -84,8 +73,7 @@ def task_ids(
 ) -> pa.Array:
     """The id of each task, an Arrow array of strings.
 
-    Args:
-        template, task_scene: int32, of each task: indices into ``templates`` and ``task_scenes``.
+    Args: template, task_scene: int32, of each task: indices into ``templates`` and ``task_scenes``.
     """
     texts = [_task_scene_parts(found) for found in task_scenes]
     order = np.argsort(template, kind="stable")

@@ -14,8 +14,6 @@ import pyarrow.compute as pc
 from shift3d.sweep.planning.task_ids import in_scene, read_task_scene
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["PlannedTask", "TaskGroup", "Tasks"]
-
 
 @dataclass(frozen=True)
 class PlannedTask:

@@ -12,8 +12,6 @@ from shift3d.sweep.planning.task_ids import TaskScene, task_ids, task_scene_json
 from shift3d.sweep.planning.tasks import PlannedTask, Tasks
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["TasksBuilder", "tasks_of"]
-
 
 @dataclasses.dataclass
 class _Chunk:

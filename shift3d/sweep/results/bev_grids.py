@@ -13,8 +13,6 @@ from shift3d.store.schemas import GROUP_COLUMNS
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["bev_rows", "groups", "transfer_rows"]
-
 
 def groups(frame: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
     """Groups in the order in which they first appear; a missing lambda (pose) is a value like any other."""

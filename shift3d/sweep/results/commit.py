@@ -10,8 +10,6 @@ from shift3d.store.log import CommitLog
 from shift3d.store.schemas import SEGMENTS
 from shift3d.sweep.execution.worker import BatchOutcome
 
-__all__ = ["Committer"]
-
 # Results that wait for their commit take no more memory than about this, whatever commit_seconds says.
 _MOST_BYTES = 64 * 2**20
 
@@ -19,8 +17,7 @@ _MOST_BYTES = 64 * 2**20
 class Committer:
     """Collects outcomes and commits them.
 
-    Args:
-        log: the sweep's log. every_s: a commit takes place when this long has passed since the last one.
+    Args: log: the sweep's log. every_s: a commit takes place when this long has passed since the last one.
 
     Attributes:
         busy: an outcome is being taken in or committed; whoever interrupts then cannot know which.
@@ -42,8 +39,7 @@ class Committer:
     def add(self, outcome: BatchOutcome) -> None:
         """Take an outcome in, and commit where it is time.
 
-        Raises:
-            TakenOverError, InputError: see ``CommitLog.commit``.
+        Raises: TakenOverError, InputError: see ``CommitLog.commit``.
         """
         self.busy = True
         self._done += outcome.done

@@ -17,10 +17,10 @@ import pyarrow.compute as pc
 from shift3d.errors import InputError
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.methods import METHODS_OF_MODE
-from shift3d.store.log import Commit
+from shift3d.store.log import committed_rows
+from shift3d.store.log_entries import Commit
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SEGMENTS
-from shift3d.store.segments import committed_rows
+from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SWEPT
 from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import TaskGroup
@@ -30,11 +30,6 @@ from shift3d.sweep.results.verified_scores import read_verification, with_verifi
 
 if TYPE_CHECKING:
     import pandas as pd
-
-__all__ = ["FinalTables", "check_segments", "committed_rows", "segments_in_plan_order", "write_final"]
-
-# The others come from commands of their own, and lie in folders of their own.
-_KEPT = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
 
 _PLAN_GROUP = GROUP_COLUMNS[:11]  # what a task alone determines, and the detector that scores it
 
@@ -54,11 +49,10 @@ class FinalTables:
 def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
     """Write every table of ``final/`` from the commit log.
 
-    Raises:
-        InputError: a segment is missing, torn or of another length than was committed; the disk is full.
+    Raises: InputError: a segment is missing, torn or of another length than was committed; the disk is full.
     """
     folder = as_location(folder)
-    tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in _KEPT}
+    tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in SWEPT}
     if (verification := read_verification(folder)) is not None:
         tables["scores"] = with_verification(tables["scores"], verification)
         tables["verification"] = verification
@@ -74,8 +68,9 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
     tables["bev"] = table_from_rows("bev", bev_rows(scored))
     steps = {group.template.attack.steps for group in plan.tasks.groups()}
     tables["choices"] = table_from_rows("choices", choice_rows(scored, plan.sweep, steps))
+    reach_m = max(group.template.placement.max_range_m for group in plan.tasks.groups())
     transfers = _by_effects_requested(tables["transfers"].to_pandas(), plan)
-    tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, _reach_m(plan)))
+    tables["bev_transfer"] = table_from_rows("bev_transfer", transfer_rows(transfers, reach_m))
     skipped = [{"sweep": plan.sweep, "scene": name, "why": why} for name, why in plan.skipped.items()]
     tables["skipped_scenes"] = table_from_rows("skipped_scenes", skipped)
     for name, table in tables.items():
@@ -88,13 +83,8 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
 
 def check_segments(folder: LocationLike, entries: Sequence[Commit]) -> None:
     """Read what `write_final` would read, before work that ends with it. Raises: InputError as it does."""
-    for name in _KEPT:
+    for name in SWEPT:
         committed_rows(folder, entries, name)
-
-
-def _reach_m(plan: Plan) -> float:
-    """How far from the sensor a vehicle may stand."""
-    return max(group.template.placement.max_range_m for group in plan.tasks.groups())
 
 
 def _by_effects_requested(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
@@ -103,16 +93,11 @@ def _by_effects_requested(scored: pd.DataFrame, plan: Plan) -> pd.DataFrame:
 
 
 def segments_in_plan_order(folder: LocationLike, entries: Sequence[Commit], name: str, plan: Plan) -> pa.Table:
-    """One segment table of everything committed, rows by the position of their task in the plan.
+    """One segment table of everything committed, rows by their task's place in the plan, within a task as it gave them.
 
-    Raises:
-        InputError: a segment is missing, torn, of another length than was committed, or of another plan.
+    Raises: InputError: a segment is missing, torn, of another length than was committed, or of another plan.
     """
-    return _in_plan_order(name, committed_rows(folder, entries, name), plan)
-
-
-def _in_plan_order(name: str, table: pa.Table, plan: Plan) -> pa.Table:
-    """Rows by the position of their task in the plan; within a task as the task gave them."""
+    table = committed_rows(folder, entries, name)
     found = pc.index_in(table["task_id"], value_set=plan.tasks.ids)
     if found.null_count:
         what = f"{found.null_count} rows of {name} are of tasks that the plan does not have"
@@ -148,7 +133,7 @@ def _auc_rows(scored: pd.DataFrame, plan: Plan) -> list[dict[str, Any]]:
                 "tasks_planned": planned.get(tuple(group[name] for name in _PLAN_GROUP), 0),
                 "mean_adversarial_loss": _mean(members["adversarial_loss"]),
                 "mean_latent_distance": _mean(members["latent_distance"]),
-                "selected": chosen.get(_rule_key(group), group["lambda"]) == group["lambda"],
+                "selected": chosen.get(tuple(group[name] for name in RULE_KEYS), group["lambda"]) == group["lambda"],
             }
         )
     return rows + _gaps(rows, planned, _planned_methods(plan))
@@ -199,7 +184,3 @@ def _gaps(
                 losses = {"mean_adversarial_loss": None, "mean_latent_distance": None, "selected": False}
                 gaps.append({**group, "method": method, **empty, **losses})
     return gaps
-
-
-def _rule_key(group: dict[str, Any]) -> tuple[Any, ...]:
-    return tuple(group[name] for name in RULE_KEYS)

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["NEARLY_EQUAL", "RULE_KEYS", "Choice", "choice_rows", "choose_alphas", "choose_lambdas", "select_lambda"]
-
 NEARLY_EQUAL = 0.05
 """Losses this share above the lowest count as 'very similar' to it. Our choice: the paper gives no number."""
 RULE_KEYS = ("vehicle", "mode", "alpha", "detector", "accuracy", "search", "effects")
@@ -27,11 +25,9 @@ _SCENE = ["dataset", "scene"]
 def select_lambda(mean_loss: Mapping[float, float]) -> float:
     """The lambda with the lowest mean adversarial loss, or a larger one whose loss is nearly equal to it.
 
-    Args:
-        mean_loss: lambda to the mean of L_adv over the scenes that were scored under every lambda.
+    Args: mean_loss: lambda to the mean of L_adv over the scenes that were scored under every lambda.
 
-    Raises:
-        ValueError: no lambda.
+    Raises: ValueError: no lambda.
     """
     if not mean_loss:
         raise ValueError("no lambda to choose from")

@@ -13,16 +13,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
-from shift3d.store.log import CommitLog, read_log
+from shift3d.store.log import CommitLog, committed_rows
+from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike
-from shift3d.store.schemas import FOLLOW_UPS, SEGMENTS
+from shift3d.store.schemas import SWEPT
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.spec_file import read_spec
-from shift3d.sweep.results.final import committed_rows
 
-__all__ = ["take_finished"]
-
-_TABLES = tuple(name for name in SEGMENTS if name not in FOLLOW_UPS)
 _TASKS_A_COMMIT = 100_000
 
 
@@ -32,8 +29,7 @@ def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
     The other sweep may have any name, be unfinished or be running: what it has committed counts, what it gave up on
     does not. A task's rows are committed with it or not at all, so that a driver that is killed here loses nothing.
 
-    Raises:
-        InputError: the folder is no sweep's, of another schema version, or damaged; as `CommitLog.commit`.
+    Raises: InputError: the folder is no sweep's, of another schema version, or damaged; as `CommitLog.commit`.
     """
     spec, entries = read_spec(other), read_log(other)
     foreign = [entry for entry in entries if entry.spec_hash != spec["spec_hash"]]
@@ -47,7 +43,7 @@ def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
     wanted = np.flatnonzero(there & here)
     if not len(wanted):
         return 0
-    tables = {name: _renamed(committed_rows(other, entries, name), plan.sweep) for name in _TABLES}
+    tables = {name: _renamed(committed_rows(other, entries, name), plan.sweep) for name in SWEPT}
     for start in range(0, len(wanted), _TASKS_A_COMMIT):
         ids = plan.tasks.ids.take(pa.array(wanted[start : start + _TASKS_A_COMMIT]))
         own = {name: table.filter(pc.is_in(table["task_id"], value_set=ids)) for name, table in tables.items()}

@@ -7,8 +7,6 @@ import pyarrow as pa
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.tables import read_table
 
-__all__ = ["FOLDER", "read_verification", "with_verification"]
-
 FOLDER = "verification"
 """Where a verification lies in its sweep's folder: a sweep's folder itself, with a log and final tables."""
 _KEY = ["task_id", "scored_by", "method", "replicate"]
@@ -18,8 +16,7 @@ _TAKEN = ("score_reference", "stable")
 def read_verification(folder: LocationLike) -> pa.Table | None:
     """The finished verification of the sweep in ``folder``; None where there is none.
 
-    Raises:
-        InputError: it is damaged, or of another version.
+    Raises: InputError: it is damaged, or of another version.
     """
     path = as_location(folder) / FOLDER / "final" / "verification.parquet"
     return read_table(path, "verification") if path.is_file() else None

@@ -20,8 +20,9 @@ from shift3d.render.rendering import Rendering
 from shift3d.scenes.kitti.writing import frame_files, velodyne_bytes
 from shift3d.scenes.scene import Scene
 from shift3d.store.atomic import write_atomic
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.task.assets import Assets
-from shift3d.task.follow_ups.rendered import POSE, render_solution
+from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import vehicle_mesh
 
@@ -52,17 +53,15 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
         solution: latent_code (256,), the six pose columns, method, replicate.
         folder: made if absent; each file is written whole or not at all.
 
-    Returns:
-        The files. ``scene.bin`` (KITTI: float32 x, y, z, reflectance; sensor frame; the scene's point order;
-        reflectance 0 where the scene has none) and ``scene.ply`` (the same points, the vehicle's coloured),
-        ``hit_mask.npy`` (bool, True where a point was moved onto the object), ``object.ply`` (metres, sensor frame) and
-        ``object.glb`` (the vehicle's own frame in glTF's axes, y up and z forward), ``box.json`` and ``boxes.json``
-        (sensor frame, geometric centre; of the object, and of everything in the scene), and ``kitti/training/...``, the
-        edited scene as a frame of a KITTI folder. Points that effects made vanish are left out; returns of beams that
-        had none follow the scene's points.
+    Returns: The files. ``scene.bin`` (KITTI: float32 x, y, z, reflectance; sensor frame; the scene's point order;
+    reflectance 0 where the scene has none) and ``scene.ply`` (the same points, the vehicle's coloured),
+    ``hit_mask.npy`` (bool, True where a point was moved onto the object), ``object.ply`` (metres, sensor frame) and
+    ``object.glb`` (the vehicle's own frame in glTF's axes, y up and z forward), ``box.json`` and ``boxes.json`` (sensor
+    frame, geometric centre; of the object, and of everything in the scene), and ``kitti/training/...``, the edited
+    scene as a frame of a KITTI folder. Points that effects made vanish are left out; returns of beams that had none
+    follow the scene's points.
 
-    Raises:
-        InputError: a scene or vehicle that cannot be loaded, or a folder that cannot be written.
+    Raises: InputError: a scene or vehicle that cannot be loaded, or a folder that cannot be written.
     Source: design section 5.
     """
     scene, _ = assets.scene(spec)
@@ -139,7 +138,7 @@ def _box_json(
         "frame": "lidar",
         "units": _UNITS,
         "class": "vehicle",
-        "pose": {name: float(solution[name]) for name in POSE},
+        "pose": {name: float(solution[name]) for name in POSE_COLUMNS},
         "object_points": object_points,
         "task_id": spec.task_id,
         "vehicle": spec.vehicle,

@@ -13,8 +13,6 @@ from shift3d.task.follow_ups.verify import VerifyAssets
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.mesh_measures import measure_mesh
 
-__all__ = ["patterns_task"]
-
 RESOLUTION = 97
 """Nodes along the unit sphere's cube of the meshes: 5 cm apart on a car, which gives lengths to a centimetre."""
 
@@ -34,7 +32,7 @@ def patterns_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
         if found.method in ("baseline", "adversarial")
     ]
     spent: Row = {"method": "patterns", "stage": "measure", "milliseconds": 1e3 * (time.perf_counter() - start)}
-    return TaskResult([], [], [spent | {"calls": len(rows)}], patterns=rows)
+    return TaskResult(timings=[spent | {"calls": len(rows)}], patterns=rows)
 
 
 def _measured(spec: TaskSpec, held: VerifyAssets, found: Solution) -> Row:

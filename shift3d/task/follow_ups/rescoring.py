@@ -19,12 +19,10 @@ from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.task.assets import Assets, score_precision
 from shift3d.task.differences import Differences, differences
-from shift3d.task.run import build_problem
+from shift3d.task.problem import build_problem
 from shift3d.task.scoring import SCORED_NEARBY, Nearby, Scored, score_object, score_points
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
-
-__all__ = ["DRAWS", "Problems", "Solution", "Verified", "verify_object"]
 
 RANGE_NOISE_M = 0.02
 """Standard deviation of the noise that beams on the object are given: the figure of common spinning sensors."""
@@ -78,8 +76,7 @@ class Problems:
     def of(spec: TaskSpec, assets: Assets, solution: Solution) -> Problems:
         """The task's problems, the vehicle of a solution at its pose.
 
-        Raises:
-            InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
+        Raises: InputError: a scene or vehicle that cannot be loaded, or is not what the task was planned with.
         """
         settings = accuracy_settings(AccuracyConfig(name="reference", render={}))
         reference = dataclasses.replace(spec, accuracy="reference", accuracy_settings=settings)

@@ -22,8 +22,6 @@ from shift3d.task.problem import build_problem
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec
 
-__all__ = ["CONTROLS", "RetrievalAssets", "load_retrieval_assets", "retrieval_task"]
-
 CONTROLS = 3
 """Vehicles that are scored beside the retrieved one."""
 
@@ -58,7 +56,7 @@ def retrieval_task(spec: TaskSpec, held: RetrievalAssets) -> TaskResult:
     solutions = {(found.method, found.replicate): found for found in held.held.solutions(spec)}
     solution = solutions.get(("adversarial", 0))
     if solution is None or spec.mode == "pose":
-        return TaskResult([], [], [])
+        return TaskResult()
     before = solutions["baseline", 0].scores
     code = solution.code.double().numpy()
     nearest, distance = held.pool.nearest(code)
@@ -84,7 +82,7 @@ def retrieval_task(spec: TaskSpec, held: RetrievalAssets) -> TaskResult:
             known | scored[name] | {"score_baseline": before[name], "score_solution": solution.scores[name]}
             for name in spec.scored_by
         ]
-    return TaskResult([], [], [], retrieved=rows)
+    return TaskResult(retrieved=rows)
 
 
 def _scored(

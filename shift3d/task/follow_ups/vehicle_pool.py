@@ -29,8 +29,6 @@ from shift3d.task.spec import TaskSpec
 if TYPE_CHECKING:
     from shift3d.vehicles.sources import VehicleSource
 
-__all__ = ["PoolAssets", "load_pool_assets", "pool_task", "reconstructor_of"]
-
 OWN_IOU = 0.3
 """Bird's-eye overlap with a label from which on a box is a detection of it: cars park nearer than 5 m."""
 _VEHICLES, _COMPARED = 5, 1000
@@ -85,7 +83,7 @@ def pool_task(spec: TaskSpec, held: PoolAssets) -> TaskResult:
         {"method": "pool", "stage": stage, "milliseconds": 1e3 * seconds, "calls": len(crops)}
         for stage, seconds in spent.items()
     ]
-    return TaskResult([], [], timings, vehicle_pool=rows)
+    return TaskResult(timings=timings, vehicle_pool=rows)
 
 
 def _row(reconstructor: Reconstructor, crop: Crop, truth: trimesh.Trimesh | None) -> Row:

@@ -11,16 +11,16 @@ robust: under every draw of noise and pose at least half of the margin is left. 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import torch
 
 from shift3d.errors import InputError
-from shift3d.store.local_files import LocalLocation
-from shift3d.store.location import Location
+from shift3d.store.location import LocalLocation, Location
 from shift3d.store.resolve import as_location
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.store.tables import read_table
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
@@ -28,11 +28,8 @@ from shift3d.task.follow_ups.rescoring import Problems, Solution, Verified, veri
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.vehicle import Vehicle
 
-__all__ = ["SCORE_TOLERANCE", "VerifyAssets", "load_verify_assets", "verified_rows", "verify_task"]
-
 SCORE_TOLERANCE = 0.02
 """How far a score may lie from that at reference accuracy, and a margin from its own."""
-_POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
 @dataclass
@@ -47,8 +44,7 @@ class VerifyAssets:
     def solutions(self, spec: TaskSpec) -> list[Solution]:
         """Every solution of a task with its scores, the baseline first; none where nothing could be placed.
 
-        Raises:
-            InputError: tables that are missing, damaged, or lack the baseline.
+        Raises: InputError: tables that are missing, damaged, or lack the baseline.
         """
         rows = {name: self._rows(name, spec.task_id) for name in ("scores", "solutions")}
         scores: dict[tuple[str, int], dict[str, float]] = {}
@@ -60,7 +56,7 @@ class VerifyAssets:
                 row["method"],
                 row["replicate"],
                 torch.tensor(np.asarray(row["latent_code"], dtype=np.float32)),
-                torch.tensor([row[name] for name in _POSE], dtype=torch.float64),
+                torch.tensor([row[name] for name in POSE_COLUMNS], dtype=torch.float64),
                 scores[row["method"], row["replicate"]],
                 self._other_vehicle(spec, row),
             )
@@ -106,8 +102,7 @@ class VerifyAssets:
 def load_verify_assets(spec: AssetsSpec) -> VerifyAssets:
     """Load what the verification of a sweep's tasks shares.
 
-    Raises:
-        InputError: as `load_assets`.
+    Raises: InputError: as `load_assets`.
     """
     assert spec.results is not None
     return VerifyAssets(load_assets(spec), as_location(spec.results))
@@ -118,13 +113,12 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
 
     A pure function of the spec, the solutions and the content that the spec's hashes name, on one thread.
 
-    Raises:
-        InputError: tables, a scene or a vehicle that cannot be loaded or are not those of the sweep.
+    Raises: InputError: tables, a scene or a vehicle that cannot be loaded or are not those of the sweep.
     Source: our choice: the paper scores once.
     """
     solutions = held.solutions(spec)
     if not solutions:
-        return TaskResult([], [], [])
+        return TaskResult()
     own = Problems.of(spec, held.assets, solutions[0])
     rows: list[Row] = []
     timings: list[Row] = []
@@ -142,18 +136,15 @@ def verify_task(spec: TaskSpec, held: VerifyAssets) -> TaskResult:
             for stage, spent in verified.milliseconds.items()
             if new
         ]
-    return TaskResult([], [], timings, rows)
+    return TaskResult(timings=timings, verification=rows)
 
 
 def verified_rows(solution: Solution, verified: Verified, start: Solution, baseline: Verified) -> list[Row]:
     """A row a detector, without the columns that the spec determines. start, baseline: the task's own baseline."""
-    found = verified.found
+    found = asdict(verified.found)
     same: Row = {
-        "hits_reference": found.hits,
-        "missed_hits": found.missed_hits,
-        "false_hits": found.false_hits,
-        "wrong_surface": found.wrong_surface,
-        "depth_error_max_m": found.depth_error_max_m,
+        "hits_reference": found.pop("hits"),
+        **found,
         "unresolved_beams": verified.unresolved,
         "unresolved_reference": verified.unresolved_reference,
     }

@@ -12,6 +12,7 @@ import pytest
 
 from shift3d.analysis.detector_evaluation import write_evaluation
 from shift3d.analysis.tables.detector_tables import metric_table
+from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth
 from shift3d.evaluation.metrics import evaluate
 from shift3d.store.evaluation_tables import evaluation_table
@@ -133,7 +134,7 @@ def test_the_short_table_comes_first_with_intervals_and_agrees_with_the_folder(t
 
 def test_a_table_refuses_what_is_missing_or_not_finite() -> None:
     columns = {"detector": ["a"], "dataset": ["b"], "scene": ["c"], "scene_ms": [1.0], "detect_ms": [np.nan]}
-    with pytest.raises(ValueError, match="detect_ms"):
+    with pytest.raises(InputError, match="detect_ms"):
         evaluation_table("timings", columns)
     with pytest.raises(ValueError, match="scene_ms"):
         evaluation_table("timings", {key: value for key, value in columns.items() if key != "scene_ms"})

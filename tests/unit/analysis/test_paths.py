@@ -14,7 +14,8 @@ from shift3d.analysis.html.document import blocks_html
 from shift3d.analysis.html.sections.paths import case_path, mean_path, paths
 from shift3d.analysis.results import read_sweep
 from shift3d.analysis.variants import variants
-from shift3d.store.log import CommitLog, read_log
+from shift3d.store.log import CommitLog
+from shift3d.store.log_entries import read_log
 from shift3d.store.tables import table_from_rows
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final

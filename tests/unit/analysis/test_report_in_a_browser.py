@@ -18,8 +18,8 @@ from shift3d.analysis.html.blocks import Section
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
 from shift3d.analysis.html.report import write_report
-from shift3d.analysis.html.sections.case_figures import turnable
-from shift3d.store.log import read_log
+from shift3d.analysis.html.scene_figures import turnable
+from shift3d.store.log_entries import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 

@@ -15,7 +15,7 @@ from scripts.sweep_figures import _numbers, sweep_figures
 
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.table import Table
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 

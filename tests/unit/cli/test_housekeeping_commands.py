@@ -8,7 +8,8 @@ import pytest
 from valid_sweeps import plan, write_sweep
 
 from shift3d.cli.main import main
-from shift3d.store.log import CommitLog, read_log
+from shift3d.store.log import CommitLog
+from shift3d.store.log_entries import read_log
 from shift3d.sweep.results.final import write_final
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import valid_sweeps
 
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import FinalTables, write_final
 

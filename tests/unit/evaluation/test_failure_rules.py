@@ -12,7 +12,7 @@ from shift3d.analysis.statistics.intervals import difference_interval
 from shift3d.analysis.tables.failure_rules import failure_rules, rule_text, rules_objects, rules_table
 from shift3d.errors import InputError
 from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg, find_rules
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 

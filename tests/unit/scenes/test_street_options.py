@@ -12,8 +12,7 @@ from pydantic import ValidationError
 from shift3d.errors import InputError
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.options import PLAIN, StreetOptions
-from shift3d.settings.schema.config import StreetConfig, StreetOptionsConfig
-from shift3d.settings.schema.scenes import scene_set
+from shift3d.settings.schema.scenes import StreetConfig, StreetOptionsConfig, scene_set
 
 CONF = Path(__file__).parents[3] / "conf" / "scenes" / "street.yaml"
 EVERY: list[tuple[dict[str, Any], str]] = [

@@ -15,8 +15,8 @@ from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS
 from shift3d.settings.catalogue.detector_files import scoring_detectors, weights_file
 from shift3d.settings.catalogue.reading import accuracy_settings
-from shift3d.settings.schema.config import AccuracyConfig, DetectorConfig, KittiConfig, StreetConfig
-from shift3d.settings.schema.scenes import scene_set
+from shift3d.settings.schema.config import AccuracyConfig, DetectorConfig
+from shift3d.settings.schema.scenes import KittiConfig, StreetConfig, scene_set
 
 
 @pytest.mark.parametrize("name", PRESETS)

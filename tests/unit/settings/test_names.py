@@ -8,7 +8,8 @@ from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.expand import expand
 from shift3d.settings.names import quoted, text_settings
-from shift3d.settings.schema.config import Config, DeepSdfVehicleConfig, KittiConfig, MlflowConfig
+from shift3d.settings.schema.config import Config, DeepSdfVehicleConfig, MlflowConfig
+from shift3d.settings.schema.scenes import KittiConfig
 
 DEEPSDF = ["vehicle=deepsdf", "vehicle.folder=here", "mode=shape", "attack.lambda=1"]
 KITTI = ["scenes.root=here", "vehicle=suv", "mode=shape", "attack.lambda=1"]

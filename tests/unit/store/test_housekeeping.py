@@ -13,12 +13,11 @@ from bucket_server import new_bucket
 
 from shift3d.errors import InputError
 from shift3d.store.housekeeping import collect, compact, find_garbage
-from shift3d.store.local_files import LocalLocation
-from shift3d.store.location import Location
-from shift3d.store.log import CommitLog, TakenOverError, read_log
+from shift3d.store.location import LocalLocation, Location
+from shift3d.store.log import CommitLog, TakenOverError, committed_rows
+from shift3d.store.log_entries import read_log
 from shift3d.store.object_store import ObjectLocation
 from shift3d.store.resolve import as_location
-from shift3d.store.segments import committed_rows
 from shift3d.store.tables import table_from_rows, write_table
 
 TASKS = ("a", "b", "c", "d")
@@ -168,16 +167,16 @@ def test_compact_killed_before_any_of_its_steps_leaves_a_sweep_that_reads_the_sa
 
 _CHILD = """
 import os, sys
-from shift3d.store import local_files
+from shift3d.store import location
 from shift3d.store.housekeeping import compact
 left = [int(sys.argv[2])]
 for name in ("write_atomic", "put_if_absent", "delete"):
-    def call(*arguments, function=getattr(local_files.LocalLocation, name)):
+    def call(*arguments, function=getattr(location.LocalLocation, name)):
         left[0] -= 1
         if left[0] < 0:
             os._exit(9)
         return function(*arguments)
-    setattr(local_files.LocalLocation, name, call)
+    setattr(location.LocalLocation, name, call)
 compact(sys.argv[1])
 """
 

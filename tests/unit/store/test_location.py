@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from bucket_server import new_bucket
 
-from shift3d.store.local_files import LocalLocation
-from shift3d.store.location import Location
+from shift3d.store.location import LocalLocation, Location
 from shift3d.store.resolve import as_location, local_copy
 
 

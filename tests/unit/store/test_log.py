@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from shift3d.errors import InputError
-from shift3d.store.log import CommitLog, TakenOverError, read_log
+from shift3d.store.log import CommitLog, TakenOverError
+from shift3d.store.log_entries import read_log
 from shift3d.store.tables import read_table, table_from_rows
 
 TIMING = {"task_id": "a", "method": "baseline", "stage": "total", "milliseconds": 1.0, "calls": 1}

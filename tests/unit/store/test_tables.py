@@ -94,5 +94,5 @@ def test_another_table_and_a_torn_file_are_named(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:50])
     with pytest.raises(InputError, match="cannot be read as Parquet"):
         read_table(path, "scores")
-    with pytest.raises(InputError, match="cannot be read as Parquet"):
+    with pytest.raises(InputError, match="is missing"):
         read_table(tmp_path / "absent", "scores")

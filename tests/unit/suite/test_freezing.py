@@ -23,7 +23,8 @@ from shift3d.suite.scoring import Scorer, score_suite
 from shift3d.sweep.execution.worker import completed_rows
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.plan import make_plan
-from shift3d.task.run import load_assets, run_task
+from shift3d.task.assets import load_assets
+from shift3d.task.run import run_task
 from shift3d.task.scoring import score_box
 
 WORDS = ["vehicle=suv", "mode=shape,pose", "attack.steps=1", "attack.noise_replicates=1", "naturalness=none"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue.reading import Catalogue, SceneEntry
+from shift3d.settings.catalogue.reading import Catalogue
+from shift3d.settings.catalogue.scene_cache import SceneEntry
 from shift3d.settings.schema.config import Config
 
 VEHICLES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from shift3d.sweep.execution.batches import BatchSizer
+from shift3d.sweep.execution.backlog import BatchSizer
 
 
 def test_slow_tasks_go_one_at_a_time() -> None:

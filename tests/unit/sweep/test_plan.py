@@ -11,9 +11,10 @@ from by_hand import VEHICLES, catalogue
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.schemas import SCHEMA_VERSION
-from shift3d.sweep.planning.folder import open_folder, read_plan, read_spec
+from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import Plan, make_plan
 from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
+from shift3d.sweep.planning.spec_file import read_spec
 
 
 def test_shape_under_two_lambda_and_pose_once(default_plan: Plan) -> None:

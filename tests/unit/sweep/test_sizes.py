@@ -11,11 +11,13 @@ from by_hand import VEHICLES, catalogue
 from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue.reading import Catalogue, SceneEntry
+from shift3d.settings.catalogue.reading import Catalogue
+from shift3d.settings.catalogue.scene_cache import SceneEntry
 from shift3d.settings.compose import compose_sweep, sweep_names
 from shift3d.settings.expand import expand
 from shift3d.settings.folders import shipped
-from shift3d.settings.schema.config import Config, StreetConfig
+from shift3d.settings.schema.config import Config
+from shift3d.settings.schema.scenes import StreetConfig
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.sweep.planning.plan_view import plan_summary
 

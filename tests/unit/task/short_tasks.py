@@ -12,6 +12,9 @@ from shift3d.task.spec import AttackSpec, TaskSpec
 STREET = {"kind": "street", "sensor": "hdl64", "split": "test", "seed": 0, "count": 2}
 HERE, THERE = "street-test-hdl64-000000", "street-test-hdl64-000001"
 SHORT = AttackSpec(steps=3, noise_replicates=2)
+KNOWN = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.01}
+KNOWN |= {"detector": "p", "accuracy": "a", "search": "descent"}
+"""Columns that a sweep fills in."""
 
 
 def make_spec(mode: str = "shape", **changes: object) -> TaskSpec:

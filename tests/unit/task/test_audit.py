@@ -11,7 +11,7 @@ from shift3d.render import render
 from shift3d.render.settings import REFERENCE
 from shift3d.task.assets import Assets
 from shift3d.task.audit import AUDITED_BEAMS, audit
-from shift3d.task.run import build_problem, place_vehicle
+from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.scoring import Candidate, Scored, score_object
 from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec
 

@@ -19,7 +19,8 @@ from shift3d.scenes.kitti.files import read_points
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.follow_ups.export import export_solution
-from shift3d.task.run import build_problem, run_task
+from shift3d.task.problem import build_problem
+from shift3d.task.run import run_task
 from shift3d.task.scoring import score_points
 from shift3d.task.spec import AttackSpec, TaskSpec
 

@@ -21,7 +21,7 @@ from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.kitti.files import lidar_box
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.kitti.writing import CALIBRATION, label_line
-from shift3d.store.log import read_log
+from shift3d.store.log_entries import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 from shift3d.task.assets import Assets

@@ -7,7 +7,7 @@ from short_tasks import make_spec
 from shift3d.attack.baselines import noise_codes
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets
-from shift3d.task.run import build_problem, place_vehicle
+from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.scoring import Nearby, score_object
 from shift3d.task.spec import PlacementSpec
 

@@ -4,35 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-from short_tasks import SHORT, STREET, THERE, by_method, make_spec
+from short_tasks import KNOWN, SHORT, STREET, THERE, by_method, make_spec
 from toy_detector import WaveDetector
 
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.errors import InputError
-from shift3d.naturalness.sources import reference_source, source_hash
 from shift3d.placement.constraints import ConstraintCheck
-from shift3d.settings.catalogue.reading import accuracy_settings, read_catalogue
-from shift3d.settings.compose import compose_sweep
+from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.planning.plan import make_plan
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
-from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.rows import Rows
 from shift3d.task.run import run_task
-from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec, TransferScene
+from shift3d.task.spec import AttackSpec, PlacementSpec, TransferScene
 from shift3d.vehicles.sources import vehicle_hash
 from shift3d.vehicles.vehicle import baseline_vehicles
-
-KNOWN = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.01}
-KNOWN |= {"detector": "p", "accuracy": "a", "search": "descent"}
 
 
 def test_every_method_is_reported_once(shape: TaskResult, pose: TaskResult) -> None:
@@ -236,66 +227,6 @@ def test_a_step_that_is_not_finite_has_no_number_and_still_has_its_row() -> None
     assert table_from_rows("trajectories", [row | KNOWN]).num_rows == 1
 
 
-MEASURED = {"surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural"}
-
-
-def test_nothing_is_measured_without_a_reference_set(shape: TaskResult, pose: TaskResult) -> None:
-    assert shape.shapes == pose.shapes == []
-    assert not any(MEASURED & row.keys() for row in shape.scores + pose.scores)
-
-
-@pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Assets, str]]:
-    """Assets with a reference set, and its hash."""
-    values = {"kind": "wide", "members": 40}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield load_assets(AssetsSpec(scenes=STREET, reference=values)), source_hash(reference_source(values))
-
-
-def test_every_shape_and_baseline_says_how_natural_it_is(measured: tuple[Assets, str]) -> None:
-    found = run_task(make_spec(reference_hash=measured[1]), measured[0])
-    with_values = [row for row in found.scores if row.keys() >= MEASURED]
-    assert [row["method"] for row in with_values] == ["baseline", "random", "adversarial"]
-    assert [row["method"] for row in found.shapes] == ["baseline", "random", "adversarial"]
-    for scored, looked_at in zip(with_values, found.shapes):
-        assert scored["surface_distance_cm"] == (looked_at["to_member_cm"] + looked_at["from_member_cm"]) / 2
-        assert 0.0 < scored["surface_distance_cm"] < scored["surface_distance_p95_cm"] < 40.0
-        assert scored["natural"] == (scored["naturalness_percentile"] <= 95.0 and not looked_at["out_of_range"])
-    own = found.shapes[0]
-    assert own["nearest_member"].startswith("suv") and own["largest_piece"] > 0.97 and own["out_of_range"] == []
-    sizes = [own[name] for name in ("length_m", "width_m", "height_m")]
-    assert sizes == pytest.approx(measured[0].vehicle(make_spec()).size_m, abs=0.02)
-    assert table_from_rows("shapes", [row | KNOWN for row in found.shapes]).num_rows == 3
-
-
-def test_a_pose_has_its_baselines_shape(measured: tuple[Assets, str]) -> None:
-    found = run_task(make_spec("pose", reference_hash=measured[1]), measured[0])
-    assert [row["method"] for row in found.shapes] == ["baseline"]
-    assert len({row["surface_distance_cm"] for row in found.scores if row["status"] == "ok"}) == 1
-
-
-def test_a_search_with_a_budget_ends_at_a_natural_shape(measured: tuple[Assets, str]) -> None:
-    far = AttackSpec(steps=6, noise_replicates=0, random_replicates=0)
-    spec = make_spec(reference_hash=measured[1], alpha=0.1, attack=far)
-    free = run_task(spec, measured[0])
-    ends = [by_method(free, method)[0]["naturalness_percentile"] for method in ("baseline", "adversarial")]
-    budget = sum(ends) / 2
-    assert ends[0] < budget
-    bounded = dataclasses.replace(spec, attack=dataclasses.replace(far, naturalness=budget))
-    (within,) = by_method(run_task(bounded, measured[0]), "adversarial")
-    assert within["naturalness_percentile"] <= budget < ends[1] and within["latent_distance"] > 0.0
-    assert bounded.search == f"descent_within{budget:g}" and bounded.task_id != spec.task_id
-
-
-def test_a_budget_needs_a_reference_set_and_a_vehicle_within(assets: Assets, measured: tuple[Assets, str]) -> None:
-    bounded = dataclasses.replace(SHORT, naturalness=1e-6)
-    with pytest.raises(InputError, match=r"measures no naturalness.*naturalness=wide"):
-        run_task(make_spec(attack=bounded), assets)
-    with pytest.raises(InputError, match=r"vehicle lies beyond the budget.*larger attack\.naturalness"):
-        run_task(make_spec(attack=bounded, reference_hash=measured[1]), measured[0])
-
-
 def test_noise_is_as_far_as_its_share_of_the_way_to_the_solution(assets: Assets) -> None:
     attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=3, noise_share=0.05)
     found = run_task(make_spec(attack=attack), assets)
@@ -303,79 +234,3 @@ def test_noise_is_as_far_as_its_share_of_the_way_to_the_solution(assets: Assets)
     codes = {row["method"]: torch.tensor(row["latent_code"]) for row in found.solutions}
     noise = codes["adversarial_noise"] - codes["adversarial"]
     assert float(noise.std()) == pytest.approx(0.05 * way, rel=0.15)
-
-
-def test_another_reference_set_than_was_planned_is_refused(measured: tuple[Assets, str]) -> None:
-    with pytest.raises(InputError, match="changed after the sweep was planned") as failure:
-        run_task(make_spec(reference_hash="another"), measured[0])
-    assert "reference set" in failure.value.where
-
-
-def test_a_task_that_measures_none_keeps_the_id_of_an_older_program() -> None:
-    assert "reference_hash" not in make_spec().to_dict()
-    assert TaskSpec.from_dict(make_spec().to_dict()) == make_spec()
-    other = make_spec(reference_hash="a" * 32)
-    assert TaskSpec.from_dict(other.to_dict()) == other and other.task_id != make_spec().task_id
-
-
-@pytest.fixture(scope="module")
-def wide() -> Assets:
-    return load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": "wide"}))
-
-
-def test_a_search_over_kinds_says_as_which_vehicle_its_shape_is_drawn(wide: Assets) -> None:
-    attack = AttackSpec(steps=4, random_replicates=0, noise_replicates=1, search="random", space="family")
-    spec = make_spec(vehicle="sedan", lambda_=0.0, attack=attack)
-    found = run_task(spec, wide)
-    drawn_as = {row["method"]: row["drawn_as"] for row in found.solutions}
-    assert drawn_as["baseline"] is None
-    assert drawn_as["adversarial"] == drawn_as["adversarial_noise"] != "sedan"
-    vehicle = wide.vehicles.vehicle(drawn_as["adversarial"])
-    (solution,) = (row for row in found.solutions if row["method"] == "adversarial")
-    (scored,) = by_method(found, "adversarial")
-    again = render_solution(spec, solution, wide)
-    assert again.problem.size_m.tolist() == list(vehicle.size_m)
-    assert again.rendering.object_points == scored["object_points"]
-    # On the ground where the baseline stands.
-    (baseline,) = by_method(found, "baseline")
-    bottoms = [row["z_m"] - height / 2 for row, height in ((scored, vehicle.size_m[2]), (baseline, 1.45))]
-    assert bottoms[0] == pytest.approx(bottoms[1], abs=0.1)
-    assert all(scored[name] == baseline[name] for name in ("x_m", "y_m", "yaw_rad"))
-
-
-@pytest.mark.parametrize(
-    ("words", "why"),
-    [
-        (["attack.search=evolution"], "search evolution stays with one kind"),
-        (["attack.search=random", "attack.search_scenes=1"], "space family searches in one scene"),
-        (["attack.search=random", "vehicle=suv"], "made of no parameters"),
-    ],
-)
-def test_a_search_that_cannot_go_over_kinds_is_refused(words: list[str], why: str) -> None:
-    given = ["vehicle=wide", "vehicle.name=sedan", "mode=shape", "attack.space=family", *words]
-    with pytest.raises(InputError, match=why):
-        make_plan(compose_sweep("default", given[2:] if "vehicle=suv" in given else given), read_catalogue)
-
-
-def test_an_edited_vehicle_stands_where_its_baseline_does(wide: Assets) -> None:
-    attack = AttackSpec(steps=0, random_replicates=0, noise_replicates=0, edit="chassis.height_m:-1")
-    found = run_task(make_spec(vehicle="sedan", attack=attack), wide)
-    (before,), (after,) = by_method(found, "baseline"), by_method(found, "edited")
-    assert all(after[name] == before[name] for name in ("x_m", "y_m", "yaw_rad"))
-    assert after["score"] != before["score"]
-    codes = {row["method"]: np.array(row["latent_code"]) for row in found.solutions}
-    box = wide.vehicles.parameters("sedan")
-    at = box.names.index("chassis.height_m")
-    moved = (box.low[at] - box.start[at]) * box.basis[at]
-    assert codes["edited"] - codes["baseline"] == pytest.approx(moved, abs=1e-6)
-
-
-def test_an_edit_of_an_unknown_parameter_names_those_there_are() -> None:
-    words = ["vehicle=wide", "vehicle.name=sedan", "mode=shape", "attack.edit=chassis.wings_m:1"]
-    with pytest.raises(InputError, match=r"no parameter 'chassis\.wings_m'.*chassis\.height_m"):
-        make_plan(compose_sweep("default", words), read_catalogue)
-    words[-1] = "attack.edit=chassis.height_m:2"
-    with pytest.raises(InputError, match=r"'2' is no place in the range of chassis\.height_m.*from -1 to 1"):
-        make_plan(compose_sweep("default", words), read_catalogue)
-    with pytest.raises(InputError, match="made of no parameters"):
-        make_plan(compose_sweep("default", ["mode=shape", "attack.edit=chassis.height_m:1"]), read_catalogue)

@@ -245,5 +245,5 @@ def test_steps_0_settles_weights_that_are_there_and_nothing_else(tmp_path: Path)
     recipe = command.detector_recipe("pointpillars", options)
     assert (recipe.steps, recipe.mesh_only_steps, recipe.all_steps) == (0, 0, RECIPES["pointpillars"].settle_steps)
     assert not options.shipped, "what ships is not written over"
-    with pytest.raises(InputError, match="steps='0' is not a number of steps"):
+    with pytest.raises(InputError, match="steps='0' is not a whole number"):
         _options(words)

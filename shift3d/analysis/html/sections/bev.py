@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from shift3d.analysis.html.blocks import Block, Fold, Panels, Paragraph, Plot, Section
 from shift3d.analysis.html.figure import axis, plot
@@ -14,11 +15,6 @@ from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import Variant
 from shift3d.store.schemas import GROUP_COLUMNS
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["EGO_M", "bev", "pooled_cells", "transfer_grid"]
 
 _SHOWN = 2  # grids in sight; the others fold
 EGO_M = (4.8, 2.0)

@@ -12,8 +12,6 @@ from shift3d.analysis.tables.budgets import ANY_SHAPE, BudgetCurve, budget_curve
 from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
 
-__all__ = ["budgets"]
-
 _TITLE = "How hard vehicles get that stay vehicles"
 _LEAD = (
     "AUC over the baseline's, against the percentile of the reference set that a searched shape may not pass: at 95, "

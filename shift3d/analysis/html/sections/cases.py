@@ -11,7 +11,7 @@ from shift3d.analysis.cases.chosen import Case, hardest
 from shift3d.analysis.cases.measures import change_lines, in_words
 from shift3d.analysis.cases.rendered import Loaded, Rendered, render_again
 from shift3d.analysis.html.blocks import Article, Block, Command, Fold, Paragraph, Section, Terms
-from shift3d.analysis.html.sections.case_figures import from_above, turnable
+from shift3d.analysis.html.scene_figures import from_above, turnable
 from shift3d.analysis.html.sections.paths import case_path
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.table import Table
@@ -22,8 +22,6 @@ from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.task.spec import TaskSpec
-
-__all__ = ["hard_cases"]
 
 _TITLE = "The hard cases"
 

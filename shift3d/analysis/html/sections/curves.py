@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Panels, Paragraph, Plot, Section, folded
@@ -14,11 +16,6 @@ from shift3d.analysis.statistics.intervals import recall_band
 from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
 from shift3d.wording import counted
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["curves", "thresholds"]
 
 _TITLE = "Threshold-recall curves"
 _LEAD = (
@@ -48,28 +45,48 @@ def _panels(variant: Variant) -> list[Plot]:
 
 
 def _panel(key: str, variant: Variant, name: str, rows: pd.DataFrame) -> Plot:
-    traces: list[dict[str, Any]] = []
-    aucs = []
+    found = []
     for method, label in METHODS.items():
         own = rows[rows["method"] == method]
-        if own.empty:
+        width = 3 if method == "adversarial" else 2
+        found.append(RecallCurve(label, own["score"], own["place"], COLOURS[method], DASHES[method], width))
+    scenes, tasks = rows["place"].nunique(), rows["task_id"].nunique()
+    caption = f"{variant.title}, {name}: {counted(scenes, 'scene')}, {counted(tasks, 'task')}"
+    caption += "" if scenes > 1 else "; no band, which takes several scenes"
+    return recall_plot(key, found, f"Threshold-recall curves, {variant.label}, {name}", caption)
+
+
+@dataclass(frozen=True)
+class RecallCurve:
+    """A curve to draw. scores, places: (N,) of its objects. colour, dash, width: of its line."""
+
+    name: str
+    scores: pd.Series
+    places: pd.Series
+    colour: str
+    dash: str = "solid"
+    width: int = 2
+
+
+def recall_plot(key: str, curves: Iterable[RecallCurve], label: str, caption: str) -> Plot:
+    """Threshold-recall curves with their bands, and their areas in the legend and the label; those of no object are
+    left out."""
+    traces: list[dict[str, Any]] = []
+    areas, at = [], thresholds().astype(np.float32)
+    for curve in curves:
+        if curve.scores.empty:
             continue
-        recall, low, high = recall_band(own["score"], list(own["place"]), thresholds())
-        auc, at = f"{own['score'].mean():.3f}", thresholds().astype(np.float32)
-        style = {"shape": "hv", "color": COLOURS[method], "dash": DASHES[method],
-                 "width": 3 if method == "adversarial" else 2}  # fmt: skip
-        stepped = {"line": {"shape": "hv"}, "legendgroup": method}
-        traces += band(at, low, high, COLOURS[method], **stepped)
-        traces.append(line(at, recall, label, style, legendgroup=method) | {"name": f"{label}, {auc}"})
-        aucs.append(f"{label} {auc}")
+        recall, low, high = recall_band(curve.scores, list(curve.places), thresholds())
+        area = f"{curve.scores.mean():.3f}"
+        style = {"shape": "hv", "color": curve.colour, "dash": curve.dash, "width": curve.width}
+        traces += band(at, low, high, curve.colour, line={"shape": "hv"}, legendgroup=curve.name)
+        drawn = line(at, recall, curve.name, style, legendgroup=curve.name)
+        traces.append(drawn | {"name": f"{curve.name}, {area}"})
+        areas.append(f"{curve.name} {area}")
     layout = {
         "xaxis": axis("score threshold", range=[0, 1]),
         "yaxis": axis("recall", range=[0, 1.02]),
         "legend": LEGEND_BELOW,
         "hovermode": "x unified",
     }
-    scenes, tasks = rows["place"].nunique(), rows["task_id"].nunique()
-    caption = f"{variant.title}, {name}: {counted(scenes, 'scene')}, {counted(tasks, 'task')}"
-    caption += "" if scenes > 1 else "; no band, which takes several scenes"
-    label = f"Threshold-recall curves, {variant.label}, {name}. Areas: {', '.join(aucs)}"
-    return plot(key, traces, layout, label, caption, height_px=340)
+    return plot(key, traces, layout, f"{label}. Areas: {', '.join(areas)}", caption, 340)

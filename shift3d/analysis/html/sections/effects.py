@@ -11,8 +11,6 @@ from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.effects import MEANINGS, EffectImpact, effect_impacts, effect_milliseconds, effect_table
 from shift3d.errors import InputError
 
-__all__ = ["effects", "impact_blocks"]
-
 
 def effects(sweep: Sweep) -> Section:
     """The section; one line where the sweep has no pairs with and without one effect."""

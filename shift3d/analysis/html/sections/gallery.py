@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shift3d.analysis.cases.chosen import Case, falls, random_positions
-from shift3d.analysis.cases.rendered import POSE, Loaded, oriented
-from shift3d.analysis.figures.picture import pixels_png
+from shift3d.analysis.cases.rendered import Loaded, oriented
 from shift3d.analysis.html.blocks import Panels, Paragraph, Picture, Section
+from shift3d.analysis.html.scene_figures import side_by_side
 from shift3d.analysis.results import Sweep
 from shift3d.errors import InputError
+from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.sweep.planning.tasks import PlannedTask
 
-__all__ = ["gallery"]
-
 _COUNT = 50
-_SIZE_PX = (170, 105)
-_SPAN_M = 5.6
 _RESOLUTION = 72  # of the meshes: 7 cm
 _RGB = {"baseline": (0.55, 0.57, 0.60), "adversarial": (0.86, 0.42, 0.12)}
 
 
-def gallery(sweep: Sweep, loaded: Loaded, count: int = _COUNT) -> Section:
+def gallery(sweep: Sweep, loaded: Loaded) -> Section:
     """The section: a tile a task, whatever became of it. What cannot be drawn is named, not raised."""
-    positions = random_positions(len(sweep.plan.tasks), count, sweep.plan.spec_hash)
+    positions = random_positions(len(sweep.plan.tasks), _COUNT, sweep.plan.spec_hash)
     scored = {case.task_id: case for case in falls(sweep.scores)}
     tiles = []
     for position in positions:
@@ -54,27 +50,20 @@ def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loade
     caption = f"{name}: {case.before:.2f} → {case.after:.2f}" + (f", {rating}" if rating else "")
     alt = f"{name} in scene {spec.scene}, baseline and adversarial"
     try:
-        return Picture(pixels_png(_pixels(sweep, task, loaded)), alt, caption)
+        return Picture(_picture(sweep, task, loaded), alt, caption)
     except InputError as error:
         return Picture(None, f"cannot be drawn: {error.what}", caption)
 
 
-def _pixels(sweep: Sweep, task: PlannedTask, loaded: Loaded) -> NDArray[np.uint8]:
+def _picture(sweep: Sweep, task: PlannedTask, loaded: Loaded) -> bytes:
     """Baseline and adversarial vehicle side by side, each from where the sensor stands, a little from above."""
-    from shift3d.vehicles.picture import shaded
-
     rows = sweep.solutions[(sweep.solutions["task_id"] == task.spec.task_id) & (sweep.solutions["replicate"] == 0)]
-    meshes = []
+    meshes, towards_sensor = [], []
     for method in _RGB:
         row = rows[rows["method"] == method].iloc[0]
-        theta = row[list(POSE)].to_numpy(dtype=np.float64)
+        theta = row[list(POSE_COLUMNS)].to_numpy(dtype=np.float64)
         mesh = loaded.mesh(task, row, _RESOLUTION).copy()
         mesh.vertices = oriented(mesh.vertices, theta)
-        meshes.append((mesh, float(np.arctan2(-theta[1], -theta[0]))))
-    # One scale for both, that of a car unless the vehicle is longer.
-    span_m = max(_SPAN_M, *(1.08 * float(mesh.extents.max()) for mesh, _ in meshes))
-    views = [
-        shaded(mesh, towards_sensor, 0.22, *_SIZE_PX, span_m, rgb)
-        for (mesh, towards_sensor), rgb in zip(meshes, _RGB.values())
-    ]
-    return np.concatenate(views, axis=1)
+        meshes.append(mesh)
+        towards_sensor.append(float(np.arctan2(-theta[1], -theta[0])))
+    return side_by_side(meshes, towards_sensor, list(_RGB.values()))

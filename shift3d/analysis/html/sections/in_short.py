@@ -10,8 +10,6 @@ from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.variants import Variant, aucs_of_scores
 from shift3d.wording import counted
 
-__all__ = ["headline", "in_short"]
-
 _SHOWN = 3
 
 

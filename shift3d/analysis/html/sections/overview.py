@@ -16,8 +16,6 @@ from shift3d.sweep.planning.tasks import TaskGroup
 from shift3d.sweep.results.hyperparameters import NEARLY_EQUAL
 from shift3d.wording import counted
 
-__all__ = ["choices", "coverage", "overview"]
-
 _TITLE = "Choice of hyper-parameters"
 _RULE = (
     "The paper's rules: alpha by the lowest AUC of what the search found; lambda for each vehicle by the lowest mean "

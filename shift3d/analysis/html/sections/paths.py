@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Block, Paragraph, Plot, Section, folded
@@ -12,11 +14,6 @@ from shift3d.analysis.results import Sweep
 from shift3d.analysis.statistics.intervals import resampled_band
 from shift3d.analysis.variants import Variant
 from shift3d.wording import counted
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["case_path", "mean_path", "paths", "searched"]
 
 _TITLE = "The score along the steps"
 _MISSING = Paragraph("This sweep kept no scores along the steps.", "missing")

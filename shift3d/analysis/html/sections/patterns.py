@@ -11,8 +11,6 @@ from shift3d.analysis.tables.patterns import Pattern, pattern_groups, patterns_t
 from shift3d.errors import InputError
 from shift3d.vehicles.mesh_measures import DEFINITIONS
 
-__all__ = ["patterns", "rules"]
-
 _RULES_LEAD = (
     "Rules that a shallow tree found on every other scene and every other vehicle. Each column shows the mean score of "
     "the objects that a rule holds for, less that of all others, on objects that it was not found on. A rule holds "

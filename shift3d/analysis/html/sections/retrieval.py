@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from shift3d.analysis.cases.chosen import random_positions
 from shift3d.analysis.cases.rendered import Loaded
-from shift3d.analysis.figures.picture import COLOURS, pixels_png
+from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Block, Command, Heading, Panels, Paragraph, Picture, Plot, Section
-from shift3d.analysis.html.figure import LEGEND_BELOW, axis, band, line, plot
-from shift3d.analysis.html.sections.curves import thresholds
+from shift3d.analysis.html.scene_figures import side_by_side
+from shift3d.analysis.html.sections.curves import RecallCurve, recall_plot
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.statistics.intervals import recall_band
 from shift3d.analysis.tables.retrieval import kept, pool_table, retrieval_table
 from shift3d.errors import InputError
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["retrieval"]
 
 _TITLE = "Natural kin"
 _LEAD = (
@@ -36,7 +30,7 @@ _CURVES = {
     "score": ("retrieved", COLOURS["random"], "solid"),
     "control": ("controls", COLOURS["random_search"], "dash"),
 }
-_TILES, _SIZE_PX, _SPAN_M = 9, (170, 105), 5.6
+_TILES = 9
 _RGB = ((0.55, 0.57, 0.60), (0.86, 0.42, 0.12), (0.18, 0.56, 0.79))
 
 
@@ -57,27 +51,12 @@ def retrieval(sweep: Sweep, loaded: Loaded) -> Section:
 
 
 def _curves(rows: pd.DataFrame) -> Plot:
-    traces: list[dict[str, Any]] = []
-    areas = []
-    at = thresholds().astype(np.float32)
+    found = []
     for column, (name, colour, dash) in _CURVES.items():
         scored = rows[rows[column].notna()]
-        if scored.empty:
-            continue
-        recall, low, high = recall_band(scored[column], list(scored["place"]), thresholds())
-        auc = f"{scored[column].mean():.3f}"
-        traces += band(at, low, high, colour, line={"shape": "hv"}, legendgroup=name)
-        style = {"shape": "hv", "color": colour, "dash": dash, "width": 2}
-        traces.append(line(at, recall, name, style, legendgroup=name) | {"name": f"{name}, {auc}"})
-        areas.append(f"{name} {auc}")
-    layout = {
-        "xaxis": axis("score threshold", range=[0, 1]),
-        "yaxis": axis("recall", range=[0, 1.02]),
-        "legend": LEGEND_BELOW,
-        "hovermode": "x unified",
-    }
+        found.append(RecallCurve(name, scored[column], scored["place"], colour, dash))
     caption = f"Threshold-recall of {len(rows)} solutions with natural kin, in the same place"
-    return plot("curve-retrieval", traces, layout, f"{caption}. Areas: {', '.join(areas)}", caption, 340)
+    return recall_plot("curve-retrieval", found, caption, caption)
 
 
 def _drawn(rows: pd.DataFrame, seed: str) -> list[dict[str, Any]]:
@@ -90,15 +69,14 @@ def _tile(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> Picture:
     caption = f"{row['vehicle'].replace('_', ' ')}: {scores}"
     alt = f"{row['vehicle']} in scene {row['scene']}: baseline, adversarial, and the vehicle of {row['pool_scene']}"
     try:
-        return Picture(pixels_png(_pixels(sweep, row, loaded)), alt, caption)
+        return Picture(_picture(sweep, row, loaded), alt, caption)
     except InputError as error:
         return Picture(None, f"cannot be drawn: {error.what}", caption)
 
 
-def _pixels(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> NDArray[np.uint8]:
+def _picture(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> bytes:
     """Three vehicles side by side from the front left, a little from above, to one scale."""
     from shift3d.naturalness.decoded import decoded_mesh
-    from shift3d.vehicles.picture import shaded
 
     (task,) = sweep.plan.tasks.starting_with(row["task_id"])
     assets = loaded.assets(task)
@@ -112,6 +90,4 @@ def _pixels(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> NDArray[np.uin
     own = assets.vehicle(task.spec)
     meshes.append(decoded_mesh(own, assets.decoder, np.array(kin["latent_code"])))
     meshes[2].vertices = meshes[2].vertices * (kin["scale_m"] / own.scale_m)
-    span_m = max(_SPAN_M, *(1.08 * float(mesh.extents.max()) for mesh in meshes))
-    views = [shaded(mesh, 0.7, 0.22, *_SIZE_PX, span_m, rgb) for mesh, rgb in zip(meshes, _RGB)]
-    return np.concatenate(views, axis=1)
+    return side_by_side(meshes, [0.7] * 3, _RGB)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import pandas as pd
 
 from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.stability import stability_figure
@@ -10,11 +10,6 @@ from shift3d.analysis.html.blocks import Block, Fold, Heading, Items, Paragraph,
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_table
 from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstable_lines
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["accuracy", "stability", "stability_blocks"]
 
 
 def accuracy(sweep: Sweep) -> Section:

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from shift3d.accuracy_time.pareto import MISPLACED_M, dominators_of, effective_error_m, knee, misplaced, warm_starts
 from shift3d.analysis.tables.table import factor, length, milliseconds, share
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["advice"]
 
 _LADDER = ("draft", "standard", "reference")  # from the fastest to the most accurate; `paper` is what they replace
 _DEFAULT = "standard"
@@ -27,8 +23,7 @@ def advice(frame: pd.DataFrame) -> str:
     It says what the presets cost and get wrong, what the default gains over the published algorithm, what the next
     preset up or down would cost, where the knee of the front is, and which settings are dominated by which.
 
-    Args:
-        frame: the frontier's table.
+    Args: frame: the frontier's table.
     """
     paragraphs = []
     for scenes in dict.fromkeys(frame["scenes"]):

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import pandas as pd
 
 from shift3d.analysis.tables.accuracy.frontier import settings_table
 from shift3d.analysis.tables.table import Table
 from shift3d.wording import counted
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-
-__all__ = ["MEASURED", "accuracy_cost", "diagnostics", "measured_presets", "preset_table"]
 
 
 def diagnostics(scores: pd.DataFrame) -> str:

@@ -11,8 +11,6 @@ import pandas as pd
 from shift3d.accuracy_time.pareto import MISPLACED_M, effective_error_m
 from shift3d.analysis.tables.table import Table, factor, length, milliseconds, share
 
-__all__ = ["RULE", "frontier_lines", "meanings", "settings_table", "settings_tables"]
-
 
 @dataclass(frozen=True)
 class _Column:

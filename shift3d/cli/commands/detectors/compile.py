@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from shift3d.cli.command import Command, key_values
-from shift3d.cli.completion import overrides
+from shift3d.cli.completion import key_words
+from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
-
-__all__ = ["COMMAND"]
 
 _KEYS = ("detector", "weights", "to")
 
@@ -25,19 +23,6 @@ examples:
   shift3d compile detector=pointpillars weights=FILE.safetensors to=mine.onnx
   shift3d sweep smoke detector=onnx detector.file=pointpillars.onnx detector.original=pointpillars \\
     attack.search=evolution"""
-
-
-def _words(prefix: str, **_: Any) -> list[str]:
-    key, equals, _value = prefix.partition("=")
-    if not equals:
-        return [f"{name}=" for name in _KEYS if name.startswith(prefix)]
-    return overrides(prefix) if key == "detector" else []
-
-
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    text = "detector=NAME to=FILE.onnx [weights=FILE]"
-    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
-    words.completer = _words  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -58,4 +43,12 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("compile", "write a detector as an ONNX file", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "compile",
+    "write a detector as an ONNX file",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words="detector=NAME to=FILE.onnx [weights=FILE]",
+    complete=key_words(_KEYS, {"detector": DETECTOR_NAMES}),
+)

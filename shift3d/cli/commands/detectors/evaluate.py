@@ -5,15 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values, writable_folder
+from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
 from shift3d.cli.completion import overrides
 from shift3d.cli.foreign_words import FOREIGN_KEYS, foreign_layout_of
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
     from shift3d.analysis.detector_evaluation import KittiChoice, StreetChoice
-
-__all__ = ["COMMAND", "evaluate_words"]
 
 _STREET_KEYS = ("sensor", "split", "traffic")
 _KEYS = (
@@ -60,27 +58,18 @@ def evaluate_words(prefix: str, **_: Any) -> list[str]:
     return overrides(prefix) if key == "detector" else [f"{key}={value}" for value in _VALUES.get(key, ())]
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    words = parser.add_argument(
-        "words",
-        nargs="*",
-        metavar="key=value",
-        help="detector=NAME [scenes=street|kitti] [count=N] [sensor= split= traffic=] [root=PATH] [weights=FILE] "
-        "[config=FILE] [score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
-    )
-    words.completer = evaluate_words  # type: ignore[attr-defined]
-
-
 def _run(arguments: argparse.Namespace) -> int:
     if any(word.startswith("model=") for word in arguments.words):
         from shift3d.training.command import evaluate
 
         return evaluate(key_values(arguments.words, ("model",), ("model",), "evaluate")["model"])
     values = key_values(arguments.words, _KEYS, ("detector",), "evaluate")
-    count = _whole_number(values, "count")
-    workers = _whole_number(values, "workers") or 1
-    score_threshold = _probability(values)
+    count = whole_number(values, "count", 200, "evaluate") if "count" in values else None
+    workers = whole_number(values, "workers", 1, "evaluate")
     from shift3d.analysis.detector_evaluation import evaluate_detector
+    from shift3d.training.detector.detect_scenes import SCORE_FLOOR
+
+    score_threshold = share(values, "score_threshold", SCORE_FLOOR, "evaluate")
 
     scenes = _scenes(values, count)
     name, tail = values["detector"], f"-{count}" if count else ""
@@ -93,11 +82,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def _scenes(values: dict[str, str], count: int | None) -> StreetChoice | KittiChoice:
     from shift3d.analysis.detector_evaluation import KittiChoice, StreetChoice
 
-    kind = values.get("scenes", "street")
-    foreign = {"street": ("root",), "kitti": _STREET_KEYS}
-    if kind not in foreign:
-        raise InputError(f"scenes={kind!r} is unknown", "evaluate", "Give scenes=street or scenes=kitti root=PATH")
-    for key in foreign[kind]:
+    kind = choice(values, "scenes", _VALUES["scenes"], "evaluate")
+    for key in _STREET_KEYS if kind == "kitti" else ("root",):
         if key in values:
             raise InputError(f"{key}= means nothing for scenes={kind}", "evaluate", f"Leave out {key}=")
     if kind == "street":
@@ -108,28 +94,14 @@ def _scenes(values: dict[str, str], count: int | None) -> StreetChoice | KittiCh
     return KittiChoice(values["root"], count)
 
 
-def _whole_number(values: dict[str, str], key: str) -> int | None:
-    text = values.get(key)
-    if text is None:
-        return None
-    if not text.isdecimal() or int(text) < 1:
-        raise InputError(f"{key}={text!r} is not a whole number from 1", "evaluate", f"Give {key}=2")
-    return int(text)
-
-
-def _probability(values: dict[str, str]) -> float:
-    from shift3d.training.detector.detect_scenes import SCORE_FLOOR
-
-    text = values.get("score_threshold")
-    try:
-        value = SCORE_FLOOR if text is None else float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1.0:
-        raise InputError(f"score_threshold={text!r} is not in [0, 1)", "evaluate", "Give score_threshold=0.01")
-    return value
-
-
 COMMAND = Command(
-    "evaluate", "measure detectors and the shape model", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+    "evaluate",
+    "measure detectors and the shape model",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words="detector=NAME [scenes=street|kitti] [count=N] [sensor= split= traffic=] [root=PATH] [weights=FILE] "
+    "[config=FILE] [score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
+    complete=evaluate_words,
+    resumes=True,
 )

@@ -8,14 +8,16 @@ import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from shift3d.cli.command import Command, key_values, run_command
+from shift3d.cli.command import Command, flag, key_values, run_command, whole_number
 from shift3d.cli.commands import sweep
 from shift3d.cli.commands.detectors import evaluate, train
 from shift3d.cli.commands.follow_ups import verify
 from shift3d.cli.completion import overrides
+from shift3d.cli.outcomes import mirror
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
@@ -23,8 +25,6 @@ from shift3d.exit_codes import ExitCode
 if TYPE_CHECKING:
     from shift3d.finetuning.report import Tuned
     from shift3d.settings.schema.config import Config
-
-__all__ = ["COMMAND", "FinetuneRequest", "read_request", "steps_of"]
 
 _DESCRIPTION = """\
 Does a detector get better by training on the objects that fool it? Attacks it on training streets (sweep finetune),
@@ -53,8 +53,8 @@ Scenes that are both attacked for training and held out are refused before anyth
   python -c "import pandas; print(pandas.read_parquet('outputs/finetuning-HASH/finetune.parquet'))\""""
 
 _KEYS = ("out", "rate", "seeds", "streets", "others", "control", "adaptive")
-_FLAGS = {"control": "false", "adaptive": "true"}
-_STREETS = {"full": "200", "small": "50"}
+_FLAGS = {"control": False, "adaptive": True}
+_STREETS = {"full": 200, "small": 50}
 _QUICK = ["size=small", "scenes.count=2", "attack.steps=4", "vehicle=coupe,suv"]
 _QUICK_VALUES = {"others": "kei_car", "streets": "2", "seeds": "0"}
 _SWEEPS = ("finetune", "finetune_held_out", "finetune_other_vehicles")
@@ -97,11 +97,11 @@ class _Step:
         return " ".join(shlex.quote(word) for word in ["shift3d", self.command.name, *self.words])
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    words = parser.add_argument("words", nargs="*", metavar="key=value", help="keys below, and overrides of the sweeps")
-    words.completer = lambda prefix, **_: (  # type: ignore[attr-defined]
-        [f"{key}=" for key in _KEYS if key.startswith(prefix)] + overrides(prefix)
-    )
+def _complete(prefix: str, **_: object) -> list[str]:
+    return [f"{key}=" for key in _KEYS if key.startswith(prefix)] + overrides(prefix)
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="two streets, two vehicles, four steps, one seed")
     parser.add_argument("--steps", action="store_true", help="print the commands and run none")
 
@@ -117,19 +117,13 @@ def read_request(words: Sequence[str], quick: bool = False) -> FinetuneRequest:
     values = (_QUICK_VALUES if quick else {}) | key_values(own, _KEYS, (), "finetune")
     rest = [*(_QUICK if quick else []), *rest]
     size = "small" if "size=small" in rest else "full"
-    seeds, streets = values.get("seeds", "0,1,2"), values.get("streets", _STREETS[size])
+    seeds, streets = values.get("seeds", "0,1,2"), whole_number(values, "streets", _STREETS[size], "finetune")
     if not all(part.isdecimal() for part in seeds.split(",")) or len(set(seeds.split(","))) < len(seeds.split(",")):
         raise InputError(f"seeds={seeds!r} are no different whole numbers", "finetune", "Give seeds=0,1,2")
-    if not streets.isdecimal() or int(streets) < 1:
-        raise InputError(f"streets={streets!r} is not a whole number from 1", "finetune", "Give streets=50")
-    flags = {name: values.get(name, default) for name, default in _FLAGS.items()}
-    for name, text in flags.items():
-        if text not in ("true", "false"):
-            raise InputError(f"{name}={text!r} is neither true nor false", "finetune", f"Give {name}=true")
+    on = {name: flag(values, name, default, "finetune") for name, default in _FLAGS.items()}
     numbers = [int(part) for part in seeds.split(",")]
-    on = {name: text == "true" for name, text in flags.items()}
     rate, others, out = (values.get(name) for name in ("rate", "others", "out"))
-    return FinetuneRequest(rest, held_out, numbers, int(streets), rate, others, **on, out=out)
+    return FinetuneRequest(rest, held_out, numbers, streets, rate, others, **on, out=out)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -246,16 +240,10 @@ def _score(folder: Path, step: _Step, models: Sequence[Tuned]) -> None:
 
 
 def _finish(folder: Path, config: Config, models: Sequence[Tuned], steps: Sequence[_Step]) -> None:
-    from shift3d.finetuning.report import mirror, write_report
-    from shift3d.settings.schema.config import MlflowConfig
+    from shift3d.finetuning import report
 
-    print(f"\n{write_report(folder, config.detector.name, models, [str(step) for step in steps])}")
-    if isinstance(config.tracking, MlflowConfig):
-        uri = config.tracking.uri
-        if problem := mirror(folder, models, uri, config.tracking.experiment):
-            print(f"warning: not in MLflow ({uri}): {problem}", file=sys.stderr)
-        else:
-            print(f"in MLflow, {uri}: shift3d ui")
+    print(f"\n{report.write_report(folder, config.detector.name, models, [str(step) for step in steps])}")
+    mirror(config.tracking, partial(report.mirror, folder, models))
 
 
 COMMAND = Command(
@@ -263,7 +251,9 @@ COMMAND = Command(
     "train on the objects that a sweep found, and measure",
     _DESCRIPTION,
     _EPILOG,
-    _add_arguments,
     _run,
+    words="keys below, and overrides of the sweeps",
+    complete=_complete,
+    options=_options,
     resumes=True,
 )

@@ -5,14 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 
-from shift3d.cli.command import Command, key_values, writable_folder
+from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
 from shift3d.cli.completion import key_words
 from shift3d.cli.foreign_words import FOREIGN_KEYS, foreign_layout_of
-from shift3d.cli.mesh_words import whole_number
 from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, OWN
-from shift3d.errors import InputError
-
-__all__ = ["COMMAND", "KEYS"]
 
 KEYS = (
     *("suite", "detector", "weights", "module", *FOREIGN_KEYS, "against", "accept", "releases"),
@@ -42,29 +38,20 @@ root=PATH: where the data set of a suite with frames=referenced lies. jobs/gate_
 it in CI; docs/guides/gate.md says how many objects a suite needs."""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    text = "suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [config=FILE] [accept=true] [against=N] "
-    text += "[releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] "
-    text += "[out=DIR]"
-    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
-    words.completer = key_words(KEYS, _VALUES)  # type: ignore[attr-defined]
-
-
 def _run(arguments: argparse.Namespace) -> int:
     values = key_values(arguments.words, KEYS, ("suite", "detector"), "gate")
     for key, allowed in _VALUES.items():
-        if values.get(key, allowed[0]) not in allowed:
-            raise InputError(f"{key}={values[key]!r} is unknown", "gate", f"One of: {', '.join(allowed)}")
+        choice(values, key, allowed, "gate")
     workers = whole_number(values, "workers", 1, "gate")
     against = whole_number(values, "against", 1, "gate") if "against" in values else None
     defaults = {"score_threshold": 0.3, "level": 0.05, "tolerance": 0.005}
-    shares = {key: _share(values, key, default) for key, default in defaults.items()}
+    shares = {key: share(values, key, default, "gate") for key, default in defaults.items()}
     from shift3d.processor import configure_runtime
 
     configure_runtime()
     from shift3d.analysis.gate import GateSettings, run_gate
+    from shift3d.analysis.mlflow.measured import mirror_gate
     from shift3d.analysis.mlflow.store_uri import check_store
-    from shift3d.analysis.mlflow.training import mirror_gate
     from shift3d.analysis.statistics.releases import Rule
     from shift3d.store.resolve import as_location
     from shift3d.suite.frozen import read_suite
@@ -87,16 +74,14 @@ def _run(arguments: argparse.Namespace) -> int:
     return int(outcome.exit_code)
 
 
-def _share(values: dict[str, str], key: str, default: float) -> float:
-    try:
-        value = float(values.get(key, default))
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1.0:
-        raise InputError(f"{key}={values[key]!r} is not in [0, 1)", "gate", f"Give {key}={default:g}")
-    return value
-
-
 COMMAND = Command(
-    "gate", "compare new weights with the last release", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+    "gate",
+    "compare new weights with the last release",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words="suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [config=FILE] [accept=true] [against=N] "
+    "[releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] [out=DIR]",
+    complete=key_words(KEYS, _VALUES),
+    resumes=True,
 )

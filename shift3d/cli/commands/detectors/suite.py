@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from shift3d.cli.command import Command, key_values
-from shift3d.cli.completion import folder_words, key_words
-from shift3d.cli.mesh_words import whole_number
-from shift3d.errors import InputError
+from shift3d.cli.command import FINISHED, Command, choice, key_values, whole_number
+from shift3d.cli.completion import key_words
 from shift3d.methods import METHODS
 from shift3d.wording import counted
 
-__all__ = ["COMMAND"]
-
 _KEYS = ("to", "method", "count", "choose", "seed", "controls", "frames")
 _VALUES = {
-    "method": tuple(METHODS),
+    "method": ("adversarial", *(method for method in METHODS if method != "adversarial")),
     "choose": ("random", "hardest"),
     "controls": ("true", "false"),
     "frames": ("copied", "referenced"),
@@ -38,31 +34,18 @@ no scene: the gate reads the data set again (root=PATH where it lies elsewhere),
 data whose licence forbids copies. Left out: unstable solutions (run shift3d verify before) and unnatural shapes."""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    out.completer = folder_words  # type: ignore[attr-defined]
-    text = "to=DIR [method=M] [count=N] [choose=random|hardest] [seed=N] [controls=false] [frames=referenced]"
-    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
-    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
-
-
 def _run(arguments: argparse.Namespace) -> int:
     values = key_values(arguments.words, _KEYS, ("to",), "suite")
-    for key, allowed in _VALUES.items():
-        if values.get(key, allowed[0]) not in allowed:
-            raise InputError(f"{key}={values[key]!r} is unknown", "suite", f"One of: {', '.join(allowed)}")
-    seed = values.get("seed", "0")
-    if not seed.isdecimal():
-        raise InputError(f"seed={seed!r} is not a whole number", "suite", "Give seed=0")
+    given = {key: choice(values, key, allowed, "suite") for key, allowed in _VALUES.items()}
+    seed = whole_number(values, "seed", 0, "suite", least=0)
     count = whole_number(values, "count", 500, "suite")
     from shift3d.processor import configure_runtime
     from shift3d.suite.choosing import Choice
     from shift3d.suite.freezing import freeze_suite
 
     configure_runtime()
-    method, by = values.get("method", "adversarial"), values.get("choose", "random")
-    choice = Choice(method, count, by, int(seed), values.get("controls") != "false")  # type: ignore[arg-type]
-    frozen = freeze_suite(arguments.out, values["to"], choice, values.get("frames", "copied"))  # type: ignore[arg-type]
+    chosen = Choice(given["method"], count, given["choose"], seed, given["controls"] == "true")  # type: ignore[arg-type]
+    frozen = freeze_suite(arguments.out, values["to"], chosen, given["frames"])  # type: ignore[arg-type]
     suite, manifest = frozen.suite, frozen.suite.manifest
     size = sum((suite.folder / name).size() for name in manifest["files"]) / 1e6
     hard, controls, scenes = (manifest[name] for name in ("hard_objects", "control_objects", "scenes"))
@@ -79,4 +62,13 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("suite", "freeze hard objects of a sweep, for gates", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "suite",
+    "freeze hard objects of a sweep, for gates",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    FINISHED,
+    "to=DIR [method=M] [count=N] [choose=random|hardest] [seed=N] [controls=false] [frames=referenced]",
+    complete=key_words(_KEYS, _VALUES),
+)

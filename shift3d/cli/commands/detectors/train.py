@@ -7,9 +7,9 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values, writable_folder
+from shift3d.cli.command import Command, key_values, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame, whole_number
+from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
 from shift3d.wording import counted
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from shift3d.analysis.mlflow.training import TrainingCurves
     from shift3d.training.command import TrainOptions
-
-__all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
 Trains the shape model (model=sdf) or a detector (model=pointpillars, centerpoint, sst). Without more, it is the
@@ -78,18 +76,6 @@ _VALUES = {
     **FRAME_VALUES,
 }
 _STORE, _EXPERIMENT = "sqlite:///mlflow.db", "shift3d-training"
-
-
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    text = (
-        f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
-        "[mlflow=URI|none]; "
-        "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped] "
-        "[recipe.FIELD=VALUE] [finetune=OUT [method=adversarial|baseline]]; "
-        f"sdf: vehicles=PATH|wide [count=N] [{'=] ['.join(FRAME_KEYS)}=]"
-    )
-    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
-    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -252,5 +238,16 @@ def _check_mesh_words(values: dict[str, str], wide: bool) -> None:
 
 
 COMMAND = Command(
-    "train", "train shipped weights, or your own", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+    "train",
+    "train shipped weights, or your own",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    words=f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
+    "[mlflow=URI|none]; "
+    "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped] "
+    "[recipe.FIELD=VALUE] [finetune=OUT [method=adversarial|baseline]]; "
+    f"sdf: vehicles=PATH|wide [count=N] [{'=] ['.join(FRAME_KEYS)}=]",
+    complete=key_words(_KEYS, _VALUES),
+    resumes=True,
 )

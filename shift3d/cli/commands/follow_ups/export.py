@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values, writable_folder
-from shift3d.cli.completion import folder_words, key_words
+from shift3d.cli.command import FINISHED, Command, flag, key_values, whole_number, writable_folder
+from shift3d.cli.completion import key_words
 from shift3d.errors import InputError
 from shift3d.methods import METHODS
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.store.location import Location
-
-__all__ = ["COMMAND"]
 
 _KEYS = ("task", "method", "replicate", "to", "overwrite")
 _VALUES = {"method": tuple(METHODS), "overwrite": ("true",)}
@@ -34,34 +32,22 @@ refused without overwrite=true. The KITTI folder is read by
 scenes=kitti scenes.root=DIR/kitti, ground height included; its calibration is that of a camera in the LiDAR's place."""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    out.completer = folder_words  # type: ignore[attr-defined]
-    text = "task=ID method=M to=DIR [replicate=N] [overwrite=true]"
-    words = parser.add_argument("words", nargs="*", metavar="key=value", help=text)
-    words.completer = key_words(_KEYS, _VALUES)  # type: ignore[attr-defined]
-
-
 def _run(arguments: argparse.Namespace) -> int:
     values = key_values(arguments.words, _KEYS, ("task", "method", "to"), "export")
-    replicate = values.get("replicate", "0")
-    if not replicate.isdecimal():
-        raise InputError(f"replicate={replicate!r} is not a number", where="export", remedy="Give replicate=0")
-    overwrite = values.get("overwrite", "false")
-    if overwrite not in ("true", "false"):
-        raise InputError(f"overwrite={overwrite!r} is neither true nor false", "export", "Give overwrite=true")
+    replicate = whole_number(values, "replicate", 0, "export", least=0)
+    overwrite = flag(values, "overwrite", False, "export")
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.folder import read_plan
 
     out = as_location(arguments.out)
     plan = read_plan(out)
     task = _one_task(plan.tasks, values["task"], out)
-    row = _solution(out, task.spec.task_id, values["method"], int(replicate))
+    row = _solution(out, task.spec.task_id, values["method"], replicate)
+    from shift3d.task.assets import load_assets
     from shift3d.task.follow_ups.export import check_no_export, export_solution
-    from shift3d.task.run import load_assets
 
     target = writable_folder(values["to"], "to")
-    if overwrite == "false":
+    if not overwrite:
         check_no_export(target)
     export_solution(task.spec, row, load_assets(plan.assets[task.assets]), target)
     print(f"{task.spec.vehicle} in {task.spec.scene}, {values['method']}: {target}")
@@ -102,4 +88,13 @@ def _solution(out: Location, task_id: str, method: str, replicate: int) -> dict[
     raise InputError(f"{method} has no replicate {replicate}", where=str(path), remedy=f"There are {count}, from 0")
 
 
-COMMAND = Command("export", "write a solution's scene, mesh and box", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command(
+    "export",
+    "write a solution's scene, mesh and box",
+    _DESCRIPTION,
+    _EPILOG,
+    _run,
+    FINISHED,
+    "task=ID method=M to=DIR [replicate=N] [overwrite=true]",
+    complete=key_words(_KEYS, _VALUES),
+)

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
-from shift3d.cli.command import Command
-from shift3d.cli.completion import folder_words
-from shift3d.cli.words import runner_of
+from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.outcomes import interrupted
+from shift3d.cli.words import RUNNER, runner_of
 from shift3d.exit_codes import ExitCode
-from shift3d.wording import counted
-
-__all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
 What do the shapes have in common that a detector misses? The mesh of every baseline and of every adversarial shape of a
@@ -27,24 +23,16 @@ examples:
 A mesh takes about a second."""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    out.completer = folder_words  # type: ignore[attr-defined]
-    parser.add_argument("words", nargs="*", metavar="runner=...", help="where it runs: settings of conf/runner")
-
-
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.results import read_sweep
     from shift3d.analysis.tables.patterns import pattern_groups, patterns_table
     from shift3d.processor import configure_runtime
-    from shift3d.sweep.patterns import measure_patterns
+    from shift3d.sweep.follow_up import measure_patterns
 
     configure_runtime()
     result = measure_patterns(arguments.out, runner_of(arguments.words, "patterns"))
     if result.final is None:
-        print(f"interrupted: {result.done} of {counted(result.planned, 'task')} measured", file=sys.stderr)
-        print("the same command resumes", file=sys.stderr)
-        return int(ExitCode.INTERRUPTED)
+        return interrupted(result, "measured")
     sweep = read_sweep(arguments.out)
     for label, found in pattern_groups(sweep.patterns, sweep.scores):
         print(f"\n{patterns_table(f'Changes: {label}', found)}")
@@ -54,5 +42,5 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 COMMAND = Command(
-    "patterns", "measure what a sweep's attacks change", _DESCRIPTION, _EPILOG, _add_arguments, _run, resumes=True
+    "patterns", "measure what a sweep's attacks change", _DESCRIPTION, _EPILOG, _run, FINISHED, *RUNNER, resumes=True
 )

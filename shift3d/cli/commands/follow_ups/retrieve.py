@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from typing import TYPE_CHECKING
 
-from shift3d.cli.command import Command
-from shift3d.cli.completion import folder_words
+from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.outcomes import interrupted
 from shift3d.cli.words import take_folders
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
-
-if TYPE_CHECKING:
-    from shift3d.sweep.drive import SweepResult
-
-__all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
 Which vehicles in a log are like the shapes that a sweep found, and are they missed too? Every labelled vehicle of a set
@@ -38,37 +31,32 @@ pool=DIR names the pool's folder. Vehicles with fewer than 10 points are refused
 that their box does not fit, are flagged and never retrieved."""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    out.completer = folder_words  # type: ignore[attr-defined]
-    parser.add_argument("words", nargs="*", metavar="key=value", help="settings of sweeps/retrieval.yaml; pool=DIR")
-
-
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
     from shift3d.processor import configure_runtime
+    from shift3d.settings.catalogue.reading import read_catalogue
     from shift3d.settings.compose import compose_sweep
     from shift3d.store.resolve import as_location
+    from shift3d.sweep.follow_up import solved_tasks
     from shift3d.sweep.planning.folder import default_folder
     from shift3d.sweep.planning.plan import make_plan
-    from shift3d.sweep.retrieval import build_pool, pool_kind, pool_plan, retrieve
-    from shift3d.sweep.verification import verification_plan
+    from shift3d.sweep.retrieval import build_pool, pool_plan, retrieve
 
     configure_runtime()
     folder = as_location(arguments.out)
-    verification_plan(folder)  # whether it has finished, before anything is made
+    solved_tasks(folder)  # whether it has finished, before anything is made
     named, words = take_folders("pool", arguments.words)
-    made, config = make_plan(compose_sweep("retrieval", words), pool_kind().catalogue)
+    made, config = make_plan(compose_sweep("retrieval", words), read_catalogue)
     plan = pool_plan(made)
     pool = named[-1] if named else default_folder(plan)
     print(f"fitting the labelled vehicles of {counted(len(plan.tasks), 'scene')} into {pool}", flush=True)
     fitted = build_pool(pool, plan, config.runner)
     if fitted.final is None:
-        return _interrupted(fitted)
+        return interrupted(fitted)
     print(f"\n{pool_table(fitted.final.frame('vehicle_pool'))}\n", flush=True)
     scored = retrieve(folder, pool, config.runner)
     if scored.final is None:
-        return _interrupted(scored)
+        return interrupted(scored)
     table = retrieval_table(scored.final.frame("retrieved"))
     print(f"\n{table if table else 'no task searched a shape: nothing to retrieve'}\n")
     print(f"{folder / 'final' / 'retrieved.parquet'} written in {fitted.seconds + scored.seconds:.0f} s")
@@ -76,18 +64,13 @@ def _run(arguments: argparse.Namespace) -> int:
     return int(ExitCode.INCOMPLETE if fitted.quarantined or scored.quarantined else ExitCode.DONE)
 
 
-def _interrupted(result: SweepResult) -> int:
-    print(f"interrupted: {result.done} of {counted(result.planned, 'task')} done", file=sys.stderr)
-    print("the same command resumes", file=sys.stderr)
-    return int(ExitCode.INTERRUPTED)
-
-
 COMMAND = Command(
     "retrieve",
     "find vehicles in scenes that are like a sweep's shapes",
     _DESCRIPTION,
     _EPILOG,
-    _add_arguments,
     _run,
+    FINISHED,
+    "settings of sweeps/retrieval.yaml; pool=DIR",
     resumes=True,
 )

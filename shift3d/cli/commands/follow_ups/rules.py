@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from shift3d.cli.command import Command
-from shift3d.cli.completion import folder_words
-
-__all__ = ["COMMAND"]
+from shift3d.cli.command import FINISHED, Command
 
 _DESCRIPTION = """\
 Says what the objects share that the detector misses: range, angle to the line of sight, tilt, length, width, height
@@ -24,11 +21,6 @@ Rules need scenes: 4 at least, 20 or more to hold. Sizes need naturalness (natur
 two detectors need detector.scored_by=null."""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    out.completer = folder_words  # type: ignore[attr-defined]
-
-
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.results import read_sweep
     from shift3d.analysis.tables.failure_rules import failure_rules, rules_objects, rules_table
@@ -41,4 +33,4 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("rules", "say what the objects share that are missed", _DESCRIPTION, _EPILOG, _add_arguments, _run)
+COMMAND = Command("rules", "say what the objects share that are missed", _DESCRIPTION, _EPILOG, _run, FINISHED)

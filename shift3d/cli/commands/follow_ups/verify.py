@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 
-from shift3d.cli.command import Command
-from shift3d.cli.completion import folder_words
-from shift3d.cli.words import runner_of
+from shift3d.cli.command import FINISHED, Command
+from shift3d.cli.outcomes import interrupted
+from shift3d.cli.words import RUNNER, runner_of
 from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
-
-__all__ = ["COMMAND"]
 
 _DESCRIPTION = """\
 Is a blind spot real, or a rounding? Every solution of a finished sweep is scored again: at reference accuracy
@@ -31,31 +29,22 @@ robust: under every draw of noise and pose at least half of the margin is left.
 A solution takes about as long as twenty steps of its attack, more than half of it for the reference rendering."""
 
 
-def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    out = parser.add_argument("out", metavar="OUT", help="output folder of a finished sweep")
-    out.completer = folder_words  # type: ignore[attr-defined]
-    parser.add_argument("words", nargs="*", metavar="runner=...", help="where it runs: settings of conf/runner")
-
-
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.html.pages import write_stability_page
     from shift3d.analysis.tables.accuracy.cost import diagnostics
     from shift3d.analysis.tables.stability import stability_lines
     from shift3d.processor import configure_runtime
     from shift3d.store.resolve import as_location
-    from shift3d.sweep.verification import verification_plan, verify_sweep
+    from shift3d.sweep.follow_up import solved_tasks, verify_sweep
 
     configure_runtime()
     folder = as_location(arguments.out)
     runner = runner_of(arguments.words, "verify")
-    plan = verification_plan(folder)
+    plan = solved_tasks(folder)
     print(f"verifying {counted(len(plan.tasks), 'task')} of {folder}", flush=True)
     result = verify_sweep(folder, plan, runner)
     if result.final is None:
-        left = result.planned - result.done - result.quarantined
-        print(f"interrupted: {result.done} of {counted(result.planned, 'task')} verified, {left} left", file=sys.stderr)
-        print("the same command resumes", file=sys.stderr)
-        return int(ExitCode.INTERRUPTED)
+        return interrupted(result, "verified")
     scores, verification = result.final.frame("scores"), result.final.frame("verification")
     print(f"\n{stability_lines(verification)}\n\n{diagnostics(scores)}\n")
     page = write_stability_page(folder / "final" / "stability.html", plan.sweep, scores, verification)
@@ -72,7 +61,8 @@ COMMAND = Command(
     "score a sweep's solutions again, at reference accuracy",
     _DESCRIPTION,
     _EPILOG,
-    _add_arguments,
     _run,
+    FINISHED,
+    *RUNNER,
     resumes=True,
 )

@@ -8,8 +8,6 @@ from typing import Any
 
 from shift3d.sweep.execution.ray.worker_pool import PooledWorker
 
-__all__ = ["Call", "Calls"]
-
 # A call that takes this many times the usual time gets a speculative copy, once a worker is idle.
 _STRAGGLES = 3.0
 

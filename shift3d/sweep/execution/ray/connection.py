@@ -17,8 +17,6 @@ from shift3d.errors import InputError
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.token import require_token
 
-__all__ = ["connect"]
-
 # Counters and events of a private Ray, which go to a dashboard that is not there.
 _UNCOUNTED = {
     "enable_metrics_collection": False,
@@ -36,8 +34,7 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
 
     tasks_left: a private Ray needs no more workers than this.
 
-    Raises:
-        InputError: Ray does not start, the cluster does not answer, or it does not take our token.
+    Raises: InputError: Ray does not start, the cluster does not answer, or it does not take our token.
     """
     for name, value in (
         ("RAY_USAGE_STATS_ENABLED", "0"),
@@ -100,8 +97,7 @@ def _end_idle_helpers(ray: Any) -> None:
 def _check_token(address: str) -> None:
     """Ask a cluster whether it takes our token: ``ray.init`` would try for 20 s and then not say why it gave up.
 
-    Raises:
-        ray.exceptions.AuthenticationError: it does not. OSError: nobody answers there.
+    Raises: ray.exceptions.AuthenticationError: it does not. OSError: nobody answers there.
     """
     from ray._common.network_utils import parse_address  # type: ignore[attr-defined]
     from ray._private.services import canonicalize_bootstrap_address

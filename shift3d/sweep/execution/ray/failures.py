@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-__all__ = ["Failure", "failure_of"]
-
 Kind = Literal["crashed", "out_of_memory", "timeout", "node_lost", "unreachable"]
 
 _NODE_TEXTS = ("node has died", "node was terminated", "node it ran on", "node died")

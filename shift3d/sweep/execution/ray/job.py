@@ -15,8 +15,6 @@ from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.sweep.execution.ray.token import require_token
 
-__all__ = ["submit_sweep"]
-
 _INSTALL = "Install its parts: pip install -c constraints.txt 'ray[default]'"
 
 
@@ -33,8 +31,7 @@ def submit_sweep(
         runtime_env: Ray's own; what the job's processes get.
         folders: copied into the job's working directory, which runtime_env then cannot name.
 
-    Raises:
-        InputError: no such ``out=``, the cluster does not answer or refuses us, or the job cannot start.
+    Raises: InputError: no such ``out=``, the cluster does not answer or refuses us, or the job cannot start.
     """
     if not any(re.match(r"out=(/|\w+://)", word) for word in words):
         raise InputError(

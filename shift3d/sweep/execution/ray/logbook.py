@@ -17,8 +17,6 @@ import time
 import traceback
 from dataclasses import dataclass
 
-__all__ = ["Logbook", "Whereabouts", "read_logbook"]
-
 # The task's place in its call (-1 between tasks), since when by the machine's monotonic clock, and the thread.
 _ENTRY = struct.Struct("<qdQ")
 _NAME = "shift3d-logbook"
@@ -64,8 +62,7 @@ class Logbook:
 def read_logbook(path: str, pid: int) -> Whereabouts:
     """What another process of this machine is at.
 
-    Raises:
-        OSError: there is no such process any more.
+    Raises: OSError: there is no such process any more.
     """
     # Held, so that no other process can get its number before the signal.
     process = os.pidfd_open(pid) if hasattr(os, "pidfd_open") else None

@@ -21,8 +21,7 @@ import numpy as np
 from shift3d.errors import InputError
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.store.tables import table_from_rows
-from shift3d.sweep.execution.backlog import Backlog
-from shift3d.sweep.execution.batches import BatchSizer
+from shift3d.sweep.execution.backlog import Backlog, BatchSizer
 from shift3d.sweep.execution.ray.calls import Call, Calls
 from shift3d.sweep.execution.ray.connection import connect
 from shift3d.sweep.execution.ray.failures import Failure, failure_of
@@ -30,13 +29,9 @@ from shift3d.sweep.execution.ray.shipped_files import loaded
 from shift3d.sweep.execution.ray.watch import Watch
 from shift3d.sweep.execution.ray.worker import RayWorker
 from shift3d.sweep.execution.ray.worker_pool import WorkerPool
-from shift3d.sweep.execution.running import Running
-from shift3d.sweep.execution.worker import BatchOutcome, attempt_row
-from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.execution.worker import BatchOutcome, Running, attempt_row
+from shift3d.sweep.planning.kind import TaskKind, reproduce_command, with_command
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.planning.reproduce import reproduce_command, with_command
-
-__all__ = ["RayRunner"]
 
 _HEARTBEAT_S = 0.5
 
@@ -46,8 +41,7 @@ class RayRunner:
 
     tasks_left: no more workers than this are started. tried: attempts of earlier runs by position.
 
-    Raises:
-        InputError: the cluster cannot be reached, or has no room for a worker; a file that travels cannot be read.
+    Raises: InputError: the cluster cannot be reached, or has no room for a worker; a file that travels cannot be read.
     """
 
     def __init__(

@@ -21,8 +21,6 @@ from shift3d.store.atomic import write_atomic
 from shift3d.task.asset_files import NamedFiles, named_files, with_files_in
 from shift3d.task.exchange import AssetsSpec
 
-__all__ = ["ShippedFiles", "loaded", "unloaded"]
-
 ShippedFiles = Mapping[NamedFiles, Mapping[str, NDArray[np.uint8]]]
 """The bytes of files, by what names them and by name. Read-only where they come out of the object store."""
 

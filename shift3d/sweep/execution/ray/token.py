@@ -11,8 +11,6 @@ from pathlib import Path
 
 from shift3d.errors import InputError
 
-__all__ = ["require_token", "token_file"]
-
 _MODE, _TOKEN, _PATH = "RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"
 
 
@@ -26,8 +24,7 @@ def require_token(private: bool) -> bool:
 
     Source: our choice. Ray would make a token by itself, in a file that everybody on the machine can read.
 
-    Raises:
-        InputError: the file cannot be made or read, holds no token, or others can read it too.
+    Raises: InputError: the file cannot be made or read, holds no token, or others can read it too.
     """
     if os.environ.get(_MODE, "token").lower() != "token":
         return False

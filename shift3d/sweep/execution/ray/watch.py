@@ -12,8 +12,6 @@ from shift3d.sweep.execution.ray.failures import Failure
 from shift3d.sweep.execution.ray.logbook import Whereabouts, read_logbook
 from shift3d.sweep.execution.ray.worker_pool import PooledWorker
 
-__all__ = ["Hang", "Watch"]
-
 # A machine on which no process can read the logbook for so long is overloaded, or gone.
 _ANSWER_S = 20.0
 _LOOK_S = 0.5

@@ -15,8 +15,6 @@ from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.tasks import PlannedTask
 from shift3d.task.exchange import AssetsSpec
 
-__all__ = ["RayWorker", "Ready"]
-
 
 @dataclass(frozen=True)
 class Ready:

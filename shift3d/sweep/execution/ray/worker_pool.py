@@ -11,8 +11,6 @@ from shift3d.errors import InputError
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.worker import Ready
 
-__all__ = ["PooledWorker", "WorkerPool", "room_for"]
-
 # Starts that fail in a row before any worker was ready: a defect of the installation.
 _FAILED_STARTS = 3
 # How often the cluster is asked for its size: machines join and leave within minutes.
@@ -57,8 +55,7 @@ class WorkerPool:
         start: starts an actor. config: how many there shall be (None: as many as there is room for), and their size.
         most: no more than this.
 
-    Raises:
-        InputError: there is no room for one.
+    Raises: InputError: there is no room for one.
     """
 
     def __init__(self, ray: Any, start: Callable[[], Any], config: RayRunnerConfig, memory_mb: float, most: int):

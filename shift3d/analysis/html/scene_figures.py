@@ -1,22 +1,25 @@
-"""The pictures of a hard case: two 3D views that turn together, and the scene from above before and after."""
+"""Pictures of vehicles in scenes: two 3D views that turn together, the scene from above, tiles."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from shift3d.analysis.cases.chosen import Case
+from shift3d.analysis.cases.frozen import FrozenView
 from shift3d.analysis.cases.rendered import VIEW_M, Rendered, oriented, simplified
-from shift3d.analysis.figures.picture import COLOURS
-from shift3d.analysis.html.blocks import Panels, TurnButtons
+from shift3d.analysis.figures.picture import COLOURS, pixels_png
+from shift3d.analysis.html.blocks import Panels, Plot, TurnButtons
 from shift3d.analysis.html.figure import LEGEND_BELOW, axis, plot
 from shift3d.geometry.boxes import corners_bev
 
-__all__ = ["dots", "from_above", "outline", "turnable"]
-
 FloatArray = NDArray[np.float64]
+RGB = tuple[float, float, float]
+_TILE_PX, _SPAN_M = (170, 105), 5.6
 _EYE = {"x": 1.15, "y": 1.15, "z": 0.55}
 _LIGHT = {"ambient": 0.55, "diffuse": 0.7, "specular": 0.15, "roughness": 0.7}
 _NO_MARGIN = {"l": 0, "r": 0, "t": 0, "b": 0}
@@ -62,33 +65,48 @@ def _stage(low: FloatArray, high: FloatArray) -> dict[str, Any]:
 
 def from_above(key: str, case: Case, before: Rendered, after: Rendered, centre_xy: FloatArray) -> Panels:
     """The scene around the vehicle before and after, with the ground truth and the detector's best box."""
-    sides = [{"range": [round(float(centre) - VIEW_M, 2), round(float(centre) + VIEW_M, 2)]} for centre in centre_xy]
-    layout = {
-        "xaxis": axis("x, m", **sides[0], constrain="domain", zeroline=False),
-        "yaxis": axis("y, m", **sides[1], scaleanchor="x", constrain="domain", zeroline=False),
-        "legend": LEGEND_BELOW,
-    }
     views = []
     for name, rendered in zip(_PAIR, (before, after)):
-        best = f"best box {rendered.score:.3f}"
-        best = best if rendered.found is not None else "no box within the detection radius"
+        colour = COLOURS["adversarial" if name == "adversarial" else "random"]
+        traces, best = seen_from_above(rendered, colour, "vehicle's points")
         label = f"The scene from above, {case.vehicle.replace('_', ' ')} {name}: {best}"
         away = float(np.hypot(*rendered.theta[:2]))
         caption = f"{name.capitalize()}: {best}; sensor frame, {away:.1f} m from the sensor"
-        views.append(plot(f"{key}-above-{name}", _above(name, rendered), layout, label, caption, 420))
+        views.append(true_to_scale(f"{key}-above-{name}", traces, label, caption, centre_xy, VIEW_M, 420))
     return Panels(views)
 
 
-def _above(name: str, rendered: Rendered) -> list[dict[str, Any]]:
-    own = COLOURS["adversarial" if name == "adversarial" else "random"]
+def seen_from_above(view: Rendered | FrozenView, colour: str, name: str) -> tuple[list[dict[str, Any]], str]:
+    """Points, ground truth and best box, and what that is in words. colour, name: of the object's points."""
     traces = [
-        dots(rendered.scene_xy, "#8a8a8a", 2, "scene"),
-        dots(rendered.object_xy, own, 3, "vehicle's points"),
-        outline(rendered.box, "#2f9e44", "dash", "ground truth"),
+        dots(view.scene_xy, "#8a8a8a", 2, "scene"),
+        dots(view.object_xy, colour, 3, name),
+        outline(view.box, "#2f9e44", "dash", "ground truth"),
     ]
-    if rendered.found is not None:
-        traces.append(outline(rendered.found, "#9b5de5", "solid", f"best box, {rendered.score:.3f}"))
-    return traces
+    if view.found is None:
+        return traces, "no box within the detection radius"
+    best = f"best box {view.score:.3f}"
+    return [*traces, outline(view.found, "#9b5de5", "solid", best.replace("box", "box,"))], best
+
+
+def true_to_scale(
+    key: str,
+    traces: list[dict[str, Any]],
+    label: str,
+    caption: str,
+    middle: FloatArray,
+    half_m: float,
+    height_px: int = 380,
+    names: tuple[str, str] = ("x, m", "y, m"),
+) -> Plot:
+    """A figure of a square of the plane, metres, around its middle (2,). names: of the axes."""
+    spans = [{"range": [round(float(centre) - half_m, 2), round(float(centre) + half_m, 2)]} for centre in middle]
+    layout = {
+        "xaxis": axis(names[0], **spans[0], constrain="domain", zeroline=False),
+        "yaxis": axis(names[1], **spans[1], scaleanchor="x", constrain="domain", zeroline=False),
+        "legend": LEGEND_BELOW,
+    }
+    return plot(key, traces, layout, label, caption, height_px)
 
 
 def dots(points: FloatArray, colour: str, size: int, name: str) -> dict[str, Any]:
@@ -108,3 +126,15 @@ def outline(box: FloatArray, colour: str, dash: str, name: str) -> dict[str, Any
     }
     line = {"color": colour, "dash": dash, "width": 2}
     return {"type": "scatter", "mode": "lines", **at, "line": line, "name": name, "hoverinfo": "name"}
+
+
+def side_by_side(meshes: Sequence[trimesh.Trimesh], towards: Sequence[float], colours: Sequence[RGB]) -> bytes:
+    """Vehicles as one PNG, a little from above, all to the scale of a car unless one is longer.
+
+    towards: (N,) azimuths that they are seen from, radians. colours: (N,) of the vehicles.
+    """
+    from shift3d.vehicles.picture import shaded
+
+    span_m = max(_SPAN_M, *(1.08 * float(mesh.extents.max()) for mesh in meshes))
+    views = [shaded(mesh, at, 0.22, *_TILE_PX, span_m, rgb) for mesh, at, rgb in zip(meshes, towards, colours)]
+    return pixels_png(np.concatenate(views, axis=1))

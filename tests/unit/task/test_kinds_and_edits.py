@@ -1,0 +1,80 @@
+"""Tasks whose vehicle has parameters: a search over kinds, and an edit that is asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from short_tasks import STREET, by_method, make_spec
+
+from shift3d.errors import InputError
+from shift3d.settings.catalogue.reading import read_catalogue
+from shift3d.settings.compose import compose_sweep
+from shift3d.sweep.planning.plan import make_plan
+from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec
+from shift3d.task.follow_ups.rendered import render_solution
+from shift3d.task.run import run_task
+from shift3d.task.spec import AttackSpec
+
+
+@pytest.fixture(scope="module")
+def wide() -> Assets:
+    return load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": "wide"}))
+
+
+def test_a_search_over_kinds_says_as_which_vehicle_its_shape_is_drawn(wide: Assets) -> None:
+    attack = AttackSpec(steps=4, random_replicates=0, noise_replicates=1, search="random", space="family")
+    spec = make_spec(vehicle="sedan", lambda_=0.0, attack=attack)
+    found = run_task(spec, wide)
+    drawn_as = {row["method"]: row["drawn_as"] for row in found.solutions}
+    assert drawn_as["baseline"] is None
+    assert drawn_as["adversarial"] == drawn_as["adversarial_noise"] != "sedan"
+    vehicle = wide.vehicles.vehicle(drawn_as["adversarial"])
+    (solution,) = (row for row in found.solutions if row["method"] == "adversarial")
+    (scored,) = by_method(found, "adversarial")
+    again = render_solution(spec, solution, wide)
+    assert again.problem.size_m.tolist() == list(vehicle.size_m)
+    assert again.rendering.object_points == scored["object_points"]
+    # On the ground where the baseline stands.
+    (baseline,) = by_method(found, "baseline")
+    bottoms = [row["z_m"] - height / 2 for row, height in ((scored, vehicle.size_m[2]), (baseline, 1.45))]
+    assert bottoms[0] == pytest.approx(bottoms[1], abs=0.1)
+    assert all(scored[name] == baseline[name] for name in ("x_m", "y_m", "yaw_rad"))
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["attack.search=evolution"], "search evolution stays with one kind"),
+        (["attack.search=random", "attack.search_scenes=1"], "space family searches in one scene"),
+        (["attack.search=random", "vehicle=suv"], "made of no parameters"),
+    ],
+)
+def test_a_search_that_cannot_go_over_kinds_is_refused(words: list[str], why: str) -> None:
+    given = ["vehicle=wide", "vehicle.name=sedan", "mode=shape", "attack.space=family", *words]
+    with pytest.raises(InputError, match=why):
+        make_plan(compose_sweep("default", given[2:] if "vehicle=suv" in given else given), read_catalogue)
+
+
+def test_an_edited_vehicle_stands_where_its_baseline_does(wide: Assets) -> None:
+    attack = AttackSpec(steps=0, random_replicates=0, noise_replicates=0, edit="chassis.height_m:-1")
+    found = run_task(make_spec(vehicle="sedan", attack=attack), wide)
+    (before,), (after,) = by_method(found, "baseline"), by_method(found, "edited")
+    assert all(after[name] == before[name] for name in ("x_m", "y_m", "yaw_rad"))
+    assert after["score"] != before["score"]
+    codes = {row["method"]: np.array(row["latent_code"]) for row in found.solutions}
+    box = wide.vehicles.parameters("sedan")
+    at = box.names.index("chassis.height_m")
+    moved = (box.low[at] - box.start[at]) * box.basis[at]
+    assert codes["edited"] - codes["baseline"] == pytest.approx(moved, abs=1e-6)
+
+
+def test_an_edit_of_an_unknown_parameter_names_those_there_are() -> None:
+    words = ["vehicle=wide", "vehicle.name=sedan", "mode=shape", "attack.edit=chassis.wings_m:1"]
+    with pytest.raises(InputError, match=r"no parameter 'chassis\.wings_m'.*chassis\.height_m"):
+        make_plan(compose_sweep("default", words), read_catalogue)
+    words[-1] = "attack.edit=chassis.height_m:2"
+    with pytest.raises(InputError, match=r"'2' is no place in the range of chassis\.height_m.*from -1 to 1"):
+        make_plan(compose_sweep("default", words), read_catalogue)
+    with pytest.raises(InputError, match="made of no parameters"):
+        make_plan(compose_sweep("default", ["mode=shape", "attack.edit=chassis.height_m:1"]), read_catalogue)

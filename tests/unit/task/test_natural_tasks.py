@@ -1,0 +1,89 @@
+"""Naturalness of a task's shapes: measured, bounded, and no part of a task that asks for none."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import pytest
+from short_tasks import KNOWN, SHORT, STREET, by_method, make_spec
+
+from shift3d.errors import InputError
+from shift3d.naturalness.sources import reference_source, source_hash
+from shift3d.store.tables import table_from_rows
+from shift3d.task.assets import Assets, load_assets
+from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.run import run_task
+from shift3d.task.spec import AttackSpec, TaskSpec
+
+MEASURED = {"surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural"}
+
+
+def test_nothing_is_measured_without_a_reference_set(shape: TaskResult, pose: TaskResult) -> None:
+    assert shape.shapes == pose.shapes == []
+    assert not any(MEASURED & row.keys() for row in shape.scores + pose.scores)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Assets, str]]:
+    """Assets with a reference set, and its hash."""
+    values = {"kind": "wide", "members": 40}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield load_assets(AssetsSpec(scenes=STREET, reference=values)), source_hash(reference_source(values))
+
+
+def test_every_shape_and_baseline_says_how_natural_it_is(measured: tuple[Assets, str]) -> None:
+    found = run_task(make_spec(reference_hash=measured[1]), measured[0])
+    with_values = [row for row in found.scores if row.keys() >= MEASURED]
+    assert [row["method"] for row in with_values] == ["baseline", "random", "adversarial"]
+    assert [row["method"] for row in found.shapes] == ["baseline", "random", "adversarial"]
+    for scored, looked_at in zip(with_values, found.shapes):
+        assert scored["surface_distance_cm"] == (looked_at["to_member_cm"] + looked_at["from_member_cm"]) / 2
+        assert 0.0 < scored["surface_distance_cm"] < scored["surface_distance_p95_cm"] < 40.0
+        assert scored["natural"] == (scored["naturalness_percentile"] <= 95.0 and not looked_at["out_of_range"])
+    own = found.shapes[0]
+    assert own["nearest_member"].startswith("suv") and own["largest_piece"] > 0.97 and own["out_of_range"] == []
+    sizes = [own[name] for name in ("length_m", "width_m", "height_m")]
+    assert sizes == pytest.approx(measured[0].vehicle(make_spec()).size_m, abs=0.02)
+    assert table_from_rows("shapes", [row | KNOWN for row in found.shapes]).num_rows == 3
+
+
+def test_a_pose_has_its_baselines_shape(measured: tuple[Assets, str]) -> None:
+    found = run_task(make_spec("pose", reference_hash=measured[1]), measured[0])
+    assert [row["method"] for row in found.shapes] == ["baseline"]
+    assert len({row["surface_distance_cm"] for row in found.scores if row["status"] == "ok"}) == 1
+
+
+def test_a_search_with_a_budget_ends_at_a_natural_shape(measured: tuple[Assets, str]) -> None:
+    far = AttackSpec(steps=6, noise_replicates=0, random_replicates=0)
+    spec = make_spec(reference_hash=measured[1], alpha=0.1, attack=far)
+    free = run_task(spec, measured[0])
+    ends = [by_method(free, method)[0]["naturalness_percentile"] for method in ("baseline", "adversarial")]
+    budget = sum(ends) / 2
+    assert ends[0] < budget
+    bounded = dataclasses.replace(spec, attack=dataclasses.replace(far, naturalness=budget))
+    (within,) = by_method(run_task(bounded, measured[0]), "adversarial")
+    assert within["naturalness_percentile"] <= budget < ends[1] and within["latent_distance"] > 0.0
+    assert bounded.search == f"descent_within{budget:g}" and bounded.task_id != spec.task_id
+
+
+def test_a_budget_needs_a_reference_set_and_a_vehicle_within(assets: Assets, measured: tuple[Assets, str]) -> None:
+    bounded = dataclasses.replace(SHORT, naturalness=1e-6)
+    with pytest.raises(InputError, match=r"measures no naturalness.*naturalness=wide"):
+        run_task(make_spec(attack=bounded), assets)
+    with pytest.raises(InputError, match=r"vehicle lies beyond the budget.*larger attack\.naturalness"):
+        run_task(make_spec(attack=bounded, reference_hash=measured[1]), measured[0])
+
+
+def test_another_reference_set_than_was_planned_is_refused(measured: tuple[Assets, str]) -> None:
+    with pytest.raises(InputError, match="changed after the sweep was planned") as failure:
+        run_task(make_spec(reference_hash="another"), measured[0])
+    assert "reference set" in failure.value.where
+
+
+def test_a_task_that_measures_none_keeps_the_id_of_an_older_program() -> None:
+    assert "reference_hash" not in make_spec().to_dict()
+    assert TaskSpec.from_dict(make_spec().to_dict()) == make_spec()
+    other = make_spec(reference_hash="a" * 32)
+    assert TaskSpec.from_dict(other.to_dict()) == other and other.task_id != make_spec().task_id
