@@ -65,7 +65,7 @@ def test_a_window_holds_every_anchor_near(case: Case, detector: ForeignDetector)
         pytest.skip("cells stand where they are")
     window = detector.window_for((6.0, -3.0), 1.0)
     kept = set(detector.proposals(scene(case), window).anchor_index.tolist())
-    anchors = detector._inner._net.heads.anchors(detector._inner._net.head_grid, _whole(detector))  # type: ignore[operator]
+    anchors = detector._inner._net.heads.anchor_rows(detector._inner._net.head_grid, _whole(detector))  # type: ignore[operator]
     centre = torch.tensor([3.0, 6.0] if case.turned else [6.0, -3.0])
     near = (anchors[:, :2] - centre).abs().amax(dim=1) <= 1.0
     assert near.any() and set(torch.nonzero(near).flatten().tolist()) <= kept
