@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,7 +28,7 @@ from shift3d.detectors.nms import suppress
 from shift3d.render.culling import object_rays
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
-from shift3d.store.atomic import write_atomic
+from shift3d.store.arrays import write_arrays
 from shift3d.task.assets import Assets
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
 
@@ -119,15 +119,13 @@ def score_of(
 
 def write_truth(path: Path, truth: Truth) -> None:
     """Keep it for a run that is taken up again. Raises InputError where the disk is full or not writable."""
-    arrays: dict[str, np.ndarray | np.generic] = {"dz": truth.dz.numpy(), "dtheta": truth.dtheta.numpy()}
+    arrays: dict[str, Any] = {"dz": truth.dz.numpy(), "dtheta": truth.dtheta.numpy()}
     for shape in SHAPES:
         hits = truth.hits[shape]
         arrays |= {f"{shape}.code": truth.codes[shape].numpy(), f"{shape}.score": np.float64(truth.scores[shape])}
         arrays |= {f"{shape}.index": hits.index.numpy(), f"{shape}.range_m": hits.range_m.numpy()}
         arrays |= {f"{shape}.chord_m": hits.chord_m.numpy(), f"{shape}.unresolved": np.int64(truth.unresolved[shape])}
-    packed = io.BytesIO()
-    np.savez(packed, **arrays)  # type: ignore[arg-type]
-    write_atomic(path, packed.getvalue())
+    write_arrays(path, **arrays)
 
 
 def read_truth(path: Path) -> Truth:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.naturalness.calibration import Calibration
 from shift3d.naturalness.surface import POINTS, Surface
-from shift3d.store.safetensors_file import write_safetensors
+from shift3d.store.arrays import write_safetensors
 
 if TYPE_CHECKING:
     from collections.abc import Callable

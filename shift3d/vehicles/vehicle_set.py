@@ -20,8 +20,8 @@ from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder, save_decoder
 from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import generator
+from shift3d.store.arrays import write_safetensors
 from shift3d.store.atomic import write_atomic
-from shift3d.store.safetensors_file import write_safetensors
 from shift3d.vehicles.parameter_box import BoxOfParameters, parameter_tensors
 
 VEHICLES_FILE, DECODER_FILE, FACTS_FILE = "vehicles.safetensors", "sdf.safetensors", "sdf.json"

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder, save_decoder
 from shift3d.sdf.meshes import extract_mesh
+from shift3d.store.arrays import write_safetensors
 from shift3d.store.atomic import write_atomic
-from shift3d.store.safetensors_file import write_safetensors
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.provenance import versions
 from shift3d.training.sdf_shapes import shape_scales, training_specs

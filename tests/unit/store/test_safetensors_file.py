@@ -13,7 +13,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save
 
-from shift3d.store.safetensors_file import write_safetensors
+from shift3d.store.arrays import write_safetensors
 
 TENSORS = {"b": torch.arange(3.0), "a": torch.ones(2, 5, dtype=torch.float16), "c": np.arange(4, dtype=np.int64)}
 TEXTS = {name: f"text of {name}, with an umlaut: ä" for name in ("steps", "recipe", "baselines", "family", "seed")}
@@ -38,7 +38,7 @@ def test_every_process_writes_the_same_bytes(tmp_path: Path) -> None:
     code = f"""
 import torch
 from pathlib import Path
-from shift3d.store.safetensors_file import write_safetensors
+from shift3d.store.arrays import write_safetensors
 write_safetensors(Path({str(tmp_path)!r}) / "file", {{"b": torch.arange(3.0), "a": torch.ones(4)}}, {TEXTS!r})
 """
     digests = set()
