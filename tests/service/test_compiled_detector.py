@@ -41,7 +41,16 @@ def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(tmp_path: P
         one, two = original.proposals(points), compiled.proposals(points)
         assert float((torch.sigmoid(one.logits) - torch.sigmoid(two.logits)).abs().max()) < 1e-4
     words = ["detector=onnx", "detector.file=pp.onnx", "detector.original=pointpillars", "attack.random_search=1"]
-    words += ["vehicle=coupe", "runner=ray", "runner.workers=2", "tracking=none", "out=mine", "naturalness=none"]
+    words += [
+        "attack.random_replicates=0",
+        "attack.noise_replicates=0",
+        "vehicle=coupe",
+        "runner=ray",
+        "runner.workers=2",
+        "tracking=none",
+        "out=mine",
+        "naturalness=none",
+    ]
     refused = shift3d(tmp_path, "sweep", "smoke", *words)
     assert refused.returncode == 2 and "attack.search=evolution" in refused.stderr
     done = shift3d(tmp_path, "sweep", "smoke", *words, "attack.search=evolution")
