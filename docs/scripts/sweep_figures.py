@@ -167,7 +167,7 @@ def _numbers(title: str, table: Table | None, named_by: int = 1) -> Figures:
         for column, cell in zip(table.header[named_by:] if table else (), line[named_by:]):
             text = cell if isinstance(cell, str) else " ".join(cell)
             number = re.match(r"[-+]?\d[\d,]*(\.\d+)?(e[-+]?\d+)?", text)
-            between = re.search(r"\[([-\d.]+), ([-\d.]+)\]", text)
+            between = re.search(r"\[([-+\d.]+), ([-+\d.]+)\]", text)
             if number:
                 ends = (float(between[1]), float(between[2])) if between else None
                 name = " ".join(str(word) for word in line[:named_by]).replace("/", " ")
