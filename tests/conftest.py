@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from shift3d.errors import InputError
 from shift3d.processor import configure_runtime
@@ -20,6 +21,10 @@ configure_runtime(1)
 # Every Ray of a session of tests asks for one token, and nothing is written to anybody's home.
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
+
+# Drawn examples are the same in every run: what fails once fails always. --hypothesis-profile=default draws others.
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile("repeatable")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

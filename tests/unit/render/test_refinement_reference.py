@@ -49,6 +49,13 @@ def _predicted(shape: Field, rays: Rays, spacing_m: float, error_m: float, seed:
     return RaySamples.none().joined(RaySamples(exact.rows, exact.k, exact.g + off, torch.full_like(off, error_m)))
 
 
+def _hardly_outside(shape: Field, rays: Rays, spacing_m: float, error_m: float) -> torch.Tensor:
+    """(M,) how many places in front of the object, `spacing_m` apart, a prediction may take for one inside."""
+    exact = samples_at(rays, shape, torch.arange(0.0, 6.0 + spacing_m, spacing_m).clamp_max(6.0))
+    g = exact.g.reshape(len(rays), -1)
+    return ((g < error_m) & ((g < 0).cumsum(1) == 0)).sum(1)
+
+
 NOWHERE = torch.full_like(RAYS.far_m, math.nan)
 
 
@@ -72,9 +79,9 @@ def test_and_where_samples_are_predicted_with_bounds_that_hold(
     shape: Field, spacing: float, error: float, seed: int
 ) -> None:
     found = refine(_predicted(shape, RAYS, spacing, error, seed), RAYS, NOWHERE, field_of(shape), FLOAT64)
-    # Many predictions of a place inside, or on a face that the ray runs along, are asked one after the other: such a
-    # ray is left to a search.
-    assert int(found.open.sum()) <= (3 if spacing == 0.02 else 0)
+    # Predictions of a place inside are asked one after the other. A ray on which many are wrong, as on a face that it
+    # runs along, is left to a search, and no other.
+    assert (_hardly_outside(shape, RAYS, spacing, error)[found.open] >= 8).all()
     check_against_dense(crossings(found, shape, RAYS), shape, RAYS, skipped=found.open)
 
 
