@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from shift3d.geometry.se3 import object_from_scene
+from shift3d.geometry.se3 import object_from_scene, scene_from_object
 from shift3d.render.beams import Beams
 from shift3d.render.culling import Box
 from shift3d.render.field.object_field import ObjectField
 
 _TOUCHING_M = 0.004
+# How often all points are looked at, how many of them are followed in between, and for how long.
+_LOOKS, _FEW, _MOVES = 8, 8, 16
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,8 @@ def snap_to_ground(
     """The pose with z moved until the object just touches the original points; None if that takes too far.
 
     A distance is 1-Lipschitz, so lowering the object by its clearance cannot push it through a point: the
-    iteration z <- z - min g comes down from above and, inside, climbs out.
+    iteration z <- z - min g comes down from above and, inside, climbs out. It follows the few lowest points, and all of
+    them again where those touch.
 
     Args:
         reach_m: largest change of z.
@@ -160,14 +163,19 @@ def snap_to_ground(
     Source: our choice: the paper places with a six-dof pose and leaves the method open.
     """
     snapped = theta.detach().double().clone()
-    for _ in range(8):
-        metric, _ = distances(field, points, snapped, size_m, reach_m)
+    for _ in range(_LOOKS):
+        metric, places = distances(field, points, snapped, size_m, reach_m)
         if len(metric) == 0:
             return None
-        clearance = float(metric.min())
-        if abs(clearance) <= _TOUCHING_M:
+        if abs(float(metric.min())) <= _TOUCHING_M:
             return snapped
-        snapped[2] -= clearance
-        if abs(float(snapped[2] - theta[2])) > reach_m:
-            return None
+        few = scene_from_object(places[metric.argsort(stable=True)[:_FEW]], snapped)
+        for _ in range(_MOVES):
+            with torch.no_grad():
+                clearance = float(field(object_from_scene(few, snapped)).min())
+            if abs(clearance) <= _TOUCHING_M / 2:
+                break
+            snapped[2] -= clearance
+            if not abs(float(snapped[2] - theta[2])) <= reach_m:
+                return None
     return None

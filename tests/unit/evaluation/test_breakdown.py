@@ -83,9 +83,11 @@ def test_over_all_it_is_waymo_s_value() -> None:
         high = metric.max_range_m
         keys = {75.0: ("all", "all"), 30.0: ("range", "0-30 m")}
         if metric.min_range_m == 0.0 and high in keys:
-            row = rows[*keys[high], "AP", metric.view]
-            assert row.value == metric.curve.average_precision and row.number == metric.curve.num_truth
-            assert rows[*keys[high], "APH", metric.view].value == metric.curve.average_precision_heading
+            row, curve = rows[*keys[high], "AP", metric.view], metric.curve
+            # Sums of the same numbers with zeros in between: the last bit depends on the processor.
+            assert row.value == pytest.approx(curve.average_precision, rel=1e-14) and row.number == curve.num_truth
+            heading = rows[*keys[high], "APH", metric.view].value
+            assert heading == pytest.approx(curve.average_precision_heading, rel=1e-14)
 
 
 def test_a_group_counts_its_own_vehicles_alone() -> None:
