@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv  # scipy.stats takes a second to import
 from torch import Tensor
 
 from shift3d.attack.baselines import random_code
@@ -57,7 +57,7 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
     mean, spread, axes = principal_components(codes, components, where)
     basis = torch.from_numpy(spread[:, None] * axes)
     start = torch.from_numpy(((code0.detach().double().numpy() - mean) @ axes.T) / spread)
-    radius = max(float(np.sqrt(chi2.ppf(BALL, components))), float(start.norm()))
+    radius = max(float(np.sqrt(2.0 * gammaincinv(components / 2, BALL))), float(start.norm()))
 
     def code(u: Tensor) -> Tensor:
         return (code0.detach().double() + (u - start) @ basis).to(code0.dtype)

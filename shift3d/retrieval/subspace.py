@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv  # scipy.stats takes a second to import
 from torch import Tensor
 
 from shift3d.errors import InputError
@@ -66,7 +66,7 @@ class Subspace:
         for layer in (0, centre.skip_layer):
             columns = [step.biases[layer].detach() - centre.biases[layer] for step in steps if isinstance(step, Field)]
             by_coordinate[layer] = torch.stack(columns, dim=1)
-        radius = float(np.sqrt(chi2.ppf(BALL, components)))
+        radius = float(np.sqrt(2.0 * gammaincinv(components / 2, BALL)))
         whole = Subspace(mean, basis, radius, centre, by_coordinate)
         return Subspace(mean, basis, radius, centre.sliced(whole._live()), by_coordinate)
 
