@@ -88,7 +88,8 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
         is_group = any(folder.is_dir() for folder in places(f"conf/{key}"))
         if is_group:
             rest = [text for text in first if not text.startswith(f"{key}=")]
-            values = tuple(compose([*fixed, *rest, f"{key}={text}"])[key] for text in texts)
+            others = (compose([*fixed, *rest, f"{key}={text}"])[key] for text in texts[1:])
+            values = (base[key], *others)
         else:
             values = tuple(parse([f"{key}={text}"])[0].value() for text in texts)
         axes.append(Axis(key, tuple(texts), values, is_group))

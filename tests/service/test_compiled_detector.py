@@ -44,6 +44,7 @@ def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(tmp_path: P
     words += [
         "attack.random_replicates=0",
         "attack.noise_replicates=0",
+        "attack.steps=1",
         "vehicle=coupe",
         "runner=ray",
         "runner.workers=2",

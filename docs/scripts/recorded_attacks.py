@@ -1,0 +1,171 @@
+"""Hits that the renderer loses in attacks, at every step, against `reference` at the same code and pose.
+
+``python docs/scripts/recorded_attacks.py [workers=N] [json=FILE] [of=TEXT] [SETTING=VALUE ...]``
+
+The attacks are the tasks of the default sweep in two streets of split `val`, 40 steps, lambda 1; settings change it. The
+renderings that are looked at are the attack's own, warm from the step before. A hit is lost when it is missed or more
+than 1 cm off. Every tenth step the loss's gradient is compared too, both with the float32 detector. json: a file that
+the figures are written to. of: what stands before the names of attacks. workers: processes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from shift3d.accuracy_time.errors import chord_lengths, compare, true_hits
+from shift3d.accuracy_time.gradient import attack_step, cosine
+from shift3d.attack.objective import ATTACK_RADIUS_M
+from shift3d.attack.problem import AttackProblem
+from shift3d.placement.sampling import NoPlacement
+from shift3d.processor import configure_runtime
+from shift3d.render.culling import object_rays
+from shift3d.render.render import render
+from shift3d.render.rendering import Rendering
+from shift3d.render.settings import REFERENCE
+from shift3d.render.solvers.search import WarmStart
+from shift3d.store.atomic import write_atomic
+from shift3d.sweep.planning.plan import Plan
+from shift3d.task.assets import load_assets
+from shift3d.task.problem import build_problem, place_vehicle
+from shift3d.task.searching import search_task
+
+SWEEP = ("vehicle=coupe,sports_car,suv,convertible,beach_wagon", "mode=shape,pose", "attack.lambda=1",
+         "scenes.split=val", "scenes.count=2", "naturalness=none", "effects=none")  # fmt: skip
+GRADIENT_EVERY = 10
+
+See = Callable[[Tensor, Tensor, Rendering], None]
+
+
+@dataclass(frozen=True)
+class Watched(AttackProblem):
+    """A problem that shows every rendering, with the code (d,) and the pose (6,) that it is of."""
+
+    see: See | None = None
+
+    def insert(self, code: Tensor, theta: Tensor, warm: WarmStart | None = None) -> Rendering:
+        """See `AttackProblem.insert`."""
+        rendering = super().insert(code, theta, warm)
+        if self.see is not None:
+            self.see(code.detach(), theta.detach(), rendering)
+        return rendering
+
+
+@dataclass
+class Found:
+    """What came of an attack: hits of all steps, those lost, of these with chords of 2 cm or more, and the rest."""
+
+    name: str
+    hits: int = 0
+    lost: int = 0
+    lost_thick: int = 0
+    false: int = 0
+    depth_m: tuple[float, ...] = ()
+    cosines: tuple[float, ...] = ()
+
+
+def attacked(plan: Plan, index: int) -> Found | None:
+    """The attack of one task, every rendering held against the reference. None where the vehicle finds no place."""
+    configure_runtime(1)
+    task = plan.tasks[index]
+    spec, assets = task.spec, load_assets(plan.assets[task.assets])
+    placement = place_vehicle(spec, assets)
+    if isinstance(placement, NoPlacement):
+        return None
+    problem = build_problem(spec, assets, placement.theta)
+    problem = replace(problem, detector=assets.detector_of(spec.detector, "float32"))
+    true = replace(problem, field_of=assets.decoder_of(REFERENCE.dtype).field, settings=REFERENCE, space=None,
+                   code0=problem.code0.to(REFERENCE.dtype))  # fmt: skip
+    found = Found(f"{spec.vehicle} at {math.hypot(*placement.theta[:2].tolist()):.1f} m, {spec.mode}")
+    steps = 0
+
+    def see(code: Tensor, theta: Tensor, rendering: Rendering) -> None:
+        nonlocal steps
+        with torch.no_grad():
+            _hold(found, true, code.to(REFERENCE.dtype), theta, rendering)
+        if steps % GRADIENT_EVERY == 0:
+            found.cosines += (_cosine(problem, true, code, theta, spec.mode),)
+        steps += 1
+
+    search_task(spec, Watched(**vars(problem), see=see), assets)
+    return found
+
+
+def _hold(found: Found, true: AttackProblem, code: Tensor, theta: Tensor, rendering: Rendering) -> None:
+    reference = render(true.beams, true.field_of(code), theta, true.vehicle, REFERENCE)
+    index = torch.nonzero(reference.hit_mask).squeeze(1)
+    chord_m = chord_lengths(true.metric(code), object_rays(true.beams, index, theta), reference.range_m[index])
+    truth = true_hits(reference, chord_m)
+    errors = compare(truth, rendering)
+    found.hits += errors.hits
+    found.lost += errors.missed + errors.wrong
+    found.lost_thick += errors.missed_thick + errors.wrong  # whatever the chord of what is on a wrong surface
+    found.false += errors.false
+    found.depth_m += errors.depth_m
+
+
+def _cosine(problem: AttackProblem, true: AttackProblem, code: Tensor, theta: Tensor, mode: str) -> float:
+    """Of the loss's gradient with respect to what the attack moves."""
+    of_code, of_pose = mode != "pose", mode != "shape"
+    one = attack_step(problem, code, theta, ATTACK_RADIUS_M, of_code=of_code, of_pose=of_pose)
+    two = attack_step(true, code.to(REFERENCE.dtype), theta, ATTACK_RADIUS_M, of_code=of_code, of_pose=of_pose)
+    return min(cosine(a, b) for a, b, on in ((one.dz, two.dz, of_code), (one.dtheta, two.dtheta, of_pose)) if on)
+
+
+def figures(every: Sequence[Found], of: str) -> dict[str, dict[str, object]]:
+    """By attack, and together."""
+    named: dict[str, dict[str, object]] = {}
+    together = Found(f"{of}together")
+    for one in every:
+        together.hits, together.lost = together.hits + one.hits, together.lost + one.lost
+        together.lost_thick, together.false = together.lost_thick + one.lost_thick, together.false + one.false
+        together.depth_m, together.cosines = together.depth_m + one.depth_m, together.cosines + one.cosines
+    for one in [*(replace(one, name=of + one.name) for one in every), together]:
+        depth_mm = 1e3 * torch.tensor(one.depth_m or (math.nan,), dtype=torch.float64)
+        for what, value, unit in (
+            ("hits", one.hits, ""),
+            ("lost", one.lost, ""),
+            ("lost of 2 cm", one.lost_thick, ""),
+            ("false", one.false, ""),
+            ("depth p99", float(depth_mm.quantile(0.99)), "mm"),
+            ("depth max", float(depth_mm.max()), "mm"),
+            ("least cosine", min(one.cosines), ""),
+        ):
+            named[f"{one.name}/{what}"] = {"value": value, "unit": unit}
+    return named
+
+
+def main(words: Sequence[str]) -> int:
+    """Print the figures and write them."""
+    from shift3d.settings.compose import compose_sweep
+    from shift3d.sweep.planning.kind import shift3d_kind
+    from shift3d.sweep.planning.plan import make_plan
+
+    own = dict(word.split("=", 1) for word in words if word.split("=")[0] in ("workers", "json", "of"))
+    settings = [word for word in words if word.split("=")[0] not in own]
+    plan, _ = make_plan(compose_sweep("default", [*SWEEP, *settings]), shift3d_kind().catalogue)
+    context = multiprocessing.get_context("spawn")
+    every: list[Found] = []
+    with ProcessPoolExecutor(int(own.get("workers", 1)), context) as pool:
+        for one in pool.map(attacked, [plan] * len(plan.tasks), range(len(plan.tasks))):
+            if one is not None:
+                every.append(one)
+                print(f"{one.name}: {one.lost} lost of {one.hits}, least cosine {min(one.cosines):.6f}", flush=True)
+    text = json.dumps(figures(every, own.get("of", "")), indent=1) + "\n"
+    if "json" in own:
+        write_atomic(Path(own["json"]), text.encode())
+    print(text, end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
