@@ -2,8 +2,8 @@
 
 ``python docs/scripts/recorded_attacks.py [workers=N] [json=FILE] [of=TEXT] [SETTING=VALUE ...]``
 
-The attacks are the tasks of the default sweep in two streets of split `val`, 40 steps, lambda 1; settings change it. The
-renderings that are looked at are the attack's own, warm from the step before. A hit is lost when it is missed or more
+The attacks are the tasks of the default sweep in two streets of split `val`, 40 steps, lambda 1; settings change it.
+What is looked at are the attack's own renderings, warm from the step before. A hit is lost when it is missed or more
 than 1 cm off. Every tenth step the loss's gradient is compared too, both with the float32 detector. json: a file that
 the figures are written to. of: what stands before the names of attacks. workers: processes.
 """
@@ -85,7 +85,8 @@ def attacked(plan: Plan, index: int) -> Found | None:
     problem = replace(problem, detector=assets.detector_of(spec.detector, "float32"))
     true = replace(problem, field_of=assets.decoder_of(REFERENCE.dtype).field, settings=REFERENCE, space=None,
                    code0=problem.code0.to(REFERENCE.dtype))  # fmt: skip
-    found = Found(f"{spec.vehicle} at {math.hypot(*placement.theta[:2].tolist()):.1f} m, {spec.mode}")
+    words = [word for word in spec.vehicle.split("_") if len(word) < 20]  # without a digest
+    found = Found(f"{' '.join(words)} at {math.hypot(*placement.theta[:2].tolist()):.1f} m, {spec.mode}")
     steps = 0
 
     def see(code: Tensor, theta: Tensor, rendering: Rendering) -> None:

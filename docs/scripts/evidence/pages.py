@@ -73,7 +73,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         autoescape=False,
     )
-    environment.globals |= {"figures": _figures, "at": _at, "paper": _paper, "groups": _groups}
+    environment.globals |= {"figures": _figures, "at": _at, "paper": _paper, "groups": _groups, "sides": _sides}
     environment.filters |= {"num": _number, "between": _between, "both": _both}
     return environment
 
@@ -122,6 +122,13 @@ def _paper(mode: str, detector: str, scored_by: str) -> Mapping[str, Any]:
         more = {"mean": table.aucs.mean(method, names), "of baseline": table.aucs.of_baseline(method, names)}
         found[method] = {key: {"value": value} for key, value in {**of, **more}.items() if value is not None}
     return found
+
+
+def _sides() -> Mapping[str, Any]:
+    """Body types and attributes of the wide family, "seen" by trainings and "held_out"."""
+    from shift3d.vehicles.family.split import SPLIT
+
+    return SPLIT.to_dict()
 
 
 def _groups(found: Mapping[str, Any], levels: int = 3) -> dict[str, Any]:
