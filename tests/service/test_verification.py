@@ -17,7 +17,7 @@ from shift3d.store.resolve import as_location
 from shift3d.store.tables import read_table
 
 SWEEP = ["sweep", "default", "vehicle=suv", "mode=pose", "scenes.count=1", "scenes.sensor=hdl64", "attack=short"]
-SETTINGS = ["attack.steps=1", "attack.random_replicates=0", "runner=local", "tracking=none"]
+SETTINGS = ["attack.steps=1", "attack.random_replicates=0", "naturalness=none", "runner=local", "tracking=none"]
 
 
 def digests(folder: Path) -> dict[str, str]:
