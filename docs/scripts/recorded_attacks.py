@@ -22,7 +22,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from shift3d.accuracy_time.errors import chord_lengths, compare, true_hits
+from shift3d.accuracy_time.errors import THICK_M, chord_lengths
 from shift3d.accuracy_time.gradient import attack_step, cosine
 from shift3d.attack.objective import ATTACK_RADIUS_M
 from shift3d.attack.problem import AttackProblem
@@ -36,6 +36,7 @@ from shift3d.render.solvers.search import WarmStart
 from shift3d.store.atomic import write_atomic
 from shift3d.sweep.planning.plan import Plan
 from shift3d.task.assets import load_assets
+from shift3d.task.differences import WRONG_SURFACE_M
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.searching import search_task
 
@@ -102,16 +103,16 @@ def attacked(plan: Plan, index: int) -> Found | None:
 
 
 def _hold(found: Found, true: AttackProblem, code: Tensor, theta: Tensor, rendering: Rendering) -> None:
-    reference = render(true.beams, true.field_of(code), theta, true.vehicle, REFERENCE)
-    index = torch.nonzero(reference.hit_mask).squeeze(1)
-    chord_m = chord_lengths(true.metric(code), object_rays(true.beams, index, theta), reference.range_m[index])
-    truth = true_hits(reference, chord_m)
-    errors = compare(truth, rendering)
-    found.hits += errors.hits
-    found.lost += errors.missed + errors.wrong
-    found.lost_thick += errors.missed_thick + errors.wrong  # whatever the chord of what is on a wrong surface
-    found.false += errors.false
-    found.depth_m += errors.depth_m
+    truth = render(true.beams, true.field_of(code), theta, true.vehicle, REFERENCE)
+    depth_m = (rendering.range_m - truth.range_m).abs()
+    lost = truth.hit_mask & ~(rendering.hit_mask & (depth_m <= WRONG_SURFACE_M))
+    index = torch.nonzero(lost).squeeze(1)
+    chord_m = chord_lengths(true.metric(code), object_rays(true.beams, index, theta), truth.range_m[index])
+    found.hits += int(truth.hit_mask.sum())
+    found.lost += len(index)
+    found.lost_thick += int((chord_m >= THICK_M).sum())
+    found.false += int((rendering.hit_mask & ~truth.hit_mask).sum())
+    found.depth_m += tuple(depth_m[truth.hit_mask & ~lost].tolist())
 
 
 def _cosine(problem: AttackProblem, true: AttackProblem, code: Tensor, theta: Tensor, mode: str) -> float:
