@@ -2,7 +2,7 @@
 
 ``python docs/scripts/recorded_attacks.py [workers=N] [json=FILE] [of=TEXT] [SETTING=VALUE ...]``
 
-The attacks are the tasks of the default sweep in two streets of split `val`, 40 steps, lambda 1; settings change it.
+The attacks are the tasks of the default sweep in one street of split `val`, 40 steps, lambda 1; settings change it.
 What is looked at are the attack's own renderings, warm from the step before. A hit is lost when it is missed or more
 than 1 cm off. Every tenth step the loss's gradient is compared too, both with the float32 detector. json: a file that
 the figures are written to. of: what stands before the names of attacks. workers: processes.
@@ -41,7 +41,7 @@ from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.searching import search_task
 
 SWEEP = ("vehicle=coupe,sports_car,suv,convertible,beach_wagon", "mode=shape,pose", "attack.lambda=1",
-         "scenes.split=val", "scenes.count=2", "naturalness=none", "effects=none")  # fmt: skip
+         "scenes.split=val", "scenes.count=1", "naturalness=none", "effects=none")  # fmt: skip
 GRADIENT_EVERY = 10
 
 See = Callable[[Tensor, Tensor, Rendering], None]
