@@ -27,7 +27,7 @@ CALIBRATED = 400
 """Members that are left out, one after the other, for the calibration: of more, these, spread over all."""
 _PROCESSES, _LEAST_FOR_PROCESSES = 2, 150
 _CODE = (
-    "naturalness/build.py", "naturalness/decoded.py", "naturalness/reference.py", "naturalness/reference.py",
+    "naturalness/build.py", "naturalness/calibration.py", "naturalness/decoded.py", "naturalness/reference.py",
     "naturalness/sources.py", "naturalness/surface.py", "sdf/decoder.py", "sdf/field.py", "sdf/meshes.py", "seeding.py",
     "vehicles/family", "vehicles/mesh_files.py", "vehicles/mesh_frame.py",
 )  # fmt: skip
