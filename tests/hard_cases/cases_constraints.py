@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import torch
-from analytic_fields import Field, Frame, box, in_frame, soft_car, union
+from analytic_fields import Field, Frame, box, in_frame, soft_car, sphere, union
 from catalogue import hard_case
 from hard_scenes import PLAIN, beams_along_x, draw, pose
 from torch import Tensor
@@ -134,6 +134,23 @@ def an_object_sunk_deeper_than_it_may_climb() -> None:
         assert snap_to_ground(metric, ground, sunk, size, reach_m=reach) is None
         out = snap_to_ground(metric, ground, sunk, size, reach_m=0.8)
         assert out is not None and abs(float(out[2]) - 0.75) <= 0.004
+
+
+@hard_case(
+    area=AREA,
+    why="lowering the object by its clearance closes a fifth of it there: after eight rounds it still hung in the air, "
+    "and a step of an attack counted as impossible",
+    must="it comes to rest, touching within 4 mm",
+    guard="the few lowest points are followed until they touch",
+)
+def a_point_beside_a_steep_flank() -> None:
+    ball = ObjectField.of(in_frame(sphere(1.0), FRAME), FRAME, torch.float64, 4096)
+    size = torch.tensor([2.0, 2.0, 2.0], dtype=torch.float64)
+    for range_m, down in ((1.03, 0.3), (1.02, 0.22)):
+        point = range_m * torch.tensor([[math.sqrt(1.0 - down**2), 0.0, -down]], dtype=torch.float64)
+        found = snap_to_ground(ball, point, torch.zeros(6, dtype=torch.float64), size, reach_m=0.4)
+        assert found is not None and found[2] < -0.05
+        assert abs(float((point - found[:3]).norm()) - 1.0) <= 0.004
 
 
 @hard_case(
