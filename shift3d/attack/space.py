@@ -9,16 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import gammaincinv  # scipy.stats takes a second to import
 from torch import Tensor
 
 from shift3d.attack.baselines import random_code
 from shift3d.errors import InputError
-from shift3d.sdf.principal_components import principal_components
+from shift3d.sdf.principal_components import ball_radius, principal_components
 from shift3d.vehicles.parameter_box import BoxOfParameters
-
-BALL = 0.95
-"""Share of a Gaussian's mass that the ball of `pca` holds (our choice)."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +53,7 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
     mean, spread, axes = principal_components(codes, components, where)
     basis = torch.from_numpy(spread[:, None] * axes)
     start = torch.from_numpy(((code0.detach().double().numpy() - mean) @ axes.T) / spread)
-    radius = max(float(np.sqrt(2.0 * gammaincinv(components / 2, BALL))), float(start.norm()))
+    radius = max(ball_radius(components), float(start.norm()))
 
     def code(u: Tensor) -> Tensor:
         return (code0.detach().double() + (u - start) @ basis).to(code0.dtype)

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import gammaincinv  # scipy.stats takes a second to import
 from torch import Tensor
 
 from shift3d.errors import InputError
 from shift3d.sdf.field import Field
-from shift3d.sdf.principal_components import principal_components
+from shift3d.sdf.principal_components import ball_radius, principal_components
 from shift3d.seeding import generator
 
 if TYPE_CHECKING:
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 
 COMPONENTS = 10
-BALL = 0.95
-"""Share of a Gaussian's mass that the ellipsoid holds, as in `attack.space`."""
 _CODES, _PLACES = 24, 512
 
 
@@ -66,7 +63,7 @@ class Subspace:
         for layer in (0, centre.skip_layer):
             columns = [step.biases[layer].detach() - centre.biases[layer] for step in steps if isinstance(step, Field)]
             by_coordinate[layer] = torch.stack(columns, dim=1)
-        radius = float(np.sqrt(2.0 * gammaincinv(components / 2, BALL)))
+        radius = ball_radius(components)
         whole = Subspace(mean, basis, radius, centre, by_coordinate)
         return Subspace(mean, basis, radius, centre.sliced(whole._live()), by_coordinate)
 

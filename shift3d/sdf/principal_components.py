@@ -1,14 +1,24 @@
-"""The principal components of known codes."""
+"""The principal components of known codes, and the ball of coordinates that most draws lie in."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv  # scipy.stats takes a second to import
 
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
 Array = NDArray[np.float64]
+_BALL = 0.95
+
+
+def ball_radius(components: int) -> float:
+    """Radius, in standard deviations, of the ball that holds 95 % of a Gaussian's draws of k coordinates.
+
+    The square root of chi-squared's quantile. Source: the share is our choice.
+    """
+    return float(np.sqrt(2.0 * gammaincinv(components / 2, _BALL)))
 
 
 def principal_components(codes: NDArray[np.float32], components: int, where: str) -> tuple[Array, Array, Array]:

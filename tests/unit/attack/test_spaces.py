@@ -6,6 +6,7 @@ import torch
 
 from shift3d.attack.space import free_space, parameter_space, pca_space
 from shift3d.errors import InputError
+from shift3d.sdf.principal_components import ball_radius
 from shift3d.vehicles.parameter_box import BoxOfParameters
 
 AXES = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 3)))[0].T
@@ -25,6 +26,13 @@ def test_the_free_space_is_the_code_itself() -> None:
     assert torch.equal(space.code(code0), code0) and torch.equal(space.project(1e9 * code0), 1e9 * code0)
     drawn = space.draw(np.random.default_rng(0), 0.3)
     assert float((drawn - code0).norm()) == pytest.approx(0.3, rel=1e-5)
+
+
+def test_nineteen_of_twenty_gaussian_draws_lie_in_the_ball() -> None:
+    assert ball_radius(1) == pytest.approx(1.959964, abs=1e-6)
+    assert ball_radius(2) == pytest.approx(np.sqrt(-2.0 * np.log(0.05)), rel=1e-12)
+    lengths = np.linalg.norm(np.random.default_rng(0).standard_normal((20_000, 10)), axis=1)
+    assert (lengths <= ball_radius(10)).mean() == pytest.approx(0.95, abs=0.005)
 
 
 def test_coordinates_of_pca_are_standard_deviations_from_the_mean(codes: np.ndarray) -> None:
