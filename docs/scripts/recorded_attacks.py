@@ -16,7 +16,7 @@ import multiprocessing
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import torch
@@ -73,6 +73,24 @@ class Found:
     depth_m: tuple[float, ...] = ()
     cosines: tuple[float, ...] = ()
 
+    def __add__(self, other: Found) -> Found:
+        """Both together, under this one's name."""
+        parts = {part.name: getattr(self, part.name) + getattr(other, part.name) for part in fields(self)[1:]}
+        return Found(self.name, **parts)
+
+    def hold(self, true: AttackProblem, code: Tensor, theta: Tensor, rendering: Rendering) -> None:
+        """Count what a rendering gets wrong. true: renders the truth. code: (d,) of its dtype. theta: (6,)."""
+        truth = render(true.beams, true.field_of(code), theta, true.vehicle, true.settings)
+        depth_m = (rendering.range_m - truth.range_m).abs()
+        lost = truth.hit_mask & ~(rendering.hit_mask & (depth_m <= WRONG_SURFACE_M))
+        index = torch.nonzero(lost).squeeze(1)
+        chord_m = chord_lengths(true.metric(code), object_rays(true.beams, index, theta), truth.range_m[index])
+        self.hits += int(truth.hit_mask.sum())
+        self.lost += len(index)
+        self.lost_thick += int((chord_m >= THICK_M).sum())
+        self.false += int((rendering.hit_mask & ~truth.hit_mask).sum())
+        self.depth_m += tuple(depth_m[truth.hit_mask & ~lost].tolist())
+
 
 def attacked(plan: Plan, index: int) -> Found | None:
     """The attack of one task, every rendering held against the reference. None where the vehicle finds no place."""
@@ -93,26 +111,13 @@ def attacked(plan: Plan, index: int) -> Found | None:
     def see(code: Tensor, theta: Tensor, rendering: Rendering) -> None:
         nonlocal steps
         with torch.no_grad():
-            _hold(found, true, code.to(REFERENCE.dtype), theta, rendering)
+            found.hold(true, code.to(REFERENCE.dtype), theta, rendering)
         if steps % GRADIENT_EVERY == 0:
             found.cosines += (_cosine(problem, true, code, theta, spec.mode),)
         steps += 1
 
     search_task(spec, Watched(**vars(problem), see=see), assets)
     return found
-
-
-def _hold(found: Found, true: AttackProblem, code: Tensor, theta: Tensor, rendering: Rendering) -> None:
-    truth = render(true.beams, true.field_of(code), theta, true.vehicle, REFERENCE)
-    depth_m = (rendering.range_m - truth.range_m).abs()
-    lost = truth.hit_mask & ~(rendering.hit_mask & (depth_m <= WRONG_SURFACE_M))
-    index = torch.nonzero(lost).squeeze(1)
-    chord_m = chord_lengths(true.metric(code), object_rays(true.beams, index, theta), truth.range_m[index])
-    found.hits += int(truth.hit_mask.sum())
-    found.lost += len(index)
-    found.lost_thick += int((chord_m >= THICK_M).sum())
-    found.false += int((rendering.hit_mask & ~truth.hit_mask).sum())
-    found.depth_m += tuple(depth_m[truth.hit_mask & ~lost].tolist())
 
 
 def _cosine(problem: AttackProblem, true: AttackProblem, code: Tensor, theta: Tensor, mode: str) -> float:
@@ -126,12 +131,7 @@ def _cosine(problem: AttackProblem, true: AttackProblem, code: Tensor, theta: Te
 def figures(every: Sequence[Found], of: str) -> dict[str, dict[str, object]]:
     """By attack, and together."""
     named: dict[str, dict[str, object]] = {}
-    together = Found(f"{of}together")
-    for one in every:
-        together.hits, together.lost = together.hits + one.hits, together.lost + one.lost
-        together.lost_thick, together.false = together.lost_thick + one.lost_thick, together.false + one.false
-        together.depth_m, together.cosines = together.depth_m + one.depth_m, together.cosines + one.cosines
-    for one in [*(replace(one, name=of + one.name) for one in every), together]:
+    for one in (*every, sum(every, Found("together"))):
         depth_mm = 1e3 * torch.tensor(one.depth_m or (math.nan,), dtype=torch.float64)
         for what, value, unit in (
             ("hits", one.hits, ""),
@@ -142,7 +142,7 @@ def figures(every: Sequence[Found], of: str) -> dict[str, dict[str, object]]:
             ("depth max", float(depth_mm.max()), "mm"),
             ("least cosine", min(one.cosines), ""),
         ):
-            named[f"{one.name}/{what}"] = {"value": value, "unit": unit}
+            named[f"{of}{one.name}/{what}"] = {"value": value, "unit": unit}
     return named
 
 
