@@ -159,7 +159,7 @@ def a_point_beside_a_steep_flank() -> None:
     must="no pose, not a NaN one",
     guard="snapping to the ground ends where no scene point is in reach",
 )
-def nothing_to_settle_on() -> None:
+def nothing_to_snap_to() -> None:
     size = torch.tensor([4.0, 1.8, 1.5], dtype=torch.float64)
     pose = torch.zeros(6, dtype=torch.float64)
     crate = ObjectField.of(CRATE, FRAME, torch.float64, 4096)

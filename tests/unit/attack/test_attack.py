@@ -191,7 +191,7 @@ def test_no_random_pose_is_a_result_not_an_error(problem: AttackProblem) -> None
 
 
 def test_a_changed_shape_keeps_standing_on_the_ground(problem: AttackProblem) -> None:
-    # The third number scales the height: without settling this shape would float or sink.
+    # The third number scales the height: without snapping to the ground this shape would float or sink.
     code = torch.tensor([0.0, 0.0, -0.4, 0.0, 0.0, 0.0], dtype=torch.float64)
     theta = on_ground(code, problem, 0.15)
     assert float(theta[2]) < float(problem.theta0[2]) - 0.02

@@ -62,7 +62,7 @@ def test_the_pose_is_taken_into_account() -> None:
 
 
 @pytest.mark.parametrize("start_m", [-0.06, -0.01, 0.0, 0.02, 0.2])
-def test_settling_ends_in_touch(start_m: float) -> None:
+def test_snapping_ends_in_touch(start_m: float) -> None:
     ground = torch.cartesian_prod(torch.linspace(-3, 3, 25), torch.linspace(-3, 3, 25)).double()
     points = torch.cat((ground, torch.full((len(ground), 1), -1.73).double()), 1)
     theta = torch.tensor([0.0, 0.0, -0.98 + start_m, 0.4, 0.0, 0.0], dtype=torch.float64)
@@ -74,7 +74,7 @@ def test_settling_ends_in_touch(start_m: float) -> None:
     assert after.valid
 
 
-def test_settling_gives_up_without_ground_and_beyond_reach() -> None:
+def test_snapping_gives_up_without_ground_and_beyond_reach() -> None:
     theta = torch.zeros(6, dtype=torch.float64)
     assert snap_to_ground(FIELD, torch.zeros(0, 3).double(), theta, SIZE) is None
     deep = torch.tensor([[0.0, 0.0, -0.3]], dtype=torch.float64)
