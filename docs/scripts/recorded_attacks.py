@@ -44,12 +44,12 @@ SWEEP = ("vehicle=coupe,sports_car,suv,convertible,beach_wagon", "mode=shape,pos
          "scenes.split=val", "scenes.count=1", "naturalness=none", "effects=none")  # fmt: skip
 GRADIENT_EVERY = 10
 
-See = Callable[[Tensor, Tensor, Rendering], None]
+See = Callable[[Tensor, Tensor, WarmStart | None, Rendering], None]
 
 
 @dataclass(frozen=True)
 class Watched(AttackProblem):
-    """A problem that shows every rendering, with the code (d,) and the pose (6,) that it is of."""
+    """A problem that shows every rendering, with the code (d,), the pose (6,) and the start that it is of."""
 
     see: See | None = None
 
@@ -57,7 +57,7 @@ class Watched(AttackProblem):
         """See `AttackProblem.insert`."""
         rendering = super().insert(code, theta, warm)
         if self.see is not None:
-            self.see(code.detach(), theta.detach(), rendering)
+            self.see(code.detach(), theta.detach(), warm, rendering)
         return rendering
 
 
@@ -108,22 +108,24 @@ def attacked(plan: Plan, index: int) -> Found | None:
     found = Found(f"{' '.join(words)} at {math.hypot(*placement.theta[:2].tolist()):.1f} m, {spec.mode}")
     steps = 0
 
-    def see(code: Tensor, theta: Tensor, rendering: Rendering) -> None:
+    def see(code: Tensor, theta: Tensor, warm: WarmStart | None, rendering: Rendering) -> None:
         nonlocal steps
         with torch.no_grad():
             found.hold(true, code.to(REFERENCE.dtype), theta, rendering)
         if steps % GRADIENT_EVERY == 0:
-            found.cosines += (_cosine(problem, true, code, theta, spec.mode),)
+            found.cosines += (_cosine(problem, true, code, theta, warm, spec.mode),)
         steps += 1
 
     search_task(spec, Watched(**vars(problem), see=see), assets)
     return found
 
 
-def _cosine(problem: AttackProblem, true: AttackProblem, code: Tensor, theta: Tensor, mode: str) -> float:
+def _cosine(
+    problem: AttackProblem, true: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart | None, mode: str
+) -> float:
     """Of the loss's gradient with respect to what the attack moves."""
     of_code, of_pose = mode != "pose", mode != "shape"
-    one = attack_step(problem, code, theta, ATTACK_RADIUS_M, of_code=of_code, of_pose=of_pose)
+    one = attack_step(problem, code, theta, ATTACK_RADIUS_M, warm, of_code=of_code, of_pose=of_pose)
     two = attack_step(true, code.to(REFERENCE.dtype), theta, ATTACK_RADIUS_M, of_code=of_code, of_pose=of_pose)
     return min(cosine(a, b) for a, b, on in ((one.dz, two.dz, of_code), (one.dtheta, two.dtheta, of_pose)) if on)
 
