@@ -37,14 +37,16 @@ def thinned(points: Floats, sensor_height_m: float, augmentation: Augmentation, 
 def vehicles_varied(
     points: Floats, boxes: Floats, augmentation: Augmentation, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Scale each vehicle with its points about the middle of its bottom face, and take returns from some."""
+    """Scale and stretch each vehicle with its points about the middle of its bottom face; take returns from some."""
     points, boxes = points.copy(), boxes.copy()
     stays = np.ones(len(points), dtype=bool)
     for row, inside in enumerate(points_in_boxes(points, boxes, MARGIN_M)):
         on_it, box = np.flatnonzero(inside), boxes[row].copy()
-        factor = np.float32(rng.uniform(*augmentation.object_scale))
+        factor = rng.uniform(*augmentation.object_scale) * rng.uniform(*augmentation.object_stretch, 3)
         bottom = np.array((box[0], box[1], box[2] - box[5] / 2), dtype=np.float32)
-        points[on_it] = bottom + factor * (points[on_it] - bottom)
+        cos, sin = np.cos(box[6]), np.sin(box[6])
+        axes = np.array(((cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0)))  # rows: length, width, height
+        points[on_it] = bottom + (points[on_it] - bottom) @ (axes.T * factor @ axes).astype(np.float32)
         boxes[row, 3:6] *= factor
         boxes[row, 2] = bottom[2] + boxes[row, 5] / 2
         if rng.random() < augmentation.swallowed:

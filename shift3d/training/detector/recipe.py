@@ -24,8 +24,9 @@ class Augmentation:
 
     turn_rad, scale, flip: rotation about the sensor, global scaling, and the share of mirrored crops. object_scale:
     each vehicle's own scaling about the middle of its bottom face; Source: random object scaling of ST3D (Yang et al.
-    2021), against a size prior. shift_m: in x and y, either way. ground_shift_m, ground_slope: height of the nominal
-    ground, and the slope of half of the crops, so that boxes stand on the ground that is seen.
+    2021), against a size prior. object_stretch: its own factors of length, width and height beside that, so that no
+    proportion is that of one family (our choice). shift_m: in x and y, either way. ground_shift_m, ground_slope: height
+    of the nominal ground, and the slope of half of the crops, so that boxes stand on the ground that is seen.
 
     kept_points: share of points kept, in half of the crops. dropped_lines: share of crops that lose whole scan lines,
     kept_line_in: one of how many lines stays (or is the one to go). range_noise_m: standard deviation along the beam.
@@ -40,6 +41,7 @@ class Augmentation:
     flip: float = 0.5
     scale: Range = (0.95, 1.05)
     object_scale: Range = (0.92, 1.08)
+    object_stretch: Range = (1.0, 1.0)
     shift_m: float = 0.3
     ground_shift_m: Range = (-0.2, 0.4)
     ground_slope: float = 0.015
@@ -54,9 +56,10 @@ class Augmentation:
 
     def validate(self, where: str) -> None:
         """Refuse empty ranges and shares that are none. Raises: InputError naming the field."""
-        for name in ("turn_rad", "scale", "object_scale", "ground_shift_m", "kept_points", "range_noise_m"):
+        sizes = ("scale", "object_scale", "object_stretch")
+        for name in ("turn_rad", *sizes, "ground_shift_m", "kept_points", "range_noise_m"):
             _check_range(name, getattr(self, name), where)
-        for name in ("scale", "object_scale", "kept_points"):
+        for name in (*sizes, "kept_points"):
             _check(getattr(self, name)[0] > 0.0, name, getattr(self, name), where, "Give a range above 0")
         _check_range("kept_line_in", self.kept_line_in, where)
         _check(self.kept_line_in[0] >= 2, "kept_line_in", self.kept_line_in, where, "Give whole numbers from 2")

@@ -60,6 +60,23 @@ def test_a_scaled_vehicle_keeps_its_bottom_and_its_points() -> None:
     assert points_in_boxes(points, BOXES).sum() < 500
 
 
+def test_a_stretched_vehicle_keeps_its_heading_and_its_points_their_places_in_the_box() -> None:
+    """Each axis of a box has a factor of its own, and points keep their shares of length, width and height."""
+    stretched = replace(NONE, object_stretch=(0.7, 1.3))
+    points, boxes = vehicles_varied(POINTS, BOXES, stretched, np.random.default_rng(0))
+    factors = boxes[:, 3:6] / BOXES[:, 3:6]
+    assert (np.abs(factors[:, None] - factors[:, :, None])[:, [0, 0, 1], [1, 2, 2]] > 0.01).all()
+    assert np.allclose(boxes[:, 2] - boxes[:, 5] / 2, BOXES[:, 2] - BOXES[:, 5] / 2, atol=1e-6)
+    assert np.allclose(boxes[:, [0, 1, 6]], BOXES[:, [0, 1, 6]])
+
+    def shares(cloud: np.ndarray, box: np.ndarray) -> np.ndarray:
+        cos, sin = np.cos(box[6]), np.sin(box[6])
+        return (cloud - box[:3]) @ np.array(((cos, -sin, 0), (sin, cos, 0), (0, 0, 1))) / box[3:6]
+
+    for row, part in enumerate((slice(0, 300), slice(300, 600))):
+        assert np.allclose(shares(points[part], boxes[row]), shares(POINTS[part], BOXES[row]), atol=1e-4)
+
+
 def test_dropped_scan_lines_are_whole() -> None:
     """Points on lines of known elevation: a line goes or stays, all of it."""
     elevation = np.deg2rad(np.repeat(np.arange(-20, 2, 0.2), 50))

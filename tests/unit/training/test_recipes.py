@@ -52,6 +52,7 @@ def test_words_change_fields_of_the_recipe_and_of_its_augmentation() -> None:
         ("scale", "1.1,0.9", "The range is empty"),
         ("scale", "1.1", "The range is empty"),
         ("object_scale", "0,1", "above 0"),
+        ("object_stretch", "1.2,0.8", "The range is empty"),
         ("range_bins_m", "30", "rising edges"),
         ("range_bins_m", "0,50,30", "rising edges"),
         ("kept_points", "nan,1", "The range is empty"),
