@@ -21,6 +21,7 @@ from shift3d.analysis.statistics.paired import paired
 from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import reasons
 from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds
+from shift3d.analysis.tables.failure_rules import failure_rules, rule_text, rules_objects
 from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
 from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import Variant, variants
@@ -47,7 +48,7 @@ def sweep_figures(sweep: Sweep) -> dict[str, dict[str, Any]]:
     found |= dict(_numbers("retrieved", retrieval_table(sweep.retrieved), named_by=2))
     if not sweep.vehicle_pool.empty:
         found |= dict(_numbers("pool", pool_table(sweep.vehicle_pool)))
-    return found | dict(_effects(sweep)) | dict(_verified(sweep))
+    return found | dict(_effects(sweep)) | dict(_verified(sweep)) | dict(_rules(sweep))
 
 
 def _one(
@@ -141,6 +142,20 @@ def _effects(sweep: Sweep) -> Figures:
         for name, change in changes.items():
             if change:
                 yield f"effects/{impact.effect}/{name}", _within(change.mean, change, "score", impact.objects)
+
+
+def _rules(sweep: Sweep) -> Figures:
+    """Of a sweep made for them: by how much the score is lower where a rule holds, by group of objects."""
+    if sweep.plan.sweep != "failure_rules":
+        return
+    objects = rules_objects(sweep)
+    for detector, rows in objects.groupby("scored_by"):
+        yield f"objects scored by {detector}", _within(float(rows["score"].mean()), None, "score", len(rows))
+    for tried in failure_rules(objects):
+        label = f"rule/{rule_text(tried.rule)}"
+        yield f"{label}/holds", _one(int(tried.confirmed))
+        for group, interval in {"where it was found": tried.found, **tried.tried}.items():
+            yield f"{label}/{group}", _within(interval.mean, interval, "score", tried.objects)
 
 
 def _verified(sweep: Sweep) -> Figures:

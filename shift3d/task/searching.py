@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from torch import Tensor
@@ -23,7 +23,7 @@ from shift3d.seeding import generator
 from shift3d.task.assets import Assets, require_planned
 from shift3d.task.problem import as_vehicle
 from shift3d.task.spec import TaskSpec
-from shift3d.task.transfer import problems_elsewhere
+from shift3d.task.transfer import Elsewhere, problems_elsewhere
 from shift3d.vehicles.sources import space_hash
 from shift3d.vehicles.vehicle import Vehicle
 
@@ -35,7 +35,7 @@ def search_task(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Attac
     """
     attack = spec.attack
     problem = problem if spec.mode == "shape" else problem.with_space()
-    search, family = _search(spec, problem, assets), _family(spec, problem, assets)
+    search, family = _searches(spec, problem, assets)
     rng = generator("search", spec.task_id)
     if attack.search == "expectation":
         placements, starts = attack.placements, attack.starts
@@ -51,7 +51,7 @@ def best_of_draws(spec: TaskSpec, problem: AttackProblem, assets: Assets, distan
     """The best of as many draws as the task's search has evaluations. distance: see `attack.trials.Search.draw`."""
     problem = problem if spec.mode == "shape" else problem.with_space()
     rng = generator("random search", spec.task_id)
-    search, family = _search(spec, problem, assets), _family(spec, problem, assets)
+    search, family = _searches(spec, problem, assets)
     return draw_best(problem, search, spec.attack.steps, rng, distance, family=family)
 
 
@@ -70,26 +70,31 @@ def pose_limits(spec: TaskSpec) -> PoseLimits:
     return PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
 
 
-def _search(spec: TaskSpec, problem: AttackProblem, assets: Assets, vehicle: Vehicle | None = None) -> Search:
-    """The search over the task's own kind, or that of another vehicle, whose problem is then given."""
+def _searches(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> tuple[Search, Family | None]:
+    """The search over the task's own kind, and the kinds that it may turn to, None where it stays."""
     if spec.mode == "pose":
-        return pose_search(problem, pose_limits(spec))
+        return pose_search(problem, pose_limits(spec)), None
+    _require_space(spec, assets)
+    elsewhere = problems_elsewhere(spec, problem, assets) if spec.mode == "shape" else []
+    own = _search(spec, problem, elsewhere, assets, assets.vehicle(spec))
+    return own, _family(spec, problem, elsewhere, assets) if spec.attack.space == "family" else None
+
+
+def _search(
+    spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[Elsewhere], assets: Assets, vehicle: Vehicle
+) -> Search:
+    """The search over the kind of a vehicle. problem: of that vehicle. elsewhere: of it in other scenes."""
     assert spec.lambda_ is not None
-    if vehicle is None:
-        _require_space(spec, assets)
-        vehicle = assets.vehicle(spec)
     space = _space(spec, problem, assets, vehicle)
     if spec.mode == "shape":
-        search = shape_search(problem, spec.lambda_, space, elsewhere=problems_elsewhere(spec, problem, assets))
+        search = shape_search(problem, spec.lambda_, space, elsewhere=[there for _, there in elsewhere])
     else:
         search = joint_search(problem, spec.lambda_, space, pose_limits(spec))
     return replace(search, natural=_budget(spec, assets, vehicle))
 
 
-def _family(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Family | None:
-    """Every kind of the task's set that lies within the budget itself, at the task's place; made when it is drawn."""
-    if spec.mode == "pose" or spec.attack.space != "family":
-        return None
+def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[Elsewhere], assets: Assets) -> Family:
+    """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn."""
     measured = {name: assets.naturalness_of(spec, name) for name in assets.vehicles.names()}
     budget = spec.attack.naturalness
     names = [name for name, own in measured.items() if not budget or (own is not None and own.within(budget))]
@@ -97,8 +102,12 @@ def _family(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> Family | 
     @functools.cache
     def kind(number: int) -> tuple[AttackProblem, Search]:
         vehicle = assets.vehicles.vehicle(names[number])
-        there = replace(as_vehicle(spec, assets, problem, vehicle), detector=problem.detector)
-        return there, _search(spec, there, assets, vehicle)
+
+        def standing(moved: TaskSpec, own: AttackProblem) -> AttackProblem:
+            return replace(as_vehicle(moved, assets, own, vehicle), detector=problem.detector)
+
+        here, others = standing(spec, problem), [(moved, standing(moved, own)) for moved, own in elsewhere]
+        return here, _search(spec, here, others, assets, vehicle)
 
     return Family(len(names), kind)
 

@@ -19,19 +19,23 @@ from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec, TransferScene
 from shift3d.vehicles.vehicle import Vehicle
 
+Elsewhere = tuple[TaskSpec, AttackProblem]
+"""A task moved to another scene, and its problem there."""
 
-def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[AttackProblem]:
+
+def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[Elsewhere]:
     """The task's vehicle at one place of each of the scenes that a universal shape is searched in beside its own.
 
     problem: the task's own, whose detector they share. A scene without room is left out.
     Raises: InputError: a scene that cannot be loaded, or is not what the task was planned with.
     """
-    found = []
+    found: list[Elsewhere] = []
     for other in spec.transfer_scenes[: spec.attack.search_scenes]:
         moved = spec.moved_to(other)
         placement = place_vehicle(moved, assets)
         if not isinstance(placement, NoPlacement):
-            found.append(replace(build_problem(moved, assets, placement.theta), detector=problem.detector))
+            there = build_problem(moved, assets, placement.theta)
+            found.append((moved, replace(there, detector=problem.detector)))
     return found
 
 
