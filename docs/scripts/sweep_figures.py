@@ -23,6 +23,7 @@ from shift3d.analysis.tables.choices import reasons
 from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds
 from shift3d.analysis.tables.failure_rules import failure_rules, rule_text, rules_objects
 from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
+from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import Table
 from shift3d.analysis.variants import Variant, variants
 from shift3d.errors import InputError
@@ -45,6 +46,7 @@ def sweep_figures(sweep: Sweep) -> dict[str, dict[str, Any]]:
     if not sweep.choices.empty:
         found |= {f"choice/{number}": _one(why) for number, why in enumerate(reasons(sweep.choices))}
     found |= dict(_numbers("budget", budget_table(parts)))
+    found |= dict(_numbers("elsewhere", transfer_table(sweep.transfers), named_by=2))
     found |= dict(_numbers("retrieved", retrieval_table(sweep.retrieved), named_by=2))
     if not sweep.vehicle_pool.empty:
         found |= dict(_numbers("pool", pool_table(sweep.vehicle_pool)))
