@@ -103,10 +103,10 @@ def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[Elsewher
     def kind(number: int) -> tuple[AttackProblem, Search]:
         vehicle = assets.vehicles.vehicle(names[number])
 
-        def standing(moved: TaskSpec, own: AttackProblem) -> AttackProblem:
+        def placed(moved: TaskSpec, own: AttackProblem) -> AttackProblem:
             return replace(as_vehicle(moved, assets, own, vehicle), detector=problem.detector)
 
-        here, others = standing(spec, problem), [(moved, standing(moved, own)) for moved, own in elsewhere]
+        here, others = placed(spec, problem), [(moved, placed(moved, own)) for moved, own in elsewhere]
         return here, _search(spec, here, others, assets, vehicle)
 
     return Family(len(names), kind)
