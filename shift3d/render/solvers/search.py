@@ -38,7 +38,7 @@ _GRID_REACH_M = 0.15
 _FALL = -0.5
 """dg/dk at a hit of which nothing else is known."""
 _SURVEYED = 8
-"""Of so many predicted hits one is evaluated with every hidden unit."""
+"""Of so many predicted hits of a warm rendering one is evaluated with every hidden unit."""
 
 
 @dataclass(frozen=True)
@@ -187,17 +187,24 @@ def _searched(state: WarmStart, field: ObjectField, settings: RenderSettings) ->
 
 
 def _surveyed(state: WarmStart, field: ObjectField, settings: RenderSettings) -> WarmStart:
-    """The hits of a first search, corrected where a survey at some of them finds units on that were left out."""
-    hit = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
-    if state.live is None or state.age > 0 or len(hit) == 0:
-        return state
-    rays, range_m = state.rays.select(hit), state.range_m[hit]
-    live = either(state.live, field.survey(rays.at(range_m)[::_SURVEYED])[1])
-    if live is None or all(torch.equal(new, old) for new, old in zip(live, state.live, strict=True)):
-        return state
-    found = correct(rays, range_m, torch.full_like(range_m, _FALL), field.sliced(live), settings, _GRID_REACH_M)
-    good = torch.isfinite(found.range_m)
-    return replace(state.with_hits(hit[good], found.range_m[good], found.residual_m[good]), live=live)
+    """The hits of a first search, corrected until no unit that was left out is on at one of them.
+
+    A hit whose root the corrector does not reach is searched again on its ray, with those units.
+    """
+    while state.live is not None and state.age == 0:
+        hit = torch.nonzero(torch.isfinite(state.range_m)).squeeze(1)
+        rays, range_m = state.rays.select(hit), state.range_m[hit]
+        live = either(state.live, field.survey(rays.at(range_m))[1]) if len(hit) else state.live
+        if live is None or all(torch.equal(new, old) for new, old in zip(live, state.live, strict=True)):
+            break
+        sliced = field.sliced(live)
+        found = correct(rays, range_m, torch.full_like(range_m, _FALL), sliced, settings, _GRID_REACH_M)
+        state = replace(state.with_hits(hit, found.range_m, found.residual_m), live=live)
+        lost = hit[torch.isnan(found.range_m)]
+        if len(lost):
+            kept = torch.ones(len(state.rays), dtype=torch.bool).index_fill(0, lost, False)
+            state = _searched(replace(state, samples=state.samples.of_rays(kept)), sliced, settings)
+    return state
 
 
 def _traced(state: WarmStart, chosen: Tensor, field: ObjectField, settings: RenderSettings) -> WarmStart:

@@ -1,5 +1,6 @@
 """Warm starts and SDF grids: cheaper, and the same picture."""
 
+import pytest
 import torch
 from analytic_fields import SHAPENET_FRAME, Frame, box, car, ground_scan, in_frame, rounded, sector_scan, sphere, union
 
@@ -135,21 +136,29 @@ def test_vehicles_that_change_by_centimetres_a_step_are_seen_as_a_fresh_search_s
     assert hits > 5000 and lost <= 0.0005 * hits
 
 
-def test_a_hidden_unit_that_is_on_at_some_hits_alone_is_kept() -> None:
-    """A wall with a bump of 6 cm in the way of some beams, between the places that a search surveys beforehand."""
-    centre, eye = torch.tensor([0.0, 0.035, 0.03], dtype=torch.float64), torch.eye(3, dtype=torch.float64)
+@pytest.mark.parametrize(
+    ("aside_m", "rise", "narrow", "hits"),
+    [(0.0, 0.024, 1.0, (20, 100)), (0.05, 0.024, 4.0, (1, 7)), (0.0, 0.16, 4.0, (20, 300))],
+    ids=["met by many beams", "met by no eighth beam", "beyond the corrector's reach"],
+)
+def test_a_hidden_unit_that_is_on_at_some_hits_alone_is_kept(
+    aside_m: float, rise: float, narrow: float, hits: tuple[int, int]
+) -> None:
+    """A wall with a bump in the way of some beams, between the places that a search surveys beforehand."""
+    centre, eye = torch.tensor([0.0, 0.035 + aside_m / 2.5, 0.03], dtype=torch.float64), torch.eye(3).double()
     first, first_bias = torch.cat((eye, -eye)), torch.cat((-centre, centre))
     hidden, out = torch.zeros(64, 6, dtype=torch.float64), torch.zeros(1, 64, dtype=torch.float64)
-    hidden[0, 0], hidden[0, 3], hidden[63] = -1.0, 1.0, -1.0
+    hidden[0, 0], hidden[0, 3] = -1.0, 1.0
+    hidden[63] = -torch.tensor([1.0, narrow, narrow] * 2, dtype=torch.float64)
     hidden[1, 0], hidden[1, 3] = 1.0, -1.0  # the wall at x = 0, outside in front of it; the last unit is the bump
     out[0, 0], out[0, 1], out[0, 63] = 1.0, -1.0, -1.0
     bias = torch.zeros(64, dtype=torch.float64)
-    bias[63] = 0.024
+    bias[63] = rise
     biases = [first_bias, bias, torch.zeros(1, dtype=torch.float64)]
     field, frame = Field([first, hidden, out], biases, skip_layer=-1), Frame(scale_m=2.5)
     beams = Beams.from_arrays(*sector_scan((10.0, 0.0875, 0.075), half_angle_rad=0.02, rays=32, far_m=30.0))
     theta = torch.tensor([10.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
     found, whole = (render(beams, field, theta, frame, STANDARD.with_(live_units=live)) for live in (True, False))
-    assert whole.object_points == len(beams) and 20 < int((whole.range_m < 9.99).sum()) < 100
+    assert whole.object_points == len(beams) and hits[0] <= int((whole.range_m < 9.99).sum()) <= hits[1]
     assert torch.equal(found.hit_mask, whole.hit_mask)
     assert float((found.range_m - whole.range_m).abs().max()) < 1e-5
