@@ -23,7 +23,7 @@ from shift3d.seeding import generator
 from shift3d.task.assets import Assets, require_planned
 from shift3d.task.problem import as_vehicle
 from shift3d.task.spec import TaskSpec
-from shift3d.task.transfer import Elsewhere, problems_elsewhere
+from shift3d.task.transfer import MovedTask, problems_elsewhere
 from shift3d.vehicles.sources import space_hash
 from shift3d.vehicles.vehicle import Vehicle
 
@@ -81,7 +81,7 @@ def _searches(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> tuple[S
 
 
 def _search(
-    spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[Elsewhere], assets: Assets, vehicle: Vehicle
+    spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets, vehicle: Vehicle
 ) -> Search:
     """The search over the kind of a vehicle. problem: of that vehicle. elsewhere: of it in other scenes."""
     assert spec.lambda_ is not None
@@ -93,7 +93,7 @@ def _search(
     return replace(search, natural=_budget(spec, assets, vehicle))
 
 
-def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[Elsewhere], assets: Assets) -> Family:
+def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets) -> Family:
     """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn."""
     measured = {name: assets.naturalness_of(spec, name) for name in assets.vehicles.names()}
     budget = spec.attack.naturalness

@@ -19,17 +19,17 @@ from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec, TransferScene
 from shift3d.vehicles.vehicle import Vehicle
 
-Elsewhere = tuple[TaskSpec, AttackProblem]
+MovedTask = tuple[TaskSpec, AttackProblem]
 """A task moved to another scene, and its problem there."""
 
 
-def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[Elsewhere]:
+def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -> list[MovedTask]:
     """The task's vehicle at one place of each of the scenes that a universal shape is searched in beside its own.
 
     problem: the task's own, whose detector they share. A scene without room is left out.
     Raises: InputError: a scene that cannot be loaded, or is not what the task was planned with.
     """
-    found: list[Elsewhere] = []
+    found: list[MovedTask] = []
     for other in spec.transfer_scenes[: spec.attack.search_scenes]:
         moved = spec.moved_to(other)
         placement = place_vehicle(moved, assets)
