@@ -69,18 +69,26 @@ class Backlog:
         for position in positions:
             self._tries[position] = max(attempt, self._tries.get(position, 0))
 
-    def charge(self, position: int) -> bool:
-        """A worker died with this task alone in it. True where the task is to be quarantined."""
-        self._charges[position] = self._charges.get(position, 0) + 1
-        return self._charges[position] >= _CHARGES
+    def failed(self, positions: Sequence[int], culprit: int | None, charged: bool, apart: bool, copied: bool) -> bool:
+        """A call ended without a result: its tasks are to be run again. True where the culprit is to be quarantined.
 
-    def lose(self, position: int) -> bool:
-        """The machine under this task went away, which is not charged. True where it did so too often to be chance."""
-        self._losses[position] = self._losses.get(position, 0) + 1
-        return self._losses[position] >= _LOSSES
+        culprit: the task that did it, where that is known: it is run again alone, and quarantined the second time.
+        charged: its worker died or it hung; otherwise its machine went away, which counts as often enough only.
+        apart: each of the others is run again without the rest. copied: a copy of the call still runs. Nothing comes
+        back and nothing is given up while it does: it may succeed, and a task is quarantined once.
+        """
+        given_up = culprit is not None and self._counted(culprit, charged) and not copied
+        if not copied:
+            self._put_back([position for position in positions if position != culprit], apart)
+            self._put_back([culprit] if culprit is not None and not given_up else [], alone=True)
+        return given_up
 
-    def put_back(self, positions: Sequence[int], alone: bool) -> None:
-        """Tasks to be run again. alone: each without others, since one of them may have ended its worker."""
+    def _counted(self, position: int, charged: bool) -> bool:
+        counts, most = (self._charges, _CHARGES) if charged else (self._losses, _LOSSES)
+        counts[position] = counts.get(position, 0) + 1
+        return counts[position] >= most
+
+    def _put_back(self, positions: Sequence[int], alone: bool) -> None:
         (self._alone if alone else self._again).extend(positions)
 
 

@@ -140,25 +140,21 @@ class RayRunner:
         """A call ended without a result. culprit: the task that did it, where that is known."""
         if culprit is None and len(call.positions) == 1:
             culprit = call.positions[0]
-        others = [position for position in call.positions if position != culprit]
         self._backlog.tried(call.positions, call.attempt)
-        alone = [] if culprit is None else [culprit]
-        quarantined = [position for position in alone if self._give_up(position, failure)]
-        if not self._calls.copy_of(call):
-            # Where it is known who did it, the others may stay together.
-            self._backlog.put_back(others, alone=culprit is None and failure.kind != "node_lost")
-            self._backlog.put_back([position for position in alone if position not in quarantined], alone=True)
+        # Where it is known who did it, or that no task did, the others may stay together.
+        apart = culprit is None and failure.kind != "node_lost"
+        copied = self._calls.copy_of(call) is not None
+        given_up = self._backlog.failed(call.positions, culprit, failure.charged, apart, copied)
+        quarantined = culprit if given_up else None
         rows = [
-            self._row(position, call, failure, position in alone, position in quarantined)
+            self._row(position, call, failure, position == culprit, position == quarantined)
             for position in call.positions
         ]
         outcome = BatchOutcome(tables={"attempts": table_from_rows("attempts", rows)})
-        outcome.quarantined = [self._id(position) for position in quarantined]
-        outcome.errors = [f"{failure.kind}: {failure.what}" for _ in quarantined]
+        if quarantined is not None:
+            outcome.quarantined = [self._id(quarantined)]
+            outcome.errors = [f"{failure.kind}: {failure.what}"]
         return outcome
-
-    def _give_up(self, position: int, failure: Failure) -> bool:
-        return self._backlog.charge(position) if failure.charged else self._backlog.lose(position)
 
     def _id(self, position: int) -> str:
         return str(self._plan.tasks.ids[position])
