@@ -16,7 +16,7 @@ from typing import Any
 from shift3d.analysis.html.sections.bev import pooled_cells
 from shift3d.analysis.html.sections.paths import mean_path, searched
 from shift3d.analysis.results import Sweep, read_sweep
-from shift3d.analysis.statistics.intervals import Interval, ratio_interval, vehicle_mean_interval
+from shift3d.analysis.statistics.intervals import Interval, mean_interval, ratio_interval, vehicle_mean_interval
 from shift3d.analysis.statistics.paired import paired
 from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import reasons
@@ -32,6 +32,7 @@ from shift3d.store.atomic import write_atomic
 __all__ = ["sweep_figures"]
 
 _STEPS = (0, 1, 2, 5, 10, 20, 40)
+_OBJECT = ["vehicle", "scored_by", "place"]
 _OFTEN = 5  # scores that a cell needs to be sure of
 Figures = Iterator[tuple[str, dict[str, Any]]]
 
@@ -50,7 +51,7 @@ def sweep_figures(sweep: Sweep) -> dict[str, dict[str, Any]]:
     found |= dict(_numbers("retrieved", retrieval_table(sweep.retrieved), named_by=2))
     if not sweep.vehicle_pool.empty:
         found |= dict(_numbers("pool", pool_table(sweep.vehicle_pool)))
-    return found | dict(_effects(sweep)) | dict(_verified(sweep)) | dict(_rules(sweep))
+    return found | dict(_effects(sweep)) | dict(_verified(sweep)) | dict(_rules(sweep)) | dict(_edits(sweep))
 
 
 def _one(
@@ -158,6 +159,24 @@ def _rules(sweep: Sweep) -> Figures:
         yield f"{label}/holds", _one(int(tried.confirmed))
         for group, interval in {"where it was found": tried.found, **tried.tried}.items():
             yield f"{label}/{group}", _within(interval.mean, interval, "score", tried.objects)
+
+
+def _edits(sweep: Sweep) -> Figures:
+    """Of a sweep over two values of `attack.edit`: height and mean score at both, and how the score changes."""
+    rows = sweep.scored[sweep.scored["method"] == "edited"]
+    edits = list(dict.fromkeys(rows["search"]))
+    if len(edits) != 2:
+        return
+    heights = sweep.shapes[sweep.shapes["method"] == "edited"].set_index("task_id")["height_m"]
+    rows = rows.assign(height_m=rows["task_id"].map(heights))
+    wide = rows.pivot_table(index=_OBJECT, columns="search", values=["score", "height_m"])
+    for (vehicle, detector), pairs in wide.dropna().groupby(_OBJECT[:2], sort=False):
+        label, places = f"edits/{vehicle} {detector}", list(pairs.index.get_level_values("place"))
+        for number, edit in enumerate(edits):
+            for what, unit in (("score", "score"), ("height_m", "m")):
+                yield f"{label}/{what} {number}", _one(float(pairs[what, edit].mean()), unit, n=len(pairs))
+        change = mean_interval(pairs["score", edits[1]] - pairs["score", edits[0]], places)
+        yield f"{label}/change", _within(change.mean, change, "score", len(pairs))
 
 
 def _verified(sweep: Sweep) -> Figures:

@@ -63,12 +63,15 @@ def correct(
                 along = torch.where(step.abs() > 1e-9, (g - g_before) / step, along)
         g_start = g_start if number else g
         step = -g / along.clamp_max(_FLATTEST if slope is not None else NEWTON_SLOPE)
-        # Where a beam grazes, the next step says little: there it has to be shorter.
-        allowed = settings.final_newton_m * (along.abs() / settings.approach_slope).clamp_max(1.0)
-        short = (along <= NEWTON_SLOPE) & (step.abs() <= allowed)
+        # Where a beam grazes, the next step says little: there it has to be shorter, and g is to be nearer to 0, or the
+        # root lies beyond a crease. Rounding may forbid that.
+        flat = (along.abs() / settings.approach_slope).clamp_max(1.0)
+        short = (along <= NEWTON_SLOPE) & (step.abs() <= settings.final_newton_m * flat**2)
+        strict = (along <= NEWTON_SLOPE) & (number < _STEPS - 1)
+        at_root = (g.abs() <= settings.tolerance_m * torch.where(strict, flat, 1.0)) & (along < 0)
         next_k = k + step
         # What is a rounding away from 0 is a root however flat the beam; one that its ray does not reach is none.
-        found = (short | (g.abs() <= settings.tolerance_m) & (along < 0)) & (next_k >= here.near_m)
+        found = (short | at_root) & (next_k >= here.near_m)
         found &= next_k <= here.far_m
         residual_m[rows] = g.abs()
         range_m[rows[found]] = torch.where(short, next_k, k)[found] if slope is not None else k[found]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import valid_sweeps
-from scripts.sweep_figures import _numbers, sweep_figures
+from scripts.sweep_figures import _edits, _numbers, _rules, sweep_figures
 
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.table import Table
@@ -83,6 +83,37 @@ def test_what_was_verified_is_counted_over_the_attacked_detectors_solutions(swee
     assert (values["stable"], values["within 0.02"], values["robust"], values["same again"]) == (1, 1, 2, 2)
     assert (values["hits"], values["missed_hits"], values["unresolved"]) == (600, 2, 4)
     assert values["largest change"] == pytest.approx(0.1) and found["verified/stable"]["n"] == 2
+
+
+def test_an_edit_is_judged_against_the_other_end_of_its_range_at_the_same_place(sweep: Sweep) -> None:
+    row = sweep.scores[sweep.scores["score"].notna()].iloc[0].to_dict() | {"method": "edited", "vehicle": "van"}
+    ends = [("low", 0.8, "a"), ("high", 0.5, "a"), ("low", 0.6, "b"), ("high", 0.6, "b"), ("low", 0.9, "alone")]
+    scores = pd.DataFrame([row | {"search": f"edit {end}", "score": score, "scene": at} for end, score, at in ends])
+    height = pd.DataFrame([{"task_id": row["task_id"], "method": "edited", "height_m": 1.9}])
+    found = dict(_edits(dataclasses.replace(sweep, scores=scores, shapes=height)))
+    label = f"edits/van {row['scored_by']}"
+    change = found[f"{label}/change"]
+    assert change["value"] == pytest.approx(-0.15) and change["n"] == 2, "a place with one end does not count"
+    assert change["interval"] == pytest.approx((-0.3, 0.0))
+    assert [found[f"{label}/score {end}"]["value"] for end in (0, 1)] == pytest.approx([0.7, 0.55])
+    assert found[f"{label}/height_m 1"]["value"] == 1.9
+
+
+def test_a_rule_is_written_with_what_it_takes_in_each_group(sweep: Sweep) -> None:
+    """Vehicles over 2 m score 0.4 less, in every scene and of every vehicle."""
+    row = sweep.scores[sweep.scores["score"].notna()].iloc[0].to_dict() | {"method": "baseline", "mode": "shape"}
+    row |= {"detector": row["scored_by"]}
+    tall = [(f"v{v}", f"s{s}", r, r % 2) for v in range(4) for s in range(8) for r in range(4)]
+    objects = [row | {"vehicle": v, "scene": s, "replicate": r, "task_id": f"{v}{s}"} for v, s, r, _ in tall]
+    scores = pd.DataFrame(objects).assign(score=[0.8 - 0.4 * t for *_, t in tall])
+    sizes = {"length_m": 4.0, "width_m": 1.8, "clearance_m": 0.2, "method": "baseline"}
+    heights = [{"task_id": f"{v}{s}", "replicate": r, "height_m": 1.5 + t} for v, s, r, t in tall]
+    shapes = pd.DataFrame(heights).assign(**sizes)
+    plan = dataclasses.replace(sweep.plan, sweep="failure_rules")
+    found = dict(_rules(dataclasses.replace(sweep, plan=plan, scores=scores, shapes=shapes)))
+    values = {name: one["value"] for name, one in found.items() if name.startswith("rule/")}
+    assert values["rule/height over 200 cm/other vehicles"] == pytest.approx(-0.4)
+    assert values["rule/height over 200 cm/other scenes"] == pytest.approx(-0.4)
 
 
 def test_numbers_of_a_printed_table_keep_their_intervals() -> None:
