@@ -16,7 +16,7 @@ import pytest
 
 DRIVER = Path(__file__).resolve().parent / "driver.py"
 DETERMINISTIC = ("scores", "solutions", "curves", "auc", "bev")
-QUICK = ("scenes.count=4", "tracking=none")
+QUICK = ("scenes.count=4", "attack.lambda=1,10", "tracking=none")
 
 
 class Drivers:

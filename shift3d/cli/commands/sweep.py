@@ -39,7 +39,7 @@ with a sweep that ships in the place of /config."""
 
 _EPILOG = """\
 examples:
-  shift3d sweep                                  5 vehicles x 4 streets x (shape with lambda 1, 10; pose)
+  shift3d sweep                                  5 vehicles x 4 streets x (shape, pose)
   shift3d sweep default scenes.count=20          more streets
   shift3d sweep default vehicle=suv mode=shape attack.lambda=0.1,1,10
   shift3d sweep default accuracy=draft,standard  one axis more

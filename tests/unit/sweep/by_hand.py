@@ -9,6 +9,7 @@ from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.catalogue.scene_cache import SceneEntry
 from shift3d.settings.schema.config import Config
 
+BOTH_LAMBDAS = ("attack.lambda=1,10",)
 VEHICLES = ("coupe", "sports_car", "suv", "convertible", "beach_wagon")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from by_hand import catalogue, score_row
+from by_hand import BOTH_LAMBDAS, catalogue, score_row
 
 from shift3d.settings.compose import compose_sweep
 from shift3d.store.log import CommitLog
@@ -90,7 +90,7 @@ def test_each_scoring_detector_has_its_own_figures(out: Path) -> None:
     One pose task has no score: its gap is a row for each detector.
     """
     detectors = {"pointpillars": "p", "sst": "s"}
-    composed = compose_sweep("default", ["vehicle=suv", "scene=north"])
+    composed = compose_sweep("default", [*BOTH_LAMBDAS, "vehicle=suv", "scene=north"])
     plan = make_plan(composed, lambda config: dataclasses.replace(catalogue(config), detectors=detectors))[0]
     log = CommitLog(out, plan.spec_hash)
     rows = [row for task in plan.tasks[:2] for row in rows_of(task, plan.sweep)]

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import pytest
-from by_hand import VEHICLES, catalogue
+from by_hand import BOTH_LAMBDAS, VEHICLES, catalogue
 
 from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep
@@ -37,14 +37,14 @@ def test_the_spec_holds_what_the_catalogue_says(suv_plan: Plan) -> None:
 
 
 def test_execution_settings_change_no_id(suv_plan: Plan) -> None:
-    words = ["vehicle=suv", "runner=local", "tracking=none", "scenes.count=9"]
+    words = [*BOTH_LAMBDAS, "vehicle=suv", "runner=local", "tracking=none", "scenes.count=9"]
     assert make_plan(compose_sweep("default", words), catalogue)[0].spec_hash == suv_plan.spec_hash
 
 
 def test_other_settings_weights_and_names_change_the_hash(suv_plan: Plan) -> None:
-    composed = compose_sweep("default", ["vehicle=suv"])
+    composed = compose_sweep("default", [*BOTH_LAMBDAS, "vehicle=suv"])
     others = [
-        make_plan(compose_sweep("default", ["vehicle=suv", "seed=1"]), catalogue)[0],
+        make_plan(compose_sweep("default", [*BOTH_LAMBDAS, "vehicle=suv", "seed=1"]), catalogue)[0],
         make_plan(composed, lambda config: dataclasses.replace(catalogue(config), detectors={"pointpillars": "new"}))[
             0
         ],

@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from by_hand import catalogue
+from by_hand import BOTH_LAMBDAS, catalogue
 
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
@@ -67,7 +67,7 @@ def test_a_task_takes_little_more_room_than_its_id() -> None:
         scenes = tuple(SceneEntry(f"s{i}", "street-hdl64", f"{i:032x}", SceneFacts(f"s{i}")) for i in range(500))
         return dataclasses.replace(catalogue(config), scenes=scenes)  # type: ignore[arg-type]
 
-    tasks = make_plan(compose_sweep("default"), many)[0].tasks  # type: ignore[arg-type]
+    tasks = make_plan(compose_sweep("default", BOTH_LAMBDAS), many)[0].tasks  # type: ignore[arg-type]
     assert len(tasks) == 5 * 3 * 500
     assert len(plan_bytes(tasks)) < 40 * len(tasks)
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 import yaml
-from by_hand import VEHICLES, catalogue
+from by_hand import BOTH_LAMBDAS, VEHICLES, catalogue
 
 from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
@@ -112,9 +112,13 @@ def test_every_sweep_can_be_composed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "spec_hash"),
-    [("default", "d2f6fcc38f10e977"), ("smoke", "a0e6b7a81b3968d0"), ("stability", "36af07c182667b70")],
+    ("name", "words", "spec_hash"),
+    [
+        ("default", BOTH_LAMBDAS, "d2f6fcc38f10e977"),
+        ("smoke", (), "a0e6b7a81b3968d0"),
+        ("stability", (), "36af07c182667b70"),
+    ],
 )
-def test_tasks_of_sweeps_that_were_run_keep_their_ids(name: str, spec_hash: str) -> None:
+def test_tasks_of_sweeps_that_were_run_keep_their_ids(name: str, words: tuple[str, ...], spec_hash: str) -> None:
     """Pinned before sizes and transfers were added: a finished or half-finished folder is found again."""
-    assert make_plan(compose_sweep(name), catalogue)[0].spec_hash == spec_hash
+    assert make_plan(compose_sweep(name, words), catalogue)[0].spec_hash == spec_hash
