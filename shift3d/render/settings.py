@@ -96,7 +96,7 @@ class RenderSettings:
     step_safety: float = 0.9
     max_slope: float = 3.0
     tolerance_m: float = 3e-6
-    final_newton_m: float = 1e-4
+    final_newton_m: float = 1e-5
     max_iterations: int = 60
     box_margin_m: float = 0.1
     sphere_chord_only: bool = False
