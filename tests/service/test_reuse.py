@@ -63,7 +63,7 @@ def test_of_an_unfinished_sweep_what_it_committed_and_nothing_that_failed(
 ) -> None:
     """The source gave one task up and lost its last commits."""
     journal = drivers.folder / "journal"
-    small = ("runner=local", "runner.commit_seconds=0", "attack.lambda=1,10")
+    small = ("runner=local", "runner.commit_seconds=0")
     assert drivers.run("small", *small, SHIFT3D_TEST_FAILS="coupe/street_001/pose")[0] == 3
     log = sorted((drivers.folder / "small" / "_log").glob("[0-9]*.json"))
     for entry in log[len(log) // 2 :]:
@@ -104,7 +104,8 @@ def test_what_cannot_be_reused_is_one_line_and_runs_nothing(drivers: Drivers, fi
 def test_the_plan_is_shown_with_what_is_left_and_nothing_runs(
     words: tuple[str, ...], undisturbed_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = parse([*words, "default", "scenes.count=6", f"reuse={undisturbed_folder}", f"out={tmp_path / 'out'}"])
+    grown = ["default", "scenes.count=6", "attack.lambda=1,10"]
+    arguments = parse([*words, *grown, f"reuse={undisturbed_folder}", f"out={tmp_path / 'out'}"])
     assert (sweep.run_with(arguments, KIND) if words[0] == "sweep" else plan.show(arguments.words, KIND)) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 7 and lines[0].startswith(f"sweep default: {GROWN} tasks (60 shape, 30 pose)")
