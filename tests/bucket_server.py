@@ -5,11 +5,15 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import threading
 from collections.abc import Iterator
+from typing import Any
 
 import boto3
+from moto.moto_server.werkzeug_app import DomainDispatcherApplication
 from moto.server import ThreadedMotoServer
 
+_PUT, _ANSWER = threading.Lock(), DomainDispatcherApplication.__call__
 _NUMBERS = itertools.count()
 ENVIRONMENT = {
     "AWS_ACCESS_KEY_ID": "test",
@@ -20,9 +24,16 @@ ENVIRONMENT = {
 }
 
 
+def _one_put_at_a_time(self: Any, environ: dict[str, Any], start_response: Any) -> Any:
+    """S3 creates an object in one step; moto looks whether it is there, and then writes."""
+    with _PUT if environ["REQUEST_METHOD"] == "PUT" else contextlib.nullcontext():
+        return _ANSWER(self, environ, start_response)
+
+
 @contextlib.contextmanager
 def bucket_server() -> Iterator[str]:
     """The endpoint of moto's HTTP server, while this is open. Port: a free one."""
+    DomainDispatcherApplication.__call__ = _one_put_at_a_time  # type: ignore[method-assign]
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     try:

@@ -55,7 +55,7 @@ def run(python: Path, folder: Path, *words: str, **more: str) -> str:
     """What a command of the installed shift3d prints; it must end well."""
     command = [str(python.parent / "shift3d"), *words]
     done = subprocess.run(
-        command, cwd=folder, env=environment(**more), capture_output=True, text=True, timeout=240, check=False
+        command, cwd=folder, env=environment(**more), capture_output=True, text=True, timeout=900, check=False
     )
     assert done.returncode == 0, f"{words}: {done.stdout[-2000:]} {done.stderr[-2000:]}"
     return done.stdout
@@ -102,7 +102,7 @@ def test_two_machines_of_a_cluster_that_have_the_wheel_alone(python: Path, tmp_p
             "here": (f"{sys.executable} {SERVICE / 'driver.py'} {words} runner=local", dict(os.environ)),
         }
         for name, (command, known) in commands.items():
-            subprocess.run(["bash", "-c", f"{command} out={name}"], cwd=tmp_path, env=known, timeout=120, check=True)
+            subprocess.run(["bash", "-c", f"{command} out={name}"], cwd=tmp_path, env=known, timeout=600, check=True)
     assert len(set(pd.read_parquet(tmp_path / "cluster" / "final" / "attempts.parquet")["worker"])) == 2
     for table in DETERMINISTIC:
         file = Path("final") / f"{table}.parquet"
