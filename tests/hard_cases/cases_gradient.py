@@ -6,12 +6,15 @@ import math
 
 import numpy as np
 import torch
-from analytic_fields import Field, car, sphere
+from analytic_fields import Field, Frame, car, sphere
 from catalogue import hard_case
 from hard_scenes import AT_TEN, FAST, PAPER, PLAIN, PRESETS, beams_along_x, draw, fan, hit_at, pose, sound
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering, RenderSettings
+from shift3d.render.culling import Rays
+from shift3d.render.field.object_field import ObjectField
+from shift3d.render.solvers.corrector import correct
 
 SPHERE = sphere(1.0)
 
@@ -195,3 +198,26 @@ def _agrees(gradient: Tensor, beams: Beams, theta: Tensor, settings: RenderSetti
         ahead, behind = (draw(beams, car(), m, settings, frame=PLAIN).points.sum() for m in moved)
         differences[i] = (ahead - behind) / (2.0 * step)
     assert float((gradient - differences).norm()) <= 1e-5 * float(differences.norm())
+
+
+@hard_case(
+    area="gradient",
+    why="a beam grazes, and a crease lies 10 um in front of its root: within the tolerance |g| is small on both sides",
+    must="the gradient is that of the root's side",
+    guard="on a flat beam the tolerance and the final Newton threshold shrink with its slope",
+)
+def a_crease_just_before_the_root_of_a_grazing_beam() -> None:
+    crease_m = -1e-5
+
+    def grazed(x: Tensor) -> Tensor:
+        before = -0.078 * (x[:, 0] - crease_m) - 0.075 * crease_m + 0.3 * x[:, 1]
+        return torch.maximum(before, -0.075 * x[:, 0] + 0.05 * x[:, 1])
+
+    origin, along = torch.tensor([[-3.0, 0.0, 0.0], [1.0, 0.0, 0.0]], dtype=torch.float64).split(1)
+    near, far, start = torch.tensor([[0.0], [6.0], [2.99998]], dtype=torch.float64)
+    for dtype in (torch.float32, torch.float64):
+        settings = PRESETS["standard"].with_(dtype=dtype)
+        field = ObjectField.of(grazed, Frame(), dtype, 4096)
+        found = correct(Rays(torch.tensor([0]), origin, along, near, far), start, None, field, settings, 0.3)
+        assert found.linearizations is not None and abs(float(found.range_m) - 3.0) < 1e-5
+        assert torch.allclose(found.linearizations.gradient[0], torch.tensor([-0.075, 0.05, 0.0]).double())

@@ -44,7 +44,8 @@ def correct(
         start_m: (M,) predictions. reach_m: how far a root may lie from them.
         slope: (M,) dg/dk there, negative, for secant steps; None: Newton steps by linearizations, which are kept.
         settings: `tolerance_m`, and `final_newton_m`: a last step of at most this length is not evaluated. A secant
-            step is taken; a Newton step is left to `implicit`, so that the linearization is that at the root.
+            step is taken; a Newton step is left to `implicit`, so that the linearization is that at the root. On a beam
+            flatter than `approach_slope` both are smaller, by its slope and the square of its slope over that one.
 
     Not differentiable.
     """
@@ -63,8 +64,8 @@ def correct(
                 along = torch.where(step.abs() > 1e-9, (g - g_before) / step, along)
         g_start = g_start if number else g
         step = -g / along.clamp_max(_FLATTEST if slope is not None else NEWTON_SLOPE)
-        # Where a beam grazes, the next step says little: there it has to be shorter, and g is to be nearer to 0, or the
-        # root lies beyond a crease. Rounding may forbid that.
+        # Where a beam grazes, the same |g| is further from the root, and a crease may lie between: both thresholds are
+        # smaller there. The last iteration takes what rounding allows.
         flat = (along.abs() / settings.approach_slope).clamp_max(1.0)
         short = (along <= NEWTON_SLOPE) & (step.abs() <= settings.final_newton_m * flat**2)
         strict = (along <= NEWTON_SLOPE) & (number < _STEPS - 1)

@@ -70,18 +70,18 @@ class Backlog:
             self._tries[position] = max(attempt, self._tries.get(position, 0))
 
     def failed(self, positions: Sequence[int], culprit: int | None, charged: bool, apart: bool, copied: bool) -> bool:
-        """A call ended without a result: its tasks are to be run again. True where the culprit is to be quarantined.
+        """Puts the tasks of a call without a result back. True where the culprit is to be quarantined instead.
 
-        culprit: the task that did it, where that is known: it is run again alone, and quarantined the second time.
-        charged: its worker died or it hung; otherwise its machine went away, which counts as often enough only.
-        apart: each of the others is run again without the rest. copied: a copy of the call still runs. Nothing comes
-        back and nothing is given up while it does: it may succeed, and a task is quarantined once.
+        culprit: the task that did it, where that is known; it is run again alone. charged: the worker died or hung,
+        and the second time quarantines; otherwise a machine went away, and the sixth time does. apart: each of the
+        others is run again alone. copied: a speculative copy of the call still runs. It may succeed, so that nothing
+        is put back and nothing quarantined until it ends.
         """
-        given_up = culprit is not None and self._counted(culprit, charged) and not copied
+        quarantined = culprit is not None and self._counted(culprit, charged) and not copied
         if not copied:
             self._put_back([position for position in positions if position != culprit], apart)
-            self._put_back([culprit] if culprit is not None and not given_up else [], alone=True)
-        return given_up
+            self._put_back([culprit] if culprit is not None and not quarantined else [], alone=True)
+        return quarantined
 
     def _counted(self, position: int, charged: bool) -> bool:
         counts, most = (self._charges, _CHARGES) if charged else (self._losses, _LOSSES)

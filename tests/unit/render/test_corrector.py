@@ -2,12 +2,11 @@
 
 import pytest
 import torch
-from analytic_fields import Field, Frame, box, sphere
+from analytic_fields import Field, box, sphere
 from straight_rays import FLOAT64, along_x, field_of
 from torch import Tensor
 
 from shift3d.render.field.linearization import linearize
-from shift3d.render.field.object_field import ObjectField
 from shift3d.render.solvers.corrector import correct, predict
 
 OFFSETS = (0.0, 0.2, -0.4, 0.6, 0.8)
@@ -40,23 +39,6 @@ def test_a_last_step_that_is_short_is_not_evaluated() -> None:
     found = correct(RAYS, ENTRY - 5e-4, torch.full_like(ENTRY, -1.0), field, FLOAT64.with_(final_newton_m=1e-3), 0.3)
     assert field.count.evaluations == len(RAYS)
     assert float((found.range_m - ENTRY).abs().max()) < 5e-4 and float(found.residual_m.max()) < 6e-4
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_where_a_beam_grazes_the_gradient_is_that_at_the_root_beyond_a_crease(dtype: torch.dtype) -> None:
-    """A crease 10 um in front of the root: within the tolerance g is near 0 on both of its sides."""
-    crease_m = -1e-5
-
-    def grazed(x: Tensor) -> Tensor:
-        before = -0.078 * (x[:, 0] - crease_m) - 0.075 * crease_m + 0.3 * x[:, 1]
-        return torch.maximum(before, -0.075 * x[:, 0] + 0.05 * x[:, 1])
-
-    settings = FLOAT64.with_(dtype=dtype)
-    field = ObjectField.of(grazed, Frame(), dtype, 4096)
-    found = correct(along_x(0.0), torch.tensor([2.99998], dtype=torch.float64), None, field, settings, 0.3)
-    assert found.linearizations is not None
-    assert found.range_m.tolist() == pytest.approx([3.0], abs=1e-5)
-    assert found.linearizations.gradient[0].tolist() == pytest.approx([-0.075, 0.05, 0.0])
 
 
 def test_what_is_gone_or_beyond_reach_is_lost() -> None:

@@ -49,7 +49,7 @@ def test_a_known_culprit_goes_alone_and_the_others_stay_together() -> None:
     assert [backlog.take(3) for _ in range(2)] == [[1], [0, 2, 3]]
 
 
-def test_while_a_copy_runs_nothing_comes_back_and_a_task_is_given_up_on_once() -> None:
+def test_while_a_copy_runs_nothing_comes_back_and_a_task_is_quarantined_once() -> None:
     backlog = Backlog([0])
     assert backlog.take(1) == [0]
     assert not died(backlog, [0], 0)

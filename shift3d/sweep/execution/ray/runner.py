@@ -144,15 +144,14 @@ class RayRunner:
         # Where it is known who did it, or that no task did, the others may stay together.
         apart = culprit is None and failure.kind != "node_lost"
         copied = self._calls.copy_of(call) is not None
-        given_up = self._backlog.failed(call.positions, culprit, failure.charged, apart, copied)
-        quarantined = culprit if given_up else None
+        quarantined = self._backlog.failed(call.positions, culprit, failure.charged, apart, copied)
         rows = [
-            self._row(position, call, failure, position == culprit, position == quarantined)
+            self._row(position, call, failure, position == culprit, quarantined and position == culprit)
             for position in call.positions
         ]
         outcome = BatchOutcome(tables={"attempts": table_from_rows("attempts", rows)})
-        if quarantined is not None:
-            outcome.quarantined = [self._id(quarantined)]
+        if culprit is not None and quarantined:
+            outcome.quarantined = [self._id(culprit)]
             outcome.errors = [f"{failure.kind}: {failure.what}"]
         return outcome
 
