@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from torch import Tensor
-from tqdm import tqdm
 
 from shift3d.attack.objective import object_box
 from shift3d.detectors.models.weights import ANCHOR_SIZE, load_network
@@ -52,21 +51,23 @@ def object_scenes(folder: Path, found: SweepObjects) -> list[Path]:
     Raises: InputError for a scene, vehicle or weights that are not those of the sweep.
     """
     rows = {"-".join(map(str, row.key)): row for row in found.objects}
-    names = tqdm(list(rows), desc="objects in their scenes", mininterval=5.0)
     place = folder / f"objects-{objects_digest(found)}"
-    return cache_scenes(place, names, lambda name: object_scene(rows[name], found.assets_of(rows[name])))
+
+    def build(name: str) -> TrainingScene:
+        return object_scene(rows[name], found.assets_of(rows[name]))
+
+    return cache_scenes(place, rows, build, "objects in their scenes")
 
 
 def natural_scenes(folder: Path, found: SweepObjects) -> list[Path]:
     """Cached scenes of the same sweep as they are, each once."""
     rows = {row.spec.scene: row for row in found.objects}
-    names = tqdm(list(rows), desc="the same scenes without", mininterval=5.0)
 
     def build(name: str) -> TrainingScene:
         row = rows[name]
         return from_scene(found.assets_of(row).scene(row.spec)[0], _sector_rad(row.spec))
 
-    return cache_scenes(folder / f"scenes-{objects_digest(found)}", names, build)
+    return cache_scenes(folder / f"scenes-{objects_digest(found)}", rows, build, "the same scenes without")
 
 
 def object_scene(row: SweepObject, assets: Assets) -> TrainingScene:

@@ -71,13 +71,17 @@ def points_in_boxes(
     """
     points = np.asarray(points)
     inside = np.zeros((len(boxes), len(points)), dtype=np.bool_)
+    x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
     for index, box in enumerate(np.asarray(boxes, dtype=np.float64).reshape(-1, 7)):
-        offset = points[:, :3] - box[:3]
+        half = box[3:6] / 2.0 + margin_m
+        reach = 1.000001 * float(np.hypot(half[0], half[1]))  # beyond it no rounding puts a point inside
+        near = np.flatnonzero((np.abs(x - box[0]) <= reach) & (np.abs(y - box[1]) <= reach))
+        offset = points[near, :3] - box[:3]
         cos, sin = np.cos(box[6]), np.sin(box[6])
         along = cos * offset[:, 0] + sin * offset[:, 1]
         across = cos * offset[:, 1] - sin * offset[:, 0]
-        half = box[3:6] / 2.0 + margin_m
-        inside[index] = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1]) & (np.abs(offset[:, 2]) <= half[2])
+        level = np.abs(offset[:, 2]) <= half[2]
+        inside[index, near] = level & (np.abs(along) <= half[0]) & (np.abs(across) <= half[1])
     return inside
 
 

@@ -31,9 +31,14 @@ class Compute:
         return self.device.type == "cuda" or has_fast_bfloat16()
 
     @property
-    def crops_ahead(self) -> int:
-        """How many steps' data are made in advance: a GPU computes faster than one core prepares."""
-        return 1 if self.device.type == "cpu" else max(1, min(8, os.cpu_count() or 1))
+    def scene_workers(self) -> int:
+        """Processes that make the scenes, before the network trains."""
+        return self.threads if self.device.type == "cpu" else os.cpu_count() or 1
+
+    @property
+    def crop_workers(self) -> int:
+        """Processes that make crops while the network trains; 0: a thread keeps up, as on a CPU."""
+        return 0 if self.device.type == "cpu" else max(1, (os.cpu_count() or 1) - 1)
 
     def autocast(self, wanted: bool) -> torch.autocast:
         """bfloat16 for large products where it is wanted and pays."""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import copy
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -19,6 +16,7 @@ from shift3d.detectors.models.network import DetectorNet
 from shift3d.errors import InputError
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute, choose_compute
+from shift3d.training.detector.batches import BatchMaker, batches
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.drawn_crops import RandomCrops
 from shift3d.training.detector.objective import batch_loss, objective_of
@@ -53,8 +51,6 @@ CHECKPOINT = "checkpoint.pt"
 SHIPPED_DATA = "street"
 CURVE_STEPS = 25
 """Every so many steps the curves get a point; it is the mean over them."""
-
-Batch = tuple[int, list[Crop], list[Any]]
 
 
 class _Run:
@@ -156,9 +152,10 @@ def train_on_scenes(
     pasting = recipe.augmentation.pasted > 0 and end > 0
     database = VehicleDatabase.of(mesh_scenes, recipe.min_points) if pasting else None
     crops = draw(recipe, run.net.grid, mesh_scenes, inserted_scenes, database)
+    maker = BatchMaker(crops, run.objective, run.net)
     bar = tqdm(initial=run.done, total=recipe.all_steps, desc=recipe.detector, mininterval=5.0)
     with stop_on_signal() as stop, bar:
-        for step, made, targets in _batches(crops, run, range(run.done, end)):
+        for step, made, targets in batches(maker, range(run.done, end), compute.crop_workers):
             if step >= recipe.steps:
                 _settle(run, crops.of_statistics())
             recent.append(_train_step(run, step, made, targets))
@@ -212,21 +209,3 @@ def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Any]) -> 
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), recipe.clip_norm)
     run.optimiser.step()
     return {**parts, "learning_rate": rate}
-
-
-def _batches(crops: RandomCrops, run: _Run, steps: range) -> Iterator[Batch]:
-    """Crops and targets of each step, the next ones made in threads while the network computes."""
-    net, ahead = run.net, run.compute.crops_ahead
-
-    def prepare(step: int) -> Batch:
-        made = [crops.of(step, slot) for slot in range(run.recipe.batch)]
-        return step, made, [run.objective.targets(heads, net.grid, crop) for crop in made]
-
-    heads = copy.deepcopy(net.heads).cpu()  # what targets read of it does not change
-    with ThreadPoolExecutor(ahead) as worker:
-        coming: deque[Future[Batch]] = deque(worker.submit(prepare, step) for step in steps[:ahead])
-        for step in steps:
-            batch = coming.popleft().result()
-            if step + ahead in steps:
-                coming.append(worker.submit(prepare, step + ahead))
-            yield batch

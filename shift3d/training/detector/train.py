@@ -5,10 +5,9 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
-
-from tqdm import tqdm
 
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.detectors.models.weights import load_weights
@@ -64,12 +63,17 @@ def train_detector(
     data = _identity(scenes, start_file(recipe, start_from))
     start = start_state(recipe, start_from)
     compute.prepare()
-    base = mesh_scene_files(out_dir, recipe.mesh_scenes) if scenes is None else scene_files(out_dir, scenes)
+    workers = compute.scene_workers
+    base = (
+        mesh_scene_files(out_dir, recipe.mesh_scenes, workers)
+        if scenes is None
+        else scene_files(out_dir, scenes, workers)
+    )
     shared: dict[str, Any] = {"compute": compute, "report": report, "data": data, "start": start}
     train_on_scenes(out_dir, recipe, base, stop_after=recipe.mesh_only_steps, **shared)
     inserted: list[Path] = []
     if recipe.inserted_scenes and recipe.inserted_share > 0.0:
-        inserted = inserted_scene_files(out_dir, base, recipe)
+        inserted = inserted_scene_files(out_dir, base, recipe, workers)
     net = train_on_scenes(out_dir, recipe, base, inserted, **shared)
     weights_file = weights_file or out_dir / f"{recipe.detector}.safetensors"
     export_weights(net, weights_file, recipe)
@@ -128,38 +132,40 @@ def export_weights(net: DetectorNet, file: Path, recipe: Recipe, halved: bool = 
     write_safetensors(file, tensors, {"recipe": repr(recipe)})
 
 
-def mesh_scene_files(out_dir: Path, count: int) -> list[Path]:
+def mesh_scene_files(out_dir: Path, count: int, workers: int = 1) -> list[Path]:
     """Cached procedural scenes of both sensors, split train, with vehicles of the wide family's seen kinds."""
     scenes = StreetScenes("mixed", count=count, split="train", options=StreetOptions(traffic=TRAFFIC))
-    names = tqdm(scenes.names(), desc="street scenes", mininterval=5.0)
-    return cache_scenes(out_dir / f"{TRAFFIC}-train", names, lambda name: from_scene(scenes.load(name)))
+    build = partial(_labelled_scene, scenes)
+    return cache_scenes(out_dir / f"{TRAFFIC}-train", scenes.names(), build, "street scenes", workers)
 
 
-def scene_files(out_dir: Path, scenes: SceneSet) -> list[Path]:
+def _labelled_scene(scenes: SceneSet, name: str) -> TrainingScene:
+    return from_scene(scenes.load(name), scenes.placement_sector_rad)
+
+
+def scene_files(out_dir: Path, scenes: SceneSet, workers: int = 1) -> list[Path]:
     """Cached scenes of any set, cut to their labelled sector, in the order of its names.
 
     Raises: InputError for a frame that cannot be read, or when no scene holds a vehicle.
     """
     folder = out_dir / f"scenes-{_digest(scenes)}"
-    names = tqdm(scenes.names(), desc=f"{scenes.dataset} scenes", mininterval=5.0)
-    files = cache_scenes(folder, names, lambda name: from_scene(scenes.load(name), scenes.placement_sector_rad))
+    title = f"{scenes.dataset} scenes"
+    files = cache_scenes(folder, scenes.names(), partial(_labelled_scene, scenes), title, workers)
     if not any(len(load_cached(file).boxes) for file in files):
-        raise InputError(
-            "no scene has a labelled vehicle", where=f"{scenes.dataset} scenes", remedy="Give labelled scenes"
-        )
+        raise InputError("no scene has a labelled vehicle", where=title, remedy="Give labelled scenes")
     return files
 
 
-def inserted_scene_files(out_dir: Path, base: Sequence[Path], recipe: Recipe) -> list[Path]:
+def inserted_scene_files(out_dir: Path, base: Sequence[Path], recipe: Recipe, workers: int = 1) -> list[Path]:
     """Cached scenes with more vehicles of the wide family's seen kinds in the base scenes, in their order."""
     # Scenes of another set must not be taken for those of the streets when both were made in one folder.
     folder = out_dir / f"inserted-{base[0].parent.name}"
     names = [f"inserted-{index:05d}" for index in range(recipe.inserted_scenes)]
-    fleet = fleet_of(TRAFFIC, "train")
+    build = partial(_inserted_scene, tuple(base), recipe.seed)
+    return cache_scenes(folder, names, build, "inserting vehicles", workers)
 
-    def build(name: str) -> TrainingScene:
-        rng = generator("inserted scene", recipe.seed, name)
-        scene = load_cached(base[int(name.rsplit("-", 1)[1]) % len(base)])
-        return with_inserted_vehicles(scene, fleet, rng)
 
-    return cache_scenes(folder, tqdm(names, desc="inserting vehicles", mininterval=5.0), build)
+def _inserted_scene(base: Sequence[Path], seed: int, name: str) -> TrainingScene:
+    rng = generator("inserted scene", seed, name)
+    scene = load_cached(base[int(name.rsplit("-", 1)[1]) % len(base)])
+    return with_inserted_vehicles(scene, fleet_of(TRAFFIC, "train"), rng)

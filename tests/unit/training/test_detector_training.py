@@ -1,5 +1,6 @@
 """Targets, losses and the training loop of the detector, on hand-made scenes."""
 
+from dataclasses import fields, replace
 from math import pi
 from pathlib import Path
 
@@ -24,10 +25,15 @@ from shift3d.training.detector.anchor_objective import (
     nearest_bev_iou,
     sine_code_difference,
 )
+from shift3d.training.detector.batches import BatchMaker, batches
 from shift3d.training.detector.crops import random_crop
+from shift3d.training.detector.drawn_crops import RandomCrops
 from shift3d.training.detector.loop import train_on_scenes
+from shift3d.training.detector.objective import objective_of
+from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle, scaled_to_steps
+from shift3d.training.detector.train import mesh_scene_files
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
 from shift3d.training.progress import averaged
 
@@ -201,6 +207,38 @@ def test_the_last_steps_settle_the_heads_on_statistics_of_inference(tmp_path: Pa
     assert alone.all_steps == TINY.settle_steps
     assert not torch.equal(again.heads.classes.weight, start["heads.classes.weight"])
     assert not torch.equal(again.heads.boxes.bias, start["heads.boxes.bias"])
+
+
+def test_processes_make_the_batches_of_a_thread(tmp_path: Path) -> None:
+    """Beside a GPU crops come from processes: the same ones, in the order of the steps."""
+    files = cache_scenes(tmp_path, ["0", "1"], _scene)
+    for recipe in (TINY, replace(TINY, heads="centres")):
+        net = recipe.new_network()
+        crops = RandomCrops(recipe, net.grid, files, [], VehicleDatabase.of(files, recipe.min_points))
+        maker = BatchMaker(crops, objective_of(recipe), net)
+        made, again = (list(batches(maker, range(3, 9), workers)) for workers in (0, 2))
+        for (step, ours, targets), (same_step, same, same_targets) in zip(made, again, strict=True):
+            assert step == same_step
+            for crop, other in zip(ours, same, strict=True):
+                assert crop.window == other.window and np.array_equal(crop.points, other.points)
+            for target, other in zip(targets, same_targets, strict=True):
+                assert type(target) is type(other)
+                for item in fields(target):
+                    assert torch.equal(getattr(target, item.name), getattr(other, item.name)), item.name
+
+
+def test_a_step_that_cannot_be_made_ends_the_training(tmp_path: Path) -> None:
+    files = cache_scenes(tmp_path, ["0"], lambda name: replace(_scene(name), points=_scene(name).points[:3]))
+    net = TINY.new_network()
+    maker = BatchMaker(RandomCrops(TINY, net.grid, files, [], None), objective_of(TINY), net)
+    for workers in (0, 1):
+        with pytest.raises(InputError, match="fewer than 10 points"):
+            list(batches(maker, range(3), workers))
+
+
+def test_processes_cache_the_scenes_of_one(tmp_path: Path) -> None:
+    one, two = (mesh_scene_files(tmp_path / str(workers), 2, workers) for workers in (1, 2))
+    assert [file.read_bytes() for file in one] == [file.read_bytes() for file in two]
 
 
 def test_the_cache_is_written_once_and_read_back(tmp_path: Path) -> None:

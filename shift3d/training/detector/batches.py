@@ -1,0 +1,86 @@
+"""Crops and targets of each step, made while the network computes: in a thread beside a CPU, in processes beside a GPU.
+
+A GPU takes some hundred crops a second, a core makes some twenty.
+"""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import fields, replace
+from typing import Any
+
+import torch
+
+from shift3d.detectors.models.network import DetectorNet
+from shift3d.training.detector.crops import Crop
+from shift3d.training.detector.drawn_crops import RandomCrops
+from shift3d.training.detector.objective import Objective
+
+Batch = tuple[int, list[Crop], list[Any]]
+"""A step, its crops, and their targets on the CPU."""
+AHEAD = 2
+"""Batches in the making, a worker."""
+
+
+class BatchMaker:
+    """Makes the batch of any step. It can be sent to another process, and makes the same there."""
+
+    def __init__(self, crops: RandomCrops, objective: Objective, net: DetectorNet) -> None:
+        self.crops, self.objective, self.grid = crops, objective, net.grid
+        self.heads = copy.deepcopy(net.heads).cpu()  # what targets read of it does not change
+
+    def of(self, step: int) -> Batch:
+        """Raises: InputError where the scenes hold next to no points."""
+        crops = [self.crops.of(step, slot) for slot in range(self.crops.recipe.batch)]
+        return step, crops, [self.objective.targets(self.heads, self.grid, crop) for crop in crops]
+
+
+def batches(maker: BatchMaker, steps: range, workers: int) -> Iterator[Batch]:
+    """The batch of each step, in order. workers: processes that make them; 0: one thread of this one."""
+    if workers:
+        context = multiprocessing.get_context("spawn")  # a fork would copy CUDA's state and the locks of threads
+        with ProcessPoolExecutor(workers, context, _open, (maker,)) as pool:
+            for step, crops, targets in _in_order(pool, _made_arrays, steps, AHEAD * workers):
+                yield step, crops, [_each(target, torch.from_numpy) for target in targets]
+    else:
+        with ThreadPoolExecutor(1) as pool:
+            yield from _in_order(pool, maker.of, steps, 1)
+
+
+def _in_order(pool: Executor, make: Callable[[int], Batch], steps: range, ahead: int) -> Iterator[Batch]:
+    coming: deque[Future[Batch]] = deque(pool.submit(make, step) for step in steps[:ahead])
+    try:
+        for step in steps:
+            batch = coming.popleft().result()
+            if step + ahead in steps:
+                coming.append(pool.submit(make, step + ahead))
+            yield batch
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+_maker: BatchMaker | None = None
+
+
+def _open(maker: BatchMaker) -> None:
+    global _maker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the training stops by itself, its checkpoint written
+    torch.set_num_threads(1)
+    _maker = maker
+
+
+def _made_arrays(step: int) -> Batch:
+    """Targets as arrays: a tensor that is sent to another process holds a file open."""
+    assert _maker is not None
+    step, crops, targets = _maker.of(step)
+    return step, crops, [_each(target, torch.Tensor.numpy) for target in targets]
+
+
+def _each(target: Any, change: Callable[[Any], Any]) -> Any:
+    """A dataclass whose fields are changed alike."""
+    return replace(target, **{item.name: change(getattr(target, item.name)) for item in fields(target)})
