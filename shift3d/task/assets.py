@@ -29,6 +29,7 @@ from shift3d.settings.renamed import current_settings
 from shift3d.settings.schema.config import DeepSdfVehicleConfig, VehicleSetConfig
 from shift3d.settings.schema.scenes import scene_config, scene_set
 from shift3d.task.exchange import AssetsSpec
+from shift3d.task.kept_grids import kept_grid
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle
@@ -133,6 +134,10 @@ class Assets:
         return self._naturalness
 
     @functools.cached_property
+    def _decoder_hash(self) -> str:
+        return self.vehicles.decoder_hash()
+
+    @functools.cached_property
     def _reference_hash(self) -> str:
         return source_hash(reference_source(self.reference or {}))
 
@@ -156,17 +161,21 @@ class Assets:
     def space_of(self, spec: TaskSpec, settings: RenderSettings) -> SdfGrid | None:
         """An SDF grid of the task's vehicle at these settings, None where they use none.
 
-        Made once a vehicle: it depends on its code alone. Whether there is one depends on the settings, never on what
-        ran before, so that a task's bytes do not.
+        Made once a vehicle, or read from the user's cache folder: it depends on its code alone. Whether there is one
+        depends on the settings, never on what ran before, so that a task's bytes do not.
         """
         if not settings.sdf_grid or settings.solver != "sphere_tracing":
             return None
         key = (spec.vehicle, settings)
         if key not in self._spaces:
             vehicle = self.vehicle(spec)
-            code = torch.from_numpy(vehicle.latent_code).to(settings.dtype)
-            with torch.no_grad():
-                self._spaces[key] = SdfGrid.of(self.decoder_of(settings.dtype).field(code), vehicle, settings)
+
+            def make() -> SdfGrid:
+                code = torch.from_numpy(vehicle.latent_code).to(settings.dtype)
+                with torch.no_grad():
+                    return SdfGrid.of(self.decoder_of(settings.dtype).field(code), vehicle, settings)
+
+            self._spaces[key] = kept_grid(self._decoder_hash, self._vehicle_hashes[spec.vehicle], settings, make)
             if len(self._spaces) > _SPACES_KEPT:
                 self._spaces.popitem(last=False)
         self._spaces.move_to_end(key)
