@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
@@ -60,6 +64,20 @@ class Compute:
         name = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else "cpu"
         mixed = bfloat16 and self.fast_bfloat16
         return {"device": name, "threads": self.threads, "mixed_bfloat16": mixed, "flush_denormal": True}
+
+
+@contextmanager
+def mapping(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
+    """`map`, over processes if there are several, each with one thread; what has not begun is left out on an error."""
+    if workers <= 1:
+        yield map
+        return
+    # Spawned, not forked: a fork would copy CUDA's state and the locks of this process's threads.
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), torch.set_num_threads, (1,))
+    try:
+        yield pool.map
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def choose_compute(device: Literal["auto", "cpu", "cuda"] | str = "auto", threads: int = 1) -> Compute:

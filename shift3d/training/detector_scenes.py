@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from tqdm import tqdm
 
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
 from shift3d.store.arrays import write_arrays
+from shift3d.training.compute import mapping
 
 KEPT_RADIUS_M = 80.0
 EVERYWHERE_RAD = (0.0, float(np.pi))
@@ -97,7 +94,7 @@ def cache_scenes(
     files = {name: folder / f"{name.replace('/', '_')}.npz" for name in names}
     missing = {name: file for name, file in files.items() if not file.exists()}
     bar = tqdm(total=len(missing), desc=title, mininterval=5.0, disable=title is None or not missing)
-    with bar, _mapping(min(workers, len(missing))) as mapped:
+    with bar, mapping(min(workers, len(missing))) as mapped:
         for _ in mapped(partial(_cache, build), missing.keys(), missing.values()):
             bar.update()
     return list(files.values())
@@ -106,20 +103,6 @@ def cache_scenes(
 def _cache(build: Callable[[str], TrainingScene], name: str, file: Path) -> None:
     scene = build(name)
     write_arrays(file, points=scene.points, boxes=scene.boxes, height=scene.sensor_height_m)
-
-
-@contextmanager
-def _mapping(workers: int) -> Iterator[Callable[..., Iterator[None]]]:
-    """`map`, over processes if there are several; what has not begun is given up on an error."""
-    if workers <= 1:
-        yield map
-        return
-    # Spawned, not forked: a fork would copy CUDA's state and the locks of this process's threads.
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), torch.set_num_threads, (1,))
-    try:
-        yield pool.map
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def load_cached(file: Path) -> TrainingScene:

@@ -150,7 +150,7 @@ def train_on_scenes(
     end = recipe.all_steps if stop_after is None else min(recipe.all_steps, stop_after)
     recent: list[dict[str, float]] = []
     pasting = recipe.augmentation.pasted > 0 and end > 0
-    database = VehicleDatabase.of(mesh_scenes, recipe.min_points) if pasting else None
+    database = VehicleDatabase.of(mesh_scenes, recipe.min_points, compute.scene_workers) if pasting else None
     crops = draw(recipe, run.net.grid, mesh_scenes, inserted_scenes, database)
     maker = BatchMaker(crops, run.objective, run.net)
     bar = tqdm(initial=run.done, total=recipe.all_steps, desc=recipe.detector, mininterval=5.0)

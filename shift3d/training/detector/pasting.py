@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from shift3d.geometry.boxes import points_in_boxes
+from shift3d.training.compute import mapping
 from shift3d.training.detector.recipe import Augmentation
 from shift3d.training.detector_scenes import TrainingScene, load_cached
 
@@ -40,19 +42,25 @@ class VehicleDatabase:
     points: tuple[Floats, ...]
 
     @classmethod
-    def of(cls, files: Sequence[Path], min_points: int) -> VehicleDatabase:
+    def of(cls, files: Sequence[Path], min_points: int, workers: int = 1) -> VehicleDatabase:
         """Of cached scenes: every vehicle with enough points. Kept in memory: some 40 MB for 600 scenes."""
         boxes, points = [], []
-        for file in files:
-            scene = load_cached(file)
-            for row, inside in enumerate(points_in_boxes(scene.points, scene.boxes, MARGIN_M)):
-                if inside.sum() >= min_points:
-                    boxes.append(scene.boxes[row])
-                    points.append(scene.points[inside])
+        with mapping(workers) as mapped:
+            for own, theirs in mapped(partial(_vehicles_of, min_points=min_points), files):
+                boxes += own
+                points += theirs
         stacked = np.asarray(boxes, dtype=np.float32).reshape(-1, 7)
         range_m = np.hypot(stacked[:, 0], stacked[:, 1]).astype(np.float64)
         order = np.argsort(range_m, kind="stable")
         return cls(stacked[order], range_m[order], tuple(points[row] for row in order))
+
+
+def _vehicles_of(file: Path, min_points: int) -> tuple[list[Floats], list[Floats]]:
+    """Boxes and points of a cached scene's vehicles."""
+    scene = load_cached(file)
+    inside = points_in_boxes(scene.points, scene.boxes, MARGIN_M)
+    kept = np.flatnonzero(inside.sum(axis=1) >= min_points)
+    return [scene.boxes[row] for row in kept], [scene.points[inside[row]] for row in kept]
 
 
 def pasted(

@@ -33,7 +33,6 @@ from shift3d.training.detector.objective import objective_of
 from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle, scaled_to_steps
-from shift3d.training.detector.train import mesh_scene_files
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
 from shift3d.training.progress import averaged
 
@@ -212,11 +211,11 @@ def test_the_last_steps_settle_the_heads_on_statistics_of_inference(tmp_path: Pa
 def test_processes_make_the_batches_of_a_thread(tmp_path: Path) -> None:
     """Beside a GPU crops come from processes: the same ones, in the order of the steps."""
     files = cache_scenes(tmp_path, ["0", "1"], _scene)
-    for recipe in (TINY, replace(TINY, heads="centres")):
+    for recipe, workers in ((TINY, 1), (replace(TINY, heads="centres"), 2)):
         net = recipe.new_network()
         crops = RandomCrops(recipe, net.grid, files, [], VehicleDatabase.of(files, recipe.min_points))
         maker = BatchMaker(crops, objective_of(recipe), net)
-        made, again = (list(batches(maker, range(3, 9), workers)) for workers in (0, 2))
+        made, again = (list(batches(maker, range(3, 9), number)) for number in (0, workers))
         for (step, ours, targets), (same_step, same, same_targets) in zip(made, again, strict=True):
             assert step == same_step
             for crop, other in zip(ours, same, strict=True):
@@ -236,9 +235,13 @@ def test_a_step_that_cannot_be_made_ends_the_training(tmp_path: Path) -> None:
             list(batches(maker, range(3), workers))
 
 
-def test_processes_cache_the_scenes_of_one(tmp_path: Path) -> None:
-    one, two = (mesh_scene_files(tmp_path / str(workers), 2, workers) for workers in (1, 2))
-    assert [file.read_bytes() for file in one] == [file.read_bytes() for file in two]
+def test_processes_cache_and_collect_what_one_does(tmp_path: Path) -> None:
+    files = cache_scenes(tmp_path / "made", ["0", "1", "2"], _scene)
+    again = cache_scenes(tmp_path / "again", map(str, files), load_cached, workers=2)
+    assert [file.read_bytes() for file in again] == [file.read_bytes() for file in files]
+    one, two = (VehicleDatabase.of(files, TINY.min_points, workers) for workers in (1, 2))
+    assert np.array_equal(one.boxes, two.boxes) and np.array_equal(one.range_m, two.range_m)
+    assert len(one.points) == len(two.points) > 10 and all(map(np.array_equal, one.points, two.points))
 
 
 def test_the_cache_is_written_once_and_read_back(tmp_path: Path) -> None:
