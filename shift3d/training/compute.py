@@ -23,11 +23,16 @@ class Compute:
     """A device, and the threads of its arithmetic on the CPU.
 
     On the CPU a training gives the same bytes again for the same threads; on CUDA sums may be taken in another order
-    from run to run. The CUDA path has not been run yet: its tests are skipped where there is no CUDA.
+    from run to run. Tests of the CUDA path are skipped where there is no CUDA.
     """
 
     device: torch.device
     threads: int = 1
+
+    @property
+    def name(self) -> str:
+        """ "cpu", or what CUDA calls the device."""
+        return torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else "cpu"
 
     @property
     def fast_bfloat16(self) -> bool:
@@ -61,9 +66,8 @@ class Compute:
 
     def facts(self, bfloat16: bool) -> dict[str, str | int | bool]:
         """What of this changes bytes, for a provenance file."""
-        name = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else "cpu"
         mixed = bfloat16 and self.fast_bfloat16
-        return {"device": name, "threads": self.threads, "mixed_bfloat16": mixed, "flush_denormal": True}
+        return {"device": self.name, "threads": self.threads, "mixed_bfloat16": mixed, "flush_denormal": True}
 
 
 @contextmanager

@@ -72,6 +72,7 @@ class _Run:
         self.done = 0
         self.curve: list[CurvePoint] = []
         self.reported = 0
+        self.steps_by_device: dict[str, int] = {}
         seconds = self._resume()
         self.watch = Stopwatch(seconds)
 
@@ -90,6 +91,7 @@ class _Run:
         self.done = int(state["steps_done"])
         self.curve = [(int(step), values) for step, values in state.get("curve", [])]
         self.reported = len(self.curve)
+        self.steps_by_device = dict(state.get("steps_by_device", {}))
         return float(state.get("seconds", 0.0))
 
     def save(self, report: Report | None) -> None:
@@ -102,6 +104,7 @@ class _Run:
             "optimiser": self.optimiser.state_dict(),
             "curve": [[step, dict(values)] for step, values in self.curve],
             "seconds": self.watch.seconds,
+            "steps_by_device": self.steps_by_device,
         }
         write_checkpoint(self.file, state)
         if report is not None and len(self.curve) > self.reported:
@@ -160,6 +163,7 @@ def train_on_scenes(
                 _settle(run, crops.of_statistics())
             recent.append(_train_step(run, step, made, targets))
             run.done = step + 1
+            run.steps_by_device[compute.name] = run.steps_by_device.get(compute.name, 0) + 1
             bar.update()
             if run.done % CURVE_STEPS == 0 or run.done == end:
                 run.curve.append((run.done, _mean(recent)))

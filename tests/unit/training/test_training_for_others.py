@@ -142,6 +142,7 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
     assert facts["recipe"]["seed"] == 0
     assert [point["step"] for point in facts["curve"]] == [2, 3] and facts["curve"][0]["class"] > 0
     assert facts["compute"]["device"] == "cpu" and facts["training_seconds"] >= 0
+    assert facts["compute"]["steps_by_device"] == {"cpu": facts["steps"]}
     assert facts["versions"]["torch"] == torch.__version__
 
 
