@@ -229,7 +229,7 @@ def draw_curves(scores: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
 
 
 def draw_training(path: Path) -> None:
-    """The losses of each detector whose training is on record beside its weights, over its steps."""
+    """The losses of each detector whose training is on record beside its weights, over the crops that it has seen."""
     import json
 
     from shift3d.detectors.models.weights import WEIGHTS_FOLDER
@@ -237,18 +237,24 @@ def draw_training(path: Path) -> None:
 
     figure = _figure(11, 2.8)
     panels = dict(zip(("class", "box", "direction"), figure.subplots(1, 3)))
-    for name in DETECTOR_NAMES:
+    for number, name in enumerate(DETECTOR_NAMES):
         file = WEIGHTS_FOLDER / f"{name}.json"
         facts = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
         for loss, panel in panels.items():
             if "curve" in facts and loss in facts["curve"][0]:
-                steps = [point["step"] for point in facts["curve"]]
-                panel.plot(steps, [point[loss] for point in facts["curve"]], lw=1.2, label=name.replace("_", ", "))
+                crops = [point["step"] * facts["recipe"]["batch"] for point in facts["curve"]]
+                losses = [point[loss] for point in facts["curve"]]
+                panel.plot(crops, losses, lw=1.2, color=f"C{number}", label=name.replace("_", ", "))
     for loss, panel in panels.items():
         panel.set_title(f"{loss} loss, training crops", fontsize=9)
-        panel.set_ylim(bottom=0)
+        panel.set_yscale("log")  # a heat map's loss and an anchor's differ by their units
+        panel.set_yticks(
+            [tick for tick in (0.2, 0.3, 0.5, 0.7, 1, 2, 5) if panel.get_ylim()[0] < tick < panel.get_ylim()[1]]
+        )
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter("")
     panels["class"].legend(fontsize=8, frameon=False)
-    figure.supxlabel("steps of two crops", fontsize=9)
+    figure.supxlabel("crops", fontsize=9)
     figure.savefig(path)
 
 
