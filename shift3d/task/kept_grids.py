@@ -23,6 +23,8 @@ from shift3d.render.settings import RenderSettings
 from shift3d.store.arrays import write_safetensors
 from shift3d.store.user_cache import source_digest, user_cache
 
+FILES_KEPT = 256
+"""Of 750 kB each; the oldest make room."""
 _CODE = ("render", "sdf", "processor.py")
 
 
@@ -38,6 +40,7 @@ def kept_grid(decoder_hash: str, vehicle_hash: str, settings: RenderSettings, ma
         grid = make()
         with contextlib.suppress(InputError, OSError):
             _write(path, grid)
+            _make_room(path.parent)
         return grid
 
 
@@ -66,6 +69,16 @@ def _read(path: Path) -> SdfGrid:
     live = tuple(tensors[f"live {layer}"] for layer in range(len(tensors) - 3)) if has_live else None
     box = Box(tensors["lower"], tensors["upper"])
     return SdfGrid(box, tensors["distance_m"], float.fromhex(error_m), evaluations, live)
+
+
+def _make_room(folder: Path) -> None:
+    """Remove the oldest files beyond those that are kept; other processes may do the same."""
+    written: dict[Path, float] = {}
+    for file in folder.glob("*.safetensors"):
+        with contextlib.suppress(FileNotFoundError):
+            written[file] = file.stat().st_mtime
+    for file in sorted(written, key=written.__getitem__)[:-FILES_KEPT]:
+        file.unlink(missing_ok=True)
 
 
 def _digest(tensors: dict[str, torch.Tensor], facts: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,3 +92,15 @@ def test_a_folder_that_cannot_be_written_is_done_without(cache: Path) -> None:
     cache.write_text("a file stands where the folder would")
     grid = some_grid()
     assert kept(lambda: grid) is grid and kept(lambda: grid) is grid
+
+
+def test_the_oldest_make_room(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shift3d.task.kept_grids.FILES_KEPT", 2)
+    for age, vehicle in enumerate("abc"):
+        kept(some_grid, vehicle=vehicle)
+        for file in cache.iterdir():
+            os.utime(file, (file.stat().st_mtime - 100 * (3 - age),) * 2)
+    assert len(list(cache.iterdir())) == 2
+    kept(never, vehicle="b"), kept(never, vehicle="c")
+    with pytest.raises(AssertionError, match="made again"):
+        kept(never, vehicle="a")
