@@ -49,7 +49,7 @@ def descend_expectation(
     if starts > 1:
         search = _turn_to_best_start(trials, problem, search, starts, rng, family)
     variable = trials.held
-    steps = max(1, (evaluations - (starts - 1)) // placements)
+    steps = max(0, (evaluations - (starts - 1)) // placements)
     mean, square = torch.zeros_like(variable, dtype=torch.float64), torch.zeros_like(variable, dtype=torch.float64)
     # Without further starts the baseline is the first step of the descent.
     moves = steps if starts == 1 else steps - 1

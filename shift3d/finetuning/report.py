@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 from shift3d.analysis.mlflow.measured import mirror_measured
-from shift3d.evaluation.breakdown import overall_areas
+from shift3d.evaluation.breakdown import Area, overall_areas
 from shift3d.finetuning.page import finetune_page, gains_table
 from shift3d.finetuning.rescoring import METHODS, object_scores, rescored
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA, finetune_table, natural_rows
@@ -63,16 +63,27 @@ def write_report(folder: Path, detector: str, models: Sequence[Tuned], commands:
     Raises: InputError for a sweep, evaluation or provenance that is missing or damaged, or a full disk.
     """
     scores = pd.concat(list(_scores(folder, detector, models)), ignore_index=True)
-    folders: dict[tuple[str, int | None], Path] = {(VANILLA, None): folder / VANILLA / NATURAL}
+    folders: dict[Model, Path] = {(VANILLA, None): folder / VANILLA / NATURAL}
     folders |= {(tuned.model, tuned.seed): tuned.folder / NATURAL for tuned in models}
-    areas = {key: overall_areas([read_answer(file).frame for file in _answers(own)]) for key, own in folders.items()}
-    table = finetune_table(scores, natural_rows(areas))
+    table = finetune_table(scores, natural_rows(natural_areas(folders)))
     frame = table.to_pandas()
     write_table(folder / _TABLE, table)
     first = next(tuned for tuned in models if tuned.model == TUNED)
     provenance = json.loads(first.weights.with_suffix(".json").read_bytes())
     write_atomic(folder / _PAGE, finetune_page(frame, scores, provenance, commands).encode())
     return f"{gains_table(frame)}\n\n{folder / _TABLE}, {folder / _PAGE}"
+
+
+Model = tuple[str, int | None]
+"""A name and a seed, None for the detector before."""
+
+
+def natural_areas(folders: Mapping[Model, Path]) -> dict[Model, dict[tuple[str, str], Area]]:
+    """AP and APH of models over the natural scenes that all of them have been evaluated on. folders: of evaluations."""
+    files = {key: {file.name: file for file in sorted((own / "scenes").glob("*.npz"))} for key, own in folders.items()}
+    # A folder may hold more, from the same command with more streets.
+    shared = sorted(set.intersection(*map(set, files.values())))
+    return {key: overall_areas([read_answer(own[name]).frame for name in shared]) for key, own in files.items()}
 
 
 def mirror(folder: Path, models: Sequence[Tuned], uri: str, experiment: str) -> str | None:
@@ -113,7 +124,3 @@ def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd
 def _named(scores: pd.DataFrame, model: str, seed: int | None, sweep: str) -> pd.DataFrame:
     named = scores.rename(columns={"method": "objects"}).drop(columns="task_id")
     return named.assign(model=model, seed=float("nan") if seed is None else float(seed), scene_set=sweep)
-
-
-def _answers(folder: Path) -> list[Path]:
-    return sorted((folder / "scenes").glob("*.npz"))

@@ -86,7 +86,8 @@ def object_scene(row: SweepObject, assets: Assets) -> TrainingScene:
     boxes[:, 2] -= np.float32(scene.ground_z_m)
     on_ground = points.numpy()[kept].astype(np.float32) - np.array((0.0, 0.0, scene.ground_z_m), dtype=np.float32)
     boxes = np.concatenate((boxes, own[None].astype(np.float32)))
-    return cut_scene(on_ground, boxes, -float(scene.ground_z_m), _sector_rad(row.spec))
+    # A pose search may have turned or moved it out of the sector that it was placed in.
+    return cut_scene(on_ground, boxes, -float(scene.ground_z_m), _sector_rad(row.spec), last_stays=True)
 
 
 def _sector_rad(spec: TaskSpec) -> tuple[float, float]:

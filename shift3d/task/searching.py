@@ -98,6 +98,9 @@ def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTas
     measured = {name: assets.naturalness_of(spec, name) for name in assets.vehicles.names()}
     budget = spec.attack.naturalness
     names = [name for name, own in measured.items() if not budget or (own is not None and own.within(budget))]
+    if not names:
+        where = f"attack.space=family, attack.naturalness={budget:g}"
+        raise InputError("no vehicle of the set lies within the budget", where, "Give a larger attack.naturalness")
 
     @functools.cache
     def kind(number: int) -> tuple[AttackProblem, Search]:

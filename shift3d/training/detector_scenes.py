@@ -55,16 +55,20 @@ def cut_scene(
     boxes: npt.NDArray[np.float32],
     sensor_height_m: float,
     sector_rad: tuple[float, float] = EVERYWHERE_RAD,
+    last_stays: bool = False,
 ) -> TrainingScene:
-    """`from_scene` of points (N, 3) and vehicle boxes (M, 7) in the network frame; boxes keep their order."""
+    """`from_scene` of points (N, 3) and vehicle boxes (M, 7) in the network frame; boxes keep their order.
+
+    last_stays: the last box is labelled wherever its centre lies.
+    """
     points = points[np.abs(points[:, :2]).max(axis=1) < KEPT_RADIUS_M]
     if sector_rad[1] < np.pi:
-        points, boxes = _labelled_part(points, boxes, sector_rad)
+        points, boxes = _labelled_part(points, boxes, sector_rad, last_stays)
     return TrainingScene(points, boxes, sensor_height_m)
 
 
 def _labelled_part(
-    points: npt.NDArray[np.float32], boxes: npt.NDArray[np.float32], sector_rad: tuple[float, float]
+    points: npt.NDArray[np.float32], boxes: npt.NDArray[np.float32], sector_rad: tuple[float, float], last_stays: bool
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     centre, half_width = sector_rad
 
@@ -74,6 +78,8 @@ def _labelled_part(
         return inside
 
     labelled = within(boxes)
+    if last_stays:
+        labelled[-1:] = True
     on_vehicle = points_in_boxes(points, boxes, MARGIN_M)
     kept = (within(points) | on_vehicle[labelled].any(axis=0)) & ~on_vehicle[~labelled].any(axis=0)
     return points[kept], boxes[labelled]

@@ -48,7 +48,7 @@ class AttackConfig(Record):
     noise_share: NotNegative = 0.0
     max_shift_m: NotNegative
     max_tilt_rad: NotNegative
-    detection_radius_m: Positive
+    detection_radius_m: Annotated[float, Field(gt=0, le=5, allow_inf_nan=False)]
     search: SearchName = "descent"
     space: SpaceName = "free"
     components: Annotated[int, Field(ge=1, le=256)] = 10

@@ -45,10 +45,10 @@ def batch_loss(
     Logits and boxes are taken in the weights' precision, whatever that of the features. Boxes are computed at the
     trained cells alone: the heads' way back over all cells was a twelfth of a step.
     """
-    logits = heads.logits(features).float()
     parts: dict[str, Tensor] = {}
     positives = 0
     with torch.autocast(features.device.type, enabled=False):
+        logits = heads.logits(features.to(heads.classes.weight.dtype))
         for index, target in enumerate(targets):
             cells = objective.cells(heads, target)
             rows = heads.box_rows_at(features[index], cells)

@@ -111,7 +111,7 @@ def _facts(
         "scenes": street if scenes is None else {"dataset": scenes.dataset, "count": len(names), "names": names},
         "vehicles": {"made_by": "meshes of the wide family, none by the decoder", **SPLIT.to_dict()},
         "started_from": None if start_from is None else start_from.name,
-        "compute": compute.facts(recipe.bfloat16) | {"steps_by_device": dict(state["steps_by_device"])},
+        "compute": compute.facts(recipe.bfloat16) | {"steps_by_device": dict(state.get("steps_by_device", {}))},
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
         "curve": [
             {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}} for step, values in curve

@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import trimesh
 from analysed import two_vehicles, variant
 
-from shift3d.analysis.cases.chosen import hardest, random_positions
-from shift3d.analysis.cases.rendered import Loaded
+from shift3d.analysis.cases.chosen import Case, hardest, random_positions
+from shift3d.analysis.cases.rendered import Loaded, Rendered
 from shift3d.analysis.html.document import blocks_html
 from shift3d.analysis.html.sections.auc import auc_blocks, differences
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
+from shift3d.analysis.html.sections.cases import what_changed
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.gallery import gallery
 from shift3d.analysis.html.sections.in_short import headline
@@ -164,3 +166,17 @@ def test_failures_are_counted_and_named(finished: Path) -> None:
     shown = blocks_html(coverage(found).blocks)
     assert "1 of 2 tasks scored" in shown and "1 quarantined" in shown
     assert f"{lost}  ValueError: &lt;no&gt;" in shown and "Nothing failed" not in shown
+
+
+@pytest.mark.parametrize("mode", ["shape", "pose", "shape_pose"])
+def test_a_case_says_of_its_shape_and_its_place_what_its_mode_changes(mode: str) -> None:
+    def rendered(length_m: float, x_m: float) -> Rendered:
+        theta, nothing = np.array([x_m, 0.0, 0.0, 0.0, 0.0, 0.0]), np.zeros((0, 2))
+        mesh = trimesh.creation.box((length_m, 1.8, 1.5))
+        return Rendered(mesh, theta, nothing, nothing, 100, np.zeros(7), None, 0.5)
+
+    case = Case("id", "suv", "street", mode, 0.8, 0.2)
+    longer, farther = 4.0 + 0.4 * ("shape" in mode), 12.0 + 0.5 * ("pose" in mode)
+    said = what_changed(case, rendered(4.0, 12.0), rendered(longer, farther))
+    assert ("40 cm longer" in said) == ("shape" in mode) and ("moved 50 cm forward" in said) == ("pose" in mode)
+    assert ("its shape is the baseline's" in said) == (mode == "pose")

@@ -92,6 +92,16 @@ def test_no_search_takes_more_steps_than_it_was_given(problem: AttackProblem, na
     assert len(run(problem, name).trace) == 1 + evaluations
 
 
+@pytest.mark.parametrize(("evaluations", "starts", "steps"), [(0, 1, 0), (1, 1, 0), (3, 1, 1), (0, 3, 2), (3, 3, 2)])
+def test_evaluations_that_are_too_few_for_a_step_take_none(
+    problem: AttackProblem, evaluations: int, starts: int, steps: int
+) -> None:
+    """Of two placements a step is two; every start takes one."""
+    search, rng = shape_search(problem, 0.0, small_space(problem)), np.random.default_rng(0)
+    found = descend_expectation(problem, search, evaluations, 0.02, rng, placements=2, starts=starts)
+    assert len(found.trace) == 1 + steps
+
+
 def test_the_mean_over_placements_is_what_is_descended(problem: AttackProblem) -> None:
     search = shape_search(problem, 0.0)
     alone = descend_expectation(problem, search, 4, 0.02, np.random.default_rng(0), placements=1)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from shift3d.evaluation.breakdown import Area
+from shift3d.evaluation.frames import DetectedFrame, Found, Truth
 from shift3d.finetuning.page import finetune_page, gains_table
+from shift3d.finetuning.report import natural_areas
 from shift3d.finetuning.table import ADAPTIVE, FINETUNE, TUNED, VANILLA, finetune_table, natural_rows, seed_means
+from shift3d.training.detector.detect_scenes import Answer, write_answer
 
 SCENES = 12
 
@@ -111,3 +115,18 @@ def test_the_page_shows_both_models_beside_the_papers_figures() -> None:
     assert page == finetune_page(table, given, made, ["shift3d sweep finetune <x>"])
     assert "2 unstable" in page and "finetune &lt;x&gt;" in page and "0.514" in page
     assert set(re.findall(r'id="plot-(curve-\d)"', page)) == {"curve-0", "curve-1", "curve-2"}
+
+
+def test_models_are_compared_over_the_scenes_that_all_of_them_have_seen(tmp_path: Path) -> None:
+    """The detector before was evaluated on more streets, by another command, and misses every vehicle there."""
+    box = np.array([[10.0, 0.0, 0.8, 4.0, 1.8, 1.6, 0.0]])
+    for model, scenes in (("before", 6), ("after", 3)):
+        for scene in range(scenes):
+            truth = Truth(box, np.array([50]), np.array([True]), np.array([-1]), ("Car",))
+            found = Found(box + 30.0 * (scene >= 3), np.array([0.9]), np.array([True]), np.array([np.nan]))
+            folder = tmp_path / model / "scenes"
+            folder.mkdir(parents=True, exist_ok=True)
+            write_answer(folder / f"{scene}.npz", Answer(DetectedFrame(str(scene), truth, found), 1.0, 1.0))
+    areas = natural_areas({(VANILLA, None): tmp_path / "before", (TUNED, 0): tmp_path / "after"})
+    assert [row["value"] for row in natural_rows(areas)] == pytest.approx([1.0] * len(natural_rows(areas)))
+    assert {row.get("gain") for row in natural_rows(areas)} <= {None, 0.0} and natural_rows(areas)

@@ -76,6 +76,15 @@ def test_a_budget_needs_a_reference_set_and_a_vehicle_within(assets: Assets, mea
         run_task(make_spec(attack=bounded, reference_hash=measured[1]), measured[0])
 
 
+def test_a_budget_that_no_kind_keeps_is_refused(measured: tuple[Assets, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    wide = load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": "wide"}))
+    assets = dataclasses.replace(wide, reference=measured[0].reference)
+    monkeypatch.setattr(type(assets.vehicles), "names", lambda self: ["sedan", "suv"])
+    attack = dataclasses.replace(SHORT, naturalness=1e-6, search="random", space="family")
+    with pytest.raises(InputError, match=r"no vehicle of the set lies within.*larger attack\.naturalness"):
+        run_task(make_spec(vehicle="sedan", attack=attack, reference_hash=measured[1]), assets)
+
+
 def test_another_reference_set_than_was_planned_is_refused(measured: tuple[Assets, str]) -> None:
     with pytest.raises(InputError, match="changed after the sweep was planned") as failure:
         run_task(make_spec(reference_hash="another"), measured[0])

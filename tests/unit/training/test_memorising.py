@@ -35,6 +35,19 @@ def _crop() -> Crop:
 
 
 @pytest.mark.parametrize("name", RECIPES)
+def test_logits_and_boxes_have_the_precision_of_the_weights_under_autocast(name: str) -> None:
+    recipe = dataclasses.replace(RECIPES[name])
+    net, crop, objective = recipe.new_network().eval(), _crop(), objective_of(recipe)
+    target = objective.targets(net.heads, net.grid, crop)
+    with torch.no_grad():
+        features = net.features([torch.from_numpy(crop.points)], [WINDOW]).bfloat16()
+        _, exact = batch_loss(objective, net.heads, features.float(), [target])
+        with torch.autocast("cpu", torch.bfloat16):
+            _, mixed = batch_loss(objective, net.heads, features, [target])
+    assert mixed == exact
+
+
+@pytest.mark.parametrize("name", RECIPES)
 def test_a_memorised_crop_is_found(name: str) -> None:
     torch.manual_seed(0)
     recipe = dataclasses.replace(RECIPES[name], box_beta=1.0 / 9.0)

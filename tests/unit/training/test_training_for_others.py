@@ -32,7 +32,7 @@ from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import RECIPES, scaled_to_steps
 from shift3d.training.detector.train import train_detector
-from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene
+from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene
 from shift3d.training.progress import CurvePoint
 
 PILLARS = BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4)
@@ -144,6 +144,10 @@ def test_weights_of_real_frames_go_to_the_given_folder_alone(
     assert facts["compute"]["device"] == "cpu" and facts["training_seconds"] >= 0
     assert facts["compute"]["steps_by_device"] == {"cpu": facts["steps"]}
     assert facts["versions"]["torch"] == torch.__version__
+    state = torch.load(out / "checkpoint.pt", weights_only=True)
+    del state["steps_by_device"]  # as of a program that does not count them
+    torch.save(state, out / "checkpoint.pt")
+    assert command.train(recipe.detector, options) == weights
 
 
 def test_only_the_shipped_recipe_writes_the_shipped_weights(tmp_path: Path) -> None:
@@ -195,6 +199,10 @@ def test_only_the_labelled_sector_is_trained_on() -> None:
 
     assert cut(inside).points.tolist() == points[:3].tolist() and len(cut(inside).boxes) == 1
     assert cut(outside).points.tolist() == points[:1].tolist() and len(cut(outside).boxes) == 0
+    boxes = np.array([inside, outside], np.float32)
+    last = cut_scene(points, boxes[1:], 1.7, (0.0, 0.6), last_stays=True)
+    assert last.points.tolist() == points[:3].tolist() and last.boxes.tolist() == boxes[1:].tolist()
+    assert cut_scene(points, boxes[::-1], 1.7, (0.0, 0.6), last_stays=True).boxes.tolist() == boxes[:1].tolist()
 
 
 def test_fewer_steps_keep_the_share_without_insertions() -> None:

@@ -73,7 +73,7 @@ def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:
         key,
         f"{number}. {name}: score {case.before:.2f} → {case.after:.2f}",
         [
-            Paragraph(_changed(case, before, after)),
+            Paragraph(what_changed(case, before, after)),
             views,
             buttons,
             from_above(key, case, before, after, centre),
@@ -85,10 +85,12 @@ def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:
     )  # fmt: skip
 
 
-def _changed(case: Case, before: Rendered, after: Rendered) -> str:
-    if case.mode == "shape":
-        return f"What changed: {in_words(measure_mesh(before.mesh), measure_mesh(after.mesh))}"
-    return f"What changed: {_moved(before, after)}"
+def what_changed(case: Case, before: Rendered, after: Rendered) -> str:
+    """Shape, place or both, in words."""
+    if case.mode == "pose":
+        return f"What changed: {_moved(before, after)}; its shape is the baseline's."
+    shape = in_words(measure_mesh(before.mesh), measure_mesh(after.mesh))
+    return f"What changed: {shape}" + (f" Its place: {_moved(before, after)}." if case.mode == "shape_pose" else "")
 
 
 def _settings(case: Case, spec: TaskSpec) -> str:
@@ -108,12 +110,12 @@ def _moved(before: Rendered, after: Rendered) -> str:
         f"moved {abs(forward):.0f} cm {'forward' if forward >= 0 else 'back'} and {abs(left):.0f} cm to the "
         f"{'left' if left >= 0 else 'right'}, turned {abs(turn):.0f}° to the {'left' if turn >= 0 else 'right'}, nose "
         f"{abs(pitch):.1f}° {'down' if pitch >= 0 else 'up'}, left side {abs(roll):.1f}° "
-        f"{'up' if roll >= 0 else 'down'}; its shape is the baseline's."
+        f"{'up' if roll >= 0 else 'down'}"
     )
 
 
 def _measures(case: Case, number: int, before: Rendered, after: Rendered) -> list[Block]:
-    if case.mode != "shape":
+    if case.mode == "pose":
         return []
     lines = change_lines(measure_mesh(before.mesh), measure_mesh(after.mesh))
     header = ["measure", "baseline", "adversarial", "change"]
