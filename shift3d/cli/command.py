@@ -114,6 +114,16 @@ def share(values: Mapping[str, str], key: str, default: float, where: str) -> fl
     return value
 
 
+def local_path(text: str, key: str = "out") -> Path:
+    """A path of this machine, ~ replaced. Raises InputError: a URL, or the home of nobody. key: of its word."""
+    if "://" in text:
+        raise InputError("is no path of this machine, where this command writes", text, f"Give {key}=PATH")
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:
+        raise InputError("there is no such user", text, f"Give {key}=PATH") from None
+
+
 def writable_folder(text: str, key: str = "out") -> Path:
     """The folder that a command writes to, found to be writable before the work begins. key: of the word that names it.
 
@@ -121,6 +131,6 @@ def writable_folder(text: str, key: str = "out") -> Path:
     """
     from shift3d.store.atomic import check_writable
 
-    folder = Path(text).expanduser()
+    folder = local_path(text, key)
     check_writable(folder, f"{key}=DIR")
     return folder

@@ -115,5 +115,8 @@ def _words_of_folder(words: list[str]) -> list[str]:
         raise InputError(what, where=str(folder), remedy=remedy)
     spec = read_spec(folder)
     changed = {word.partition("=")[0] for word in words[1:]}
+    # Another option of a group takes the settings away that were given for the former option.
+    groups = tuple(f"{key}." for key in changed if "." not in key)
     kept = [word for word in spec["overrides"] if word.partition("=")[0] not in changed]
+    kept = [word for word in kept if not word.lstrip("+").startswith(groups)]
     return [spec["sweep"], *kept, *words[1:], f"out={folder}"]

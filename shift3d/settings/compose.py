@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 Values = dict[str, Any]
 _SMALL = "small"
+_MERGED = ("effects",)
+"""Groups of which several options can be chosen together."""
 
 
 @dataclass(frozen=True)
@@ -197,6 +199,7 @@ def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], lis
             fixed.pop(key, None)
             axes[key] = list(override.sweep_string_iterator())
         elif key in axes:
+            _refuse_no_names(key, override, where)
             axes[key] = [override.get_value_element_as_str()]
         else:
             _refuse_no_names(key, override, where)
@@ -214,6 +217,9 @@ def _refuse_no_names(group: str, override: Any, where: str) -> None:
     if not group:
         raise InputError(f"{override.input_line}: no setting is named", where=where, remedy="Write key=value")
     options, value = _Groups().get_group_options(group), override.value()
+    if options and isinstance(value, list) and len(value) > 1 and group not in _MERGED:
+        remedy = f"Several are an axis: {group}={','.join(map(str, value))}"
+        raise InputError(f"{override.input_line}: {group} takes one option, and the last would win", where, remedy)
     for name in value if isinstance(value, list) else [value]:
         if options and not isinstance(name, str | QuotedString):
             written = "null" if name is None else str(name)

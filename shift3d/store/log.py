@@ -197,7 +197,13 @@ def committed_rows(folder: LocationLike, entries: Sequence[Commit], name: str) -
 
 
 def _segment(data: Location, name: str, file_name: str, rows: int) -> pa.Table:
-    part = read_table(data / file_name, name)
+    try:
+        part = read_table(data / file_name, name)
+    except InputError as error:
+        if (data / file_name).is_file():
+            raise
+        remedy = "If it was compacted meanwhile, run the same command again; else restore it from a copy"
+        raise InputError("is missing", where=str(data / file_name), remedy=remedy) from error
     if part.num_rows != rows:
         raise InputError(
             f"has {part.num_rows} rows, {rows} were committed",

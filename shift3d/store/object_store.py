@@ -233,7 +233,7 @@ class ObjectLocation(Location):
 
     def check_writable(self) -> None:
         """See `Location`: tried, since some stores ignore the condition and would let two drivers write one entry."""
-        probe = self / f"probe-{secrets.token_hex(8)}"
+        probe = self / f".probe-{secrets.token_hex(8)}"
         try:
             if probe.put_if_absent(b"first") and not probe.put_if_absent(b"second"):
                 return

@@ -28,7 +28,10 @@ def as_location(place: LocationLike) -> Location:
         from shift3d.store.object_store import object_location  # late: obstore is not needed for folders
 
         return object_location(place)
-    return LocalLocation(Path(place).expanduser() if isinstance(place, str) else place)
+    try:
+        return LocalLocation(Path(place).expanduser() if isinstance(place, str) else place)
+    except RuntimeError:
+        raise InputError("there is no such user", str(place), "Give another path") from None
 
 
 @contextlib.contextmanager

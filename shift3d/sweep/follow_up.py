@@ -19,6 +19,7 @@ from shift3d.sweep.drive import Finish, SweepResult, run_sweep
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.sweep.results.final import FinalTables, check_segments, segments_in_plan_order, write_final
 from shift3d.sweep.results.verified_scores import FOLDER
 from shift3d.task.exchange import AssetsSpec, TaskResult
@@ -76,10 +77,19 @@ def follow_up(
     Exactly once, resumable and to the same bytes, as a sweep. folder: the sweep's. plan: of `solved_tasks`.
     Raises: InputError as `run_sweep`.
     """
+    _check_begun_with(own, plan)
     result = run_sweep(plan, runner, kind, own, follow_up_tables(table))
     if result.final is not None:
         write_table(folder / "final" / f"{table}.parquet", result.final.tables[table])
     return result
+
+
+def _check_begun_with(own: Location, plan: Plan) -> None:
+    """Raises InputError where a follow-up was begun when other tasks of its sweep had solutions."""
+    if (own / "spec.yaml").is_file() and read_spec(own)["spec_hash"] != plan.spec_hash:
+        what = "was begun before further tasks of the sweep had solutions"
+        remedy = "Remove this folder, which is made again, and run the same command"
+        raise InputError(what, where=str(own), remedy=remedy)
 
 
 def verify_sweep(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepResult:
@@ -92,6 +102,7 @@ def verify_sweep(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> Swee
     from shift3d.task.follow_ups.verify import load_verify_assets, verify_task
 
     folder = as_location(folder)
+    _check_begun_with(folder / FOLDER, plan)
     check_segments(folder, read_log(folder))
 
     def finish(own: Location, verified: Plan, entries: Sequence[Commit]) -> FinalTables:

@@ -65,6 +65,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
     folder = as_location(arguments.out)
     sweep = read_plan(folder).sweep
+    if not (folder / "final" / "scores.parquet").is_file():
+        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
     scores, timings = (
         read_table(folder / "final" / f"{name}.parquet", name).to_pandas() for name in ("scores", "timings")
     )

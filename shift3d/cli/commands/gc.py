@@ -34,18 +34,18 @@ def dry_run(done: str, do: str) -> Callable[[argparse.ArgumentParser], object]:
 
 
 def sweeps_in(out: str) -> list[Location]:
-    """A sweep's folder, and its verification's, which is a sweep itself.
+    """A sweep's folder, and those of its verification, patterns and retrievals, which are sweeps themselves.
 
     Raises: InputError: it is no sweep's folder.
     """
     from shift3d.store.resolve import as_location
     from shift3d.sweep.planning.spec_file import read_spec
-    from shift3d.sweep.results.verified_scores import FOLDER
+    from shift3d.sweep.retrieval import FOLDER as RETRIEVALS
 
     folder = as_location(out)
     read_spec(folder)
-    verification = folder / FOLDER
-    return [folder, verification] if (verification / "spec.yaml").is_file() else [folder]
+    inner = [place / name for place in (folder, folder / RETRIEVALS) for name in place.names()]
+    return [folder, *(place for place in inner if (place / "spec.yaml").is_file())]
 
 
 def _run(arguments: argparse.Namespace) -> int:

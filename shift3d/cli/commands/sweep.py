@@ -53,15 +53,13 @@ examples:
   shift3d sweep plan default scenes.count=20     what would run, how long and at what cost; runs nothing
   shift3d sweep default scenes.count=20 reuse=outputs/default-1a2b3c4d   a grown grid runs what is new in it
   shift3d sweep status outputs/default-1a2b3c4d  how it is going, from any shell or machine
-  shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also what it gave up on"""
+  shift3d sweep outputs/default-1a2b3c4d         resume it; with --retry-quarantined also its quarantined tasks"""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="show the plan and run nothing, as: sweep plan")
     add_tasks(parser, "with plan or --dry-run: ")
-    parser.add_argument(
-        "--retry-quarantined", action="store_true", help="run the tasks again that earlier runs gave up on"
-    )
+    parser.add_argument("--retry-quarantined", action="store_true", help="run quarantined tasks again")
     help_text = "take over what another sweep's folder has done of the same tasks; also reuse=OUT"
     reuse = parser.add_argument("--reuse", metavar="OUT", action="append", default=[], help=help_text)
     reuse.completer = folder_words  # type: ignore[attr-defined]

@@ -102,7 +102,8 @@ class DetectorConfig(Record):
     def weights_by_name(self) -> dict[str, str | None]:
         """Files that were given, by the detector's name: of weights, None: those that ship; an ONNX file."""
         others: dict[str, str | None] = {str(name): path for name, path in self.other_weights.items()}
-        return {**others, self.name: self.weights, **({ONNX: self.file} if self.file else {})}
+        own = self.weights or others.get(self.name)
+        return {**others, self.name: own, **({ONNX: self.file} if self.file else {})}
 
     def modules_by_name(self) -> dict[str, str]:
         """Python files of detectors, by name: of the user's own, where it is asked."""
@@ -273,6 +274,12 @@ class Config(Record):
     def _a_reference_for_the_budget(self) -> Self:
         if self.attack.naturalness and self.naturalness.kind == "none":
             raise ValueError("attack.naturalness is a percentile of a reference set: give naturalness=wide")
+        return self
+
+    @model_validator(mode="after")
+    def _one_scene_for_a_pose(self) -> Self:
+        if self.mode == "shape_pose" and (self.attack.search_scenes or self.attack.transfer_scenes):
+            raise ValueError("attack.search_scenes and transfer_scenes are of mode=shape: a pose belongs to its scene")
         return self
 
     def settings(self) -> dict[str, Any]:

@@ -61,13 +61,14 @@ def open_folder(folder: LocationLike, plan: Plan) -> None:
     Raises: InputError: see `check_folder`; or the disk is full.
     """
     folder = as_location(folder)
-    if not check_folder(folder, plan):
-        # spec.yaml last: a folder that has it has all three.
+    # spec.yaml first: of drivers of several plans one has the folder, and only those of its plan write beside it.
+    begun = check_folder(folder, plan)
+    if not begun and not (folder / "spec.yaml").put_if_absent(_spec_bytes(plan)):
+        begun = check_folder(folder, plan)  # another driver was quicker: it must be of the same plan
+    if not begun or not (folder / "env.json").is_file():  # or its driver was killed here
         (folder / "plan.parquet").write_atomic(plan_bytes(plan.tasks))
         environment = json.dumps(_environment(), indent=1, sort_keys=True)
         (folder / "env.json").write_atomic(environment.encode() + b"\n")
-        if not (folder / "spec.yaml").put_if_absent(_spec_bytes(plan)):
-            open_folder(folder, plan)  # another driver was quicker: it must be of the same plan
 
 
 def _empty_or_begun(folder: Location) -> bool:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from shift3d.detectors.names import FOREIGN, ONNX
 from shift3d.errors import InputError
 from shift3d.settings import messages
 from shift3d.settings.catalogue.foreign import detector_layouts
@@ -118,7 +119,11 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
 
 def _assets_key(config: Config) -> str:
     parts = (config.scenes, config.detector, config.accuracy, config.naturalness)
-    return json.dumps([part.model_dump(mode="json") for part in parts] + [_vehicles(config)])
+    # What a catalogue refuses for some detectors alone: an axis of it is checked at every value.
+    checked = [config.attack.search, config.attack.placement.max_range_m]
+    if not {ONNX, *FOREIGN} & set(config.detector.named()):
+        checked = []
+    return json.dumps([part.model_dump(mode="json") for part in parts] + [_vehicles(config), checked])
 
 
 def _vehicles(config: Config) -> dict[str, Any]:

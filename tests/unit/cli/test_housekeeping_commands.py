@@ -56,6 +56,20 @@ def test_gc_says_what_it_does(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert before.keys() - files(folder).keys() == {str(orphan)}
 
 
+def test_the_sweeps_inside_a_sweep_are_looked_at_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    orphans = []
+    for inner in ("verification", "patterns", "retrieval/street-1a2b"):
+        write_sweep(folder / inner)
+        killed = CommitLog(folder / inner, plan().spec_hash)
+        orphans.append(folder / inner / "data" / f"00000004-{killed.driver}-scores.parquet")
+        orphans[-1].write_bytes(b"")
+        CommitLog(folder / inner, plan().spec_hash)
+    (folder / "verification" / "notes").mkdir()
+    before = files(folder)
+    assert main(["gc", str(folder)]) == 0
+    assert before.keys() - files(folder).keys() == set(map(str, orphans))
+
+
 def test_both_refuse_what_is_no_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("gc", "compact"):
         assert main([command, str(tmp_path)]) == 2

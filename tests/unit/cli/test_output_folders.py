@@ -100,8 +100,35 @@ def test_other_commands_say_it_before_they_work(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("text")
-    for place in ("file/below", "/proc/x"):
+    for place in ("file/below", "/proc/x", "s3://bucket/x", "~nobody-of-this-name/x"):
         assert place in refused([*words, f"out={place}"], capsys)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["finetune", "size=small", "out=s3://bucket/x", "--steps"],
+        ["compile", "detector=pointpillars", "to=s3://bucket/x.onnx"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_bucket_is_no_path_of_this_machine(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert "s3://bucket/x" in (line := refused(words, capsys)) and "no path of this machine" in line
+
+
+def test_another_option_of_a_group_drops_the_settings_of_the_former_option(tmp_path: Path) -> None:
+    words = [*ONE, "runner.workers=2", "tracking.uri=http://mlflow:5000", "attack.steps=3"]
+    open_folder(tmp_path / "out", make_plan(compose_sweep("smoke", words), read_catalogue)[0])
+    again = read_words([str(tmp_path / "out"), "runner=local", "tracking=none"])
+    assert again.overrides == [*ONE, "attack.steps=3", "runner=local", "tracking=none"]
+    compose_sweep(again.name, again.overrides)
+
+
+def test_the_effects_of_an_unfinished_sweep_wait_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [*ONE, "tracking=none", "runner=local"]
+    open_folder(tmp_path / "out", make_plan(compose_sweep("smoke", words), read_catalogue)[0])
+    assert "not finished" in (line := refused(["effects", str(tmp_path / "out")], capsys)) and "it resumes" in line
 
 
 def test_a_sweep_s_name_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

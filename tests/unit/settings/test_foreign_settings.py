@@ -98,3 +98,12 @@ def test_vehicles_stand_within_its_range(tmp_path: Path) -> None:
     wide, _ = far(CASE, tmp_path)
     layouts = detector_layouts(config(tmp_path / "far", config=str(wide)))
     require_in_range(layouts, (0.0, 3.1415927), 50.0)
+
+
+def test_weights_for_each_detector_of_an_axis_are_taken_where_it_is_attacked() -> None:
+    words = ["vehicle=suv", "mode=pose", "detector=pointpillars,sst", "tracking=none"]
+    words += ["+detector.other_weights.pointpillars=A", "+detector.other_weights.sst=B"]
+    found = {
+        config.detector.name: config.detector.weights_by_name() for config in expand(compose_sweep("default", words))
+    }
+    assert (found["pointpillars"]["pointpillars"], found["sst"]["sst"]) == ("A", "B")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from bucket_server import new_bucket
 from faulty_proxy import FaultyProxy, faulty_proxy
+from obstore.exceptions import PermissionDeniedError
 
 from shift3d.errors import InputError
 from shift3d.store import object_store
@@ -124,6 +125,17 @@ def test_a_store_without_conditions_is_refused_before_anything_is_run(proxy: Fau
     with pytest.raises(InputError, match="two drivers would not notice"):
         CommitLog(bucket / "sweep", "spec")
     assert read_log(bucket / "sweep") == [] and bucket.names() == []
+
+
+def test_a_probe_that_cannot_be_removed_hides(bucket: Location, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of credentials that may not delete, or beside another driver that tries the same folder."""
+
+    def denied(*_: object, **__: object) -> None:
+        raise PermissionDeniedError("AccessDenied")
+
+    monkeypatch.setattr(object_store.obstore, "delete", denied)
+    (bucket / "new").check_writable()
+    assert (bucket / "new").names() == []
 
 
 def test_no_conditional_put_by_its_settings(bucket: Location, monkeypatch: pytest.MonkeyPatch) -> None:

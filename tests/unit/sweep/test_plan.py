@@ -9,8 +9,12 @@ import pytest
 from by_hand import BOTH_LAMBDAS, VEHICLES, catalogue
 
 from shift3d.errors import InputError
+from shift3d.settings.catalogue.compiled import require_score_only
+from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
+from shift3d.settings.schema.config import Config
 from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.sweep.planning import folder as folder_module
 from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import Plan, make_plan
 from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
@@ -112,6 +116,48 @@ def test_a_folder_whose_first_driver_was_killed_early_is_taken_over(out: Path, s
     (out / "plan.parquet").write_bytes(b"another plan, without its spec.yaml")
     open_folder(out, suv_plan)
     assert read_plan(out) == suv_plan
+
+
+def test_of_two_drivers_of_different_sweeps_one_has_the_folder_whole(
+    out: Path, suv_plan: Plan, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second has looked at the folder before the first wrote anything there."""
+    look = folder_module.check_folder
+
+    def look_and_be_overtaken(place: object, plan: Plan) -> bool:
+        begun = look(out, plan)
+        if plan is default_plan and not begun:
+            monkeypatch.setattr(folder_module, "check_folder", look)
+            open_folder(out, suv_plan)
+        return begun
+
+    monkeypatch.setattr(folder_module, "check_folder", look_and_be_overtaken)
+    with pytest.raises(InputError, match="holds another sweep"):
+        open_folder(out, default_plan)
+    assert read_plan(out) == suv_plan
+
+
+def test_a_folder_whose_driver_was_killed_after_its_spec_is_completed(out: Path, suv_plan: Plan) -> None:
+    open_folder(out, suv_plan)
+    for name in ("plan.parquet", "env.json"):
+        (out / name).unlink()
+    open_folder(out, suv_plan)
+    assert read_plan(out) == suv_plan and (out / "env.json").is_file()
+
+
+def test_every_value_of_an_axis_is_checked_against_the_detector() -> None:
+    """An ONNX file has no gradient: no sweep of it may hold a search that follows one."""
+    onnx = ["vehicle=suv", "mode=pose", "detector=onnx", "detector.file=x.onnx"]
+
+    def checked(config: Config) -> Catalogue:
+        require_score_only(config)
+        return catalogue(config)
+
+    for search in ("descent", "evolution,descent", "evolution,random,expectation"):
+        with pytest.raises(InputError, match=r"attack\.search=evolution"):
+            make_plan(compose_sweep("default", [*onnx, f"attack.search={search}"]), checked)
+    plan, _ = make_plan(compose_sweep("default", [*onnx, "attack.search=evolution,random"]), checked)
+    assert {task.assets for task in plan.tasks} == {0}
 
 
 def test_damaged_folders_are_named(out: Path, suv_plan: Plan) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from shift3d.cli.command import Command, key_values
+from shift3d.cli.command import Command, key_values, local_path
 from shift3d.cli.completion import key_words
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
@@ -27,7 +26,7 @@ examples:
 
 def _run(arguments: argparse.Namespace) -> int:
     values = key_values(arguments.words, _KEYS, ("detector", "to"), "compile")
-    target = Path(values["to"]).expanduser()
+    target = local_path(values["to"], "to")
     if target.suffix != ".onnx":
         raise InputError(f"to={values['to']} does not end in .onnx", "compile", "Give to=FILE.onnx")
     from shift3d.store.atomic import check_writable, write_atomic

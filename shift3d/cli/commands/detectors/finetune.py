@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from shift3d.cli.command import Command, flag, key_values, run_command, whole_number
+from shift3d.cli.command import Command, flag, key_values, local_path, run_command, whole_number
 from shift3d.cli.commands import sweep
 from shift3d.cli.commands.detectors import evaluate, train
 from shift3d.cli.commands.follow_ups import verify
@@ -132,7 +132,7 @@ def _run(arguments: argparse.Namespace) -> int:
     configure_runtime()
     request = read_request(arguments.words, arguments.quick)
     config, spec_hash = _checked(request)
-    folder = Path(request.out or f"outputs/finetuning-{spec_hash}").expanduser()
+    folder = local_path(request.out or f"outputs/finetuning-{spec_hash}")
     models = _models(folder, config.detector.name, request)
     steps = list(steps_of(folder, config, request, models))
     if arguments.steps:

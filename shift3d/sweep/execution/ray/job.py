@@ -49,7 +49,15 @@ def submit_sweep(
     except KeyboardInterrupt:
         print(f"\nthe sweep goes on; to end it as Ctrl-C would: ray job stop {job} --address {address}")
         return int(ExitCode.INTERRUPTED)
-    details = client.get_job_info(job)
+    # The tunnel or the dashboard is gone: Ray, aiohttp and requests each have errors of their own.
+    except Exception as error:
+        raise _unseen(job, address, error) from error
+    try:
+        details = client.get_job_info(job)
+    except Exception as error:
+        raise _unseen(job, address, error) from error
+    if details.status in ("PENDING", "RUNNING"):
+        raise _unseen(job, address, f"it is {details.status}")
     if details.status == "SUCCEEDED":
         return 0
     if details.driver_exit_code is None:
@@ -58,6 +66,13 @@ def submit_sweep(
             f"{job} did not run ({details.status}): {what}", where=address, remedy="The same command again"
         )
     return int(details.driver_exit_code)
+
+
+def _unseen(job: str, address: str, why: object) -> InputError:
+    """The error for a job that goes on where nobody here can follow it."""
+    follow = f"ray job logs --follow {job} --address {address}"
+    remedy = f"The sweep goes on. Follow it: {follow}, or shift3d sweep status OUT"
+    return InputError(f"{job} cannot be followed any more ({why})", where=address, remedy=remedy)
 
 
 def _with_folders(runtime_env: dict[str, Any], folders: Sequence[Path], copies: Path) -> dict[str, Any]:
