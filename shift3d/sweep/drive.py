@@ -104,6 +104,7 @@ def run_sweep(
     left = plan.tasks.without(log.finished() - again)
     status = StatusWriter(log, len(plan.tasks))
     status.write([], 0, "starting" if len(left) else "finished")
+    came = 0
     if len(left):
         if kind.prepare:
             for assets in plan.assets:
@@ -114,9 +115,11 @@ def run_sweep(
         ):
             rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
             watchers = _Watchers(progress, status, rule)
-            _run(runner, cheapest_first(plan.tasks, left), Committer(log, runner_config.commit_seconds), watchers)
+            committer = Committer(log, runner_config.commit_seconds)
+            came = _run(runner, cheapest_first(plan.tasks, left), committer, watchers)
     done, quarantined = log.done(), log.quarantined()
-    complete = len(done) + len(quarantined) == len(plan.tasks)
+    # A task that was to be tried again and was not is still quarantined by the earlier run.
+    complete = len(done) + len(quarantined) == len(plan.tasks) and (came >= len(left) or not again)
     final = finish(folder, plan, log.entries) if complete else None
     seconds = time.monotonic() - began
     return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), seconds, reused)
@@ -168,12 +171,15 @@ class _Watchers:
             raise aborted
 
 
-def _run(runner: Runner, left: np.ndarray, committer: Committer, watchers: _Watchers) -> None:
+def _run(runner: Runner, left: np.ndarray, committer: Committer, watchers: _Watchers) -> int:
+    """Run tasks until all came back or somebody asks to stop; how many came back."""
     state: State = "stopped"
+    came = 0
     with _stop_on_signals(committer, watchers.progress) as stop:
         try:
             for outcome in runner.run(left, stop.first):
                 committer.add(outcome)
+                came += len(outcome.done) + len(outcome.quarantined)
                 watchers.see(outcome, runner)
                 if stop.second.is_set():
                     break
@@ -190,6 +196,7 @@ def _run(runner: Runner, left: np.ndarray, committer: Committer, watchers: _Watc
             watchers.progress.say("dropping the tasks in flight")
         committer.flush()
         watchers.status.write([], runner.workers, state)
+    return came
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 
@@ -68,20 +64,6 @@ class Compute:
         """What of this changes bytes, for a provenance file."""
         mixed = bfloat16 and self.fast_bfloat16
         return {"device": self.name, "threads": self.threads, "mixed_bfloat16": mixed, "flush_denormal": True}
-
-
-@contextmanager
-def mapping(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
-    """`map`, over processes if there are several, each with one thread; what has not begun is left out on an error."""
-    if workers <= 1:
-        yield map
-        return
-    # Spawned, not forked: a fork would copy CUDA's state and the locks of this process's threads.
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), torch.set_num_threads, (1,))
-    try:
-        yield pool.map
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def choose_compute(device: Literal["auto", "cpu", "cuda"] | str = "auto", threads: int = 1) -> Compute:

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
 from shift3d.store.arrays import write_arrays
-from shift3d.training.compute import mapping
+from shift3d.training.processes import mapping
 
 KEPT_RADIUS_M = 80.0
 EVERYWHERE_RAD = (0.0, float(np.pi))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
+import signal
 from pathlib import Path
 
 import cheap_task
@@ -14,6 +17,7 @@ from shift3d.settings.schema.config import LocalRunnerConfig
 from shift3d.store.resolve import as_location
 from shift3d.sweep.follow_up import follow_up, follow_up_kind, solved_tasks, verify_sweep
 from shift3d.task.exchange import TaskResult
+from shift3d.task.spec import TaskSpec
 
 WORDS = ["sweep", "default", "vehicle=suv,coupe", "mode=pose", "scenes.count=2", "tracking=none", "runner=local"]
 
@@ -36,3 +40,22 @@ def test_a_follow_up_of_fewer_solutions_is_to_be_made_again(tmp_path: Path, monk
     with pytest.raises(InputError, match=r"out/verification: was begun before further tasks.*Remove this folder"):
         verify_sweep(folder, again, runner)
     assert follow_up(folder, again, runner, kind, folder / "patterns", "patterns").done == 4
+
+
+def test_ctrl_c_while_quarantined_tasks_run_again_leaves_them_to_the_next_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No final tables are written that would say again that they failed."""
+    monkeypatch.setenv("SHIFT3D_TEST_FAILS", "coupe")
+    words = [*WORDS, "runner.abort_share=null", "runner.abort_after=null", f"out={tmp_path / 'out'}"]
+    assert sweep.run_with(parse(words), cheap_task.KIND) == 3
+    monkeypatch.delenv("SHIFT3D_TEST_FAILS")
+
+    def run_and_be_interrupted(spec: TaskSpec, assets: dict[str, float]) -> TaskResult:
+        os.kill(os.getpid(), signal.SIGINT)
+        return cheap_task.run(spec, assets)
+
+    again = ["sweep", str(tmp_path / "out"), "--retry-quarantined"]
+    interrupted = dataclasses.replace(cheap_task.KIND, run=run_and_be_interrupted)
+    assert sweep.run_with(parse(again), interrupted) == 130
+    assert sweep.run_with(parse(again), cheap_task.KIND) == 0

@@ -86,7 +86,8 @@ def _difference(found: dict[str, Any], plan: Plan) -> str:
         return f"{counted(found['tasks'], 'task')}, not {len(plan.tasks)}"
     old, new = _flat(found["settings"]), _flat(plan.settings)
     changed = [f"{key} {old.get(key)}, not {new.get(key)}" for key in sorted(old | new) if old.get(key) != new.get(key)]
-    return changed[0] if changed else "made from other scenes, vehicles, weights or axes"
+    # A processor without bfloat16 searches in float32, unless accuracy.detector says what to search in.
+    return changed[0] if changed else "made from other scenes, vehicles, weights, axes or accuracy.detector"
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

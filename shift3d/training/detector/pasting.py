@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.training.compute import mapping
 from shift3d.training.detector.recipe import Augmentation
 from shift3d.training.detector_scenes import TrainingScene, load_cached
+from shift3d.training.processes import mapping
 
 Floats = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]

@@ -34,7 +34,7 @@ def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_a_sweep_resumes(frame: str, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(["sweep", "kitti", frame, *KITTI, "out=out"], capsys)
-    assert "plan.parquet: the file would pass the size limit" in line
+    assert "spec.yaml: the file would pass the size limit" in line
     assert line.endswith("run the same command again: it resumes")
 
 

@@ -37,5 +37,6 @@ def test_it_sees_what_the_shipped_one_sees(name: str, points: torch.Tensor, tmp_
     torch.testing.assert_close(found.logits.sigmoid(), ours.logits.sigmoid(), rtol=0, atol=1e-5)
     torch.testing.assert_close(found.boxes[:, :6], ours.boxes[:, :6], rtol=0, atol=2e-5)
     turned = torch.remainder(found.boxes[:, 6] - ours.boxes[:, 6] + pi, 2 * pi) - pi
-    assert float(turned.abs().max()) < 1e-4
+    seen = ours.logits.sigmoid() > 0.05  # elsewhere a heading's sine and cosine may both be near 0
+    assert bool(seen.any()) and float(turned[seen].abs().max()) < 1e-4
     assert float((same - gradient).norm()) < 1e-5 * float(gradient.norm())
