@@ -199,10 +199,10 @@ def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], lis
             fixed.pop(key, None)
             axes[key] = list(override.sweep_string_iterator())
         elif key in axes:
-            _refuse_no_names(key, override, where)
+            _check_options(key, override, where)
             axes[key] = [override.get_value_element_as_str()]
         else:
-            _refuse_no_names(key, override, where)
+            _check_options(key, override, where)
             fixed[key] = override.input_line
     empty = [key for key, texts in axes.items() if not texts]
     if empty:
@@ -210,7 +210,7 @@ def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], lis
     return axes, list(fixed.values())
 
 
-def _refuse_no_names(group: str, override: Any, where: str) -> None:
+def _check_options(group: str, override: Any, where: str) -> None:
     """Hydra says of ``effects=null`` and ``effects=[3]`` neither what was wrong nor what there is."""
     from hydra.core.override_parser.types import QuotedString
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import platform
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from shift3d.store.user_cache import source_digest, user_cache
 
 FILES_KEPT = 256
 """Of 750 kB each; the oldest make room."""
-_CODE = ("render", "sdf", "processor.py")
+_CODE = ("render", "sdf", "processor.py", "task/kept_grids.py")
 
 
 def kept_grid(decoder_hash: str, vehicle_hash: str, settings: RenderSettings, make: Callable[[], SdfGrid]) -> SdfGrid:
@@ -46,7 +47,8 @@ def kept_grid(decoder_hash: str, vehicle_hash: str, settings: RenderSettings, ma
 
 def _file(decoder_hash: str, vehicle_hash: str, settings: RenderSettings) -> Path:
     capability, threads = torch.backends.cpu.get_cpu_capability(), torch.get_num_threads()
-    machine = (torch.__version__, capability, has_fast_bfloat16(), threads)
+    # A home folder may be shared by machines whose libraries round differently.
+    machine = (platform.node(), torch.__version__, capability, has_fast_bfloat16(), threads)
     made_of = (decoder_hash, vehicle_hash, repr(settings), source_digest(*_CODE), machine)
     return user_cache() / "grids" / f"{hashlib.blake2b(repr(made_of).encode(), digest_size=16).hexdigest()}.safetensors"
 

@@ -1,6 +1,6 @@
 """Crops and targets of each step, made while the network computes: in a thread beside a CPU, in processes beside a GPU.
 
-A GPU takes some hundred crops a second, a core makes some twenty.
+A core makes some twenty crops a second.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ def batches(maker: BatchMaker, steps: range, workers: int) -> Iterator[Batch]:
     """The batch of each step, in order. workers: processes that make them; 0: one thread of this one."""
     if workers:
         context = multiprocessing.get_context("spawn")  # a fork would copy CUDA's state and the locks of threads
-        with ProcessPoolExecutor(workers, context, _open, (maker,)) as pool:
-            for step, crops, targets in _in_order(pool, _made_arrays, steps, AHEAD * workers):
-                yield step, crops, [_each(target, torch.from_numpy) for target in targets]
+        pool = ProcessPoolExecutor(workers, context, _open, (maker,))
+        for step, crops, targets in _in_order(pool, _made_arrays, steps, AHEAD * workers):
+            yield step, crops, [_each(target, torch.from_numpy) for target in targets]
     else:
-        with ThreadPoolExecutor(1) as pool:
-            yield from _in_order(pool, maker.of, steps, 1)
+        yield from _in_order(ThreadPoolExecutor(1), maker.of, steps, 1)
 
 
 def _in_order(pool: Executor, make: Callable[[int], Batch], steps: range, ahead: int) -> Iterator[Batch]:
+    """What a pool makes of each step, `ahead` of them at once; the pool is closed at the end."""
     coming: deque[Future[Batch]] = deque(pool.submit(make, step) for step in steps[:ahead])
     try:
         for step in steps:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+from collections import OrderedDict
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from short_tasks import make_spec
 
 from shift3d.render.culling import Box
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import STANDARD, RenderSettings
+from shift3d.task.assets import Assets
 from shift3d.task.kept_grids import kept_grid
 
 LIVE = (torch.tensor([True, False, True]), torch.tensor([False, True]))
@@ -42,7 +46,7 @@ def equal(one: SdfGrid, two: SdfGrid) -> bool:
     return lives and numbers and same and one.box == two.box
 
 
-def never() -> SdfGrid:
+def never(*_: object) -> SdfGrid:
     raise AssertionError("made again")
 
 
@@ -64,11 +68,12 @@ def test_another_decoder_vehicle_or_setting_has_a_grid_of_its_own() -> None:
             kept(never, **other)
 
 
-def test_another_number_of_threads_or_another_processor_may_round_differently(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_threads_and_another_machine_may_round_differently(monkeypatch: pytest.MonkeyPatch) -> None:
     kept(some_grid)
-    for place, found in (("get_num_threads", 7), ("backends.cpu.get_cpu_capability", "AVX9")):
+    others = {"torch.get_num_threads": 7, "torch.backends.cpu.get_cpu_capability": "AVX9", "platform.node": "another"}
+    for place, found in others.items():
         with monkeypatch.context() as patch, pytest.raises(AssertionError, match="made again"):
-            patch.setattr(f"torch.{place}", lambda found=found: found)
+            patch.setattr(place, lambda found=found: found)
             kept(never)
 
 
@@ -104,3 +109,11 @@ def test_the_oldest_make_room(cache: Path, monkeypatch: pytest.MonkeyPatch) -> N
     kept(never, vehicle="b"), kept(never, vehicle="c")
     with pytest.raises(AssertionError, match="made again"):
         kept(never, vehicle="a")
+
+
+def test_another_worker_reads_the_grid_of_a_shipped_vehicle(assets: Assets, monkeypatch: pytest.MonkeyPatch) -> None:
+    one, two = (dataclasses.replace(assets, _spaces=OrderedDict()) for _ in range(2))
+    made = one.space_of(make_spec(), STANDARD)
+    monkeypatch.setattr(SdfGrid, "of", never)
+    read = two.space_of(make_spec(), STANDARD)
+    assert made is not None and read is not None and equal(made, read) and made.live is not None
