@@ -19,13 +19,17 @@ from shift3d.task.spec import TaskSpec
 
 @dataclass(frozen=True)
 class SweepObject:
-    """A row of ``solutions.parquet``. assets: of its task, an index of the plan's. score: by the attacked detector."""
+    """A row of ``solutions.parquet``. assets: of its task, an index of the plan's. score: by the attacked detector.
+
+    searched: False for the unchanged vehicle that stands for a search without a valid step.
+    """
 
     spec: TaskSpec
     assets: int
     solution: dict[str, Any]
     score: float
     stable: bool | None
+    searched: bool = True
 
     @property
     def key(self) -> tuple[str, str, int]:
@@ -42,7 +46,8 @@ class SweepObject:
         """What tells it from others of its vehicle, scene and method."""
         spec = self.spec
         effects = "+".join(spec.effects) or "none"
-        found = (spec.mode, spec.lambda_, spec.alpha, spec.search, spec.accuracy, effects, spec.replicate)
+        found = (spec.mode, spec.lambda_, spec.alpha, spec.search, spec.accuracy, effects, spec.replicate,
+                 spec.attack.steps, spec.base_seed)  # fmt: skip
         return " ".join(map(str, (*found, self.solution["replicate"])))
 
 
@@ -106,7 +111,8 @@ def _objects(
         for solution in solutions.get(task.spec.task_id, ()):
             row = scores[task.spec.task_id, solution["method"], solution["replicate"]]
             if row["score"] is not None:
-                yield SweepObject(task.spec, task.assets, solution, row["score"], row["stable"])
+                searched = row["method"] != "adversarial" or row["status"] != "no_valid_step"
+                yield SweepObject(task.spec, task.assets, solution, row["score"], row["stable"], searched)
 
 
 def stable_objects(folder: LocationLike, detector: str, weights_hash: str, method: str) -> SweepObjects:
@@ -129,8 +135,10 @@ def stable_objects(folder: LocationLike, detector: str, weights_hash: str, metho
         if made.get("kind") == "street" and made.get("split") != "train":
             what = f"holds {row.spec.scene}, a street of split {made.get('split')}, not train"
             raise InputError(what, where=where, remedy="Run the sweep with scenes.split=train")
-    stable = tuple(row for row in found.objects if row.stable)
+    searched = [row for row in found.objects if row.searched]
+    stable = tuple(row for row in searched if row.stable)
     if not stable:
         raise InputError(f"no {method} object is stable", where=where, remedy="See final/stability.html")
-    left_out = found.left_out | {"unstable": len(found.objects) - len(stable)}
+    left_out = Counter(found.left_out)
+    left_out.update({"no_valid_step": len(found.objects) - len(searched), "unstable": len(searched) - len(stable)})
     return SweepObjects(found.folder, found.plan, stable, {why: number for why, number in left_out.items() if number})

@@ -36,7 +36,7 @@ from shift3d.training.detector.recipes import RECIPES, changed
 from shift3d.training.detector.train import CURVE_POINTS, export_weights
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene
 from shift3d.training.progress import Report, averaged
-from shift3d.training.provenance import write_provenance
+from shift3d.training.provenance import read_provenance, write_provenance
 
 
 def objects_digest(found: SweepObjects) -> str:
@@ -123,7 +123,7 @@ def fine_tune(
     start = shipped if options.start_from in (None, "shipped") else Path(str(options.start_from)).expanduser()
     if not start.is_file():
         raise InputError("no such weights", where=str(start), remedy="Give start_from=FILE, or start_from=shipped")
-    start_hash = file_hash(start)
+    start_hash, before = file_hash(start), read_provenance(start)
     found = stable_objects(sweep, detector, start_hash, method)
     state = load_network(start, detector).state_dict()
     recipe = _with_anchors(tuning_recipe(detector, len(found.objects), options), state)
@@ -147,7 +147,7 @@ def fine_tune(
     export_weights(net, weights, recipe, halved=False)
     ended = read_checkpoint(options.out / CHECKPOINT)
     assert ended is not None
-    write_provenance(weights, _facts(found, method, recipe, (start, start_hash), compute, ended))
+    write_provenance(weights, _facts(found, method, recipe, (start, start_hash), compute, ended) | {"before": before})
     return weights
 
 

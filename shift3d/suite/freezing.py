@@ -273,10 +273,16 @@ def _changes(scene: Scene, points: NDArray[np.float32]) -> tuple[NDArray[np.int3
 
 def _sweep_scores(plan: Plan, scores: pd.DataFrame, objects: list[dict[str, Any]]) -> pa.Table:
     """What every detector of the sweep made of the objects: the release that the first gate compares with."""
-    weights = {name: digest for spec in plan.tasks.templates for name, digest in spec.detector_hashes.items()}
+    ids = dict.fromkeys(row["task_id"] for row in objects)
+    weights = {name: plan.tasks.starting_with(name)[0].spec.detector_hashes for name in ids}
     by_key = dict(iter(scores.groupby(["task_id", "method", "replicate"])))
     rows = [
-        {"object_id": row["object_id"], "detector": name, "weights": weights.get(name, ""), "score": score}
+        {
+            "object_id": row["object_id"],
+            "detector": name,
+            "weights": weights[row["task_id"]].get(name, ""),
+            "score": score,
+        }
         for row in objects
         for name, score in by_key[row["task_id"], row["method"], row["replicate"]][["scored_by", "score"]].values
     ]

@@ -37,23 +37,36 @@ def write_provenance(weights_file: Path, facts: Mapping[str, Any]) -> Path:
     return file
 
 
+def read_provenance(weights_file: Path) -> dict[str, Any] | None:
+    """The facts that stand beside a weights file, or None where there are none.
+
+    Raises: InputError naming a provenance that cannot be read.
+    """
+    file = weights_file.with_suffix(".json")
+    if not file.is_file():
+        return None
+    remedy = "Restore it from a copy, or train again"
+    try:
+        facts = json.loads(file.read_bytes())
+    except ValueError as error:
+        raise InputError(f"is no provenance ({type(error).__name__})", str(file), remedy) from error
+    if not isinstance(facts, dict):
+        raise InputError("is no provenance (no JSON object)", str(file), remedy)
+    return facts
+
+
 def refuse_tuned_scenes(weights_file: Path, scenes: Mapping[str, str]) -> None:
-    """Refuse to measure weights on scenes that they were fine-tuned on, by the provenance beside them.
+    """Refuse to measure weights on scenes that they, or weights that they started from, were fine-tuned on.
 
     scenes: content hash by name; an empty hash is any. Weights without provenance, or that were trained otherwise,
     pass.
     Raises: InputError naming the scenes, or a provenance that cannot be read.
     """
-    file = weights_file.with_suffix(".json")
-    if not file.is_file():
-        return
-    try:
-        facts = json.loads(file.read_bytes())
-    except ValueError as error:
-        what = f"is no provenance ({type(error).__name__})"
-        raise InputError(what, where=str(file), remedy="Restore it from a copy, or train again") from error
-    source = facts.get("finetuned_on") if isinstance(facts, dict) else None
-    tuned: dict[str, str] = source["scenes"] if source else {}
+    tuned: dict[str, str] = {}
+    facts = read_provenance(weights_file)
+    while facts:
+        tuned |= (facts.get("finetuned_on") or {}).get("scenes", {})
+        facts = facts.get("before")
     hashes = {value for value in tuned.values() if value}
     both = sorted(name for name, value in scenes.items() if name in tuned or value in hashes)
     if both:

@@ -181,7 +181,7 @@ class _Model:
     def seconds(self, spec: TaskSpec) -> float:
         """Of one worker with one thread."""
         more_ms = sum(max(self._impact[name].milliseconds, 0.0) for name in spec.effects if name in self._impact)
-        if spec.accuracy in self._rendering_ms:
+        if {spec.accuracy, self._parts.accuracy} <= self._rendering_ms.keys():
             more_ms += self._rendering_ms[spec.accuracy] - self._rendering_ms[self._parts.accuracy]
         renderings = sum(searched(spec))
         return max(self._parts.of(spec) + renderings * more_ms, renderings) / 1e3

@@ -23,6 +23,7 @@ from shift3d.analysis.tables.coverage import nothing_placed, trial_caveat
 from shift3d.analysis.variants import variants
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
+from shift3d.sweep.planning.plan_view import merged_lines
 from shift3d.wording import counted
 
 
@@ -30,8 +31,9 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     """The page of a sweep; the same sweep to the same text. cases: hard cases to show, fewer where fewer fell."""
     plan = sweep.plan
     found, loaded = variants(sweep.auc, sweep.scored), Loaded(plan)
+    caveat = " ".join([trial_caveat(plan.tasks) or "", *merged_lines(plan.tasks)]).strip()
     sections = [
-        in_short(found, trial_caveat(plan.tasks), nothing_placed(sweep.scores, plan.settings)),
+        in_short(found, caveat, nothing_placed(sweep.scores, plan.settings)),
         hard_cases(sweep, loaded, cases),
         gallery(sweep, loaded),
         budgets(found),

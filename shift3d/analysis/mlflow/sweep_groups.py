@@ -81,14 +81,14 @@ def overall(auc: pd.DataFrame, curves: pd.DataFrame) -> tuple[dict[str, float], 
 
 
 def budget_points(auc: pd.DataFrame) -> list[tuple[str, float, int]]:
-    """AUCs over the baseline's as curves over the budget of naturalness in percent, 100 for none: MLflow's steps."""
+    """AUCs over the baseline's as curves over the budget of naturalness in percent, 101 for none: MLflow's steps."""
     points = []
     for curve in budget_curves(variants(auc)):
         for budget, variant in curve.variants.items():
             for method in ("random_search", "adversarial"):
                 ratio = variant.aucs.of_baseline(method, variant.vehicles)
                 name = metric_name(f"auc_by_budget/{method}/{curve.title}")
-                points += [(name, ratio, round(budget))] if ratio is not None else []
+                points += [(name, ratio, round(min(budget, 101.0)))] if ratio is not None else []
     return points
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,25 +37,30 @@ def mean_interval(values: ArrayLike, groups: Sequence[object]) -> Interval:
 
     Source: Efron's BCa bootstrap (scipy), clusters resampled (Davison and Hinkley 1997, section 3.8).
     """
-    from scipy.stats import bootstrap
-
     numbers = np.asarray(values, dtype=np.float64)
     names, index = np.unique(np.asarray([str(group) for group in groups]), return_inverse=True)
     mean = float(numbers.mean())
     if len(names) < 2:
         return Interval(mean, -np.inf, np.inf)
-    sums, counts = np.bincount(index, numbers), np.bincount(index).astype(np.float64)
+    sums, counts = (np.bincount(index, part).astype(np.float64) for part in (numbers, np.ones_like(numbers)))
     if np.ptp(sums / counts) <= 1e-12 * max(1.0, abs(mean)):
         return Interval(mean, mean, mean)
+    return _bca((sums, counts), lambda s, c, axis: s.sum(axis=axis) / c.sum(axis=axis), mean, len(numbers))
+
+
+def _bca(parts: Sequence[FloatArray], statistic: Callable[..., FloatArray], mean: float, number: int) -> Interval:
+    """A statistic's BCa interval. parts: arrays (G,), a value a group. number: of values, for the random draws."""
+    from scipy.stats import bootstrap
+
     found = bootstrap(
-        (sums, counts),
-        lambda s, c, axis: s.sum(axis=axis) / c.sum(axis=axis),
+        tuple(parts),
+        statistic,
         paired=True,
         vectorized=True,
         n_resamples=_DRAWS,
         confidence_level=_CONFIDENCE,
         method="BCa",
-        rng=generator("bootstrap", len(numbers), len(names)),
+        rng=generator("bootstrap", number, len(parts[0])),
     ).confidence_interval
     return Interval(mean, float(found.low), float(found.high))
 
@@ -84,14 +89,25 @@ def difference_interval(values: ArrayLike, inside: NDArray[np.bool_], groups: Se
 
 
 def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
-    """Mean over vehicles of their mean scores, scenes with all their vehicles drawn together.
+    """Mean over vehicles of their mean scores, and its BCa bootstrap, scenes with all their vehicles drawn together.
 
-    rows: columns score, vehicle, place. Scores are weighted so that their mean is the mean of the vehicles' means,
-    whatever number of scores each has.
+    rows: columns score, vehicle, place. A vehicle without a scene in a draw is left out of that draw's mean. Infinite
+    with a single place, a point where all places agree. Source: as `mean_interval`.
     """
-    share = rows.groupby("vehicle")["score"].transform("size")
-    weighted = rows["score"] * (len(rows) / (rows["vehicle"].nunique() * share))
-    return mean_interval(weighted, list(rows["place"]))
+    places, vehicles = (sorted(set(rows[name])) for name in ("place", "vehicle"))
+    sums, counts = _sums(rows, places, vehicles)
+
+    def statistic(*parts: FloatArray, axis: int) -> FloatArray:
+        drawn, numbers = (np.stack([part.sum(axis=axis) for part in half]) for half in (parts[:count], parts[count:]))
+        return _mean_of_means(drawn, numbers, axis=0)
+
+    count = len(vehicles)
+    mean = float(statistic(*sums.T, *counts.T, axis=0))
+    if len(places) < 2:
+        return Interval(mean, -np.inf, np.inf)
+    if np.ptp(_mean_of_means(sums, counts, axis=1)) <= 1e-12 * max(1.0, abs(mean)):
+        return Interval(mean, mean, mean)
+    return _bca((*sums.T, *counts.T), statistic, mean, len(rows))
 
 
 def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame) -> Interval | None:
@@ -136,10 +152,14 @@ def _sums(rows: pd.DataFrame, places: list[str], vehicles: list[str]) -> tuple[F
 
 def _vehicle_mean(drawn: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
     """Mean over vehicles of their mean scores (D,) when each place counts as often as drawn (D, P) tells."""
-    numbers = drawn @ counts
-    means = np.divide(drawn @ sums, numbers, out=np.zeros_like(numbers), where=numbers > 0)
+    return _mean_of_means(drawn @ sums, drawn @ counts, axis=1)
+
+
+def _mean_of_means(sums: FloatArray, counts: FloatArray, axis: int) -> FloatArray:
+    """Along an axis, the mean of sums over counts where there is a count; NaN where there is none."""
+    means = np.divide(sums, counts, out=np.zeros_like(sums), where=counts > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(means.sum(axis=1) / (numbers > 0).sum(axis=1))
+        return np.asarray(means.sum(axis=axis) / (counts > 0).sum(axis=axis))
 
 
 def recall_band(

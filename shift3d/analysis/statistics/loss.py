@@ -47,6 +47,11 @@ def flip_p_values(sums: FloatArray, flips: int = _FLIPS) -> FloatArray:
     return np.asarray(np.where(scale > 0, at_least, 1.0))
 
 
+def least_p_value(scenes: int) -> float:
+    """The least that `flip_p_values` can be with objects of so many scenes."""
+    return 1.0 / (2**scenes if scenes <= _ALL_PATTERNS else 1 + _FLIPS)
+
+
 def _signs(scenes: int, flips: int) -> FloatArray:
     """Patterns of signs (B, S): every one where there are few scenes, else as they are and random ones."""
     if scenes <= _ALL_PATTERNS:

@@ -20,8 +20,8 @@ from shift3d.wording import counted
 def natural_table(scores: pd.DataFrame) -> Table | None:
     """Count, AUC and its ratio to the baseline's over all adversarial shapes and over the natural ones.
 
-    A line an attacked detector, alpha and lambda, chosen or not. Means are those of the vehicles' AUCs. scores: of
-    ``final/``. None where nothing was measured.
+    A line a mode, search, attacked detector, alpha and lambda, chosen or not. Means are those of the vehicles' AUCs.
+    scores: of ``final/``. None where nothing was measured.
     """
     verdicts = natural_by_task(scores)
     own = scores[(scores["scored_by"] == scores["detector"]) & scores["score"].notna() & (scores["replicate"] == 0)]
@@ -31,10 +31,14 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
         return None
     rows = rows.assign(natural=rows["task_id"].map(verdicts))
     lines = []
-    for (detector, alpha, weight), group in rows.groupby(["detector", "alpha", "lambda"], sort=False, dropna=False):
+    several = [name for name in ("mode", "search", "accuracy", "effects") if rows[name].map(str).nunique() > 1]
+    rows = rows.assign(settings=[", ".join(map(_words, values)) for values in rows[several].itertuples(index=False)])
+    keys = ["settings", "detector", "alpha", "lambda"]
+    for (settings, detector, alpha, weight), group in rows.groupby(keys, sort=False, dropna=False):
         natural = group[group["natural"]]
         counts = [part["task_id"].nunique() for part in (natural, group)]
-        line = [f"{detector}, alpha {alpha:g}, lambda {weight:g}", f"{counts[0]} of {counts[1]}"]
+        name = f"{detector}, alpha {alpha:g}, lambda {weight:g}"
+        line = [f"{settings}, {name}" if settings else name, f"{counts[0]} of {counts[1]}"]
         for part in (group, natural):
             aucs, vehicles = aucs_of_scores(part), list(dict.fromkeys(part["vehicle"]))
             line += [number(aucs.mean(method, vehicles)) for method in ("baseline", "adversarial")]
@@ -42,6 +46,11 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
         lines.append(line)
     header = ["", "natural", "baseline", "adversarial", "ratio", "natural: baseline", "adversarial", "ratio"]
     return Table(f"Natural adversarial shapes ({NATURAL_RULE})", header, lines)
+
+
+def _words(value: str | Sequence[str]) -> str:
+    """A setting's value as a line tells it; effects are a list of names."""
+    return value.replace("_", " ") if isinstance(value, str) else "+".join(value) or "no effects"
 
 
 def auc_table(variant: Variant, in_full: bool = False) -> Table:
@@ -57,7 +66,7 @@ def auc_table(variant: Variant, in_full: bool = False) -> Table:
     kinds: list[str] = []
     for method in METHODS:
         if method in variant.methods:
-            lines.append(_line(METHODS[method], variant.aucs, method, vehicles, variant.rows if in_full else None))
+            lines.append(_line(METHODS[method], variant.aucs, method, vehicles, variant.rows, in_full))
             kinds.append("ours" if method == "adversarial" else "")
         if paper and method in paper.aucs.by_method:
             lines.append(_line(f"{METHODS[method]}, paper", paper.aucs, method, vehicles))
@@ -66,7 +75,7 @@ def auc_table(variant: Variant, in_full: bool = False) -> Table:
     for method in ("baseline", "adversarial") if len(natural) else ():
         some = aucs_of_scores(natural)
         label = f"{METHODS[method]}, natural shapes"
-        lines.append(_line(label, some, method, vehicles, natural if in_full else None))
+        lines.append(_line(label, some, method, vehicles, natural, in_full))
         kinds.append("")
     if chosen := variant.lambdas:
         lines.append(["lambda", *(f"{chosen[name]:g}" if name in chosen else "-" for name in vehicles), "", ""])
@@ -79,16 +88,33 @@ def auc_table(variant: Variant, in_full: bool = False) -> Table:
     return Table(title, ["method" if in_full else "", *names, "mean", "of baseline"], lines, kinds)
 
 
-def _line(label: str, aucs: Aucs, method: str, vehicles: list[str], rows: pd.DataFrame | None = None) -> Sequence[Cell]:
-    """A method's line. rows: the scores behind it and behind the baseline's, where intervals are wanted."""
+def _line(
+    label: str,
+    aucs: Aucs,
+    method: str,
+    vehicles: list[str],
+    rows: pd.DataFrame | None = None,
+    in_full: bool = False,
+) -> Sequence[Cell]:
+    """A method's line. rows: the scores behind it and behind the baseline's, where they are known."""
     values = [number(aucs.of(method, vehicle)) for vehicle in vehicles]
-    mean, ratio = number(aucs.mean(method, vehicles)), number(aucs.of_baseline(method, vehicles), 2)
-    if rows is None:
+    mean = number(aucs.mean(method, vehicles))
+    if rows is None or rows.empty:
+        return [label, *values, mean, number(aucs.of_baseline(method, vehicles), 2)]
+    own, baseline = with_baseline(rows, method)
+    both = pd.concat([own, baseline]) if method != "baseline" else own
+    ratio = number(aucs_of_scores(both).of_baseline(method, vehicles), 2)
+    if not in_full:
         return [label, *values, mean, ratio]
-    own, baseline = rows[rows["method"] == method], rows[rows["method"] == "baseline"]
     each = [_noted(value, own[own["vehicle"] == vehicle]) for value, vehicle in zip(values, vehicles)]
     between = ratio_texts(own, baseline)[1]
     return [label, *each, _noted(mean, own), (ratio, between) if between else ratio]
+
+
+def with_baseline(rows: pd.DataFrame, method: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """A method's rows, and the baseline's of the same tasks: a task without a score of the method is in neither."""
+    own = rows[rows["method"] == method]
+    return own, rows[(rows["method"] == "baseline") & rows["task_id"].isin(own["task_id"])]
 
 
 def _noted(value: str, rows: pd.DataFrame) -> Cell:

@@ -10,12 +10,13 @@ import pandas as pd
 
 from shift3d.analysis.statistics.intervals import Interval, ratio_interval
 from shift3d.analysis.statistics.paired import paired
+from shift3d.analysis.tables.auc import with_baseline
 from shift3d.analysis.tables.table import Table, interval_text, number
 from shift3d.analysis.variants import Variant
 from shift3d.task.spec import split_label
 
-ANY_SHAPE = 100.0
-"""The budget of a search without one: no percentile lies beyond it."""
+ANY_SHAPE = math.inf
+"""The budget of a search without one; one of percentile 100 still bounds sizes."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,7 @@ class BudgetCurve:
 
     def ratio(self, budget: float, method: str) -> Interval | None:
         """The method's AUC over the baseline's of the same tasks, scenes redrawn; None where it has no scores."""
-        rows = self.variants[budget].rows
-        return ratio_interval(rows[rows["method"] == method], rows[rows["method"] == "baseline"])
+        return ratio_interval(*with_baseline(self.variants[budget].rows, method))
 
 
 def budget_curves(found: Sequence[Variant]) -> list[BudgetCurve]:

@@ -7,11 +7,11 @@ import pandas as pd
 from shift3d.analysis.statistics.intervals import mean_interval, ratio_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
 
-_TRANSFER_GROUP = ["search", "lambda", "alpha", "detector", "scored_by"]
+_TRANSFER_GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
 
 
 def transfer_table(transfers: pd.DataFrame) -> Table | None:
-    """A line a search and scoring detector: placements, AUC before and after, and their ratio with its interval.
+    """A line a mode, search and scoring detector: placements, AUC before and after, and their ratio with its interval.
 
     transfers: of ``final/``. Means are those of the vehicles' means; intervals redraw whole scenes. A placement on
     which the shape breaks a constraint counts as any other. None where nothing was put into another scene.
@@ -21,11 +21,14 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
         return None
     placed = placed.assign(place=placed["dataset"] + "/" + placed["other_scene"])
     lines = []
-    for (search, weight, alpha, detector, scored_by), rows in placed.groupby(_TRANSFER_GROUP, sort=False, dropna=False):
+    for (mode, search, weight, alpha, detector, scored_by), rows in placed.groupby(
+        _TRANSFER_GROUP, sort=False, dropna=False
+    ):
         before = rows.assign(score=rows["score_baseline"])
         after, fell = _vehicle_mean(rows), mean_interval(rows["score"] < rows["score_baseline"], list(rows["place"]))
         ratio = ratio_interval(rows, before)
-        name = f"{search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
+        kind = f"{mode.replace('_', ' and ')}, " if placed["mode"].nunique() > 1 else ""
+        name = f"{kind}{search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
         counts = [str(len(rows)), str(rows["other_scene"].nunique())]
         means = [number(_vehicle_mean(before)), number(after)]
         lines.append([name, scored_by, *counts, *means, interval_text(ratio, 2, ""), f"{fell.mean:.0%}"])
@@ -41,7 +44,7 @@ MISSED_BELOW = 0.1
 """A vehicle with a lower score is missed. Source: the score that the public Waymo config shows boxes from."""
 _BEAMS = r"-beams_([a-z0-9_]+)"
 _GROUP = ["mode", "method", "detector", "scored_by", "search"]
-_PAIR = ["street", "vehicle", "lambda", "alpha", "accuracy", "replicate"]
+_PAIR = ["street", "vehicle", "lambda", "alpha", "accuracy", "replicate", "copy"]
 _METHODS = ("baseline", "adversarial")
 
 
@@ -51,9 +54,11 @@ def paired_scores(scores: pd.DataFrame) -> dict[tuple[str, ...], tuple[pd.DataFr
     scores: of ``final/``. A line of a table is one object of one street, a column a sensor's beams, in the order in
     which they were planned. Baselines are one object; an adversarial one was searched under its own beams.
     """
-    rows = scores[scores["score"].notna() & scores["method"].isin(_METHODS)]
+    rows = scores[scores["method"].isin(_METHODS)]
     rows = rows.assign(beams=rows["scene"].str.extract(_BEAMS, expand=False))
-    rows = rows[rows["beams"].notna()]
+    same = [*_GROUP, "scene", "vehicle", "lambda", "alpha", "accuracy", "replicate"]
+    rows = rows.assign(copy=rows.groupby(same, dropna=False).cumcount())  # replicates of a task, in the plan's order
+    rows = rows[rows["beams"].notna() & rows["score"].notna()]
     if rows["beams"].nunique() < 2:
         return {}
     order = list(dict.fromkeys(rows["beams"]))

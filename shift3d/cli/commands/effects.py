@@ -72,6 +72,10 @@ def _run(arguments: argparse.Namespace) -> int:
     )
     milliseconds = _measured(arguments.times) if arguments.times else effect_milliseconds(scores, timings)
     impacts = effect_impacts(scores, milliseconds)
+    lacking = [impact.effect for impact in impacts if impact.effect not in milliseconds]
+    if arguments.times and lacking:
+        what = f"has no time of {', '.join(lacking)}, which the sweep ran"
+        raise InputError(what, str(arguments.times), 'Measure every effect: make bench ARGS="-k effects"')
     print(f"{effect_table(impacts)}\n")
     print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, impacts)} written")
     if arguments.picture:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from shift3d.sweep.planning.effect_choices import effect_table
 from shift3d.sweep.planning.plan import Plan
+from shift3d.sweep.planning.tasks import Tasks, merged_settings
 from shift3d.wording import counted
 
 _SHOWN = 20
@@ -24,7 +25,14 @@ def plan_summary(plan: Plan) -> str:
     size = ", its small size" if plan.settings.get("size") == "small" else ""
     counts = f"sweep {plan.sweep}{size}: {counted(len(plan.tasks), 'task')} ({by_mode}) of "
     counts += f"{counted(vehicles, 'vehicle')} in {counted(scenes, 'scene')}"
-    return "\n".join([counts, effect_table(plan.effects, scenes), *plan.notes, *skipped_lines(plan)])
+    merged = merged_lines(plan.tasks)
+    return "\n".join([counts, effect_table(plan.effects, scenes), *plan.notes, *merged, *skipped_lines(plan)])
+
+
+def merged_lines(tasks: Tasks) -> list[str]:
+    """Over which settings AUCs are means, in a line; none where columns tell all tasks apart."""
+    merged = merged_settings(tasks)
+    return [f"AUCs are means over {' and '.join(merged)}: no column tells their values apart"] if merged else []
 
 
 def skipped_lines(plan: Plan) -> list[str]:

@@ -153,3 +153,33 @@ class Tasks(Sequence[PlannedTask]):
             return [list(self.requested_values[0])] * len(ids)
         found = pc.index_in(pa.array(ids, type=pa.string()), value_set=self.ids).to_pylist()
         return [[] if at is None else list(self.requested_values[self.requested[at]]) for at in found]
+
+
+def merged_settings(tasks: Tasks) -> list[str]:
+    """Settings with several values that no column of the tables tells apart: an AUC is the mean over them.
+
+    Replicates and seeds are meant to be averaged and are not among them.
+    """
+    groups: dict[tuple[object, ...], list[dict[str, Any]]] = {}
+    for spec in (group.template for group in tasks.groups()):
+        key = (spec.vehicle, spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy, spec.search)
+        groups.setdefault(key, []).append(_without_column(spec))
+    found: dict[str, None] = {}
+    for members in groups.values():
+        names = dict.fromkeys(name for member in members for name in member)
+        found |= {name: None for name in names if any(one.get(name) != members[0].get(name) for one in members)}
+    return list(found)
+
+
+def _without_column(spec: TaskSpec) -> dict[str, Any]:
+    """What the columns of the tables do not say of a template, by the name of its setting."""
+    attack = {name: value for name, value in spec.attack.to_dict().items() if name not in ("search", "space_hash")}
+    placement = {name: value for name, value in vars(spec.placement).items() if not name.startswith("sector_")}
+    return {
+        "vehicle": (spec.vehicle_hash, spec.decoder_hash),
+        "detector.weights": sorted(spec.detector_hashes.items()),
+        "naturalness": spec.reference_hash,
+        **{f"attack.{name}": value for name, value in attack.items()},
+        **{f"attack.placement.{name}": value for name, value in placement.items()},
+        **{f"accuracy.{name}": value for name, value in spec.accuracy_settings.items()},
+    }

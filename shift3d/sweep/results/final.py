@@ -160,11 +160,13 @@ def _group_keys(plan: Plan, group: TaskGroup) -> list[tuple[Any, ...]]:
 
 
 def _planned_methods(plan: Plan) -> dict[tuple[Any, ...], list[str]]:
-    """By group, what its tasks score; the best of random draws only where it was asked for."""
+    """By group, what its tasks score; draws, noisy copies and edits only where they were asked for."""
     methods: dict[tuple[Any, ...], list[str]] = {}
     for group in plan.tasks.groups():
         spec = group.template
-        optional = {"random_search": bool(spec.attack.random_search), "edited": bool(spec.attack.edit)}
+        attack = spec.attack
+        optional = {"random": bool(attack.random_replicates), "adversarial_noise": bool(attack.noise_replicates)}
+        optional |= {"random_search": bool(attack.random_search), "edited": bool(attack.edit)}
         names = [name for name in METHODS_OF_MODE[spec.mode] if optional.get(name, True)]
         methods |= dict.fromkeys(_group_keys(plan, group), names)
     return methods

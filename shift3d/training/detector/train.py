@@ -25,7 +25,7 @@ from shift3d.training.detector.warm_start import start_file, start_state
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
 from shift3d.training.inserted_vehicles import with_inserted_vehicles
 from shift3d.training.progress import Report, averaged
-from shift3d.training.provenance import write_provenance
+from shift3d.training.provenance import read_provenance, write_provenance
 from shift3d.vehicles.family.split import SPLIT
 
 CURVE_POINTS = 30
@@ -60,8 +60,10 @@ def train_detector(
     """
     compute = compute or choose_compute("cpu")
     recipe.validate()
-    data = _identity(scenes, start_file(recipe, start_from))
+    begun_with = start_file(recipe, start_from)
+    data = _identity(scenes, begun_with)
     start = start_state(recipe, start_from)
+    before = None if begun_with is None else read_provenance(begun_with)
     compute.prepare()
     workers = compute.scene_workers
     base = (
@@ -79,7 +81,8 @@ def train_detector(
     export_weights(net, weights_file, recipe)
     state = read_checkpoint(out_dir / CHECKPOINT)
     assert state is not None
-    write_provenance(weights_file, _facts(recipe, scenes, start_from, compute, state))
+    started = {"started_from": None if begun_with is None else begun_with.name, "before": before}
+    write_provenance(weights_file, started | _facts(recipe, scenes, compute, state))
     return load_weights(recipe.new_network(), weights_file)
 
 
@@ -96,11 +99,8 @@ def _digest(scenes: SceneSet) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def _facts(
-    recipe: Recipe, scenes: SceneSet | None, start_from: Path | None, compute: Compute, state: Mapping[str, Any]
-) -> dict[str, Any]:
-    """The provenance of finished weights."""
-    start_from = start_file(recipe, start_from)
+def _facts(recipe: Recipe, scenes: SceneSet | None, compute: Compute, state: Mapping[str, Any]) -> dict[str, Any]:
+    """The provenance of finished weights, beside what they started from."""
     names = [] if scenes is None else scenes.names()
     curve = averaged(state.get("curve", []), CURVE_POINTS)
     street = {"dataset": f"street-mixed-{TRAFFIC}", "split": "train", "count": recipe.mesh_scenes}
@@ -110,7 +110,6 @@ def _facts(
         "steps": state["steps_done"],
         "scenes": street if scenes is None else {"dataset": scenes.dataset, "count": len(names), "names": names},
         "vehicles": {"made_by": "meshes of the wide family, none by the decoder", **SPLIT.to_dict()},
-        "started_from": None if start_from is None else start_from.name,
         "compute": compute.facts(recipe.bfloat16) | {"steps_by_device": dict(state.get("steps_by_device", {}))},
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
         "curve": [

@@ -8,6 +8,8 @@ import valid_sweeps
 from shift3d.analysis.tables.coverage import trial_caveat
 from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.planning.plan import make_plan
+from shift3d.sweep.planning.plan_view import plan_summary
+from shift3d.sweep.planning.tasks import merged_settings
 
 
 def caveat(name: str, *overrides: str) -> str | None:
@@ -24,6 +26,19 @@ def test_a_search_that_is_cut_short_is_said(words: list[str]) -> None:
 def test_too_few_scenes_are_said_whatever_the_search() -> None:
     message = caveat("default")
     assert message and "2 scenes (at least 4)" in message and "steps" not in message
+
+
+def test_random_draws_and_edits_have_no_steps_to_be_short_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(valid_sweeps, "SCENES", ("north", "south", "east", "west"))
+    assert caveat("default", "attack.search=random", "attack.steps=1", "mode=shape", "attack.space=pca") is None
+
+
+def test_settings_that_no_column_tells_apart_are_named() -> None:
+    plan = make_plan(compose_sweep("default", ["vehicle=suv", "attack.steps=5,40"]), valid_sweeps.catalogue)[0]
+    assert merged_settings(plan.tasks) == ["attack.steps"]
+    assert "AUCs are means over attack.steps: no column tells their values apart" in plan_summary(plan)
+    words = ["vehicle=suv", "attack.lambda=1,10", "attack.alpha=0.01,0.02", "replicate=0,1", "seed=0,1"]
+    assert merged_settings(make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0].tasks) == []
 
 
 def test_a_sweep_with_scenes_and_steps_has_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ def tables(changes: dict[str, np.ndarray], milliseconds: dict[str, float]) -> tu
         for scene, moved in zip(SCENES, change, strict=True):
             task = f"{effect}-{scene}"
             same = {"vehicle": "suv", "dataset": "street", "mode": "shape", "lambda": 1.0, "alpha": 0.01}
+            same |= {"x_m": 20.0, "y_m": 1.0, "yaw_rad": 0.5}
             same |= {
                 "detector": "p",
                 "accuracy": "standard",
@@ -55,6 +56,16 @@ def test_changes_are_paired_and_absolute_and_auto_follows_the_bound() -> None:
     assert (fog.milliseconds, noise.milliseconds) == (pytest.approx(20.0), pytest.approx(3.0))
     assert fog.measured.matters and not noise.measured.matters
     assert "left out" in str(effect_table(found)).splitlines()[-1]
+
+
+def test_replicates_are_paired_with_those_at_their_own_place() -> None:
+    scores, timings = tables({"fog": np.full(12, 1e-3)}, {"fog": 1.0})
+    other = scores.assign(task_id=scores["task_id"] + "-1", x_m=30.0, score=scores["score"] + 0.4)
+    (fog,) = effect_impacts(pd.concat([scores, other]), effect_milliseconds(scores, timings))
+    assert (fog.scenes, fog.objects) == (12, 24)
+    assert fog.score_change.mean == pytest.approx(1e-3) and not fog.measured.matters
+    with pytest.raises(InputError, match="no object has one partner"):
+        effect_impacts(pd.concat([scores, other.assign(x_m=20.0)]), {})
 
 
 def test_one_scene_says_nothing_so_the_effect_stays() -> None:

@@ -64,7 +64,8 @@ def judged_scores(natural: list[bool]) -> pd.DataFrame:
     scores = []
     for number in range(4):
         task = {"task_id": f"t{number}", "vehicle": "suv", "detector": "p", "alpha": 0.01, "lambda": 1.0}
-        task |= {"mode": "shape", "natural": natural[number]}
+        task |= {"mode": "shape", "natural": natural[number], "search": "descent", "accuracy": "standard"}
+        task |= {"effects": []}
         for method, score in (("baseline", 0.8), ("adversarial", 0.6 if number < 2 else 0.0)):
             scores.append(task | {"method": method, "score": score, "scored_by": "p", "replicate": 0})
     return pd.DataFrame(scores)
@@ -72,6 +73,13 @@ def judged_scores(natural: list[bool]) -> pd.DataFrame:
 
 def last_line(scores: pd.DataFrame) -> list[str]:
     return str(natural_table(scores)).splitlines()[-1].split()
+
+
+def test_two_searches_are_two_lines() -> None:
+    scores = judged_scores([True, True, False, False])
+    other = scores.assign(search="random_family", task_id=scores["task_id"] + "r")
+    lines = str(natural_table(pd.concat([scores, other]))).splitlines()
+    assert [line.split(",")[0] for line in lines[-2:]] == ["descent", "random family"]
 
 
 def test_natural_shapes_by_lambda() -> None:
@@ -118,7 +126,15 @@ def test_the_paper_stands_beside_its_own_search_alone() -> None:
 
 def transfers(places: int = 6) -> pd.DataFrame:
     """A suv that falls from 0.8 to 0.4 wherever it is put, a coupe from 0.4 to 0.4, and a scene without room."""
-    group = {"search": "descent", "lambda": 1.0, "alpha": 0.01, "detector": "p", "scored_by": "p", "dataset": "d"}
+    group = {
+        "mode": "shape",
+        "search": "descent",
+        "lambda": 1.0,
+        "alpha": 0.01,
+        "detector": "p",
+        "scored_by": "p",
+        "dataset": "d",
+    }
     rows = []
     for number in range(places):
         rows.append(group | {"vehicle": "suv", "other_scene": f"s{number}", "score_baseline": 0.8, "score": 0.4})

@@ -25,6 +25,7 @@ from shift3d.analysis.html.sections.overview import coverage
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.paired import paired
+from shift3d.analysis.tables.auc import auc_table
 from shift3d.analysis.variants import variants
 
 
@@ -42,6 +43,17 @@ def test_areas_are_the_mean_scores_with_the_papers_beside_them() -> None:
         "from 0.750 to 0.375, a ratio of 0.50 [" in short and f"paper: {(0.466 + 0.469) / (0.755 + 0.755):.2f}" in short
     )
     assert short.count(".") - len(re.findall(r"\d\.\d", short)) == 1, "one sentence"
+
+
+def test_the_ratio_is_over_the_tasks_and_vehicles_that_have_both_scores() -> None:
+    """The van was never scored, and one of the suv's searches has no score: neither its baseline counts."""
+    scores = {("baseline", "suv"): [0.9, 0.1], ("adversarial", "suv"): [0.45], ("baseline", "van"): [0.9, 0.9]}
+    part = variant(scores)
+    assert "the mean AUC of 1 vehicle in 1 scene falls from 0.900 to 0.450" in headline(
+        part
+    ) and "a ratio of 0.50" in headline(part)
+    (line,) = [line for line in auc_table(part).lines if line[0] == "adversarial"]
+    assert line[-1] == "0.50"
 
 
 def test_the_unnatural_shapes_stand_in_the_sentence_of_the_ratio() -> None:

@@ -56,6 +56,15 @@ def test_misses_are_counted_where_both_miss() -> None:
     assert own[7] == "50%" and other[7] == "100%" and other[8] == "3 of 3"
 
 
+def test_replicates_of_a_task_are_objects_of_their_own() -> None:
+    rows = scores(streets=5)
+    low = rows.assign(score=0.02)
+    table = sensor_table(pd.concat([rows, low]))
+    assert table is not None
+    (own, _) = [line for line in table.lines if str(line[0]).startswith("baseline, shape")]
+    assert own[3] == "10" and own[7] == "50%", "a mean over replicates would miss none"
+
+
 def test_one_sensor_makes_no_table() -> None:
     assert sensor_table(scores(("waymo_top",))) is None
     plain = scores(("waymo_top",)).replace(r"-beams_waymo_top", "", regex=True)

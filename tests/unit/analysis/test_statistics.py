@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from shift3d.analysis.html.sections.curves import thresholds
-from shift3d.analysis.statistics.intervals import recall_band, vehicle_mean_interval
+from shift3d.analysis.statistics.intervals import Interval, mean_interval, recall_band, vehicle_mean_interval
 from shift3d.analysis.statistics.paired import holm
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 
@@ -17,6 +17,26 @@ def test_a_vehicle_with_more_scores_weighs_no_more_in_the_mean() -> None:
         {"score": [0.9, 0.9, 0.9, 0.1], "vehicle": ["suv"] * 3 + ["coupe"], "place": ["a", "b", "c", "a"]}
     )
     assert vehicle_mean_interval(rows).mean == pytest.approx(0.5)
+
+
+def test_vehicles_in_few_scenes_do_not_widen_the_interval_of_the_mean() -> None:
+    """The mean is that of the vehicles' means in every draw, too."""
+    alike = pd.DataFrame({"score": 0.5, "vehicle": ["suv"] * 10 + ["coupe"], "place": [*map(str, range(10)), "0"]})
+    assert vehicle_mean_interval(alike) == Interval(0.5, 0.5, 0.5)
+    rng = np.random.default_rng(0)
+    rows = pd.DataFrame(
+        [
+            {"vehicle": name, "place": f"{scene:02d}", "score": float(np.clip(0.8 + rng.normal(0, 0.05), 0, 1))}
+            for scene in range(20)
+            for name in "abcde"
+            if name != "e" or scene < 4
+        ]
+    )
+    found = vehicle_mean_interval(rows)
+    assert 0.75 < found.low < found.mean < found.high < 0.85
+    even = rows[rows["vehicle"] != "e"]
+    plain = mean_interval(even["score"], list(even["place"]))
+    assert vehicle_mean_interval(even).low == pytest.approx(plain.low, abs=1e-12), "a balanced table is no other"
 
 
 def test_bands_hold_their_curve_and_its_area_is_the_mean_score() -> None:

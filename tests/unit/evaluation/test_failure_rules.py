@@ -97,9 +97,18 @@ def test_a_rule_of_some_vehicles_alone_does_not_hold() -> None:
     assert str(rules_table([found])).splitlines()[-1].endswith("no")
 
 
+def test_another_detector_is_asked_about_objects_that_the_rule_was_not_found_on() -> None:
+    """What it makes of the objects on which the rule was found is of no account."""
+    rows = objects()
+    found_on = rows["place"].isin(sorted(rows["place"].unique())[::2]) & rows["vehicle"].isin(["v0", "v2"])
+    (as_drawn,) = failure_rules(rows)
+    (changed,) = failure_rules(rows.assign(score=rows["score"].mask(found_on & (rows["scored_by"] == "sst"), 0.99)))
+    assert changed.tried == as_drawn.tried
+
+
 def test_too_few_scenes_are_said() -> None:
-    with pytest.raises(InputError, match="3 scenes"):
-        failure_rules(objects(scenes=3))
+    with pytest.raises(InputError, match=r"7 scenes.*scenes\.count=8"):
+        failure_rules(objects(scenes=7))
 
 
 def test_a_rule_reads_as_a_sentence_of_units() -> None:

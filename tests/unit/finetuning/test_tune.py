@@ -109,6 +109,18 @@ def test_scenes_that_were_tuned_on_are_refused_by_name(attacked: Path, weights: 
     assert not (tmp_path / "natural").exists() or not any((tmp_path / "natural").iterdir())
 
 
+def test_what_weights_were_tuned_on_is_not_forgotten_by_a_training_from_them(
+    attacked: Path, weights: Path, tmp_path: Path
+) -> None:
+    words = ("steps=0", "count=1", "inserted=0", "recipe.statistics_crops=1", f"start_from={weights}")
+    assert run_command(train.COMMAND, ["model=pointpillars", *FEW, *words, f"out={tmp_path}"]) == 0
+    again = tmp_path / "pointpillars.safetensors"
+    facts = json.loads(again.with_suffix(".json").read_text())
+    assert facts["before"] == json.loads(weights.with_suffix(".json").read_text())
+    with pytest.raises(InputError, match="was fine-tuned on street-train-hdl64-000000"):
+        rescored(attacked, "pointpillars", again)
+
+
 def test_unusable_sweeps_are_one_clear_line(attacked: Path, held_out: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     verified = Path(shutil.copytree(held_out, tmp_path / "verified"))

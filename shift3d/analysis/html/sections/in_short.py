@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, Section
-from shift3d.analysis.tables.auc import natural_rows, ratio_texts
+from shift3d.analysis.tables.auc import natural_rows, ratio_texts, with_baseline
 from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.variants import Variant, aucs_of_scores
 from shift3d.wording import counted
@@ -33,13 +33,14 @@ def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str 
 
 def headline(variant: Variant) -> str:
     """The fall of the mean AUC, its ratio, the paper's, and in the same sentence how many shapes are unnatural."""
-    vehicles = variant.vehicles
-    before, after = (variant.aucs.mean(method, vehicles) for method in ("baseline", "adversarial"))
+    rows, baseline = with_baseline(variant.rows, "adversarial")
+    vehicles = [name for name in variant.vehicles if (baseline["vehicle"] == name).any()]
+    before, after = (aucs_of_scores(part).mean(part_of, vehicles) for part_of, part in
+                     (("baseline", baseline), ("adversarial", rows)))  # fmt: skip
     if before is None or after is None:
         return f"{variant.title}: no baseline, or nothing found."
-    rows, baseline = (variant.rows[variant.rows["method"] == name] for name in ("adversarial", "baseline"))
     ratio = " ".join(part for part in ratio_texts(rows, baseline) if part)
-    paper = _papers_ratio(variant)
+    paper = _papers_ratio(variant, vehicles)
     counts = f"{counted(len(vehicles), 'vehicle')} in {counted(rows['place'].nunique(), 'scene')}"
     return (
         f"{variant.title}: the mean AUC of {counts} {'falls' if after < before else 'goes'} from {before:.3f} to "
@@ -47,9 +48,9 @@ def headline(variant: Variant) -> str:
     )
 
 
-def _papers_ratio(variant: Variant) -> float | None:
+def _papers_ratio(variant: Variant, vehicles: list[str]) -> float | None:
     paper = paper_table(variant.mode, variant.detector, variant.scored_by, variant.search)
-    return paper.aucs.of_baseline("adversarial", variant.vehicles) if paper else None
+    return paper.aucs.of_baseline("adversarial", vehicles) if paper else None
 
 
 def _naturalness(variant: Variant) -> str:

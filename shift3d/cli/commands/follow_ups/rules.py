@@ -17,7 +17,7 @@ examples:
   shift3d rules outputs/default-1a2b3c4d5e6f7a8b
   make sweep SWEEP=failure_rules               every kind of vehicle, no search, two detectors; size=small is shorter
 
-Rules need scenes: 4 at least, 20 or more to hold. Sizes need naturalness (naturalness=wide, the default). Rules over
+Rules need scenes: 8 at least, 20 or more to hold. Sizes need naturalness (naturalness=wide, the default). Rules over
 two detectors need detector.scored_by=null."""
 
 
