@@ -35,6 +35,7 @@ _OBSTACLE_HEIGHT_M = 0.3
 _CLEARANCE_M = 0.1
 REFUSALS = {
     "neighbour": "a labelled vehicle too near",
+    "unlabelled": "the data set labels nothing there",
     "off_road": "off the map's drivable area",
     "ground": "no ground seen",
     "slope": f"ground steeper than {100 * MAX_SLOPE:.0f} %",
@@ -111,6 +112,7 @@ def place(
     settings: RenderSettings = STANDARD,
     others: Tensor | None = None,
     ground_map: GroundMap | None = None,
+    unlabelled: np.ndarray | None = None,
 ) -> Placement | NoPlacement:
     """A random place that satisfies every constraint.
 
@@ -123,13 +125,14 @@ def place(
     Places where no ground was found are searched for it again, thoroughly, if no other one served: so a scene with room
     on plain ground has the places that it has without that search.
 
-    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of.
+    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of, and `unlabelled` (Z, 2) points where
+    the data set labels nothing, so that a vehicle there would be none of them.
     With a `ground_map` the footprint's corners stand where it allows, and its heights take the place of ground_z_m.
     Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
     """
     metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
     size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
-    site = Site.of(beams, ground_z_m, others, ground_map)
+    site = Site.of(beams, ground_z_m, others, ground_map, unlabelled)
     rejected: Counter[str] = Counter()
 
     def stand(draw: tuple[float, float, float], thorough: bool) -> tuple[Tensor, ConstraintCheck, Rendering] | str:
@@ -180,11 +183,29 @@ class Site:
     ground_z_m: float
     others: Tensor | None
     ground_map: GroundMap | None
+    unlabelled: np.ndarray | None
 
     @staticmethod
-    def of(beams: Beams, ground_z_m: float, others: Tensor | None, ground_map: GroundMap | None) -> Site:
+    def of(
+        beams: Beams,
+        ground_z_m: float,
+        others: Tensor | None,
+        ground_map: GroundMap | None,
+        unlabelled: np.ndarray | None = None,
+    ) -> Site:
         """Of a scene's parts."""
-        return Site(beams, beams.points[beams.carries].double().numpy(), ground_z_m, others, ground_map)
+        returns = beams.points[beams.carries].double().numpy()
+        return Site(beams, returns, ground_z_m, others, ground_map, unlabelled)
+
+    def is_labelled(self, xy: tuple[float, float], clear_m: float) -> bool:
+        """Whether at most half of the returns within clear_m lie where the data set labels nothing."""
+        if self.unlabelled is None:
+            return True
+        within, of = (
+            int((np.hypot(part[:, 0] - xy[0], part[:, 1] - xy[1]) < clear_m).sum())
+            for part in (self.unlabelled, self.returns)
+        )
+        return 2 * within <= of
 
     def ground_at(self, x_m: float, y_m: float) -> float:
         """Nominal height of the ground."""
@@ -209,6 +230,8 @@ def pose_on_ground(
     x, y, yaw = draw
     if not is_clear(torch.tensor(draw), site.others, constraints.clear_m):
         return "neighbour"
+    if not site.is_labelled((x, y), constraints.clear_m):
+        return "unlabelled"
     if not site.allows(draw, size):
         return "off_road"
     plane = ground_under(site.returns, (x, y), site.ground_at(x, y), float(size[:2].norm()) / 2 + 0.5, thorough)

@@ -60,7 +60,7 @@ def with_settings(scene: Scene, settings: EffectSettings) -> Scene:
     sensor = _sensor(scene.sensor or SensorModel(), overrides)
     if sensor != (scene.sensor or SensorModel()):
         scene = replace(scene, sensor=sensor)
-    conditions = _weather(scene.conditions, overrides)
+    conditions = _weather(scene.conditions, overrides, scene.scene_id)
     return scene if conditions == scene.conditions else replace(scene, conditions=conditions)
 
 
@@ -71,14 +71,16 @@ def _sensor(sensor: SensorModel, overrides: dict[str, float]) -> SensorModel:
 NO_OVERRIDES = EffectSettings()
 
 
-def _weather(conditions: Conditions, overrides: dict[str, float]) -> Conditions:
+def _weather(conditions: Conditions, overrides: dict[str, float], scene: str) -> Conditions:
+    """A recording's own weather may be given its rate, and stays in its points; it has no other."""
     about: dict[str, Any] = {name: overrides[name] for name in _WEATHER.values() if name in overrides}
     if not about:
         return conditions
     if conditions.weather_in_points and conditions.weather != "dry":
-        raise InputError(
-            f"the scene's points carry {conditions.weather} already", "effects", f"Leave out {', '.join(about)}"
-        )
+        if other := [name for name in about if name != _WEATHER[conditions.weather]]:
+            what = f"its points carry {conditions.weather} already"
+            raise InputError(what, f"effects, scene {scene}", f"Leave out {', '.join(other)}, or this scene")
+        return replace(conditions, **about)
     weather = next((word for word, name in _WEATHER.items() if about.get(name)), "dry")
     return replace(conditions, weather=weather, weather_in_points=False, **about)
 
@@ -143,7 +145,7 @@ class SceneFacts:
         return replace(
             self,
             sensor=_sensor(self.sensor, overrides),
-            conditions=_weather(self.conditions, overrides),
+            conditions=_weather(self.conditions, overrides, self.scene_id),
             object_speed_m_s=overrides.get("object_speed_m_s", self.object_speed_m_s),
         )
 

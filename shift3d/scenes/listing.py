@@ -94,17 +94,19 @@ def chosen(found: Iterable[str], names: Sequence[str] | None, where: str, count:
 
 
 def require_metres(ranges_m: NDArray[np.floating], where: str) -> None:
-    """Refuse ranges (N,) > 0 that are no metres of a road scene: NaN, kilometres away, or the median below 0.5 m or
-    beyond 150 m, as of centimetres, millimetres and kilometres.
+    """Refuse ranges (N,) that are no metres of a road scene: NaN, kilometres away, or the median below 0.5 m or beyond
+    150 m, as of centimetres, millimetres and kilometres. A range of 0 is a beam without a return.
 
     Raises InputError: naming the first row, or the median. Source: our choice of the bounds.
     """
-    if not len(ranges_m):
+    if not (finite := np.isfinite(ranges_m)).all():
+        raise InputError(f"row {int(finite.argmin())} is not finite", where, "Copy it again")
+    if not ranges_m.any():
         raise InputError("no point with a positive range", where, "Use another frame")
-    bad = ~(np.abs(ranges_m) <= _FARTHEST_M)  # written so that NaN is bad
+    bad = ~(np.abs(ranges_m) <= _FARTHEST_M)
     if bad.any():
         row = int(bad.argmax())
         raise InputError(f"row {row} has a range of {ranges_m[row]:g} m", where, UNITS_REMEDY)
-    median = float(np.median(ranges_m))
+    median = float(np.median(ranges_m[ranges_m > 0]))
     if not _NEAREST_MEDIAN_M <= median <= _FARTHEST_MEDIAN_M:
         raise InputError(f"the median range is {median:g} m", where, UNITS_REMEDY)

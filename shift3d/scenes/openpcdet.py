@@ -87,6 +87,8 @@ class OpenPcdetScenes(RecordedScenes):
                 raise InputError(f"no frame points/{absent[0]}.npy", str(self.root / "ImageSets" / f"{split}.txt"),
                                  "Add the frame, or leave it out of the list")  # fmt: skip
             found = listed
+        if names is not None and keep_bad:
+            found = [*found, *names]
         self._names = chosen(found, names, str(self.root / "points"))[:count]
 
     @property
@@ -101,6 +103,7 @@ class OpenPcdetScenes(RecordedScenes):
         values = _read_points(file)
         sensor = np.array(self.sensor_m, dtype=np.float64)
         points = (values[:, :3] - sensor).astype(np.float32)
+        points[~values[:, :3].any(axis=1)] = 0.0  # of an organised cloud: beams without a return
         require_metres(np.linalg.norm(points.astype(np.float64), axis=1), str(file))
         scene = Scene(
             scene_id=name,

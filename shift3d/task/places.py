@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.placement.constraints import Constraints
@@ -12,7 +14,7 @@ from shift3d.placement.sampling import PlacementLimits
 from shift3d.placement.survey import Survey, survey
 from shift3d.render.beams import Beams
 from shift3d.scenes.scene import Scene
-from shift3d.scenes.sets import SceneSet
+from shift3d.scenes.sets import SceneSet, StreetScenes
 from shift3d.task.spec import PlacementSpec
 
 
@@ -32,10 +34,22 @@ def other_vehicles(scene: Scene) -> Tensor:
     return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())
 
 
-def survey_scene(scene: Scene, where: PlacementSpec) -> Survey:
-    """Where a car of usual size could stand in a scene."""
+def unlabelled_points(scene: Scene) -> NDArray[np.float32] | None:
+    """(Z, 2) of the scene's returns where its data set labels nothing; None where it labels everywhere."""
+    zone = scene.in_no_label_zone
+    return None if zone is None else scene.points[zone & scene.has_beam, :2]
+
+
+def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
+    """Where a car of usual size could stand in a scene, as `place_vehicle` places: a street by its own sensor's beams.
+
+    Raises: InputError: the scene cannot be read.
+    """
+    own = scenes.seen_by_own(name) if isinstance(scenes, StreetScenes) else None
+    scene = scenes.load(name) if own is None else own[0].load(own[1])
     beams, others = Beams.of_main_sensor(scene), other_vehicles(scene)
-    return survey(beams, scene.ground_z_m, limits_of(where), constraints_of(where), others, scene.ground_map)
+    limits, constraints, zone = limits_of(where), constraints_of(where), unlabelled_points(scene)
+    return survey(beams, scene.ground_z_m, limits, constraints, others, scene.ground_map, zone)
 
 
 def place_lines(scenes: SceneSet, names: Sequence[str], where: PlacementSpec, most: int = 20) -> Iterator[str]:
@@ -44,6 +58,6 @@ def place_lines(scenes: SceneSet, names: Sequence[str], where: PlacementSpec, mo
     Raises: InputError: a scene cannot be read.
     """
     for name in names[:most]:
-        yield f"  {name}: {survey_scene(scenes.load(name), where).line()}"
+        yield f"  {name}: {survey_scene(scenes, name, where).line()}"
     if len(names) > most:
         yield f"  and {len(names) - most} more"

@@ -92,7 +92,12 @@ def set_folder(folder: Path | str | None) -> Path:
     """The folder of a vehicle set; None and "wide" are sets that ship."""
     if folder is None:
         return DEFAULT_VEHICLES.parent
-    return DEFAULT_VEHICLES.parent / WIDE if str(folder) == WIDE else Path(folder).expanduser()
+    if str(folder) != WIDE:
+        return Path(folder).expanduser()
+    if (Path(WIDE) / DEFAULT_VEHICLES.name).is_file():
+        what = "names the vehicles that ship, and a folder here has the same name"
+        raise InputError(what, f"vehicle.folder={WIDE}", "Rename the folder")
+    return DEFAULT_VEHICLES.parent / WIDE
 
 
 class VehicleSet(VehicleSource):

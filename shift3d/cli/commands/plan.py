@@ -100,6 +100,8 @@ def show_places(plan: Plan, config: Config, most: int = 20) -> None:
     print(f"places for a car, {counted(where.attempts, 'draw')} a scene:")
     for line in place_lines(scenes, names, where, most):
         print(line, flush=True)
+    if others := len(plan.tasks.scenes()) - len(names):
+        print(f"  not counted: {counted(others, 'scene')} of other sets of an axis; give one set with scenes.KEY=VALUE")
 
 
 def _where(plan: Plan, folder: Location | None) -> str:

@@ -98,11 +98,13 @@ def _show(config: Config, out: str | None) -> int:
             raise InputError(f"out={out} is no name of a PNG", "scenes", "Give out=FILE.png")
         check_writable(path.parent, "out=FILE.png")
     scenes = scene_set(config.scenes)
-    scene = scenes.load(config.scene or scenes.names()[0])
+    name = config.scene or scenes.names()[0]
+    scene = scenes.load(name)
     print("\n".join(scene_lines(scene)))
     centre, half_width = scenes.placement_sector_rad
     settings = config.attack.placement.model_dump()
-    places = survey_scene(scene, PlacementSpec(**settings, sector_centre_rad=centre, sector_half_width_rad=half_width))
+    where = PlacementSpec(**settings, sector_centre_rad=centre, sector_half_width_rad=half_width)
+    places = survey_scene(scenes, name, where)
     print(f"{'places for a car:':<22}{places.line()}")
     if path is not None:
         from shift3d.scenes.picture import save_picture

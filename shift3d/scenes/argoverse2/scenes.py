@@ -39,7 +39,7 @@ class Argoverse2Scenes(RecordedScenes):
         root: a split (train/, val/, test/), which holds logs, or one log.
         names: ``LOG-TIMESTAMP`` of the sweeps to use; None: every sweep, in order.
         count: the first so many; those after them are not looked for.
-        every: of each log every n-th sweep.
+        every: of each log every n-th sweep, of those that are not named.
 
     A scene's origin is the upper LiDAR, its axes are the vehicle's, its time 0 the sweep's start. Points keep the order
     of the file. Every beam starts where its LiDAR (two of 32 beams, one above the other) was as it fired. Points are
@@ -60,7 +60,8 @@ class Argoverse2Scenes(RecordedScenes):
         self.root, self.every, self._count = as_location(root), every, count
         self._wanted = None if names is None else list(names)[:count]
         inside = names_in(self.root)
-        self._logs = {self.root.name: self.root} if "sensors" in inside else {name: self.root / name for name in inside}
+        own = {self.root.absolute().name: self.root}  # the name of "." is empty
+        self._logs = own if "sensors" in inside else {name: self.root / name for name in inside}
         if not self._logs:
             raise InputError("no logs", str(self.root), "Give a folder of logs, or a log, which holds sensors/lidar/")
 
@@ -109,9 +110,10 @@ class Argoverse2Scenes(RecordedScenes):
 
     def _sweeps(self) -> Iterator[str]:
         requested = None if self._wanted is None else {name.rpartition("-")[0] for name in self._wanted}
+        every = self.every if requested is None else 1
         for log, place in self._logs.items():
             if requested is None or log in requested:
-                yield from (f"{log}-{timestamp}" for timestamp in timestamps(place)[:: self.every])
+                yield from (f"{log}-{timestamp}" for timestamp in timestamps(place)[::every])
 
     def _split(self, name: str) -> tuple[Location, int]:
         log, _, timestamp = name.rpartition("-")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,9 @@ def boxes_of(
     return Labels(boxes, tuple(class_of(name) for name in names), count_in_boxes(points, boxes), names)
 
 
+_RAIN = re.compile(r"\brain(y|ing|s)?\b", re.IGNORECASE)  # neither train nor terrain; "after rain" is rain
+
+
 def read_weather(folder: Location, samples: set[str]) -> dict[str, str]:
     """ "rain" or "dry" of samples, by the words with which their drives are described.
 
@@ -74,4 +78,4 @@ def read_weather(folder: Location, samples: set[str]) -> dict[str, str]:
     descriptions = {
         name: str(drives.get(str(row.get("scene_token")), {}).get("description", "")) for name, row in rows.items()
     }
-    return {name: "rain" if "rain" in descriptions.get(name, "").lower() else "dry" for name in samples}
+    return {name: "rain" if _RAIN.search(descriptions.get(name, "")) else "dry" for name in samples}

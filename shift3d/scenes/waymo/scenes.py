@@ -43,7 +43,7 @@ class WaymoScenes(RecordedScenes):
         names: ``SEGMENT-TIMESTAMP`` of the frames to use; None: every frame, in order.
         count: the first so many; those after them are not looked for.
         lasers: which sensors: names of `LASERS`.
-        every: of each segment every n-th frame.
+        every: of each segment every n-th frame, of those that are not named.
         keep_bad: list a segment whose frames cannot be listed under its own name; loading it raises InputError.
 
     A scene's origin is the TOP laser (its axes are the vehicle's), whether or not that laser is used. Points are laser
@@ -117,6 +117,8 @@ class WaymoScenes(RecordedScenes):
         if self._wanted is not None:
             requested = {name.rpartition("-")[0] or name for name in self._wanted}
             segments = [segment for segment in segments if segment in requested]
+            if self.keep_bad:
+                return list(self._wanted)
         return chosen(self._frames(segments), self._wanted, str(self.root / "lidar"), self._count)
 
     def _frames(self, segments: Sequence[str]) -> Iterator[str]:
@@ -132,7 +134,7 @@ class WaymoScenes(RecordedScenes):
             if not self.keep_bad:
                 raise
             return [segment]
-        return [f"{segment}-{timestamp}" for timestamp in timestamps[:: self.every]]
+        return [f"{segment}-{timestamp}" for timestamp in timestamps[:: self.every if self._wanted is None else 1]]
 
     def _split(self, name: str) -> tuple[str, int]:
         segment, _, timestamp = name.rpartition("-")

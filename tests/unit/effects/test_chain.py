@@ -10,9 +10,11 @@ from torch import Tensor
 
 from shift3d.effects.applicability import NEEDS
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
+from shift3d.errors import InputError
 from shift3d.render import Beams, preset, render
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings
+from shift3d.scenes.labels import Conditions
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import NoReturnBeams
 
@@ -159,6 +161,18 @@ def test_gradients_of_a_moving_object_are_those_of_the_displaced_pose() -> None:
     alone = Beams.from_arrays(scene.points[row : row + 1], np.zeros(3))
     (expected,) = torch.autograd.grad(render(alone, field, there, FRAME, SETTINGS).points.double().sum(), there)
     assert torch.allclose(found, expected, rtol=1e-4, atol=1e-4)
+
+
+def test_weather_of_a_recording_changes_the_objects_points_alone_once_its_rate_is_given() -> None:
+    scene = dataclasses.replace(scene_of(), reflectance=np.full(len(scene_of().points), 0.3, np.float32),
+                                conditions=Conditions(weather="rain"))  # fmt: skip
+    settings = EffectSettings(rain_mm_h=50.0, limit_range_m=70.0)
+    plain = chain_of([], scene, settings).render(CAR, THETA, SETTINGS)
+    found = chain_of(["rain"], scene, settings).render(CAR, THETA, SETTINGS)
+    changed = (found.points != torch.from_numpy(scene.points)).any(-1)
+    assert bool(changed.any()) and not bool((changed & ~plain.hit_mask).any())
+    with pytest.raises(InputError, match=f"scene {scene.scene_id}.*Leave out visibility_m"):
+        chain_of(["rain"], scene, EffectSettings(rain_mm_h=50.0, visibility_m=60.0))
 
 
 def test_weather_is_laid_over_the_scene_once_and_the_objects_rows_replace_it() -> None:

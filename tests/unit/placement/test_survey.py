@@ -50,6 +50,13 @@ def test_each_reason_is_found_where_it_holds() -> None:
     assert counts(tried(plain(), others=neighbour)) == {"neighbour": 25}
 
 
+def test_no_vehicle_stands_where_the_data_set_labels_nothing() -> None:
+    beams, rules = Beams.from_arrays(plain().astype(np.float32), np.zeros(3)), Constraints(min_object_points=150)
+    everywhere, elsewhere = plain()[:, :2], plain()[plain()[:, 0] < 0.0, :2]
+    assert counts(survey(beams, -1.73, LIMITS, rules, unlabelled=everywhere)) == {"unlabelled": 25}
+    assert counts(survey(beams, -1.73, LIMITS, rules, unlabelled=elsewhere)) == {"free": 25}
+
+
 def test_a_survey_is_repeated_and_counted_in_words() -> None:
     post = np.column_stack((np.full(400, 10.5), np.zeros(400), np.linspace(-1.7, 1.0, 400)))
     points = np.vstack((plain(), post))

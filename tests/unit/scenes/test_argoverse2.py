@@ -124,7 +124,7 @@ def centimetres(table: pa.Table) -> pa.Table:
         *((rewrite(part, lambda table: table.slice(0, 0)), rf"{part}.*no rows") for part in (SWEEP, POSES, BOXES)),
         (rewrite(SWEEP, lambda table: table.drop_columns(["offset_ns"])), r"no column offset_ns"),
         (rewrite(SWEEP, centimetres), r"median range is .* m.*metres"),
-        (rewrite(SWEEP, scaled("x", float("nan"))), r"range of nan m"),
+        (rewrite(SWEEP, scaled("x", float("nan"))), r"row 0 is not finite. Copy it again"),
         (rewrite(SWEEP, scaled("laser_number", 2.0)), r"laser numbers up to 126"),
         (rewrite(SWEEP, scaled("intensity", 257.0)), r"intensity that is not 0 to 255"),
         (rewrite(SWEEP, scaled("offset_ns", 1e-3)), r"firing times from .* nanoseconds"),
@@ -144,6 +144,18 @@ def test_damaged_files_give_one_clear_line(tmp_path: Path, spoil: Spoil, says: s
         Argoverse2Scenes(tmp_path).load(NAME)
     assert caught.value.remedy
     assert "\n" not in str(caught.value)
+
+
+def test_a_log_has_its_name_wherever_one_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = write_log(tmp_path / "some-log")
+    monkeypatch.chdir(log)
+    assert Argoverse2Scenes(".").names() == Argoverse2Scenes(log).names()
+
+
+def test_a_sweep_that_is_named_is_read_whatever_every(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "some-log")
+    for name in Argoverse2Scenes(log).names():
+        assert Argoverse2Scenes(log, [name], every=1000).names() == [name]
 
 
 def test_folders_without_logs(tmp_path: Path) -> None:

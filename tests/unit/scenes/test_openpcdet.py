@@ -43,6 +43,20 @@ def test_a_frame_is_read_in_file_order(tmp_path: Path) -> None:
     assert scene.ground_z_m == pytest.approx(-1.7, abs=0.011)
 
 
+@pytest.mark.parametrize("sensor_m", [(0.0, 0.0, 0.0), (0.0, 0.0, 1.9)])
+def test_rows_of_zeros_are_beams_without_a_return(tmp_path: Path, sensor_m: tuple[float, float, float]) -> None:
+    """As organised clouds have them, here more of them than of returns."""
+    moved = frame()
+    moved[:, :3] += sensor_m
+    cloud = np.concatenate((np.zeros((8000, 4), np.float32), moved))
+    scene = OpenPcdetScenes(write(tmp_path, cloud), sensor_m=sensor_m).load("000001")
+    assert scene.has_beam.sum() == len(moved) and not scene.has_beam[:8000].any()
+    assert scene.ground_z_m == pytest.approx(-1.7, abs=0.011)
+    nothing = OpenPcdetScenes(write(tmp_path, np.zeros((9, 4), np.float32)), ground_z_m=0.0)
+    with pytest.raises(InputError, match="no point with a positive range"):
+        nothing.load("000001")
+
+
 def test_a_sensor_away_from_the_origin_becomes_the_origin(tmp_path: Path) -> None:
     """The same frame as seen from the ground below the vehicle's rear axle."""
     sensor = (1.2, 0.1, 1.9)
@@ -79,6 +93,8 @@ def test_frames_are_chosen(tmp_path: Path) -> None:
     assert OpenPcdetScenes(tmp_path, names=["000001"]).names() == ["000001"]
     (tmp_path / "points" / "000001.npy").unlink()
     assert OpenPcdetScenes(tmp_path, split="val", keep_bad=True).names() == ["000002", "000001"]
+    named = OpenPcdetScenes(tmp_path, names=["000001", "000009"], keep_bad=True)
+    assert named.names() == ["000001", "000009"], "what is wrong with one is said when it is loaded"
     with pytest.raises(InputError, match=r"val\.txt: no frame points/000001\.npy"):
         OpenPcdetScenes(tmp_path, split="val")
     with pytest.raises(InputError, match=r"train\.txt: the list of frames is missing"):

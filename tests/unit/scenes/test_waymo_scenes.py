@@ -280,8 +280,11 @@ def test_a_bad_segment_is_listed_where_bad_scenes_are_kept(tmp_path: Path) -> No
         WaymoScenes(tmp_path).names()
     scenes = WaymoScenes(tmp_path, keep_bad=True)
     assert scenes.names() == [f"{SEGMENT}-{START}", "another"]
-    with pytest.raises(InputError, match=r"another\.parquet.*not a readable"):
-        scenes.load("another")
+    named = WaymoScenes(tmp_path, [f"{SEGMENT}-{START}", "another-5"], keep_bad=True)
+    assert named.names() == [f"{SEGMENT}-{START}", "another-5"]
+    for one, name in ((scenes, "another"), (named, "another-5")):
+        with pytest.raises(InputError, match=r"another\.parquet.*not a readable"):
+            one.load(name)
 
 
 def test_one_frame_of_many_is_read_without_the_others(segment: tuple[Path, Segment], tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from shift3d.placement.sampling import Placement
 from shift3d.settings.schema.scenes import StreetConfig, scene_set
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec
+from shift3d.task.places import survey_scene
 from shift3d.task.problem import build_problem, place_vehicle
 from shift3d.task.spec import TaskSpec
 
@@ -41,6 +42,13 @@ def test_the_pose_is_the_same_to_the_bit(placed: dict[str | None, tuple[TaskSpec
     poses = {tuple(placement.theta.tolist()) for _, _, placement in placed.values()}
     assert len(poses) == 1
     assert len({spec.task_id for spec, _, _ in placed.values()}) == len(NAMES)
+
+
+def test_places_are_counted_where_tasks_place(
+    placed: dict[str | None, tuple[TaskSpec, Assets, Placement]],
+) -> None:
+    found = [survey_scene(assets.scenes, spec.scene, spec.placement) for spec, assets, _ in placed.values()]
+    assert found[0].outcomes == found[1].outcomes and found[0].free.any()
 
 
 def test_every_sensors_hits_lie_on_the_same_surface(

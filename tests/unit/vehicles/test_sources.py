@@ -13,7 +13,7 @@ import torch
 
 from shift3d.errors import InputError
 from shift3d.vehicles import sources
-from shift3d.vehicles.sources import DeepSdfVehicles, VehicleSet, vehicle_hash
+from shift3d.vehicles.sources import DeepSdfVehicles, VehicleSet, set_folder, vehicle_hash
 from shift3d.vehicles.vehicle import BASELINES, DEFAULT_VEHICLES, vehicle_mesh
 
 HALF = np.array([0.35, 0.25, 0.9])  # sdf units: x width, y up, z length
@@ -150,3 +150,14 @@ def test_a_real_car_stands_on_its_wheels_nose_first(
     high = np.array([[x, 0.0, 0.25 * vehicle.size_m[2]] for x in (0.3, -1.6)])
     cab, bed = field(torch.from_numpy(vehicle.to_sdf(high))).tolist()
     assert cab < 0.0 < bed
+
+
+def test_a_folder_that_has_the_name_of_the_shipped_set_is_not_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert set_folder("wide").name == "wide" and set_folder("wide").is_absolute()
+    (tmp_path / "wide").mkdir()
+    (tmp_path / "wide" / "vehicles.safetensors").write_bytes(b"")
+    with pytest.raises(InputError, match="Rename the folder"):
+        set_folder("wide")

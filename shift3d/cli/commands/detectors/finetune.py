@@ -131,8 +131,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
     configure_runtime()
     request = read_request(arguments.words, arguments.quick)
+    out = local_path(request.out) if request.out else None  # before scenes are looked at, which takes a minute
     config, spec_hash = _checked(request)
-    folder = local_path(request.out or f"outputs/finetuning-{spec_hash}")
+    folder = out or Path(f"outputs/finetuning-{spec_hash}")
     models = _models(folder, config.detector.name, request)
     steps = list(steps_of(folder, config, request, models))
     if arguments.steps:
