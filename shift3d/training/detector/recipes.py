@@ -29,9 +29,9 @@ RECIPES: dict[str, Recipe] = {
     "centerpoint": Recipe(
         heads="centres",
         backbone_from="pointpillars",
-        augmentation=Augmentation(pasted=8, object_scale=(0.88, 1.1), object_stretch=(0.88, 1.15)),
+        augmentation=Augmentation(pasted=8, object_scale=(0.82, 1.08), object_stretch=(0.88, 1.15)),
         batch=16,
-        steps=2000,
+        steps=5500,
         mesh_only_steps=0,
         settle_steps=100,
         peak_rate=2e-3,

@@ -34,8 +34,8 @@ _EPILOG = f"""\
 examples:
   shift3d train model=sdf                          9,000 steps, 40 minutes on two quiet cores with bfloat16
   shift3d train model=pointpillars                 20,000 steps, under 3 hours on two quiet cores with bfloat16
-  shift3d train model=centerpoint                  2,000 steps of 16 crops, from PointPillars' backbone: 7 minutes of an
-                                                   H200 with 16 cores, by the crop some 4 hours of one core
+  shift3d train model=centerpoint                  5,500 steps of 16 crops, from PointPillars' backbone: some 14
+                                                   minutes of an H200 with 16 cores, 12 hours of one core
   shift3d train model=sst                          16,000 steps, grown from the small one's weights
   shift3d train model=sst_small                    14,000 steps, 3 hours on one core with bfloat16
   shift3d train model=sst device=cuda              the same on a GPU; every core beside it makes crops
