@@ -61,14 +61,14 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     _check(suite, scorer, settings.rule)
     last = last_release(suite, releases, scorer.name, settings.against)
     if last is None and settings.accept == "false":
-        what = f"{scorer.name} has no release to compare with, and did not score the sweep"
+        what = f"{scorer.name} has no release to compare with, and did not score all of the suite's objects"
         raise InputError(what, str(releases), "Give accept=true to make these weights the first release")
     _claim(out, suite, scorer)
     answers = _with_progress(score_suite(suite, scorer, out / "answers", settings.workers), suite)
     after = {key: score for table in answers for key, score in zip(table["object_id"], table["score"], strict=True)}
     after = {key: after[key] for key in suite.objects["object_id"]}
     if last is None:
-        number = accept_release(suite, releases, scorer, after, None)
+        number = accept_release(suite, releases, scorer, after)
         text = f"{counted(len(after), 'object')} scored; accepted as release {number}, the first"
         return Outcome(ExitCode.DONE, text, compared=False)
     if missing := set(after) - set(last.scores):
@@ -76,7 +76,7 @@ def run_gate(suite: FrozenSuite, scorer: Scorer, releases: Location, out: Locati
     found = compare(suite.objects, last.scores, after, settings.rule)
     texts = _write(out, suite, scorer, found, last, settings)
     if settings.accept == "anyway" or (settings.accept == "true" and not found.worse):
-        texts.append(f"accepted as release {accept_release(suite, releases, scorer, after, last)}")
+        texts.append(f"accepted as release {accept_release(suite, releases, scorer, after)}")
     elif settings.accept == "true":
         texts.append("not accepted: accept=anyway accepts a release that is worse")
     return Outcome(ExitCode.WORSE if found.worse else ExitCode.DONE, "\n\n".join(filter(None, texts)))

@@ -82,7 +82,8 @@ def load_own(module: Path, weights: Path | None, precision: Precision = "float32
         raise InputError("load() returned nothing that can be called with points", str(module), _GUIDE)
     dtype = torch.float64 if precision == "float64" else torch.float32
     if isinstance(model, nn.Module):
-        model = model.eval().requires_grad_(False).to(dtype)
+        model = model.eval().requires_grad_(False)
+        model = model.double() if precision == "float64" else model
     detector = OwnDetector(model, str(module), dtype)
     _try(detector, str(module))
     return detector

@@ -43,6 +43,8 @@ def from_validation(error: ValidationError, where: str) -> InputError:
     # A discriminated union puts its tag into the path: 'scenes.street.count' is the user's 'scenes.count'.
     path = [str(part) for part in first["loc"]]
     field = ".".join(part for i, part in enumerate(path) if not (i == 1 and path[0] in _UNIONS))
+    # So does a union of plain types, at its end: 'accuracy.render.solver.bool'.
+    field = re.sub(r"\.(bool|int|float|str|none|constrained-\w+|(list|tuple|dict)\[.*)$", "", field)
     value, kind = first["input"], first["type"]
     if value == "???" or kind == "missing":
         return InputError(f"{field} is required", where=where, remedy=f"Add {field}=VALUE to the command")
@@ -55,7 +57,8 @@ def from_validation(error: ValidationError, where: str) -> InputError:
         tags_text = re.findall(r"'([^']+)'", first["ctx"]["expected_tags"])
         return choice_error(f"{field}.kind", str(first["ctx"]["tag"]), tags_text, where)
     if kind == "value_error":  # a rule between several fields: it says which
-        return InputError(f"{field}: {first['ctx']['error']}", where=where, remedy="Change one of them")
+        error_text = str(first["ctx"]["error"])
+        return InputError(f"{field}: {error_text}" if field else error_text, where, "Change one of them")
     what = f"{field} is {_shown(value)}: {first['msg'][0].lower()}{first['msg'][1:]}"
     return InputError(what, where=where, remedy=f"Change it with {field}=VALUE")
 

@@ -36,7 +36,7 @@ class Release:
 
 def last_release(suite: FrozenSuite, folder: Location, detector: str, number: int | None = None) -> Release | None:
     """The last accepted release of a detector, or the one of a number; else what the sweep's own weights scored; None:
-    the detector has never scored these objects.
+    the detector has never scored all of these objects, or several of its weights have.
 
     Raises: InputError: no release of that number and detector, or a file that is damaged or another suite's.
     """
@@ -47,16 +47,18 @@ def last_release(suite: FrozenSuite, folder: Location, detector: str, number: in
     if number:
         raise InputError(f"there is no release {number} of {detector}", str(folder), "Leave against= out for the last")
     table = read_suite_table(suite.folder / "scores.parquet", "scores").to_pandas()
-    return _release(table[table["detector"] == detector], 0)
+    own = table[table["detector"] == detector]
+    # What only some objects were scored by, or several weights have scored, is no release.
+    whole = set(suite.objects["object_id"]) <= set(own["object_id"]) and own["weights"].nunique() == 1
+    return _release(own, 0) if whole else None
 
 
-def accept_release(
-    suite: FrozenSuite, folder: Location, scorer: Scorer, scores: Mapping[str, float], last: Release | None
-) -> int:
+def accept_release(suite: FrozenSuite, folder: Location, scorer: Scorer, scores: Mapping[str, float]) -> int:
     """Put scores into the history as the next release; its number. The last release once more is not put in again.
 
     Raises: InputError: another gate was quicker, or the folder cannot be written to.
     """
+    last = last_release(suite, folder, scorer.name)
     if last is not None and last.number and (last.weights, last.scores) == (scorer.digest, scores):
         return last.number
     taken = [int(found[1]) for name in folder.names() if (found := _NAME.fullmatch(name))]

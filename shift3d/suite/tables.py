@@ -67,12 +67,17 @@ def suite_table_bytes(table: pa.Table) -> bytes:
     return content
 
 
-def read_suite_table(path: LocationLike, name: str, content: bytes | None = None) -> pa.Table:
-    """Read one of the files. content: its bytes, where the caller has them.
+def read_suite_table(
+    path: LocationLike,
+    name: str,
+    content: bytes | None = None,
+    remedy: str = "Restore it from a copy, or freeze the suite again",
+) -> pa.Table:
+    """Read one of the files. content: its bytes, where the caller has them. remedy: what to do with a damaged one.
 
     Raises: InputError: the file is missing, torn, or of another schema or version.
     """
-    table, kind, version = read_parquet(path, "Restore it from a copy, or freeze the suite again", content=content)
+    table, kind, version = read_parquet(path, remedy, content=content)
     if (kind, version) != (f"suite_{name}", str(SUITE_VERSION)):
         what = f"is {kind}, version {version}; this program reads suite_{name}, version {SUITE_VERSION}"
         raise InputError(what, str(path), "Use the version of shift3d that wrote it, or freeze the suite again")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -44,10 +43,14 @@ def test_killed_in_its_training_and_resumed_it_gives_the_same_table(
     printed = capsys.readouterr().out
     assert "0.482" in printed and "0.751" in printed
     assert sorted((out / "attacked" / "data").iterdir()) == segments, "no task runs twice"
+    tuned, alone = out / "finetuned-rate1e-3-0", tmp_path / "alone"
+    words = [f"finetune={out / 'attacked'}", "method=adversarial", "start_from=shipped", "recipe.seed=0"]
+    words += ["recipe.peak_rate=1e-3", "threads=1", "mlflow=none", f"out={alone}"]
+    assert main(["train", "model=pointpillars", *words]) == 0
+    assert (alone / "pointpillars.safetensors").read_bytes() == (tuned / "pointpillars.safetensors").read_bytes()
     table = (out / "finetune.parquet").read_bytes()
-    shutil.rmtree(out / "finetuned-rate1e-3-0")
     (out / "finetune.parquet").unlink()
-    assert main([*WORDS, f"out={out}"]) == 0
+    assert main([*WORDS, f"out={out}"]) == 0, "what is done is not done again"
     assert (out / "finetune.parquet").read_bytes() == table
     rows = pq.read_table(out / "finetune.parquet").to_pandas()
     assert set(rows["objects"].dropna()) == {"baseline", "adversarial", "adversarial_adaptive"}

@@ -91,6 +91,8 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         return _status(arguments.words[1:])
     words = [*arguments.words, *(f"reuse={folder}" for folder in arguments.reuse)]
     if words[:1] == ["plan"] or arguments.dry_run:
+        if arguments.task or arguments.retry_quarantined:
+            raise InputError("--task and --retry-quarantined run something", remedy="Leave plan out")
         return show(words[1:] if words[:1] == ["plan"] else words, kind, arguments.tasks, arguments.places)
     if arguments.tasks or arguments.places:
         raise InputError("--tasks and --places are of a plan", remedy="shift3d sweep plan NAME --tasks")

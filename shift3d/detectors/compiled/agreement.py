@@ -13,6 +13,7 @@ from shift3d.detectors.base import Detections, Detector
 from shift3d.errors import InputError
 
 TOLERANCE = 1e-3
+_LEAST = 0.1
 _SAME_OBJECT_M = 2.0
 """Boxes after suppression whose centres are this near are of one object. Which of two boxes with equal scores is kept
 hangs on a rounding, and two vehicles are farther apart."""
@@ -39,13 +40,14 @@ def largest_disagreement(
 ) -> Disagreement | None:
     """The largest difference of scores over some scenes; None where neither finds anything.
 
-    clouds: names and points (N, 3), network frame. At every box that either keeps, the best scores of both within 2 m
-    are compared. Source: our choice.
+    clouds: names and points (N, 3), network frame. At every box of a score of 0.1 or more, the best scores of both
+    within 2 m are compared. Source: our choice.
     """
     found: list[Disagreement] = []
     for name, points in clouds:
-        one, two = original.detect(points), compiled.detect(points)
-        for x, y in np.concatenate((one.boxes, two.boxes))[:, :2]:
+        # A box at the least score may lie below it in the other, by no more than what is tolerated.
+        one, two = (detector.detect(points, score_threshold=_LEAST - TOLERANCE) for detector in (original, compiled))
+        for x, y in np.concatenate([found.boxes[found.scores >= _LEAST] for found in (one, two)])[:, :2]:
             found.append(Disagreement(name, float(x), float(y), _best_near(one, x, y), _best_near(two, x, y)))
     return max(found, key=lambda place: place.difference, default=None)
 

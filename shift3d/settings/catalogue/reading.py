@@ -201,7 +201,11 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
         from shift3d.attack.space import edited_code
 
         code, where = torch.from_numpy(source.vehicle(vehicle).latent_code), f"vehicle {vehicle}, attack.edit"
-        edited_code(code, source.parameters(vehicle), attack.edit, where)
+        try:
+            parameters = source.parameters(vehicle)
+        except InputError as error:
+            raise InputError(error.what, where, "Leave attack.edit out, or give vehicle=wide") from error
+        edited_code(code, parameters, attack.edit, where)
     return space_hash(source, vehicle, attack.space, bool(attack.edit))
 
 

@@ -70,7 +70,8 @@ class AttackConfig(Record):
 
     @model_validator(mode="after")
     def _steps_beside_the_starts(self) -> Self:
-        if self.search == "expectation" and self.starts > 1 and self.starts - 1 + self.placements > self.steps:
+        wanted = self.starts > 1 or self.steps > 0
+        if self.search == "expectation" and wanted and self.starts - 1 + self.placements > self.steps:
             raise ValueError(
                 f"starts {self.starts:d} and placements {self.placements:d} leave nothing of {self.steps:d} steps"
             )

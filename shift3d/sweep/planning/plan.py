@@ -159,6 +159,9 @@ def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
     """What the tasks of one combination of settings have in common."""
     attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})
     space_hash = "" if config.mode == "pose" else catalogue.space_hash(vehicle, config.attack)
+    if config.mode == "pose":  # what says where shapes may go says nothing of a pose: it makes no further task
+        shapes_alone = ("space", "components", "naturalness", "search_scenes", "edit")
+        attack |= {name: value for name, value in vars(AttackSpec()).items() if name in shapes_alone}
     centre, half_width = catalogue.sector_rad
     placement = PlacementSpec(
         **config.attack.placement.model_dump(), sector_centre_rad=centre, sector_half_width_rad=half_width

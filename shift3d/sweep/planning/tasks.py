@@ -160,20 +160,30 @@ def merged_settings(tasks: Tasks) -> list[str]:
 
     Replicates and seeds are meant to be averaged and are not among them.
     """
-    groups: dict[tuple[object, ...], list[dict[str, Any]]] = {}
-    for spec in (group.template for group in tasks.groups()):
-        key = (spec.vehicle, spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy, spec.search)
-        groups.setdefault(key, []).append(_without_column(spec))
-    found: dict[str, None] = {}
-    for members in groups.values():
-        names = dict.fromkeys(name for member in members for name in member)
-        found |= {name: None for name in names if any(one.get(name) != members[0].get(name) for one in members)}
-    return list(found)
+    seen: dict[tuple[object, ...], dict[str, list[Any]]] = {}
+    for group in tasks.groups():
+        spec = group.template
+        scenes = tuple(spec.scene_arguments.get(name) for name in _OF_A_DATA_SET)
+        key = (spec.vehicle, *scenes, spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
+        for requested in group.effects_requested:
+            values = seen.setdefault((*key, spec.search, requested), {})
+            for name, value in _without_column(spec).items():
+                if value not in values.setdefault(name, []):
+                    values[name].append(value)
+    return list(dict.fromkeys(name for values in seen.values() for name in values if len(values[name]) > 1))
+
+
+_OF_A_DATA_SET = ("kind", "sensor", "beams")
+_OF_EVERY_SCENE = (*_OF_A_DATA_SET, "seed", "count", "start", "root", "names", "split")
+"""Settings that say which scenes there are, not what they are like; the columns hold data set and scene."""
 
 
 def _without_column(spec: TaskSpec) -> dict[str, Any]:
     """What the columns of the tables do not say of a template, by the name of its setting."""
-    attack = {name: value for name, value in spec.attack.to_dict().items() if name not in ("search", "space_hash")}
+    own = ("search", "space_hash", "budget_rule")
+    attack = {name: value for name, value in vars(spec.attack).items() if name not in own}
+    detector = {name: value for name, value in spec.accuracy_settings.items() if name == "detector"}
+    render = {name: value for name, value in spec.accuracy_settings.items() if name not in detector}
     placement = {name: value for name, value in vars(spec.placement).items() if not name.startswith("sector_")}
     return {
         "vehicle": (spec.vehicle_hash, spec.decoder_hash),
@@ -181,5 +191,8 @@ def _without_column(spec: TaskSpec) -> dict[str, Any]:
         "naturalness": spec.reference_hash,
         **{f"attack.{name}": value for name, value in attack.items()},
         **{f"attack.placement.{name}": value for name, value in placement.items()},
-        **{f"accuracy.{name}": value for name, value in spec.accuracy_settings.items()},
+        **{f"accuracy.{name}": value for name, value in detector.items()},
+        **{f"accuracy.render.{name}": value for name, value in render.items()},
+        **{f"effects.{name}": value for name, value in spec.effect_settings.items()},
+        **{f"scenes.{name}": value for name, value in spec.scene_arguments.items() if name not in _OF_EVERY_SCENE},
     }

@@ -13,6 +13,8 @@ from shift3d.store.schemas import GROUP_COLUMNS
 if TYPE_CHECKING:
     import pandas as pd
 
+_SHOWN_M = 50.0
+
 
 def groups(frame: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
     """Groups in the order in which they first appear; a missing lambda (pose) is a value like any other."""
@@ -43,9 +45,11 @@ def transfer_rows(transfers: pd.DataFrame, reach_m: float) -> list[dict[str, Any
     """Reduction of the score of every shape that was put into other scenes, in the cell that it was put into.
 
     transfers: rows of the table, those without a place left out. reach_m: cells without a vehicle are rows too, of the
-    square of this half side. Source: SHIFT3D fig. bev_score.
+    square of this half side, as far as vehicles stand and 50 m at least. Source: SHIFT3D fig. bev_score.
     """
     placed = transfers[transfers["score"].notna()].assign(method="adversarial")
+    reached_m = float(placed[["x_m", "y_m"]].abs().to_numpy().max(initial=0.0))
+    reach_m = min(reach_m, max(_SHOWN_M, reached_m))
     ends = [CELL_SIZE_M * cell for cell in range(-math.ceil(reach_m / CELL_SIZE_M), math.ceil(reach_m / CELL_SIZE_M))]
     rows: list[dict[str, Any]] = []
     for group, members in groups(placed):

@@ -70,6 +70,7 @@ def choose_alphas(scored: pd.DataFrame) -> dict[tuple[Any, ...], Choice]:
     were scored under every alpha; of equal ones the smaller alpha.
     """
     rows = _found(scored)
+    rows = rows[rows["search"].str.startswith("descent")]  # no other search has step sizes of alpha
     lambdas = {key: choice.chosen for key, choice in choose_lambdas(scored).items()}
     if rows.empty:
         return {}

@@ -142,6 +142,7 @@ def _box_json(
         "object_points": object_points,
         "task_id": spec.task_id,
         "vehicle": spec.vehicle,
+        "drawn_as": solution.get("drawn_as"),
         "scene": spec.scene,
         "method": solution["method"],
         "replicate": int(solution["replicate"]),

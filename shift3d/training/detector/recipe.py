@@ -7,6 +7,7 @@ from itertools import pairwise
 from math import isfinite, pi
 from typing import Literal
 
+from shift3d.detectors.grid import WAYMO_GRID
 from shift3d.detectors.models.anchor_heads import AnchorSpec
 from shift3d.detectors.models.backbone import WAYMO_BACKBONE, BackboneSpec
 from shift3d.detectors.models.network import DetectorNet
@@ -69,7 +70,7 @@ class Augmentation:
             value = getattr(self, name)
             _check(0.0 <= value <= 1.0, name, value, where, "Give a share from 0 to 1")
         for name in ("shift_m", "ground_slope", "pasted"):
-            _check(getattr(self, name) >= 0, name, getattr(self, name), where, "Give 0 or more")
+            _check(0.0 <= getattr(self, name) < float("inf"), name, getattr(self, name), where, "Give 0 or more")
         bins = self.range_bins_m
         rising = len(bins) >= 2 and bins[0] >= 0.0 and all(low < high for low, high in pairwise(bins))
         _check(rising, "range_bins_m", bins, where, "Give at least two rising edges, such as 0,30,75")
@@ -157,7 +158,10 @@ class Recipe:
         """The recipe itself. Raises: InputError naming the first field that cannot be trained by."""
         possible = ("anchors", "centres") if isinstance(self.network, BackboneSpec) else ("anchors",)
         _check(self.heads in possible, "heads", self.heads, where, "Give anchors, or for the pillar backbone centres")
-        _check(len(self.code_weights) == 7, "code_weights", self.code_weights, where, "Give seven numbers")
+        weights = self.code_weights
+        possible_weights = len(weights) == 7 and all(0.0 <= weight < float("inf") for weight in weights)
+        _check(possible_weights, "code_weights", weights, where, "Give seven numbers, 0 or more")
+        _check(len(self.anchor_size_m) == 3, "anchor_size_m", self.anchor_size_m, where, "Give length,width,height")
         for name in ("crop_cells", "batch", "mesh_scenes", "min_points"):
             _check(getattr(self, name) >= 1, name, getattr(self, name), where, "Give 1 or more")
         for name in ("anchor_size_m", "peak_rate", "settle_rate", "clip_norm", "box_beta"):
@@ -166,10 +170,15 @@ class Recipe:
             _check(all(0.0 < v < float("inf") for v in values), name, value, where, "Give numbers above 0")
         for name in ("steps", "settle_steps", "mesh_only_steps", "inserted_scenes", "statistics_crops", "centre_radius",
                      "rim_cells", "jitter_m", "weight_decay", "box_weight", "direction_weight"):  # fmt: skip
-            _check(getattr(self, name) >= 0, name, getattr(self, name), where, "Give 0 or more")
+            _check(0.0 <= getattr(self, name) < float("inf"), name, getattr(self, name), where, "Give 0 or more")
+        unused = self.inserted_scenes > 0 and self.inserted_share > 0.0 and self.mesh_only_steps > self.steps
+        remedy = "No step draws an inserted scene: give fewer mesh_only_steps, or steps=N beside the recipe"
+        _check(not unused, "mesh_only_steps", self.mesh_only_steps, where, remedy)
         for name in ("inserted_share", "empty_share", "warm_up_share"):
             _check(0.0 <= getattr(self, name) <= 1.0, name, getattr(self, name), where, "Give a share from 0 to 1")
         _check(self.crop_cells % 4 == 0, "crop_cells", self.crop_cells, where, "Give a multiple of 4")
+        cells = min(WAYMO_GRID.num_x, WAYMO_GRID.num_y)
+        _check(self.crop_cells <= cells, "crop_cells", self.crop_cells, where, f"Give {cells}, the grid's, or fewer")
         _check(2 * self.rim_cells < self.crop_cells, "rim_cells", self.rim_cells, where, "Leave cells to train")
         self.augmentation.validate(where)
         return self

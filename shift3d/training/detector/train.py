@@ -158,7 +158,8 @@ def scene_files(out_dir: Path, scenes: SceneSet, workers: int = 1) -> list[Path]
 def inserted_scene_files(out_dir: Path, base: Sequence[Path], recipe: Recipe, workers: int = 1) -> list[Path]:
     """Cached scenes with more vehicles of the wide family's seen kinds in the base scenes, in their order."""
     # Scenes of another set must not be taken for those of the streets when both were made in one folder.
-    folder = out_dir / f"inserted-{base[0].parent.name}"
+    # What is inserted depends on the seed, and on which scenes there are to insert into.
+    folder = out_dir / f"inserted-{base[0].parent.name}-{len(base)}-{recipe.seed}"
     names = [f"inserted-{index:05d}" for index in range(recipe.inserted_scenes)]
     build = partial(_inserted_scene, tuple(base), recipe.seed)
     return cache_scenes(folder, names, build, "inserting vehicles", workers)

@@ -55,7 +55,9 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
     with np.load(kept, allow_pickle=False) as data:
         facts = json.loads(str(data["facts"]))
         arrays = ShapeSamples(data["points"], data["distances"], data["scale_m"], source)
-    return MeshShapes(arrays, facts["shapes"], facts["refused"])
+    places = {file.name: str(file.path) for file in files}  # the folder may have moved since
+    shapes = [{**shape, "file": places[shape["name"]]} for shape in facts["shapes"]]
+    return MeshShapes(arrays, shapes, facts["refused"])
 
 
 _Part = tuple[NDArray[np.float32], NDArray[np.float32], float, dict[str, Any]]

@@ -100,7 +100,8 @@ def export_mesh_training(
         vehicles.append(done)
         known.append({**facts, "chamfer_cm": round(100.0 * done.chamfer_m, 3)})
     if not vehicles:
-        what = f"after {state['step']} steps no vehicle has a surface"
+        first = next(iter(refused.values()))
+        what = f"after {state['step']} steps no vehicle has a surface, the first because {first}"
         raise InputError(what, where=str(checkpoint), remedy="train longer: steps=, in another out=")
     chamfer_cm = [facts["chamfer_cm"] for facts in known]
     provenance = {

@@ -19,7 +19,7 @@ from shift3d.seeding import derive_seed
 from shift3d.training.compute import Compute
 from shift3d.training.progress import Report
 from shift3d.training.sdf.loop import DecoderRun, run_to_end
-from shift3d.training.sdf.wide_shapes import WideShapes, wide_shapes
+from shift3d.training.sdf.wide_shapes import WideShapes, wide_shapes, wide_specs
 
 CHECKPOINT = "parametric.pt"
 
@@ -108,13 +108,15 @@ def train_wide(
 ) -> list[float]:
     """Sample the wide family, train, and leave the vehicle set in `out`; returns its Chamfer distances in cm.
 
-    count, steps: None for the recipe's. Raises: InputError where `out` holds another training.
+    count, steps: None for the recipe's. Raises: InputError where `out` holds another training, or no kind has
+    vehicles enough to be measured.
     """
-    from shift3d.training.sdf.parametric_export import export_parametric
+    from shift3d.training.sdf.parametric_export import export_parametric, members_by_kind
 
     recipe = ParametricRecipe()
     recipe = replace(recipe, shapes=count or recipe.shapes, steps=steps or recipe.steps)
     recipe = replace(recipe, shapes_a_step=min(recipe.shapes_a_step, recipe.shapes))
+    members_by_kind(wide_specs(recipe.shapes, recipe.seed))  # too few are known before anything is made
     shapes = wide_shapes(recipe.shapes, recipe.samples_a_shape, recipe.seed, out / "shapes", compute.threads)
     checkpoint = train_parametric(out, recipe, shapes, compute, report=report)
     return list(export_parametric(checkpoint, shapes, out).values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,7 @@ def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[s
     basis, codes = basis * factor, codes * factor
     decoder.with_code_scale(float(factor))
     vehicles, boxes = [], {}
-    for kind, members in tqdm(_kinds(shapes).items(), desc="measuring vehicles", mininterval=5.0):
+    for kind, members in tqdm(members_by_kind(shapes.specs).items(), desc="measuring vehicles", mininterval=5.0):
         index = _typical(shapes.features[members], members)
         spec, frame = shapes.specs[index], shapes.frames[kind]
         mesh = in_frame(spec, frame, build_wide_mesh(spec, RESOLUTION_M))
@@ -110,9 +111,9 @@ def _distance_cm(decoder: Decoder, code: torch.Tensor, spec: WideSpec, frame: Ki
     return 100.0 * frame.scale_m * symmetric_chamfer(decoded, mesh, generator("unseen chamfer", spec.kind))
 
 
-def _kinds(shapes: WideShapes) -> dict[str, NDArray[np.int64]]:
-    """Members by kind, of kinds with enough of them, in the order of their first."""
-    kinds = np.array([spec.kind for spec in shapes.specs])
+def members_by_kind(specs: Sequence[WideSpec]) -> dict[str, NDArray[np.int64]]:
+    """Members by kind, of kinds with enough of them, in the order of their first. Raises: InputError: there is none."""
+    kinds = np.array([spec.kind for spec in specs])
     found = {str(kind): np.flatnonzero(kinds == kind) for kind in dict.fromkeys(kinds)}
     enough = {kind: members for kind, members in found.items() if len(members) >= LEAST_MEMBERS}
     if not enough:

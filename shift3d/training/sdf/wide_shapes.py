@@ -64,12 +64,17 @@ def kind_frames(specs: Sequence[WideSpec]) -> dict[str, KindFrame]:
     return {kind: KindFrame(radii[kind] * SPHERE_MARGIN * KIND_MARGIN, middles[kind]) for kind in radii}
 
 
+def wide_specs(count: int, seed: int) -> list[WideSpec]:
+    """`count` vehicles of the wide family, half seen and half held out."""
+    return [*wide_family(count - count // 2, seed, "seen"), *wide_family(count // 2, seed, "held_out")]
+
+
 def wide_shapes(count: int, samples: int, seed: int, cache: Path, processes: int) -> WideShapes:
     """Sample `count` vehicles, half seen and half held out, or read them back from `cache`, a folder.
 
     An interrupted call goes on where it stopped. Source: samples as of Park et al. 2019; frames are our choice.
     """
-    specs = [*wide_family(count - count // 2, seed, "seen"), *wide_family(count // 2, seed, "held_out")]
+    specs = wide_specs(count, seed)
     frames = kind_frames(specs)
     tasks = [(spec, frames[spec.kind], samples, seed, index) for index, spec in enumerate(specs)]
     folder = cache / f"wide-{count}-{samples}-{seed}"

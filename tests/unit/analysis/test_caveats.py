@@ -33,10 +33,23 @@ def test_random_draws_and_edits_have_no_steps_to_be_short_of(monkeypatch: pytest
     assert caveat("default", "attack.search=random", "attack.steps=1", "mode=shape", "attack.space=pca") is None
 
 
+def test_where_shapes_may_go_makes_no_further_task_of_a_pose() -> None:
+    words = ["vehicle=suv", "mode=pose", "attack.search=descent", "attack.space=free,pca", "attack.components=3"]
+    many = make_plan(compose_sweep("default", [*words, "attack.naturalness=0,95"]), valid_sweeps.catalogue)[0]
+    plain = make_plan(compose_sweep("default", ["vehicle=suv", "mode=pose"]), valid_sweeps.catalogue)[0]
+    assert many.tasks.ids.equals(plain.tasks.ids)
+
+
 def test_settings_that_no_column_tells_apart_are_named() -> None:
     plan = make_plan(compose_sweep("default", ["vehicle=suv", "attack.steps=5,40"]), valid_sweeps.catalogue)[0]
     assert merged_settings(plan.tasks) == ["attack.steps"]
     assert "AUCs are means over attack.steps: no column tells their values apart" in plan_summary(plan)
+    fog = ["vehicle=suv", "effects=fog", "effects.visibility_m=50,100"]
+    assert merged_settings(make_plan(compose_sweep("default", fog), valid_sweeps.catalogue)[0].tasks) == [
+        "effects.visibility_m"
+    ]
+    either = ["vehicle=suv", "effects=fog,none", "effects.visibility_m=50"]
+    assert merged_settings(make_plan(compose_sweep("default", either), valid_sweeps.catalogue)[0].tasks) == []
     words = ["vehicle=suv", "attack.lambda=1,10", "attack.alpha=0.01,0.02", "replicate=0,1", "seed=0,1"]
     assert merged_settings(make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0].tasks) == []
 

@@ -6,17 +6,21 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from suites_by_hand import PER_SCENE, SCENES, write_detector, write_suite
 
 from shift3d.analysis.gate import Acceptance, GateSettings, Outcome, run_gate
+from shift3d.analysis.statistics.loss import least_p_value
 from shift3d.analysis.statistics.releases import Rule
 from shift3d.analysis.tables.gate import compare
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
 from shift3d.store.resolve import as_location
 from shift3d.suite.frozen import read_suite
+from shift3d.suite.releases import last_release
 from shift3d.suite.scoring import Scorer
 
 
@@ -54,6 +58,56 @@ def test_the_same_weights_pass_and_worse_ones_are_stopped(folder: Path) -> None:
     assert gate(folder, -2.6, "anyway").exit_code == ExitCode.WORSE and len(releases(folder)) == 3
     with pytest.raises(InputError, match="no release 9 of own"):
         gate(folder, -2.0, against=9)
+
+
+def test_a_roll_back_is_the_last_release_from_then_on(folder: Path) -> None:
+    gate(folder, -2.0, "true")
+    gate(folder, -2.6, "anyway")
+    back = gate(folder, -2.0, "true", against=1)
+    assert "accepted as release 3" in back.text and len(releases(folder)) == 3
+    assert gate(folder, -2.6).exit_code == ExitCode.WORSE, "it is compared with what was rolled back to"
+    assert "accepted as release 3" in gate(folder, -2.0, "true", against=1).text and len(releases(folder)) == 3
+
+
+@pytest.mark.parametrize("what", ["some objects", "two weights"])
+def test_a_sweep_that_scored_a_part_is_no_release(folder: Path, what: str) -> None:
+    write_suite(folder / "suite", scored_by="own")
+    suite, file = read_suite(folder / "suite"), folder / "suite" / "scores.parquet"
+    history = as_location(folder / "suite" / "releases")
+    found = last_release(suite, history, "own")
+    assert found is not None and found.number == 0
+    table = pq.read_table(file)
+    if what == "some objects":
+        table = table.slice(2)
+    else:
+        weights = table["weights"].to_pylist()
+        at = table.column_names.index("weights")
+        table = table.set_column(at, table.schema.field(at), pa.array(["other", *weights[1:]]))
+    pq.write_table(table, file)
+    assert last_release(suite, history, "own") is None
+
+
+def test_a_damaged_answer_is_to_be_removed(folder: Path) -> None:
+    gate(folder, -2.0, "true")
+    (answers, *_) = sorted((folder / "out-2" / "answers").glob("*.parquet"))
+    answers.write_bytes(b"PAR1")
+    with pytest.raises(InputError, match="Remove it: it is scored again"):
+        gate(folder, -2.0)
+
+
+def test_a_verdict_does_not_promise_to_find_what_cannot_be_lost() -> None:
+    objects = pd.DataFrame({"object_id": [f"o{n}" for n in range(60)], "role": "hard", "task_id": "t", "method": "m"})
+    objects = objects.assign(vehicle="suv", dataset="d", mode="shape", x_m=20.0, y_m=0.0, object_points=300)
+    objects = objects.assign(scene=[f"s{n % 12}" for n in range(60)])
+    missed = dict.fromkeys(objects["object_id"], 0.1)
+    sentence = compare(objects, missed, missed, Rule()).sentence("release 1")
+    assert "of which 0 were detected before, no loss of recall can be shown" in sentence
+    found = dict.fromkeys(objects["object_id"], 0.9)
+    assert "if objects are independent" in compare(objects, found, found, Rule()).sentence("release 1")
+
+
+def test_a_level_below_the_least_p_value_gives_no_verdict() -> None:
+    assert least_p_value(5) == 1 / 32 and least_p_value(40) == 1e-4
 
 
 def test_what_is_written_says_what_got_worse_worst_first(folder: Path) -> None:

@@ -63,33 +63,42 @@ def run(problem: AttackProblem, name: str, seed: int = 0) -> AttackResult:
 NAMES = ("expectation", "evolution", "random", "joint")
 
 
+@pytest.fixture(scope="module")
+def results(problem: AttackProblem) -> dict[str, AttackResult]:
+    return {name: run(problem, name) for name in NAMES}
+
+
 @pytest.mark.parametrize("name", NAMES)
-def test_a_search_is_decided_by_its_seed(problem: AttackProblem, name: str) -> None:
-    first, again = run(problem, name), run(problem, name)
+def test_a_search_is_decided_by_its_seed(problem: AttackProblem, results: dict[str, AttackResult], name: str) -> None:
+    first, again = results[name], run(problem, name)
     assert torch.equal(first.latent_code, again.latent_code) and torch.equal(first.theta, again.theta)
     assert [step.loss for step in first.trace] == [step.loss for step in again.trace]
 
 
 @pytest.mark.parametrize("name", ["evolution", "random"])
-def test_another_seed_draws_others_and_numpys_own_state_is_left_alone(problem: AttackProblem, name: str) -> None:
+def test_another_seed_draws_others_and_numpys_own_state_is_left_alone(
+    problem: AttackProblem, results: dict[str, AttackResult], name: str
+) -> None:
     np.random.seed(5)  # noqa: NPY002
     expected = np.random.default_rng(0).random(), np.random.get_state()[1][:4].tolist()  # noqa: NPY002
-    first, other = run(problem, name, 0), run(problem, name, 1)
+    first, other = results[name], run(problem, name, 1)
     assert first.trace[1].loss != other.trace[1].loss
     assert np.random.get_state()[1][:4].tolist() == expected[1]  # noqa: NPY002
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_is_kept_is_valid_and_the_lowest(problem: AttackProblem, name: str) -> None:
-    found = run(problem, name)
+def test_what_is_kept_is_valid_and_the_lowest(results: dict[str, AttackResult], name: str) -> None:
+    found = results[name]
     assert found.status == "ok" and found.best.valid and found.best_step >= 1
     assert found.best.loss == min(step.loss for step in found.trace[1:] if step.valid)
 
 
 @pytest.mark.parametrize(("name", "evaluations"), [("evolution", 12), ("random", 6), ("expectation", 6)])
-def test_no_search_takes_more_steps_than_it_was_given(problem: AttackProblem, name: str, evaluations: int) -> None:
+def test_no_search_takes_more_steps_than_it_was_given(
+    results: dict[str, AttackResult], name: str, evaluations: int
+) -> None:
     # Of an expectation over two places a step is two evaluations, and 12 were given.
-    assert len(run(problem, name).trace) == 1 + evaluations
+    assert len(results[name].trace) == 1 + evaluations
 
 
 @pytest.mark.parametrize(("evaluations", "starts", "steps"), [(0, 1, 0), (1, 1, 0), (3, 1, 1), (0, 3, 2), (3, 3, 2)])
@@ -221,9 +230,10 @@ def test_draws_over_kinds_hand_back_the_vehicle_of_the_best(problem: AttackProbl
     assert again.trace[0].loss == pytest.approx(found.best.loss, rel=1e-6)
 
 
-def test_shape_and_pose_move_together_and_within_their_limits(problem: AttackProblem) -> None:
-    found = run(problem, "joint")
-    last = found.trace[-1]
+def test_shape_and_pose_move_together_and_within_their_limits(
+    problem: AttackProblem, results: dict[str, AttackResult]
+) -> None:
+    last = results["joint"].trace[-1]
     assert last.latent_distance > 0.0
     start = problem.theta0
     assert 0.0 < float(torch.tensor(last.theta[:2]).sub(start[:2]).norm()) <= NEAR.max_shift_m + 1e-9

@@ -68,6 +68,23 @@ def test_weights_are_handed_over_and_random_ones_are_the_same_everywhere(tmp_pat
     torch.testing.assert_close(load_own(path, tmp_path / "mine.pt").proposals(at).logits, at.sum()[None])
 
 
+def test_a_module_that_computes_in_float64_keeps_its_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(
+        f"{HEAD}class Net(nn.Module):\n"
+        "    def __init__(self):\n"
+        "        super().__init__()\n"
+        "        self.w = nn.Parameter(torch.ones(3, dtype=torch.float64))\n"
+        f"    def forward(self, points):\n        return {BOX}, (points.double() @ self.w).sum()[None]\n"
+        "def load(weights):\n    return Net()\n"
+    )
+    at = points()
+    for precision in ("float32", "float64"):
+        torch.testing.assert_close(
+            load_own(path, None, precision).proposals(at).logits.double(), at.double().sum()[None]
+        )
+
+
 def test_a_function_is_a_detector_too(tmp_path: Path) -> None:
     path = tmp_path / "mine.py"
     path.write_text(

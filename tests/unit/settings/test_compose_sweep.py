@@ -169,7 +169,15 @@ def test_configuration_names_no_code() -> None:
         (["runner=rey"], "Did you mean 'ray'?"),
         (["scenes=kitti"], "scenes.root is required. Add scenes.root=VALUE"),
         (["vehicle=deepsdf", "vehicle.name=a"], "vehicle.folder is required. Add vehicle.folder=VALUE"),
-        (["vehicle=deepsdf", "vehicle.name=a", "vehicle.folder=b", "vehicle.length_m=-1"], "vehicle.length_m"),
+        (
+            ["vehicle=deepsdf", "vehicle.name=a", "vehicle.folder=b", "vehicle.length_m=-1"],
+            "Change it with vehicle.length_m=VALUE",
+        ),
+        (["vehicle=suv", "accuracy.render.solver=[a]"], "Change it with accuracy.render.solver=VALUE"),
+        (
+            ["vehicle=suv", "mode=shape", "attack.search=expectation", "attack.placements=4", "attack.steps=3"],
+            "leave nothing of 3 steps",
+        ),
         (["detector=ssd"], "Did you mean 'sst'?"),
         (["detector.scored_by=[ssd]"], "Did you mean 'sst'?"),
         (["accuracy.render={step:0.05}"], "accuracy.render cannot be set as a whole"),

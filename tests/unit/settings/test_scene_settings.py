@@ -16,7 +16,8 @@ from shift3d.settings.schema.scenes import SceneConfig, scene_config, scene_set
 
 
 def config(*words: str) -> SceneConfig:
-    return validate(compose_sweep("default", ["scenes.count=null", *words]).base, "here").scenes
+    few = ["vehicle=suv", "mode=shape", "scenes.count=null"]
+    return validate(compose_sweep("default", [*few, *words]).base, "here").scenes
 
 
 def written(root: Path, kind: str) -> list[str]:

@@ -45,6 +45,8 @@ def test_cells_hold_the_mean_reduction_and_empty_ones_are_rows_without_scores() 
 
 
 def test_without_transfers_there_is_no_grid() -> None:
+    wide = transfer_rows(pd.DataFrame([transfer(1.0, 1.0, 0.9, 0.4)]), 1e9)
+    assert len(wide) == 100, "cells without a vehicle end where vehicles stand, at 50 m at least"
     assert transfer_rows(pd.DataFrame([transfer(1.0, 1.0, 0.9, 0.4)]).iloc[:0], 20.0) == []
 
 

@@ -70,6 +70,11 @@ def test_alpha_by_the_auc_under_the_lambda_that_each_alpha_gets() -> None:
     assert choice.found == {0.01: pytest.approx(0.50), 0.1: pytest.approx(0.45)} and choice.chosen == 0.1
 
 
+def test_a_search_without_a_step_size_has_no_alpha_to_choose() -> None:
+    assert choose_alphas(pd.DataFrame(GRID).assign(search="random_family_within95")) == {}
+    assert choose_alphas(pd.DataFrame(GRID).assign(search="descent_pca10"))
+
+
 def test_the_lowest_alpha_of_equal_ones_and_means_over_vehicles_not_over_scenes() -> None:
     rows = [scored(alpha, None, 0.3, 1.0, mode="pose") for alpha in (0.1, 0.01)]
     assert next(iter(choose_alphas(pd.DataFrame(rows)).values())).chosen == 0.01

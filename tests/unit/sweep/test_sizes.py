@@ -88,9 +88,9 @@ def test_what_is_given_comes_after_what_small_stands_for() -> None:
 
 def test_the_small_size_attacks_the_detector_as_published() -> None:
     for name in ("table_shape_sst", "table_pose_sst"):
-        sst = next(expand(compose_sweep(name, ["size=small"])))
+        sst = next(expand(compose_sweep(name, ["size=small", "vehicle=suv"])))
         assert (sst.detector.name, sst.detector.scored_by) == ("sst", ["pointpillars"])
-    reduced = next(expand(compose_sweep("table_pose_sst", ["size=small", "detector=sst_small"])))
+    reduced = next(expand(compose_sweep("table_pose_sst", ["size=small", "vehicle=suv", "detector=sst_small"])))
     assert reduced.detector.name == "sst_small"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 from shift3d.task.assets import Assets
 from shift3d.task.exchange import Row, TaskResult
+from shift3d.task.follow_ups import export
 from shift3d.task.follow_ups.export import FRAME, check_no_export, export_solution
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
 
@@ -152,10 +154,14 @@ def test_a_ground_file_that_is_none_is_refused(exported: tuple[Path, Row, Row], 
     assert abs(KittiScenes(tmp_path / "kitti").load(FRAME).ground_z_m + 1.73) < 0.35  # estimated, as KITTI's own
 
 
-def test_a_pose_is_exported_where_it_stands(pose: TaskResult, assets: Assets, tmp_path: Path) -> None:
+def test_a_pose_is_exported_where_it_stands(
+    pose: TaskResult, assets: Assets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, "vehicle_mesh", partial(export.vehicle_mesh, resolution=33))
     (solution,) = (row for row in pose.solutions if row["method"] == "adversarial")
     export_solution(make_spec("pose"), solution, assets, tmp_path)
     stated = json.loads((tmp_path / "box.json").read_text())
+    assert stated["vehicle"] == "suv" and stated["drawn_as"] == solution.get("drawn_as")
     assert stated["pose"] == {name: solution[name] for name in POSE}
     assert stated["box"]["x"] == solution["x_m"] and stated["box"]["heading"] == solution["yaw_rad"]
 

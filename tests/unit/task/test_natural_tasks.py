@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from short_tasks import KNOWN, SHORT, STREET, by_method, make_spec
 
 from shift3d.errors import InputError
 from shift3d.naturalness.sources import reference_source, source_hash
+from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.store.tables import table_from_rows
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
@@ -17,6 +20,11 @@ from shift3d.task.run import run_task
 from shift3d.task.spec import AttackSpec, TaskSpec
 
 MEASURED = {"surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural"}
+ONE_STEP = AttackSpec(steps=1, noise_replicates=0)
+# A grid is made again in this file's own cache folder, and takes longer than it saves.
+NO_GRID: dict[str, Any] = {
+    "accuracy_settings": accuracy_settings(AccuracyConfig(name="standard", render={"sdf_grid": False}))
+}
 
 
 def test_nothing_is_measured_without_a_reference_set(shape: TaskResult, pose: TaskResult) -> None:
@@ -34,7 +42,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Assets,
 
 
 def test_every_shape_and_baseline_says_how_natural_it_is(measured: tuple[Assets, str]) -> None:
-    found = run_task(make_spec(reference_hash=measured[1]), measured[0])
+    found = run_task(make_spec(reference_hash=measured[1], attack=ONE_STEP, **NO_GRID), measured[0])
     with_values = [row for row in found.scores if row.keys() >= MEASURED]
     assert [row["method"] for row in with_values] == ["baseline", "random", "adversarial"]
     assert [row["method"] for row in found.shapes] == ["baseline", "random", "adversarial"]
@@ -50,14 +58,14 @@ def test_every_shape_and_baseline_says_how_natural_it_is(measured: tuple[Assets,
 
 
 def test_a_pose_has_its_baselines_shape(measured: tuple[Assets, str]) -> None:
-    found = run_task(make_spec("pose", reference_hash=measured[1]), measured[0])
+    found = run_task(make_spec("pose", reference_hash=measured[1], attack=ONE_STEP, **NO_GRID), measured[0])
     assert [row["method"] for row in found.shapes] == ["baseline"]
     assert len({row["surface_distance_cm"] for row in found.scores if row["status"] == "ok"}) == 1
 
 
 def test_a_search_with_a_budget_ends_at_a_natural_shape(measured: tuple[Assets, str]) -> None:
     far = AttackSpec(steps=6, noise_replicates=0, random_replicates=0)
-    spec = make_spec(reference_hash=measured[1], alpha=0.05, attack=far)
+    spec = make_spec(reference_hash=measured[1], alpha=0.05, attack=far, **NO_GRID)
     free = run_task(spec, measured[0])
     ends = [by_method(free, method)[0]["naturalness_percentile"] for method in ("baseline", "adversarial")]
     budget = sum(ends) / 2

@@ -188,7 +188,7 @@ def test_a_resumed_training_gives_the_same_weights(tmp_path: Path) -> None:
         assert torch.equal(tensor, resumed.state_dict()[name]), name
     assert any(not torch.equal(a, b) for a, b in zip(straight.parameters(), start.parameters(), strict=True))
     with pytest.raises(InputError, match="another recipe"):
-        train_on_scenes(tmp_path / "b", Recipe(steps=7, network=TINY.network), mesh, inserted)
+        train_on_scenes(tmp_path / "b", replace(TINY, steps=7), mesh, inserted)
 
 
 def test_the_last_steps_settle_the_heads_on_statistics_of_inference(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if not overwrite:
         check_no_export(target)
     export_solution(task.spec, row, load_assets(plan.assets[task.assets]), target)
-    print(f"{task.spec.vehicle} in {task.spec.scene}, {values['method']}: {target}")
+    print(f"{row.get('drawn_as') or task.spec.vehicle} in {task.spec.scene}, {values['method']}: {target}")
     return 0
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from onnx_files import BOXES, OWN_SOURCE, write_model
 
+from shift3d.detectors.base import Detections
 from shift3d.detectors.compiled.agreement import TOLERANCE, largest_disagreement, require_agreement
 from shift3d.detectors.compiled.onnx_detector import OnnxDetector, load_onnx
 from shift3d.detectors.own import OwnDetector, load_own
@@ -17,6 +20,18 @@ from shift3d.errors import InputError
 def pair(folder: Path, bias: float = 0.0, **parts: object) -> tuple[OwnDetector, OnnxDetector]:
     (folder / "own.py").write_text(OWN_SOURCE)
     return load_own(folder / "own.py", None), load_onnx(write_model(folder / "mine.onnx", bias, **parts))
+
+
+@dataclasses.dataclass
+class OneBox:
+    """Finds one box, of a score."""
+
+    score: float
+    name: str = "own"
+
+    def detect(self, points: torch.Tensor, score_threshold: float = 0.1) -> Detections:
+        kept = [self.score] if self.score >= score_threshold else []
+        return Detections(np.tile((5.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0), (len(kept), 1)), np.array(kept))
 
 
 def clouds() -> list[tuple[str, torch.Tensor]]:
@@ -32,6 +47,17 @@ def test_the_same_function_agrees(tmp_path: Path) -> None:
 def test_less_than_the_tolerance_is_taken(tmp_path: Path, bias: float) -> None:
     """Near one half, a score changes by a quarter of its logit."""
     assert 0.9 * TOLERANCE < require_agreement(*pair(tmp_path, bias), clouds(), "mine.onnx").difference < TOLERANCE
+
+
+@pytest.mark.parametrize(("other", "differs"), [(0.0999, False), (0.098, True)])
+def test_a_box_just_below_the_least_score_is_looked_at(other: float, differs: bool) -> None:
+    """0.1003 in one and 0.0999 in the other is a difference of 0.0004, not of 0.1003."""
+    one, two = OneBox(0.1003), OneBox(other)
+    if differs:
+        with pytest.raises(InputError, match=r"against 0\.1003"):
+            require_agreement(one, two, clouds(), "mine.onnx")
+    else:
+        assert require_agreement(one, two, clouds(), "mine.onnx").difference == pytest.approx(4e-4)
 
 
 def test_more_is_refused_with_place_and_scores(tmp_path: Path) -> None:
