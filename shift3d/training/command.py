@@ -12,6 +12,7 @@ import numpy as np
 
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
+from shift3d.store.atomic import check_writable
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
@@ -72,6 +73,8 @@ def train(model: str, options: TrainOptions, report: Report | None = None) -> Pa
     """
     if model not in MODELS:
         raise InputError(f"unknown model {model!r}", "model=", f"Choose from {', '.join(MODELS)}")
+    if options.shipped:  # the recipe as it ships replaces the weights of this installation: known before it trains
+        check_writable(WEIGHTS_FOLDER, "steps=N out=DIR")
     if model == "sdf":
         if not options.shipped:
             remedy = "Leave out scenes=, count=, steps=, inserted=, start_from= and recipe., or give vehicles=PATH"

@@ -123,7 +123,9 @@ def effect_milliseconds(scores: pd.DataFrame, timings: pd.DataFrame) -> dict[str
     own = timings[(timings["method"] == "baseline") & timings["stage"].str.match(r"render$|effect_")]
     spent = own.groupby("task_id")["milliseconds"].sum().rename("spent")
     tasks = _by_effect(scores).drop_duplicates("task_id").merge(spent, left_on="task_id", right_index=True)
-    of_object = tasks.pivot_table(index=_PAIR[:-1], columns="effect", values="spent", dropna=False)
+    tasks = tasks.fillna({"lambda": -1.0})  # of poses, which have none
+    # Not a pivot that keeps empty cells: it would make every combination of places.
+    of_object = tasks.groupby([*_PAIR[:-1], "effect"])["spent"].mean().unstack("effect")
     of_object = of_object.dropna(subset=[""]) if "" in of_object else of_object.assign(**{"": nan})
     return {str(name): float((of_object[name] - of_object[""]).median()) for name in of_object if name != ""}
 

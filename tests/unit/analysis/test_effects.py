@@ -68,6 +68,17 @@ def test_replicates_are_paired_with_those_at_their_own_place() -> None:
         effect_impacts(pd.concat([scores, other.assign(x_m=20.0)]), {})
 
 
+def test_times_of_many_places_are_paired_without_making_every_combination() -> None:
+    scores, timings = tables({"fog": np.full(12, 1e-3)}, {"fog": 7.0})
+    parts = [
+        (scores.assign(task_id=scores["task_id"] + f"-{n}", x_m=20.0 + n, y_m=float(n), yaw_rad=0.01 * n, **more),
+         timings.assign(task_id=timings["task_id"] + f"-{n}"))
+        for n in range(40) for more in ({"mode": "pose", "lambda": np.nan} if n % 2 else {},)
+    ]  # fmt: skip
+    found = effect_milliseconds(*(pd.concat(part) for part in zip(*parts)))
+    assert found == {"fog": pytest.approx(7.0)}
+
+
 def test_one_scene_says_nothing_so_the_effect_stays() -> None:
     scores, timings = tables({"fog": np.full(12, 1e-3)}, {"fog": 1.0})
     (fog,) = effect_impacts(scores[scores["scene"] == SCENES[0]], effect_milliseconds(scores, timings))

@@ -14,6 +14,7 @@ from shift3d.detectors.models.weights import NETWORKS
 from shift3d.errors import InputError
 from shift3d.sdf.decoder import Architecture, Decoder, save_decoder
 from shift3d.store.atomic import disk_error
+from shift3d.training import command
 from shift3d.training.checkpoints import write_checkpoint
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.train import export_weights
@@ -51,3 +52,13 @@ def test_what_a_library_is_refused_is_a_line_too(tmp_path: Path, full: None) -> 
     problem = disk_error(refused.value)
     assert problem is not None and problem.what == "the file would pass the size limit"
     assert disk_error(FileNotFoundError(2, "none")) is None, "a defect of ours keeps its traceback"
+
+
+def test_weights_that_cannot_be_written_are_known_before_anything_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "WEIGHTS_FOLDER", Path("/proc/nowhere"))
+    for model in ("sdf", "centerpoint"):
+        with pytest.raises(InputError, match=r"/proc/nowhere.*out=DIR"):
+            command.train(model, command.TrainOptions(tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
