@@ -15,3 +15,5 @@ FOREIGN: tuple[str, ...] = get_args(ForeignName)
 """Trained by other codebases, see `detectors.foreign`."""
 ONNX = "onnx"
 """An ONNX file, which gives no gradient, see `detectors.compiled`."""
+GRID_REACH_M = 74.88
+"""How far the grid of every shipped detector goes in x and y, either way: see `grid.WAYMO_GRID`."""

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from shift3d.detectors.names import DETECTOR_NAMES, ONNX, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, GRID_REACH_M, ONNX, OWN
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.foreign import detector_layouts, layout_hash
-from shift3d.settings.schema.config import (
-    DetectorConfig,
-)
-
-if TYPE_CHECKING:
-    pass
+from shift3d.settings.schema.config import DetectorConfig
 
 
 def weights_file(name: str, override: str | None) -> Path:
@@ -87,3 +83,22 @@ def file_hash(path: Path) -> str:
     """128-bit BLAKE2b of a file's bytes, hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def require_in_grid(names: Sequence[str], sector_rad: tuple[float, float], range_m: float, shift_m: float) -> None:
+    """Refuse places beyond the grid of shipped detectors, where a task would find no cell to look at.
+
+    names: of the detectors that score. sector_rad: (centre, half width) of the azimuths of places. range_m: how far
+    away they lie at most. shift_m: how far a search may move a vehicle from its place.
+
+    Raises: InputError naming the settings.
+    """
+    shipped = [name for name in names if name in DETECTOR_NAMES]
+    centre, half_width = sector_rad
+    azimuths = [centre + half_width * step / 32 for step in range(-32, 33)]
+    ahead = max(max(abs(math.cos(azimuth)), abs(math.sin(azimuth))) for azimuth in azimuths)
+    if shipped and range_m * ahead + shift_m > GRID_REACH_M:
+        moved = f", and moved by {shift_m:g} m" if shift_m else ""
+        what = f"vehicles may be put {range_m:g} m away{moved}: {shipped[0]} sees {GRID_REACH_M:.0f} m in x and y"
+        remedy = f"Give a smaller attack.placement.max_range_m{' or attack.max_shift_m' if shift_m else ''}"
+        raise InputError(what, "attack.placement", remedy)

@@ -12,6 +12,7 @@ from typing import Any
 from shift3d.detectors.names import FOREIGN, ONNX
 from shift3d.errors import InputError
 from shift3d.settings import messages
+from shift3d.settings.catalogue.detector_files import require_in_grid
 from shift3d.settings.catalogue.foreign import detector_layouts
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import Composed
@@ -156,7 +157,12 @@ def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
 
 
 def _spec(config: Config, catalogue: Catalogue, vehicle: str) -> TaskSpec:
-    """What the tasks of one combination of settings have in common."""
+    """What the tasks of one combination of settings have in common.
+
+    Raises: InputError: vehicles may be put, or moved, beyond the grid of a shipped detector.
+    """
+    shift_m = 0.0 if config.mode == "shape" else float(config.attack.max_shift_m)
+    require_in_grid(list(catalogue.detectors), catalogue.sector_rad, config.attack.placement.max_range_m, shift_m)
     attack = config.attack.model_dump(exclude={"alpha", "lambda_", "placement", "transfer_scenes"})
     space_hash = "" if config.mode == "pose" else catalogue.space_hash(vehicle, config.attack)
     if config.mode == "pose":  # what says where shapes may go says nothing of a pose: it makes no further task

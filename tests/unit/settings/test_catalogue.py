@@ -7,16 +7,21 @@ from pathlib import Path
 
 import pytest
 import torch
+import valid_sweeps
 from safetensors.torch import save_file
 
 import shift3d
+from shift3d.detectors.grid import WAYMO_GRID
 from shift3d.detectors.models.weights import NETWORKS
+from shift3d.detectors.names import GRID_REACH_M
 from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS
 from shift3d.settings.catalogue.detector_files import scoring_detectors, weights_file
 from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.compose import compose_sweep
 from shift3d.settings.schema.config import AccuracyConfig, DetectorConfig
 from shift3d.settings.schema.scenes import KittiConfig, StreetConfig, scene_set
+from shift3d.sweep.planning.plan import make_plan
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -87,3 +92,17 @@ def test_weights_that_are_none_are_refused_before_anything_runs(tmp_path: Path) 
     for file in (tmp_path / "torn", other):
         with pytest.raises(InputError, match=re.escape(str(file))):
             scoring_detectors(attacked("pointpillars", ["sst_small"], sst_small=str(file)))
+
+
+def test_places_beyond_a_shipped_detectors_grid_are_refused_at_every_value_of_an_axis() -> None:
+    def planned(*words: str) -> None:
+        make_plan(compose_sweep("default", ["vehicle=suv", *words]), valid_sweeps.catalogue)
+
+    planned("mode=shape", "attack.max_shift_m=150")
+    planned("mode=pose", "attack.placement.max_range_m=70")
+    with pytest.raises(InputError, match=r"moved by 150 m: pointpillars sees 75 m.*or attack\.max_shift_m"):
+        planned("mode=pose", "attack.max_shift_m=4,150")
+    with pytest.raises(InputError, match=r"put 80 m away: .*attack\.placement\.max_range_m$"):
+        planned("mode=shape", "attack.placement.max_range_m=50,80")
+    assert -WAYMO_GRID.x_min_m == -WAYMO_GRID.y_min_m == GRID_REACH_M
+    assert WAYMO_GRID.num_x * WAYMO_GRID.cell_m == pytest.approx(2 * GRID_REACH_M)
