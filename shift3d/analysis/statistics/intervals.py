@@ -96,12 +96,12 @@ def vehicle_mean_interval(rows: pd.DataFrame) -> Interval:
     """
     places, vehicles = (sorted(set(rows[name])) for name in ("place", "vehicle"))
     sums, counts = _sums(rows, places, vehicles)
+    count = len(vehicles)
 
     def statistic(*parts: FloatArray, axis: int) -> FloatArray:
         drawn, numbers = (np.stack([part.sum(axis=axis) for part in half]) for half in (parts[:count], parts[count:]))
         return _mean_of_means(drawn, numbers, axis=0)
 
-    count = len(vehicles)
     mean = float(statistic(*sums.T, *counts.T, axis=0))
     if len(places) < 2:
         return Interval(mean, -np.inf, np.inf)

@@ -35,8 +35,8 @@ def headline(variant: Variant) -> str:
     """The fall of the mean AUC, its ratio, the paper's, and in the same sentence how many shapes are unnatural."""
     rows, baseline = with_baseline(variant.rows, "adversarial")
     vehicles = [name for name in variant.vehicles if (baseline["vehicle"] == name).any()]
-    before, after = (aucs_of_scores(part).mean(part_of, vehicles) for part_of, part in
-                     (("baseline", baseline), ("adversarial", rows)))  # fmt: skip
+    before = aucs_of_scores(baseline).mean("baseline", vehicles)
+    after = aucs_of_scores(rows).mean("adversarial", vehicles)
     if before is None or after is None:
         return f"{variant.title}: no baseline, or nothing found."
     ratio = " ".join(part for part in ratio_texts(rows, baseline) if part)
