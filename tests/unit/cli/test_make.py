@@ -17,8 +17,9 @@ pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="no make")
 
 def command(*words: str) -> list[str]:
     """The words of the last command that make would run."""
-    # A make that runs the tests tells its children to print where they work.
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    # A make that runs the tests tells its children to print where they work, and gives them its own ARGS.
+    given = ("ARGS", "SWEEP", "OUT")
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", *given))}
     done = subprocess.run(["make", "-n", *words], cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
     return shlex.split(done.stdout.splitlines()[-1])[1:]
 
