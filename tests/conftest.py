@@ -33,7 +33,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="session", autouse=True)
 def compositions() -> Iterator[None]:
-    """Hydra composes the same words over the same files once: a third of what it does in the tests."""
+    """Hydra composes the same words over the same files once in a session."""
     from shift3d.settings import compose
 
     fresh, known = compose._hydra, {}

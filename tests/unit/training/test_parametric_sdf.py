@@ -90,6 +90,12 @@ def test_a_training_that_was_killed_ends_in_the_same_weights(
         train_parametric(tmp_path / "parts", ParametricRecipe(shapes=4, steps=5), shapes, compute)
 
 
+def test_too_few_vehicles_to_measure_are_known_before_any_is_sampled(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no kind has 8 members"):
+        parametric.train_wide(tmp_path / "out", choose_compute("cpu"), count=20, steps=1)
+    assert not (tmp_path / "out").exists()
+
+
 def test_it_starts_as_the_shipped_decoder(shapes: WideShapes, tmp_path: Path) -> None:
     run = parametric.ParametricRun(
         ParametricRecipe(shapes=4, samples_a_shape=600, shapes_a_step=3), shapes, choose_compute("cpu", 1)

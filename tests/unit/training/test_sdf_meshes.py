@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,13 @@ def test_samples_are_kept_until_a_mesh_or_the_seed_changes(
         trimesh.creation.box((length_m, 1.8, 1.4)).export(mine / "suv_box.ply")
         sources.append(sampled(mine, seed).samples.source)
     assert len(set(sources)) == 3
+
+
+def test_meshes_that_have_moved_are_found_where_they_are_now(folder: Path, shapes: MeshShapes, tmp_path: Path) -> None:
+    moved = shutil.copytree(folder, tmp_path / "elsewhere")
+    found = mesh_shapes(moved, FRAME, SAMPLES, 1, folder.parent / "cache", 1)
+    assert np.array_equal(found.samples.points, shapes.samples.points), "they are not sampled again"
+    assert {Path(facts["file"]).parent for facts in found.facts} == {moved}
 
 
 def test_folder_with_nothing_usable_says_why(tmp_path: Path) -> None:
