@@ -84,6 +84,14 @@ def test_gaps_are_rows(out: Path, suv_plan: Plan) -> None:
     assert pose["auc"].isna().all() and (pose["tasks_planned"] == 2).all() and (pose["tasks_scored"] == 0).all()
 
 
+def test_draws_that_nobody_asked_for_are_no_gap(out: Path) -> None:
+    words = ["vehicle=suv", "attack.random_replicates=0", "attack.noise_replicates=0"]
+    plan = make_plan(compose_sweep("default", words), catalogue)[0]
+    every = list(range(len(plan.tasks)))
+    final = commit(out, plan, every, 3, skip=tuple(every))
+    assert set(final.frame("auc")["method"]) == {"baseline", "adversarial"}
+
+
 def test_each_scoring_detector_has_its_own_figures(out: Path) -> None:
     """The second detector says 0.5 of everything and its loss prefers lambda 10: the choice stays the attacked one's.
 

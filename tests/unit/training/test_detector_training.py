@@ -33,6 +33,7 @@ from shift3d.training.detector.objective import objective_of
 from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle, scaled_to_steps
+from shift3d.training.detector.train import inserted_scene_files
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, load_cached
 from shift3d.training.progress import averaged
 
@@ -251,3 +252,13 @@ def test_the_cache_is_written_once_and_read_back(tmp_path: Path) -> None:
     scene, read = _scene("5"), load_cached(files[0])
     assert np.array_equal(scene.points, read.points) and np.array_equal(scene.boxes, read.boxes)
     assert read.sensor_height_m == 1.73
+
+
+def test_inserted_scenes_of_another_seed_or_number_of_scenes_are_not_taken_over(tmp_path: Path) -> None:
+    base = cache_scenes(tmp_path / "mesh", ["0", "1"], _scene)
+    recipe = replace(TINY, inserted_scenes=1)
+    found = [
+        inserted_scene_files(tmp_path, scenes, replace(recipe, seed=seed))[0]
+        for scenes, seed in ((base, 0), (base, 1), (base[1:], 0), (base, 0))
+    ]
+    assert found[3] == found[0] and len({file.read_bytes() for file in found}) == 3
