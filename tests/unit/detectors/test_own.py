@@ -50,17 +50,21 @@ def test_a_cluster_of_points_is_found(guides: Path) -> None:
     assert abs(best[0] - 20.0) <= 2.0 and abs(best[1] + 5.1) <= 1.5
 
 
-def test_weights_are_handed_over_and_random_ones_are_the_same_everywhere(tmp_path: Path) -> None:
-    path = tmp_path / "mine.py"
+def written(path: Path, parts: str, logits: str) -> Path:
+    """A detector's file. parts: of its module, made from weights. logits: of points, from these parts."""
     path.write_text(
         f"{HEAD}class Net(nn.Module):\n"
         "    def __init__(self, weights):\n"
-        "        super().__init__()\n"
-        "        self.layer = nn.Linear(3, 1)\n"
-        "        if weights: self.load_state_dict(torch.load(weights, weights_only=True))\n"
-        f"    def forward(self, points):\n        return {BOX}, self.layer(points.sum(0))\n"
+        f"        super().__init__()\n        {parts}\n"
+        f"    def forward(self, points):\n        return {BOX}, {logits}\n"
         "def load(weights):\n    return Net(weights)\n"
     )
+    return path
+
+
+def test_weights_are_handed_over_and_random_ones_are_the_same_everywhere(tmp_path: Path) -> None:
+    given = "\n        if weights: self.load_state_dict(torch.load(weights, weights_only=True))"
+    path = written(tmp_path / "mine.py", f"self.layer = nn.Linear(3, 1){given}", "self.layer(points.sum(0))")
     at = points()
     drawn = [load_own(path, None).proposals(at).logits for _ in range(2)]
     assert torch.equal(drawn[0], drawn[1])
@@ -69,20 +73,11 @@ def test_weights_are_handed_over_and_random_ones_are_the_same_everywhere(tmp_pat
 
 
 def test_a_module_that_computes_in_float64_keeps_its_numbers(tmp_path: Path) -> None:
-    path = tmp_path / "mine.py"
-    path.write_text(
-        f"{HEAD}class Net(nn.Module):\n"
-        "    def __init__(self):\n"
-        "        super().__init__()\n"
-        "        self.w = nn.Parameter(torch.ones(3, dtype=torch.float64))\n"
-        f"    def forward(self, points):\n        return {BOX}, (points.double() @ self.w).sum()[None]\n"
-        "def load(weights):\n    return Net()\n"
-    )
-    at = points()
+    parts = "self.w = nn.Parameter(torch.ones(3, dtype=torch.float64))"
+    path, at = written(tmp_path / "mine.py", parts, "(points.double() @ self.w).sum()[None]"), points()
     for precision in ("float32", "float64"):
-        torch.testing.assert_close(
-            load_own(path, None, precision).proposals(at).logits.double(), at.double().sum()[None]
-        )
+        found = load_own(path, None, precision).proposals(at).logits  # type: ignore[arg-type]
+        torch.testing.assert_close(found.double(), at.double().sum()[None])
 
 
 def test_a_function_is_a_detector_too(tmp_path: Path) -> None:
