@@ -4,8 +4,9 @@
 
 The attacks are the tasks of the default sweep in one street of split `val`, 40 steps, lambda 1; settings change it.
 What is looked at are the attack's own renderings, warm from the step before. A hit is lost when it is missed or more
-than 1 cm off. Every tenth step the loss's gradient is compared too, both with the float32 detector. json: a file that
-the figures are written to. of: what stands before the names of attacks. workers: processes.
+than 1 cm off. Every tenth step the loss's gradient is compared too, with the float32 detector: as it is, and with
+`reference`'s gradient at the points walked back through both renderings, so that the renderers alone differ.
+json: a file that the figures are written to. of: what stands before the names of attacks. workers: processes.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -72,6 +74,7 @@ class Found:
     false: int = 0
     depth_m: tuple[float, ...] = ()
     cosines: tuple[float, ...] = ()
+    renderer_cosines: tuple[float, ...] = ()
 
     def __add__(self, other: Found) -> Found:
         """Both together, under this one's name."""
@@ -113,21 +116,29 @@ def attacked(plan: Plan, index: int) -> Found | None:
         with torch.no_grad():
             found.hold(true, code.to(REFERENCE.dtype), theta, rendering)
         if steps % GRADIENT_EVERY == 0:
-            found.cosines += (_cosine(problem, true, code, theta, warm, spec.mode),)
+            whole, renderer = _cosines(problem, true, code, theta, warm, spec.mode)
+            found.cosines += (whole,)
+            found.renderer_cosines += (renderer,)
         steps += 1
 
     search_task(spec, Watched(**vars(problem), see=see), assets)
     return found
 
 
-def _cosine(
+def _cosines(
     problem: AttackProblem, true: AttackProblem, code: Tensor, theta: Tensor, warm: WarmStart | None, mode: str
-) -> float:
-    """Of the loss's gradient with respect to what the attack moves."""
+) -> tuple[float, float]:
+    """Of the loss's gradient with respect to what the attack moves: as it is, and of the renderer alone."""
     of_code, of_pose = mode != "pose", mode != "shape"
-    one = attack_step(problem, code, theta, ATTACK_RADIUS_M, warm, of_code=of_code, of_pose=of_pose)
-    two = attack_step(true, code.to(REFERENCE.dtype), theta, ATTACK_RADIUS_M, of_code=of_code, of_pose=of_pose)
-    return min(cosine(a, b) for a, b, on in ((one.dz, two.dz, of_code), (one.dtheta, two.dtheta, of_pose)) if on)
+    step = partial(attack_step, radius_m=ATTACK_RADIUS_M, of_code=of_code, of_pose=of_pose)
+    truth = step(true, code.to(REFERENCE.dtype), theta)
+
+    def least(at_points: Tensor | None) -> float:
+        own = step(problem, code, theta, warm=warm, at_points=at_points)
+        pairs = ((own.dz, truth.dz, of_code), (own.dtheta, truth.dtheta, of_pose))
+        return min(cosine(one, two) for one, two, on in pairs if on)
+
+    return least(None), least(truth.at_points)
 
 
 def figures(every: Sequence[Found], of: str) -> dict[str, dict[str, object]]:
@@ -143,6 +154,7 @@ def figures(every: Sequence[Found], of: str) -> dict[str, dict[str, object]]:
             ("depth p99", float(depth_mm.quantile(0.99)), "mm"),
             ("depth max", float(depth_mm.max()), "mm"),
             ("least cosine", min(one.cosines), ""),
+            ("least cosine of the renderer", min(one.renderer_cosines), ""),
         ):
             named[f"{of}{one.name}/{what}"] = {"value": value, "unit": unit}
     return named
@@ -163,7 +175,8 @@ def main(words: Sequence[str]) -> int:
         for one in pool.map(attacked, [plan] * len(plan.tasks), range(len(plan.tasks))):
             if one is not None:
                 every.append(one)
-                print(f"{one.name}: {one.lost} lost of {one.hits}, least cosine {min(one.cosines):.6f}", flush=True)
+                least = f"least cosine {min(one.cosines):.6f}, of the renderer {min(one.renderer_cosines):.6f}"
+                print(f"{one.name}: {one.lost} lost of {one.hits}, {least}", flush=True)
     text = json.dumps(figures(every, own.get("of", "")), indent=1) + "\n"
     if "json" in own:
         write_atomic(Path(own["json"]), text.encode())

@@ -20,6 +20,7 @@ class AttackStep:
     """One step of an attack: rendering, detector, constraints, and the way back.
 
     dz: (d,) and dtheta: (6,) gradient of the adversarial loss, zero where none was asked for. loss: its value.
+    at_points: (N, 3) gradient at the rendered points, from which both follow; None where none reaches them.
     render_ms, detector_ms (forward and backward), total_ms: times.
     """
 
@@ -27,6 +28,7 @@ class AttackStep:
     loss: float
     dz: Tensor
     dtheta: Tensor
+    at_points: Tensor | None
     render_ms: float
     detector_ms: float
     total_ms: float
@@ -41,6 +43,7 @@ def attack_step(
     of_code: bool = True,
     of_pose: bool = True,
     incremental: IncrementalInference | None = None,
+    at_points: Tensor | None = None,
 ) -> AttackStep:
     """What an attack does between two values of its variable, but for the subtraction.
 
@@ -49,6 +52,7 @@ def attack_step(
         code, theta: (d,), (6,). radius_m: of the detector's window; None: the whole scene.
         of_code, of_pose: what the gradient is taken of; an attack on the shape takes the first alone.
         incremental: that has seen the rendering before this one, as in an attack.
+        at_points: (N, 3), in place of the detector's gradient at the points: the way back is then the renderer's alone.
 
     The way back is walked in two parts, points first, so that the detector's can be timed; the gradient is the same.
     """
@@ -61,7 +65,8 @@ def attack_step(
     dz, dtheta = torch.zeros_like(code), torch.zeros_like(theta)
     half_way = forward
     if points.requires_grad and loss.requires_grad:
-        (at_points,) = torch.autograd.grad(loss, points, retain_graph=True)
+        if at_points is None:
+            (at_points,) = torch.autograd.grad(loss, points, retain_graph=True)
         half_way = time.perf_counter()
         wanted = [leaf for leaf in (code, theta) if leaf.requires_grad]
         found = iter(torch.autograd.grad(points, wanted, at_points, allow_unused=True))
@@ -74,6 +79,7 @@ def attack_step(
         float(loss.detach()),
         dz.detach(),
         dtheta.detach(),
+        at_points,
         spent["render"],
         spent["detector"] + 1e3 * (half_way - forward),
         1e3 * (end - start),

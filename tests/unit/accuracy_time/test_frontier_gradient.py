@@ -26,6 +26,18 @@ def test_the_way_back_in_two_parts_gives_the_gradient_of_one(radius_m: float | N
     assert 0 < step.render_ms < step.total_ms and 0 < step.detector_ms < step.total_ms
 
 
+def test_a_gradient_at_the_points_is_walked_back_in_place_of_the_detectors() -> None:
+    step = attack_step(small_problem(), CODE, THETA, 8.0)
+    assert step.at_points is not None
+    other = step.at_points.flip(1)
+    walked = attack_step(small_problem(), CODE, THETA, 8.0, at_points=other)
+    code, theta = CODE.clone().requires_grad_(), THETA.clone().requires_grad_()
+    points = small_problem().insert(code, theta).points
+    dz, dtheta = torch.autograd.grad(points, (code, theta), other)
+    assert torch.allclose(walked.dz, dz) and torch.allclose(walked.dtheta, dtheta)
+    assert cosine(walked.dz, step.dz) < 0.99
+
+
 def test_what_is_not_asked_for_has_no_gradient() -> None:
     problem = small_problem()
     shape, pose = (attack_step(problem, CODE, THETA, 8.0, of_code=code, of_pose=not code) for code in (True, False))

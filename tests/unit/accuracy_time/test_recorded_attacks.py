@@ -32,9 +32,13 @@ def test_hits_made_to_be_lost_wrong_or_false_are_counted() -> None:
 
 
 def test_together_is_the_sum_and_the_least_cosine() -> None:
-    parts = [Found("a", 10, 1, 0, 2, (0.001,), (0.9, 1.0)), Found("b", 20, 3, 1, 0, (0.002,), (0.8,))]
+    parts = [
+        Found("a", 10, 1, 0, 2, (0.001,), (0.9, 1.0), (0.99, 1.0)),
+        Found("b", 20, 3, 1, 0, (0.002,), (0.8,), (1.0,)),
+    ]
     named = figures(parts, "of a decoder: ")
-    assert len(named) == 3 * 7 and named["of a decoder: a/least cosine"]["value"] == 0.9
+    assert len(named) == 3 * 8 and named["of a decoder: a/least cosine"]["value"] == 0.9
     together = {name.split("/")[1]: one["value"] for name, one in named.items() if "together" in name}
     assert [together[what] for what in ("hits", "lost", "lost of 2 cm", "false")] == [30, 4, 1, 2]
     assert (together["depth max"], together["least cosine"]) == (2.0, 0.8)
+    assert together["least cosine of the renderer"] == 0.99
