@@ -25,7 +25,7 @@ def configure_runtime(threads: int = 1) -> None:
     pages of 4 kB each has to be fetched from the kernel, which in a virtual machine can take microseconds: four tasks
     took 28.1 s for 29.4, at 1.16 GB for 1.26.
 
-    What the environment says is left as it is.
+    What the environment says of these is left as it is; the number of threads is replaced.
     """
     for name in _THREADS:
         os.environ[name] = str(threads)

@@ -104,15 +104,15 @@ def _read(name: str, path: Path, frame: MeshFrame) -> tuple[str, trimesh.Trimesh
 
 @dataclass(frozen=True)
 class SetReference:
-    """Every code that a vehicle set's decoder was trained on; folder None: the vehicles that ship."""
+    """Every code that a vehicle set's decoder was trained on; folder None and "wide": those that ship."""
 
     folder: str | None = None
 
     def _files(self) -> tuple[Path, Path]:
-        from shift3d.vehicles.vehicle import DEFAULT_VEHICLES
+        from shift3d.vehicles.sources import set_folder
         from shift3d.vehicles.vehicle_set import DECODER_FILE, VEHICLES_FILE
 
-        folder = DEFAULT_VEHICLES.parent if self.folder is None else Path(self.folder).expanduser()
+        folder = set_folder(self.folder, "naturalness.folder")
         for name in (VEHICLES_FILE, DECODER_FILE):
             if not (folder / name).is_file():
                 raise InputError(f"holds no {name}", where=str(folder), remedy="Give a folder that training wrote")

@@ -56,7 +56,8 @@ class Subspace:
         basis = spread[:, None] * axes
         centre = decoder.field(torch.from_numpy(mean).float())
         if not isinstance(centre, Field):
-            raise InputError("a decoder with layer norm is not supported", where, "Give vehicles of another decoder")
+            what = "a decoder with layer norm, a second tanh, layers of unequal width or several skips is not supported"
+            raise InputError(what, where, "Give vehicles of another decoder")
         centre = centre.detach()
         steps = [decoder.field(torch.from_numpy(mean + row).float()) for row in basis]
         by_coordinate = {}

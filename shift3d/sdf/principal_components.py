@@ -29,7 +29,8 @@ def principal_components(codes: NDArray[np.float32], components: int, where: str
     """
     if len(codes) < components + 2:
         what = f"{counted(len(codes), 'code')}: too few for {counted(components, 'component')}"
-        raise InputError(what, where, f"Give at most {max(len(codes) - 2, 1)} components, or more vehicles")
+        fewer = f"at most {counted(len(codes) - 2, 'component')}, or " if len(codes) > 2 else ""
+        raise InputError(what, where, f"Give {fewer}more vehicles")
     mean = codes.astype(np.float64).mean(axis=0)
     _, spread, axes = np.linalg.svd(codes - mean, full_matrices=False)
     spread = spread[:components] / np.sqrt(len(codes) - 1)

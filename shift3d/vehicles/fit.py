@@ -20,6 +20,7 @@ from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, find_meshes, read
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.orientation import better_frame, turned
 from shift3d.vehicles.picture import write_side_by_side
+from shift3d.vehicles.vehicle import CODE_LENGTH
 from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
 
 SAMPLES, STEPS, POINTS_A_STEP = 50_000, 300, 1_024
@@ -67,6 +68,9 @@ def fit_meshes(
     """
     source = Path(decoder_file).expanduser() if decoder_file is not None else DEFAULT_WEIGHTS
     decoder = load_decoder(source)
+    if (length := decoder.architecture.code_length) != CODE_LENGTH:
+        remedy = f"Give a decoder of codes of length {CODE_LENGTH}, as a vehicle set holds them"
+        raise InputError(f"codes of length {length}", str(source), remedy)
     files = find_meshes(path)
     fits: list[MeshFit] = []
     facts: list[dict[str, Any]] = []
@@ -107,7 +111,11 @@ def _fit(file: MeshFile, frame: MeshFrame, decoder: Decoder, steps: int, out: Pa
     vehicle = read_mesh_vehicle(file, frame)
     samples = sample_sdf(vehicle.mesh, SAMPLES, generator("mesh fit", vehicle.name))
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
-    done = fitted(vehicle.name, vehicle.body_type, decoder, code, samples.scale_m, vehicle.mesh)
+    try:
+        done = fitted(vehicle.name, vehicle.body_type, decoder, code, samples.scale_m, vehicle.mesh)
+    except InputError as error:
+        remedy = "Give more steps=, or another decoder="
+        raise InputError("the decoder draws no surface for it", str(file.path), remedy) from error
     better = _better(done, vehicle, frame, decoder, samples, steps)
     picture = out / PICTURES / f"{vehicle.name}.png"
     write_side_by_side(picture, vehicle.mesh, done.decoded)
@@ -133,5 +141,8 @@ def _better(
     mesh = trimesh.Trimesh(turned(vehicle.mesh.vertices, frame, other), vehicle.mesh.faces, process=False)
     samples = replace(samples, points=turned(samples.points, frame, other))
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
-    chamfer_m = fitted(done.name, done.body_type, decoder, code, samples.scale_m, mesh).chamfer_m
+    try:
+        chamfer_m = fitted(done.name, done.body_type, decoder, code, samples.scale_m, mesh).chamfer_m
+    except InputError:  # that way round it draws no surface
+        return None
     return (other, chamfer_m) if chamfer_m < done.chamfer_m else None

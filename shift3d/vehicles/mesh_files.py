@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import itertools
+import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import trimesh
@@ -30,8 +33,23 @@ class MeshFile:
     path: Path
 
     def sha256(self) -> str:
-        """Hash of the file's bytes, hexadecimal."""
-        return hashlib.sha256(self.path.read_bytes()).hexdigest()
+        """Hash of the file's bytes, hexadecimal; of a .gltf, with those of the files that hold its vertices."""
+        content = self.path.read_bytes()
+        digest = hashlib.sha256(content)
+        for part in _files_beside(content) if self.path.suffix.lower() == ".gltf" else ():
+            with contextlib.suppress(OSError):  # reading the mesh says what is missing
+                digest.update((self.path.parent / part).read_bytes())
+        return digest.hexdigest()
+
+
+def _files_beside(gltf: bytes) -> list[str]:
+    """The files that a .gltf's buffers name; none where it cannot be read, which reading the mesh says."""
+    try:
+        buffers = json.loads(gltf)["buffers"]
+        uris = [str(buffer["uri"]) for buffer in buffers if "uri" in buffer]
+    except (ValueError, KeyError, TypeError):
+        return []
+    return [unquote(uri) for uri in uris if not uri.startswith("data:")]
 
 
 def find_meshes(path: Path | str) -> list[MeshFile]:
@@ -50,7 +68,7 @@ def find_meshes(path: Path | str) -> list[MeshFile]:
         return [MeshFile(_slug(root.stem), root)]
     if not root.is_dir():
         raise InputError("no such file or folder", where=str(root), remedy="a mesh or a folder of meshes")
-    found = [MeshFile(_slug(file.parents[1].name), file) for file in root.rglob(SHAPENET_FILE.as_posix())]
+    found = [MeshFile(_slug(file.absolute().parents[1].name), file) for file in root.rglob(SHAPENET_FILE.as_posix())]
     if not found:
         files = [file for file in root.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file()]
         found = [MeshFile(_slug(file.relative_to(root).with_suffix("").as_posix()), file) for file in files]
@@ -65,7 +83,8 @@ def find_meshes(path: Path | str) -> list[MeshFile]:
 
 def _slug(name: str) -> str:
     """The name with nothing in it that a file name or a Hydra override could trip over."""
-    return "".join(letter if letter.isascii() and (letter.isalnum() or letter in "-_") else "_" for letter in name)
+    kept = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "-_") else "_" for letter in name)
+    return f"_{kept}" if kept.lower() in ("null", "true", "false", "nan", "inf") else kept
 
 
 def read_mesh(path: Path | str) -> trimesh.Trimesh:

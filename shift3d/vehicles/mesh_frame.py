@@ -67,7 +67,8 @@ class MeshFrame:
             raise InputError("the mesh is flat", where=where, remedy="a vehicle has length, width and height")
         self._check_direction(extent, where)
         scale = self.length_m / extent[0] if self.length_m is not None else UNITS_M[self.unit or "m"]
-        _check_length(float(extent[0]), float(scale), where)
+        if self.length_m is None:
+            _check_length(float(extent[0]), float(scale), where)
         if extent[1:].max() * scale > WIDEST_M:
             what = f"the vehicle would be {extent[1] * scale:g} m wide and {extent[2] * scale:g} m high"
             raise InputError(what, where=where, remedy=f"Give a mesh of one vehicle: at most {WIDEST_M:g} m of either")

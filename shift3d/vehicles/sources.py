@@ -88,15 +88,15 @@ def space_hash(source: VehicleSource, vehicle: str, space: str, edited: bool = F
     return digest.hexdigest()
 
 
-def set_folder(folder: Path | str | None) -> Path:
-    """The folder of a vehicle set; None and "wide" are sets that ship."""
+def set_folder(folder: Path | str | None, setting: str = "vehicle.folder") -> Path:
+    """The folder of a vehicle set; None and "wide" are sets that ship. setting: that named it, for messages."""
     if folder is None:
         return DEFAULT_VEHICLES.parent
     if str(folder) != WIDE:
         return Path(folder).expanduser()
     if (Path(WIDE) / DEFAULT_VEHICLES.name).is_file():
         what = "names the vehicles that ship, and a folder here has the same name"
-        raise InputError(what, f"vehicle.folder={WIDE}", "Rename the folder")
+        raise InputError(what, f"{setting}={WIDE}", "Rename the folder")
     return DEFAULT_VEHICLES.parent / WIDE
 
 

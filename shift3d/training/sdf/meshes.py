@@ -21,6 +21,9 @@ from shift3d.training.sdf_shapes import ShapeSamples
 from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 
+_VERSION = 2
+"""Raised when the file of samples comes to hold something else."""
+
 
 @dataclass(frozen=True)
 class MeshShapes:
@@ -44,7 +47,9 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
     """
     files = find_meshes(path)
     hashes = [file.sha256() for file in files]
-    request = json.dumps([asdict(frame), samples, seed, [[f.name, h] for f, h in zip(files, hashes)]], sort_keys=True)
+    request = json.dumps(
+        [_VERSION, asdict(frame), samples, seed, [[f.name, h] for f, h in zip(files, hashes)]], sort_keys=True
+    )
     source = "meshes-" + hashlib.blake2b(request.encode(), digest_size=8).hexdigest()
     kept = cache / f"{source}.npz"
     if not kept.is_file():
@@ -57,7 +62,8 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
         arrays = ShapeSamples(data["points"], data["distances"], data["scale_m"], source)
     places = {file.name: str(file.path) for file in files}  # the folder may have moved since
     shapes = [{**shape, "file": places[shape["name"]]} for shape in facts["shapes"]]
-    return MeshShapes(arrays, shapes, facts["refused"])
+    refused = {places[name]: f"{places[name]}: {why}" for name, why in facts["refused"].items()}
+    return MeshShapes(arrays, shapes, refused)
 
 
 _Part = tuple[NDArray[np.float32], NDArray[np.float32], float, dict[str, Any]]
@@ -81,13 +87,14 @@ def _in_random_order(
 
 
 def _keep(kept: Path, parts: list[_Part | str], files: list[MeshFile], hashes: list[str]) -> None:
-    refused = {str(file.path): part for file, part in zip(files, parts) if isinstance(part, str)}
-    for reason in refused.values():
+    left_out = [(file, part) for file, part in zip(files, parts) if isinstance(part, str)]
+    for _, reason in left_out:
         print(f"left out: {reason}")
+    refused = {file.name: reason.removeprefix(f"{file.path}: ") for file, reason in left_out}
     used = [(part, digest) for part, digest in zip(parts, hashes) if not isinstance(part, str)]
     if not used:
-        first = next(iter(refused.values()))
-        raise InputError(f"none of {len(files)} meshes can be used, the first: {first}", where=str(kept.parent))
+        what = f"none of {len(files)} meshes can be used, the first: {left_out[0][1]}"
+        raise InputError(what, where=str(kept.parent))
     shapes = [{**part[3], "sha256": digest} for part, digest in used]
     points, distances, scale_m = (np.array(values) for values in zip(*(part[:3] for part, _ in used), strict=True))
     facts = np.array(json.dumps({"shapes": shapes, "refused": refused}))

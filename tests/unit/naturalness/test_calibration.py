@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shift3d.naturalness.calibration import NATURAL_PERCENTILE, Calibration
+from shift3d.naturalness.calibration import FEWEST, NATURAL_PERCENTILE, Calibration
 
 values = st.lists(st.floats(0.0, 100.0), min_size=20, max_size=60)
 
@@ -55,3 +55,11 @@ def test_the_order_of_members_changes_nothing() -> None:
 def test_what_is_no_number_is_farther_than_all() -> None:
     assert Calibration(np.arange(20.0), np.arange(20.0)).percentile(math.nan, 0.0) == 100.0
     assert Calibration(np.arange(20.0), np.arange(20.0)).percentile(0.0, math.nan) == pytest.approx(100.0)
+
+
+def test_of_the_fewest_members_the_farthest_is_not_natural() -> None:
+    for members in (FEWEST, 40, 60, 400):
+        distances = np.arange(1.0, members + 1.0)
+        usual = Calibration(distances, distances)
+        within = sum(usual.percentile(far, far) <= NATURAL_PERCENTILE for far in distances)
+        assert within < members and within == pytest.approx(0.95 * members, abs=1.0)

@@ -20,7 +20,7 @@ from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.vehicles.family.wide import build_wide_mesh, wide_vehicle
 from shift3d.vehicles.vehicle import Vehicle
 
-LENGTHS = np.round(np.linspace(3.6, 5.5, 20), 2)
+LENGTHS = np.round(np.linspace(3.6, 5.6, 21), 2)
 SCALE_M = 3.0
 VEHICLE = Vehicle("legs", "suv", np.zeros(4, np.float32), SCALE_M, np.eye(3), np.zeros(3), (4.5, 1.8, 1.3))
 

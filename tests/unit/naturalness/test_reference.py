@@ -36,15 +36,15 @@ def folder_of(tmp_path: Path, count: int, scale: float = 1.0) -> str:
 
 
 def test_a_folder_of_meshes_is_a_reference_set(tmp_path: Path) -> None:
-    source = MeshReference(folder_of(tmp_path, 20), METRES)
+    source = MeshReference(folder_of(tmp_path, 21), METRES)
     found = load_reference(source, "here")
-    assert found.names[:2] == ("car_00", "car_01") and len(found.calibration.mean_cm) == 20
+    assert found.names[:2] == ("car_00", "car_01") and len(found.calibration.mean_cm) == 21
     nearest = found.nearest(found.surface(7))
     assert nearest.name == "car_07" and nearest.mean_cm < 1e-6
 
 
 def test_a_set_is_built_once_and_kept_in_one_file(tmp_path: Path) -> None:
-    source = MeshReference(folder_of(tmp_path, 20), METRES)
+    source = MeshReference(folder_of(tmp_path, 21), METRES)
     shape = on_legs(length_m=4.44)
     before = Naturalness(load_reference(source, "here")).of(shape)
     (kept,) = (tmp_path / "cache").rglob("*.safetensors")
@@ -57,7 +57,7 @@ def test_a_set_is_built_once_and_kept_in_one_file(tmp_path: Path) -> None:
 
 
 def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
-    source = MeshReference(folder_of(tmp_path, 20), METRES)
+    source = MeshReference(folder_of(tmp_path, 21), METRES)
     load_reference(source, "here")
     kept = reference_file(source)
     content = kept.read_bytes()
@@ -65,18 +65,18 @@ def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
         kept.write_bytes(damaged)
         with pytest.raises(InputError, match="no reference set can be read"):
             read_reference(kept)
-        assert len(load_reference(source, "here")) == 20
+        assert len(load_reference(source, "here")) == 21
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    found = load_reference(legged(np.linspace(3.6, 5.5, 20)), "here")
+    found = load_reference(legged(np.linspace(3.6, 5.5, 21)), "here")
     assert found.nearest(found.surface(3)).name == "member-3"
 
 
 def test_another_file_or_frame_is_another_set(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, 20)
+    folder = folder_of(tmp_path, 21)
     one = source_hash(MeshReference(folder, METRES))
     assert one == source_hash(MeshReference(folder, METRES))
     assert one != source_hash(MeshReference(folder, MeshFrame(forward="-x", up="+z", unit="m")))
@@ -90,7 +90,7 @@ def test_the_wide_family_has_both_sides_and_the_shorter_set_begins_the_longer_on
     seen = [set(member.name.rpartition("-")[0].split("+")) <= set(SPLIT.seen) for member in members]
     assert seen == [index % 4 != 3 for index in range(24)]
     assert len({member.name for member in members}) == 24
-    shorter, _ = build_reference(WideReference(20, resolution_m=0.15), "here")
+    shorter, _ = build_reference(WideReference(21, resolution_m=0.15), "here")
     assert all(np.array_equal(a.points, b.points) for a, b in zip(shorter, members))
 
 
@@ -109,7 +109,7 @@ def test_settings_name_a_source() -> None:
 
 
 def test_another_unit_is_refused_with_the_one_that_fits(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, 20, scale=100.0)
+    folder = folder_of(tmp_path, 21, scale=100.0)
     with pytest.raises(InputError, match="Give unit=cm") as failure:
         build_reference(MeshReference(folder, METRES), "naturalness")
     assert "car_00.ply" in failure.value.where
@@ -120,17 +120,17 @@ def test_sizes_that_no_vehicle_has_are_refused_whatever_the_unit(tmp_path: Path)
     """Limousines that are given the length of a car, and cars of 2.2 m: within a reader's limits, no vehicles."""
     for scale in ((1.0, 0.5, 1.0), (0.55, 0.55, 0.55)):
         meshes = []
-        for mesh in legged(np.linspace(3.6, 5.5, 20)).meshes:
+        for mesh in legged(np.linspace(3.6, 5.5, 21)).meshes:
             mesh.apply_scale(scale)
             meshes.append(mesh)
-        with pytest.raises(InputError, match="20 of 20 members have sizes that no vehicle has") as failure:
+        with pytest.raises(InputError, match="21 of 21 members have sizes that no vehicle has") as failure:
             build_reference(Meshes(tuple(meshes)), "naturalness")
         assert "length" in failure.value.remedy
 
 
 def test_too_few_members_for_a_percentile_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"19 members.*20 vehicles or more"):
-        build_reference(MeshReference(folder_of(tmp_path, 19), METRES), "naturalness")
+    with pytest.raises(InputError, match=r"20 members.*21 vehicles or more"):
+        build_reference(MeshReference(folder_of(tmp_path, 20), METRES), "naturalness")
 
 
 def test_an_empty_or_missing_folder_is_refused(tmp_path: Path) -> None:
@@ -143,9 +143,19 @@ def test_an_empty_or_missing_folder_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_mesh_that_is_no_vehicle_is_refused_by_name(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, 20)
+    folder = folder_of(tmp_path, 21)
     flat = trimesh.Trimesh([[0, 0, 0], [4, 0, 0], [4, 2, 0]], [[0, 1, 2]], process=False)
     flat.export(Path(folder) / "car_03.ply")
     with pytest.raises(InputError, match="flat") as failure:
         build_reference(MeshReference(folder, METRES), "naturalness")
     assert "car_03.ply" in failure.value.where
+
+
+def test_the_wide_set_that_ships_goes_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert source_hash(SetReference("wide")) not in (source_hash(SetReference()), None)
+    (tmp_path / "wide").mkdir()
+    (tmp_path / "wide" / "vehicles.safetensors").touch()
+    with pytest.raises(InputError, match="a folder here has the same name") as failure:
+        source_hash(SetReference("wide"))
+    assert failure.value.where == "naturalness.folder=wide"

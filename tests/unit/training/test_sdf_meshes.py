@@ -95,6 +95,8 @@ def test_meshes_that_have_moved_are_found_where_they_are_now(folder: Path, shape
     found = mesh_shapes(moved, FRAME, SAMPLES, 1, folder.parent / "cache", 1)
     assert np.array_equal(found.samples.points, shapes.samples.points), "they are not sampled again"
     assert {Path(facts["file"]).parent for facts in found.facts} == {moved}
+    (why,) = found.refused.values()
+    assert list(found.refused) == [str(moved / "sheet.ply")] and why.startswith(f"{moved / 'sheet.ply'}: ")
 
 
 def test_folder_with_nothing_usable_says_why(tmp_path: Path) -> None:

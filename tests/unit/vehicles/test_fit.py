@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from shift3d.cli.main import main
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import load_decoder
+from shift3d.sdf.decoder import Architecture, Decoder, load_decoder, save_decoder
 from shift3d.sdf.meshes import symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.vehicles import vehicle_set
@@ -109,3 +110,19 @@ def test_metres_where_the_file_has_millimetres_are_one_line_with_the_remedy(
 def test_set_needs_vehicles_of_different_names(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no vehicles"):
         vehicle_set.write_vehicle_set(tmp_path, load_decoder(), [], {})
+
+
+def test_a_decoder_that_draws_nothing_or_has_other_codes_is_named(
+    hatchback: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = load_decoder()
+    with torch.no_grad():
+        list(empty.parameters())[-1].fill_(0.5)  # half the unit sphere away from any surface
+    save_decoder(empty, tmp_path / "empty.safetensors")
+    save_decoder(Decoder(Architecture(code_length=64)), tmp_path / "short.safetensors")
+    words = ["unit=mm", "steps=1", f"out={tmp_path / 'set'}"]
+    assert main(["fit", str(hatchback), *words, f"decoder={tmp_path / 'empty.safetensors'}"]) == 2
+    printed = capsys.readouterr().err
+    assert "hatchback of mine.obj: the decoder draws no surface for it" in printed and "another decoder=" in printed
+    assert main(["fit", str(hatchback), *words, f"decoder={tmp_path / 'short.safetensors'}"]) == 2
+    assert "short.safetensors: codes of length 64" in capsys.readouterr().err

@@ -44,6 +44,42 @@ def test_shapenet_layout_is_recognised_and_other_files_in_it_left_alone(tmp_path
     assert vehicle.center_mass == pytest.approx(expected.center_mass, abs=1e-6)
 
 
+def test_a_relative_path_into_shapenets_layout_names_the_vehicle_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = write_shapenet(tmp_path, {"b1": wedge()})
+    (model,) = root.rglob("model_normalized.obj")
+    monkeypatch.chdir(model.parents[1])
+    assert [file.name for file in find_meshes(".")] == ["b1"]
+
+
+def test_the_hash_of_a_gltf_is_that_of_the_files_it_names_too(tmp_path: Path) -> None:
+    def written(mesh: trimesh.Trimesh) -> tuple[bytes, str]:
+        for name, content in trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh)).items():
+            (tmp_path / name).write_bytes(content)
+        (file,) = find_meshes(tmp_path)
+        return file.path.read_bytes(), file.sha256()
+
+    places = [[0, 0, 0], [2, 0, 0], [0, 2, 0], [0.2, 0.2, 2.0], [0.5, 0.5, 0.5]]
+    faces = [[0, 2, 1], [0, 1, 3], [1, 2, 4], [2, 0, 3], [4, 3, 1], [4, 2, 3]]
+    pyramid = trimesh.Trimesh(places, faces, process=False)
+    before = written(pyramid)
+    pyramid.vertices[4] = [0.6, 0.6, 0.4]  # within the box, which the .gltf itself states
+    after = written(pyramid)
+    assert before[0] == after[0] and before[1] != after[1]
+    for file in tmp_path.glob("*.bin"):
+        file.unlink()
+    assert len(find_meshes(tmp_path)[0].sha256()) == 64
+    (tmp_path / "model.gltf").write_text("{")
+    assert len(find_meshes(tmp_path)[0].sha256()) == 64
+
+
+@pytest.mark.parametrize("word", ["null", "true", "NaN"])
+def test_a_name_that_settings_take_for_a_value_gets_a_letter_before_it(tmp_path: Path, word: str) -> None:
+    wedge().export(tmp_path / f"{word}.ply")
+    assert [file.name for file in find_meshes(tmp_path)] == [f"_{word}"]
+
+
 def test_any_folder_of_meshes_is_named_by_place(tmp_path: Path) -> None:
     (tmp_path / "old").mkdir()
     wedge().export(tmp_path / "old" / "car 1.ply")
@@ -145,3 +181,11 @@ def test_places_without_meshes_are_named(tmp_path: Path) -> None:
     (tmp_path / "car.step").write_text("ISO-10303-21")
     with pytest.raises(InputError, match=r"car\.step: not a mesh file"):
         find_meshes(tmp_path / "car.step")
+
+
+@pytest.mark.parametrize("length_m", [2.0, 20.0])
+def test_the_lengths_at_either_end_are_lengths(length_m: float) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        box = trimesh.creation.box(extents=np.array([4.0, 0.6, 0.5]) * rng.uniform(0.8, 1.2, 3))
+        assert MeshFrame("+x", "+z", length_m=length_m).to_object(box, "box").extents[0] == pytest.approx(length_m)
