@@ -9,14 +9,13 @@ from torch import Tensor
 from shift3d.attack.loop import best_step
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
+from shift3d.attack.score_only import FREE_DISTANCE
 from shift3d.attack.trials import Family, Search, Trials
 
 SHIFT_M, TURN_RAD = 0.1, 0.02
 """Standard deviations of the placements that a loss is the mean over: a point of a beam's grid, a degree."""
 MOMENTA = (0.8, 0.95)
 """Of Adam: some twenty steps are too few for the usual 0.9 and 0.999."""
-START_DISTANCE = 0.2
-"""Latent distance of further starts in the free space; the paper's solutions lie about so far from their baselines."""
 
 
 def descend_expectation(
@@ -86,7 +85,7 @@ def _turn_to_best_start(
             order = order or rng.permutation(family.count).tolist()
             problem, search = family.of(order.pop())
             trials.turn_to(problem, search)
-        variable = search.draw(rng, START_DISTANCE) if within else search.project(trials.back())
+        variable = search.draw(rng, FREE_DISTANCE) if within else search.project(trials.back())
         kinds.append((problem, search))
         trials.evaluate(variable, False)
     best = best_step(trials.trace)

@@ -46,7 +46,7 @@ def descend(
 
 
 def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
-    """The valid step after the start with the lowest loss, the first of several; 0 where none is valid.
+    """The valid step that is not the start with the lowest loss, the first of several; 0 where there is none.
 
     selection_window: a step counts with the highest loss of itself and so many steps before and after it, which passes
     over a local minimum of one step. 0 is the paper's rule.
@@ -59,6 +59,6 @@ def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
     for step in range(1, len(trace)):
         near = [record.loss for record in trace[max(step - selection_window, 1) : step + selection_window + 1]]
         loss = float(np.max(near))  # NaN where one of them is
-        if trace[step].valid and loss < lowest:
+        if trace[step].valid and not trace[step].unchanged and loss < lowest:
             best, lowest = step, loss
     return best

@@ -16,14 +16,14 @@ from shift3d.render.field.object_field import VehicleFrame
 class StepRecord:
     """One rendering of an attack; step 0 is the start.
 
-    theta: (6,) pose. latent_distance: ||z - z0||. loss: what is descended. adversarial_loss: its first term.
-    proposal_score: best score near the object before suppression. grazing_gradient: share of the gradient that LEAVES
-    this step carried by grazing beams, None where none leaves it (the last).
-    least_slope: smallest |e . grad g| of this step's hits, infinite where no gradient was taken. non_finite: NaN and
-    infinities among the moved points, the proposals, the loss and the gradient; 0 by construction. within_budget: False
-    for a shape that was found to lie beyond the budget of naturalness, see `trials.Search.natural`.
-    milliseconds: by stage (placement, render, detector, constraints, backward, naturalness), over every place that
-    the loss is the mean over.
+    theta: (6,) pose. latent_distance: from the code of the start. loss: what is descended. adversarial_loss: its first
+    term. proposal_score: best score near the object before suppression. grazing_gradient: share of the gradient that
+    LEAVES this step carried by grazing beams, None where none leaves it (the last). least_slope: smallest |e . grad g|
+    of this step's hits, infinite where no gradient was taken. non_finite: NaN and infinities among the moved points,
+    the proposals, the loss and the gradient; 0 by construction. within_budget: False for a shape that was found to lie
+    beyond the budget of naturalness, see `trials.Search.natural`. unchanged: whether it is the start, which may come
+    again: a descent begins at it, a gradient is 0. milliseconds: by stage (placement, render, detector, constraints,
+    backward, naturalness), over every place that the loss is the mean over.
     """
 
     step: int
@@ -40,6 +40,7 @@ class StepRecord:
     least_slope: float = math.inf
     non_finite: int = 0
     within_budget: bool = True
+    unchanged: bool = False
     milliseconds: dict[str, float] = field(default_factory=dict)
 
     @property

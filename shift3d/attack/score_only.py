@@ -14,6 +14,8 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.attack.trials import Family, Search, Trials
 
+FREE_DISTANCE = 0.2
+"""Latent distance of draws in the free space; the paper's solutions lie about so far from their baselines."""
 SIGMA = 0.3
 """First standard deviation of an evolution, in the variable's units (our choice)."""
 
@@ -23,7 +25,7 @@ def draw_best(
     search: Search,
     evaluations: int,
     rng: np.random.Generator,
-    distance: float = 0.2,
+    distance: float = FREE_DISTANCE,
     family: Family | None = None,
 ) -> AttackResult:
     """The best of so many draws: what a search has to beat.

@@ -84,6 +84,7 @@ class Trials:
         self.variables: list[Tensor] = []
         self._on_step, self._differentiable, self._every_step = on_step, differentiable, every_step
         self._lowest = math.inf  # loss of a valid step after the start
+        self._code0 = problem.code0
         self._tried: list[tuple[VehicleFrame, Tensor, Tensor]] = []
         self.turn_to(problem, search)
         self._incremental = [place.problem.incremental_inference() for place in self._places]
@@ -145,7 +146,7 @@ class Trials:
     def _with_budget(self, record: StepRecord, code: Tensor, variable: Tensor) -> StepRecord:
         """The record, with what the budget says of it where that matters."""
         lowest = record.loss < self._lowest
-        if record.step == 0 or not record.valid or not (lowest or self._every_step):
+        if record.step == 0 or record.unchanged or not record.valid or not (lowest or self._every_step):
             return record
         if self._search.natural is not None:
             start = time.perf_counter()
@@ -155,6 +156,12 @@ class Trials:
         if record.valid and lowest:
             self._lowest, self.held = record.loss, variable.detach()
         return record
+
+    def _is_start(self, code: Tensor, theta: Tensor) -> bool:
+        if not self._tried:
+            return True
+        vehicle, first_code, first_theta = self._tried[0]
+        return self._problem.vehicle is vehicle and torch.equal(code, first_code) and torch.equal(theta, first_theta)
 
     def _record(
         self,
@@ -170,7 +177,7 @@ class Trials:
         return StepRecord(
             step=len(self.trace),
             theta=tuple(theta.detach().tolist()),
-            latent_distance=latent_distance(code, self._problem.code0),
+            latent_distance=latent_distance(code, self._code0),
             loss=float(loss),
             adversarial_loss=float(measured.adversarial.detach()),
             proposal_score=measured.proposal_score,
@@ -180,6 +187,7 @@ class Trials:
             evaluations=rendering.evaluations,
             grazing_gradient=None if gradient is None else rendering.grazing.gradient,
             least_slope=rendering.grazing.least_slope,
+            unchanged=self._is_start(code, theta),
             non_finite=measured.non_finite
             + sum(count_non_finite(part) for part in (loss, gradient) if part is not None),
             milliseconds=dict(spent),

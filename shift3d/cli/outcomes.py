@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 def interrupted(result: SweepResult, what: str = "done", command: str = "") -> int:
     """Say how far an interrupted sweep is, and that its command resumes; the exit code. what: was done to the tasks."""
-    left = result.planned - result.done - result.quarantined
-    print(f"interrupted: {result.done} of {counted(result.planned, 'task')} {what}, {left} left", file=sys.stderr)
+    print(
+        f"interrupted: {result.done} of {counted(result.planned, 'task')} {what}, {result.left} left", file=sys.stderr
+    )
     print("the same command resumes" + (f": {command}" if command else ""), file=sys.stderr)
     return int(ExitCode.INTERRUPTED)
 

@@ -196,6 +196,9 @@ def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], lis
                     where=where,
                     remedy="List its values, or use range(start,stop,step)",
                 )
+            if getattr(override.value(), "shuffle", False):
+                remedy = "List its values: another order at every call would be another sweep"
+                raise InputError(f"{key} has a shuffled axis ({override.input_line})", where=where, remedy=remedy)
             fixed.pop(key, None)
             axes[key] = list(override.sweep_string_iterator())
         elif key in axes:
@@ -238,8 +241,9 @@ def _refuse_interpolations(values: Any, where: str, path: str = "") -> None:
         raise InputError(f"{path} holds an interpolation", where=where, remedy="Write the value itself")
 
 
-def validate(values: Values, where: str) -> Config:
-    """Check settings against the schema. Raises InputError naming the field and what it may be."""
+def validate(values: Values, where: str, axes: Sequence[str] = ()) -> Config:
+    """Check settings against the schema. axes: groups of which the sweep has several options, where no setting of one
+    can be given. Raises InputError naming the field and what it may be."""
     if not isinstance(values, dict):
         raise InputError(f"the settings are a {type(values).__name__}", where=where, remedy="Write NAME: VALUE lines")
     if "frontier" in values:
@@ -249,7 +253,10 @@ def validate(values: Values, where: str) -> Config:
             remedy="Run it with: make frontier, or shift3d frontier",
         )
     if missing := _missing(values):
-        raise InputError(f"{missing} is required", where=where, remedy=f"Add {missing}=VALUE to the command")
+        group = missing.split(".")[0]
+        by_itself = f"Add {missing}=VALUE to a sweep of this option of {group} alone"
+        remedy = by_itself if group in axes else f"Add {missing}=VALUE to the command"
+        raise InputError(f"{missing} is required", where=where, remedy=remedy)
     try:
         return Config.model_validate(values)
     except ValidationError as error:

@@ -25,13 +25,14 @@ def expand(composed: Composed) -> Iterator[Config]:
         yield validate(composed.base, where)
         return
     # Whole groups are put in place before single settings, whichever was named first, as Hydra does.
+    groups = [axis.key for axis in composed.axes if axis.is_group]
     order = sorted(range(len(composed.axes)), key=lambda i: not composed.axes[i].is_group)
     for combination in itertools.product(*(range(len(axis.values)) for axis in composed.axes)):
         values = dict(composed.base)
         for index in order:
             axis = composed.axes[index]
             _put(values, axis.key, axis.values[combination[index]])
-        yield validate(values, where)
+        yield validate(values, where, groups)
 
 
 def _put(values: Values, key: str, value: object) -> None:

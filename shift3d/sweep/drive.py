@@ -60,8 +60,8 @@ Finish = Callable[[Location, Plan, Sequence[Commit]], FinalTables]
 class SweepResult:
     """How a sweep ended.
 
-    final: None where it was interrupted. seconds: of this driver, planning excluded. reused: tasks whose results this
-    driver took over from other sweeps.
+    final: None where it was interrupted. left: tasks that the same call would run again. seconds: of this driver,
+    planning excluded. reused: tasks whose results this driver took over from other sweeps.
     """
 
     folder: Location
@@ -69,6 +69,7 @@ class SweepResult:
     done: int
     quarantined: int
     planned: int
+    left: int
     seconds: float
     reused: int = 0
 
@@ -122,7 +123,8 @@ def run_sweep(
     complete = len(done) + len(quarantined) == len(plan.tasks) and (came >= len(left) or not again)
     final = finish(folder, plan, log.entries) if complete else None
     seconds = time.monotonic() - began
-    return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), seconds, reused)
+    left_now = len(plan.tasks) - len(done) - (0 if again else len(quarantined))
+    return SweepResult(folder, final, len(done), len(quarantined), len(plan.tasks), left_now, seconds, reused)
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ from torch import Tensor
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
+from shift3d.attack.score_only import FREE_DISTANCE
 from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.detectors.base import Detector
 from shift3d.naturalness.measure import NaturalnessMeasure
@@ -63,7 +64,7 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
             # The reference would only be held against itself.
             audited = candidate.method in AUDITED and problem.settings != REFERENCE
             checked = audit(spec, assets, there, candidate, scored) if audited else None
-            rows.add(candidate, there.code0, scored, checked, _naturalness(spec, assets, candidate, rows))
+            rows.add(candidate, problem.code0, scored, checked, _naturalness(spec, assets, candidate, rows))
             if spec.transfer_scenes and candidate.method == "adversarial":
                 _put_elsewhere(spec, assets, candidate, rows)
         for method, replicate in _planned(spec):
@@ -122,13 +123,13 @@ def _candidates(
     rows.attack(found)
     code, theta, vehicle = found.latent_code, found.theta, _other_than(problem, found)
     there = _there(spec, assets, problem, vehicle)
-    distance = float((code.double() - there.code0.double()).norm())
+    distance = float((code.double() - problem.code0.double()).norm())
     rng = generator("random", spec.task_id)
     for index in range(spec.attack.random_replicates):
         if (drawn := _random(spec, problem, distance, rng)) is not None:
             yield Candidate("random", index, *drawn)
     if spec.attack.random_search:
-        best = best_of_draws(spec, replace(problem, detector=searched), assets, distance)
+        best = best_of_draws(spec, replace(problem, detector=searched), assets, distance or FREE_DISTANCE)
         rows.search_time("random_search", best)
         drawn_as = _other_than(problem, best)
         yield Candidate("random_search", 0, best.latent_code, best.theta, best.best_step, best.status, drawn_as)

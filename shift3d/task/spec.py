@@ -57,7 +57,8 @@ class AttackSpec:
     selection_window: steps before and after that count when one is kept, see `shift3d.attack.loop.best_step`.
     noise_sigma: standard deviation of the codes of ``adversarial_noise``; noise_share: the same as a share of the
     solution's latent distance, where it is above 0. max_shift_m: largest |Δxy| of a pose, metres. max_tilt_rad:
-    largest |pitch| and |roll|. detection_radius_m: from the vehicle's centre to that of a box that detects it.
+    largest change of pitch and roll from the ground's. detection_radius_m: from the vehicle's centre to that of a box
+    that detects it.
 
     search: how it goes; every search has ``steps`` evaluations. space: where a shape may go; components: of space pca;
     space_hash: of the codes or ranges that bound it. rate, placements, starts: of search expectation. random_search: 1
@@ -241,15 +242,17 @@ class TaskSpec:
         where = json.dumps(vars(self.placement), sort_keys=True)
         return derive_seed("placement", self.base_seed, self.replicate, *what, where)
 
-    def moved_to(self, other: TransferScene) -> TaskSpec:
+    def moved_to(self, other: TransferScene, placing_hash: str | None = None) -> TaskSpec:
         """The same task in another scene, for putting what was found there: a place of its own, the same under every
-        lambda, step size, accuracy and detector."""
+        lambda, step size, accuracy and detector. placing_hash: of the task's scene as its vehicle is placed there,
+        None: as the task sees it."""
+        here = self if placing_hash is None else dataclasses.replace(self, scene_hash=placing_hash)
         return dataclasses.replace(
             self,
             scene=other.scene,
             scene_hash=other.scene_hash,
             effects=other.effects,
-            base_seed=self.placement_seed,
+            base_seed=here.placement_seed,
             transfer_scenes=(),
         )
 

@@ -62,6 +62,23 @@ def test_interrupt_finishes_what_is_in_flight_and_says_how_to_resume(
     assert drivers.final("out") == undisturbed
 
 
+def test_an_interrupted_second_try_says_how_it_goes_on(drivers: Drivers) -> None:
+    first = ("runner=local", "runner.abort_share=null")
+    assert drivers.run("out", *first, SHIFT3D_TEST_FAILS="suv/street_002/")[0] == 3
+    again = ("runner=local", "runner.commit_seconds=0", "--retry-quarantined")
+    driver = drivers.start("out", *again, SHIFT3D_TEST_SECONDS="2")
+    done = len(drivers.committed("out"))
+    drivers.wait_for_commits("out", done + 1)
+    driver.send_signal(signal.SIGINT)
+    _, errors = driver.communicate(timeout=60)
+    assert driver.returncode == 130, errors
+    done = len(drivers.committed("out"))
+    assert TASKS - done > 0 and f"{TASKS - done} left" in errors
+    assert errors.rstrip().endswith("--retry-quarantined")
+    assert drivers.run("out", "runner=local", "--retry-quarantined")[0] == 0
+    assert len(drivers.committed("out")) == TASKS
+
+
 def test_a_signal_to_the_whole_job_finishes_what_its_workers_are_at(
     drivers: Drivers, undisturbed: dict[str, bytes], tmp_path: Path
 ) -> None:

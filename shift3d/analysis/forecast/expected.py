@@ -104,6 +104,14 @@ def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
     return done
 
 
+def _quarantined_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
+    """Of each task whether a sweep that goes on in one of these folders has given it up."""
+    given_up = {task for folder in folders for entry in read_log(folder) for task in entry.quarantined}
+    found = np.ones(len(tasks), dtype=bool)
+    found[tasks.without(given_up)] = False
+    return found
+
+
 def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
     """What tasks will take one worker.
 
@@ -199,8 +207,12 @@ def expected_lines(
     """
     own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
     done = finished_in(plan.tasks, [*own, *others])
-    left = plan.tasks.select(np.flatnonzero(~done))
+    given_up = _quarantined_in(plan.tasks, own) & ~done
+    left = plan.tasks.select(np.flatnonzero(~done & ~given_up))
     progress = f"{int(done.sum())} of {counted(len(plan.tasks), 'task')} are done already\n" if done.any() else ""
+    if count := int(given_up.sum()):
+        stay = "stays out: --retry-quarantined runs it" if count == 1 else "stay out: --retry-quarantined runs them"
+        progress += f"{counted(count, 'quarantined task')} {stay} again\n"
     if not len(left):
         return f"{progress}nothing is left to run"
     found = expected(left, [*timings, *own, *others])

@@ -118,7 +118,8 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         others = ", ".join(map(str, request.reuse))
         print(f"{result.reused} of {counted(result.planned, 'task')} were done in {others}")
     if result.final is None:
-        command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *arguments.words])
+        flags = ["--retry-quarantined"] if arguments.retry_quarantined else []
+        command = " ".join(shlex.quote(word) for word in ["shift3d", "sweep", *words, *flags])
         return interrupted(result, command=command)
     placed = _show(plan, config, result)
     return int(ExitCode.DONE if placed and not result.quarantined else ExitCode.INCOMPLETE)

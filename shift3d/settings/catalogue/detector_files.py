@@ -54,6 +54,20 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     return {name: weights.get(name) for name in names}
 
 
+def require_used(configs: Sequence[DetectorConfig], scoring: Sequence[str]) -> None:
+    """Refuse weights of a detector that scores nowhere in a sweep.
+
+    configs: what its values of an axis ask for. scoring: every detector that scores somewhere.
+    Raises: InputError naming the setting.
+    """
+    used = {*scoring, *(config.original for config in configs)}
+    for config in configs:
+        for name, path in config.other_weights.items():
+            if path and name not in used:
+                remedy = f"Add it: 'detector.scored_by=[{','.join([*(config.scored_by or ()), name])}]'"
+                raise InputError(f"other_weights.{name} means nothing: {name} does not score", "detector", remedy)
+
+
 def detector_hash(name: str, weights: str | None, module: str | None, layout: Mapping[str, Any] | None = None) -> str:
     """128-bit BLAKE2b of what a detector is made of, hex.
 

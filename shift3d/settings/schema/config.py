@@ -117,10 +117,10 @@ class _ReferenceConfig(Record):
 
 
 class WideReferenceConfig(_ReferenceConfig):
-    """The wide family, both sides of the split. members: how many of it, 20 at least."""
+    """The wide family, both sides of the split. members: how many of it, 21 at least."""
 
     kind: Literal["wide"]
-    members: Annotated[int, Field(ge=20, le=100_000)]
+    members: Annotated[int, Field(ge=21, le=100_000)]
 
 
 class MeshReferenceConfig(_ReferenceConfig):

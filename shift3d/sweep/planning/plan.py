@@ -12,12 +12,12 @@ from typing import Any
 from shift3d.detectors.names import FOREIGN, ONNX
 from shift3d.errors import InputError
 from shift3d.settings import messages
-from shift3d.settings.catalogue.detector_files import require_in_grid
+from shift3d.settings.catalogue.detector_files import require_in_grid, require_used
 from shift3d.settings.catalogue.foreign import detector_layouts
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import Composed
 from shift3d.settings.expand import expand
-from shift3d.settings.schema.config import Config
+from shift3d.settings.schema.config import Config, DetectorConfig
 from shift3d.sweep.planning.effect_choices import EffectChoices, EffectLine
 from shift3d.sweep.planning.layout import Layouts
 from shift3d.sweep.planning.tasks import Tasks
@@ -85,6 +85,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
     assets: list[AssetsSpec] = []
     builder = TasksBuilder()
     first: Config | None = None
+    detectors: list[DetectorConfig] = []
     decided = EffectChoices()
     layouts = Layouts(builder, decided, where)
     for config in expand(composed):
@@ -92,6 +93,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
         key = _assets_key(config)
         if key not in catalogues:
             catalogue = catalogue_of(config)
+            detectors.append(config.detector)
             loaded = _assets(config, catalogue)
             if loaded not in assets:
                 assets.append(loaded)
@@ -99,6 +101,7 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
         catalogue, index = catalogues[key]
         spec = _spec(config, catalogue, _vehicle_name(config, catalogue, where))
         builder.add(*layouts.tasks_of(config, catalogue, spec), index, config.effects.label)
+    require_used(detectors, [name for catalogue, _ in catalogues.values() for name in catalogue.detectors])
     tasks = builder.tasks()
     if not tasks or first is None:
         raise InputError("the sweep has no task", where=where, remedy="Give it at least one scene and one vehicle")

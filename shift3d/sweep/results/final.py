@@ -167,8 +167,9 @@ def _planned_methods(plan: Plan) -> dict[tuple[Any, ...], list[str]]:
         attack = spec.attack
         optional = {"random": bool(attack.random_replicates), "adversarial_noise": bool(attack.noise_replicates)}
         optional |= {"random_search": bool(attack.random_search), "edited": bool(attack.edit)}
-        names = [name for name in METHODS_OF_MODE[spec.mode] if optional.get(name, True)]
-        methods |= dict.fromkeys(_group_keys(plan, group), names)
+        for key in _group_keys(plan, group):
+            known = methods.get(key, [])
+            methods[key] = [n for n in METHODS_OF_MODE[spec.mode] if n in known or optional.get(n, True)]
     return methods
 
 

@@ -35,7 +35,8 @@ def render_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets)
     Raises: InputError for a scene or vehicle that cannot be loaded, or is not what the task was planned with.
     """
     theta = torch.tensor([solution[name] for name in POSE_COLUMNS], dtype=torch.float64)
-    problem = build_problem(spec, assets, theta, assets.drawn_vehicle(spec, solution))
+    drawn = assets.drawn_vehicle(spec, solution)
+    problem = build_problem(spec, assets, theta, None if drawn.name == spec.vehicle else drawn)
     code = torch.tensor(np.asarray(solution["latent_code"], dtype=np.float32)).to(problem.settings.dtype)
     with torch.no_grad():
         rendering = problem.insert(code, theta)

@@ -164,6 +164,15 @@ def test_what_is_done_is_not_counted(tmp_path: Path) -> None:
     assert expected_lines(north, folder, [], [], 1).endswith("nothing is left to run")
 
 
+def test_what_was_given_up_on_is_not_counted_but_said(tmp_path: Path) -> None:
+    both, out = plan_of("mode=shape"), tmp_path / "out"
+    open_folder(out, both)
+    CommitLog(out, both.spec_hash).commit((), (both.tasks[0].spec.task_id,), {})
+    lines = expected_lines(both, out, [], [], 1).splitlines()
+    assert lines[0] == "1 quarantined task stays out: --retry-quarantined runs it again"
+    assert lines[1].startswith("expected: 1 task of ")
+
+
 def test_a_folder_that_has_run_nothing_says_nothing(tmp_path: Path) -> None:
     open_folder(tmp_path / "out", plan())
     assert "the figures that ship" in expected_lines(plan(), tmp_path / "out", [], [], 2)

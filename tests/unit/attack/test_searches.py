@@ -209,13 +209,11 @@ def test_a_search_over_kinds_goes_on_with_the_kind_of_its_best_start(problem: At
     family, rng = two_kinds(problem), np.random.default_rng(3)
     found = descend_expectation(problem, family.of(0)[1], 9, 0.02, rng, placements=1, starts=5, family=family)
     drawn = found.trace[1:5]
-    assert [step.latent_distance for step in drawn] == pytest.approx([0.2] * 4, rel=1e-6)
+    # Each kind is drawn twice, at 0.2 from its own code; distances are those from the code of the start.
+    assert sum(step.latent_distance == pytest.approx(0.2, rel=1e-6) for step in drawn) == 2
     best = min((step for step in drawn if step.valid), key=lambda step: step.loss)
     assert found.trace[5].loss == pytest.approx(best.loss, rel=1e-3)
-    offset = found.latent_code - problem.code0
-    own = found.vehicle is problem.vehicle
-    # Steps are counted from the code of the kind that they are of.
-    away = offset if own else offset - 0.05
+    away = found.latent_code - problem.code0
     assert float(away.double().norm()) == pytest.approx(found.best.latent_distance, rel=1e-5)
     assert found.best.loss <= best.loss
 
@@ -254,3 +252,26 @@ def test_evolution_ranks_what_is_not_valid_last(problem: AttackProblem) -> None:
     strict = replace(problem, constraints=Constraints(min_object_points=10**6))
     found = evolve(strict, shape_search(strict, 0.0, small_space(strict)), 6, np.random.default_rng(0))
     assert found.status == "no_valid_step" and found.best_step == 0
+
+
+def test_the_unchanged_vehicle_is_no_solution_however_often_it_is_tried(problem: AttackProblem) -> None:
+    heavy = shape_search(problem, 1e6)  # whatever moves costs more than it gains: the descent begins at the vehicle
+    found = descend_expectation(problem, heavy, 4, 0.02, np.random.default_rng(0), placements=1, starts=2)
+    again = [record.step for record in found.trace if record.unchanged]
+    assert again == [0, 2] and found.status == "ok"
+    assert found.best_step not in again and found.best.latent_distance > 0 and not torch.equal(found.latent_code, CODE)
+    still = draw_best(problem, shape_search(problem, 0.0), 2, np.random.default_rng(0), distance=0.0)
+    assert (still.best_step, still.status) == (0, "no_valid_step")
+
+
+def test_a_budget_is_asked_of_what_follows_a_vehicle_that_came_again(problem: AttackProblem) -> None:
+    lengths: list[float] = []
+
+    def natural(code: Tensor) -> bool:
+        lengths.append(float(code.norm()))
+        return False
+
+    heavy = replace(shape_search(problem, 1e6), natural=natural)
+    found = descend_expectation(problem, heavy, 4, 0.02, np.random.default_rng(0), placements=1, starts=2)
+    assert lengths and 0.0 not in lengths
+    assert found.status == "no_valid_step" and torch.equal(found.latent_code, CODE)

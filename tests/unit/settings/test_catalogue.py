@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -17,9 +18,9 @@ from shift3d.detectors.names import GRID_REACH_M
 from shift3d.errors import InputError
 from shift3d.render.settings import PRESETS
 from shift3d.settings.catalogue.detector_files import scoring_detectors, weights_file
-from shift3d.settings.catalogue.reading import accuracy_settings
+from shift3d.settings.catalogue.reading import Catalogue, accuracy_settings
 from shift3d.settings.compose import compose_sweep
-from shift3d.settings.schema.config import AccuracyConfig, DetectorConfig
+from shift3d.settings.schema.config import AccuracyConfig, Config, DetectorConfig
 from shift3d.settings.schema.scenes import KittiConfig, StreetConfig, scene_set
 from shift3d.sweep.planning.plan import make_plan
 
@@ -92,6 +93,21 @@ def test_weights_that_are_none_are_refused_before_anything_runs(tmp_path: Path) 
     for file in (tmp_path / "torn", other):
         with pytest.raises(InputError, match=re.escape(str(file))):
             scoring_detectors(attacked("pointpillars", ["sst_small"], sst_small=str(file)))
+
+
+def test_weights_of_a_detector_that_scores_nowhere_are_refused() -> None:
+    def planned(*words: str) -> None:
+        given = ["vehicle=suv", "mode=shape", "detector.other_weights.sst=mine.safetensors", *words]
+        make_plan(compose_sweep("default", given), catalogue)
+
+    def catalogue(config: Config) -> Catalogue:
+        scoring = dict.fromkeys(config.detector.named(), "p")
+        return dataclasses.replace(valid_sweeps.catalogue(config), detectors=scoring)
+
+    with pytest.raises(InputError, match=r"other_weights\.sst means nothing.*scored_by=\[pointpillars,sst\]"):
+        planned()
+    planned("detector.scored_by=[sst]")
+    planned("detector.scored_by=[],[sst]")
 
 
 def test_places_beyond_a_shipped_detectors_grid_are_refused_at_every_value_of_an_axis() -> None:

@@ -92,6 +92,15 @@ def test_draws_that_nobody_asked_for_are_no_gap(out: Path) -> None:
     assert set(final.frame("auc")["method"]) == {"baseline", "adversarial"}
 
 
+@pytest.mark.parametrize("values", ["2,0", "0,2"])
+def test_a_method_that_an_axis_turns_off_and_on_is_a_gap_where_nothing_was_scored(out: Path, values: str) -> None:
+    words = ["vehicle=suv", "mode=shape", f"attack.noise_replicates={values}"]
+    plan = make_plan(compose_sweep("default", words), catalogue)[0]
+    every = list(range(len(plan.tasks)))
+    final = commit(out, plan, every, 3, skip=tuple(every))
+    assert final.frame("auc")["method"].tolist() == ["baseline", "random", "adversarial_noise", "adversarial"]
+
+
 def test_each_scoring_detector_has_its_own_figures(out: Path) -> None:
     """The second detector says 0.5 of everything and its loss prefers lambda 10: the choice stays the attacked one's.
 

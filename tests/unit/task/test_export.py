@@ -29,6 +29,8 @@ from shift3d.task.assets import Assets
 from shift3d.task.exchange import Row, TaskResult
 from shift3d.task.follow_ups import export
 from shift3d.task.follow_ups.export import FRAME, check_no_export, export_solution
+from shift3d.task.follow_ups.rendered import render_solution
+from shift3d.task.problem import build_problem
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
 
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
@@ -191,3 +193,15 @@ def test_every_file_of_an_export_is_looked_for_and_others_are_not(
         (tmp_path / str(index) / name).touch()
         with pytest.raises(InputError, match=name):
             check_no_export(tmp_path / str(index))
+
+
+def test_a_baseline_is_rendered_again_to_the_bit(shape: TaskResult, assets: Assets) -> None:
+    """With the SDF grid that its task has: the report, a suite and a fine-tuning see the scene that was scored."""
+    (solution,) = (row for row in shape.solutions if row["method"] == "baseline")
+    again = render_solution(SPEC, solution, assets)
+    theta = torch.tensor([solution[name] for name in POSE], dtype=torch.float64)
+    problem = build_problem(SPEC, assets, theta)
+    assert problem.space is not None, "this test says nothing of a task without a grid"
+    with torch.no_grad():
+        points = problem.insert(problem.code0, theta).points
+    assert torch.equal(again.rendering.points, points)
