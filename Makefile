@@ -11,7 +11,7 @@ WORDS = $(strip $(foreach name,$(filter-out $(OWN),$(.VARIABLES)),$(if $(filter 
 export HYDRA_FULL_ERROR := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup sweep retry-quarantined verify report test check bench frontier stress mutants ui train finetune docs evidence wheel pictures clean
+.PHONY: help setup sweep which-sweep retry-quarantined verify report test check bench frontier stress mutants ui train finetune docs evidence wheel pictures clean
 
 help:  ## what there is to run
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-18s %s\n", $$1, $$2}'
@@ -32,16 +32,17 @@ setup: .venv/.runtime  ## install shift3d and its libraries in .venv
 sweep: .venv/.runtime  ## run sweeps/$(SWEEP).yaml; the same command again resumes
 	$(BIN)/shift3d sweep $(SWEEP) $(ARGS) $(WORDS)
 
-retry-quarantined: .venv/.runtime  ## run again what a sweep gave up on: OUT=outputs/NAME-HASH
-	@test -n "$(OUT)" || { echo 'which sweep? make retry-quarantined OUT=outputs/NAME-HASH'; exit 2; }
+# Before anything is installed.
+which-sweep:
+	@test -n "$(OUT)" || { echo 'which sweep? make $(MAKECMDGOALS) OUT=outputs/NAME-HASH'; exit 2; }
+
+retry-quarantined: which-sweep .venv/.runtime  ## run again what a sweep gave up on: OUT=outputs/NAME-HASH
 	$(BIN)/shift3d sweep $(OUT) $(ARGS) $(WORDS) --retry-quarantined
 
-verify: .venv/.runtime  ## score a sweep's solutions again at reference accuracy: OUT=outputs/NAME-HASH
-	@test -n "$(OUT)" || { echo 'which sweep? make verify OUT=outputs/NAME-HASH'; exit 2; }
+verify: which-sweep .venv/.runtime  ## score a sweep's solutions again at reference accuracy: OUT=outputs/NAME-HASH
 	$(BIN)/shift3d verify $(OUT) $(ARGS) $(WORDS)
 
-report: .venv/.runtime  ## write a sweep's page, report.html: OUT=outputs/NAME-HASH
-	@test -n "$(OUT)" || { echo 'which sweep? make report OUT=outputs/NAME-HASH'; exit 2; }
+report: which-sweep .venv/.runtime  ## write a sweep's page, report.html: OUT=outputs/NAME-HASH
 	$(BIN)/shift3d report $(OUT) $(ARGS)
 
 # A worker takes tests in a row, so that each shared set-up is made once; the one that ends first takes of the other's.

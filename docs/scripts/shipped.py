@@ -1,8 +1,8 @@
 """The measured numbers that ship, written again.
 
 ``python docs/scripts/shipped.py presets FOLDER``: the presets' rows of the frontier measured in FOLDER.
-``python docs/scripts/shipped.py task_parts OUT ...``: what the parts of a task take, from finished sweeps of one
-accuracy preset.
+``python docs/scripts/shipped.py task_parts MACHINE OUT ...``: what the parts of a task take, from finished sweeps of
+one accuracy preset; MACHINE says in words what they ran on.
 """
 
 from __future__ import annotations
@@ -75,11 +75,12 @@ def main(arguments: Sequence[str]) -> None:
             rows = read_frontier(Path(folder) / "frontier.parquet").to_pandas()
             text = rows[rows["preset"].notna()].to_json(orient="records", indent=2, double_precision=15)
             write_atomic(MEASURED, f"{text}\n".encode())
-        case ["task_parts", *folders] if folders:
+        case ["task_parts", machine, *folders] if folders:
             sweeps = [read_sweep(folder) for folder in folders]
             scores = pd.concat([sweep.scored for sweep in sweeps])
             tasks = [f"{counted(sweep.scored['task_id'].nunique(), 'task')} of {sweep.plan.sweep}" for sweep in sweeps]
-            parts = measured_parts(scores, pd.concat([sweep.timings for sweep in sweeps]), ", ".join(tasks))
+            source = f"{', '.join(tasks)}, {machine}"
+            parts = measured_parts(scores, pd.concat([sweep.timings for sweep in sweeps]), source)
             write_atomic(SHIPPED, f"{json.dumps(asdict(parts), indent=2)}\n".encode())
         case _:
             raise SystemExit(__doc__)

@@ -45,7 +45,7 @@ def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
     """Waymo's precision-recall curves, 0-75 m: bird's-eye view and 3D, both levels, both IoU thresholds."""
     figure = Figure(figsize=(8, 3.8), dpi=110, layout="constrained")
     axes = dict(zip(("BEV", "3D"), figure.subplots(1, 2, sharey=True)))
-    colours = {"LEVEL_1": "#c03030", "LEVEL_2": "#4878a8"}
+    colours, widths = {"LEVEL_1": "#c03030", "LEVEL_2": "#4878a8"}, {"LEVEL_1": 3.0, "LEVEL_2": 1.0}
     for metric in metrics:
         if metric.protocol != "waymo" or (metric.min_range_m, metric.max_range_m) != RANGES_M[0]:
             continue
@@ -55,9 +55,7 @@ def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
             metric.curve.precision,
             color=colours[metric.subset],
             linestyle="-" if metric.iou_threshold == 0.7 else ":",
-            marker=".",
-            markersize=3,
-            linewidth=1.0,
+            linewidth=widths[metric.subset],  # where both levels are alike, both show
             label=label,
         )
     for view, panel in axes.items():

@@ -42,7 +42,8 @@ class MeshFrame:
             what = f"forward={self.forward} and up={self.up} lie on one axis"
             raise InputError(what, where="orientation", remedy="two different axes of the file")
         if (self.unit is None) == (self.length_m is None):
-            raise InputError("the scale is open", where="scale", remedy="unit=m, cm, mm or in, or length_m=4.5: one")
+            given = "no scale is given" if self.unit is None else "unit and length_m are both given"
+            raise InputError(given, where="scale", remedy="Give one of unit=m (or cm, mm, in) and length_m=4.5")
         if self.unit is not None and self.unit not in UNITS_M:
             raise InputError(f"unknown unit {self.unit!r}", where="scale", remedy=f"{', '.join(UNITS_M)}")
         if self.length_m is not None and not LENGTH_M[0] <= self.length_m <= LENGTH_M[1]:

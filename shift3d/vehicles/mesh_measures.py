@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from trimesh.graph import connected_component_labels
 
 if TYPE_CHECKING:
     import trimesh
@@ -16,6 +17,7 @@ _STEP_M, _STEPS = 0.01, 5
 _MIDDLE_M = 0.25
 _WINDSHIELD_FROM, _WINDSHIELD_RISE = (0.60, 0.75), 0.20
 _NOSE, _CONTACT_M = 0.1, 0.08
+_SMALLEST_M3 = 1e-6
 DEFINITIONS = {
     "length, width, height": "outer sizes of the mesh in the vehicle's own axes",
     "ground clearance": "lowest surface over the middle third of the length, above the mesh's lowest point",
@@ -29,7 +31,7 @@ DEFINITIONS = {
     "overhangs, wheelbase": "from the foremost and to the rearmost point, and between them: the middles of what lies "
     "within 8 cm of the ground in the front and the rear half; left out where either is over 1 m long, or none",
     "volume": "enclosed by the mesh; left out where the mesh is not closed",
-    "pieces": "connected surfaces of the mesh; a car has one",
+    "pieces": "connected outer surfaces that enclose a cubic centimetre or more, cavities left out; a car has one",
 }
 
 
@@ -81,8 +83,16 @@ def measure_mesh(mesh: trimesh.Trimesh) -> Measures:
         wheelbase_cm=base,
         rear_overhang_cm=rear,
         volume_m3=float(mesh.volume) if mesh.is_watertight else None,
-        pieces=int(mesh.body_count),
+        pieces=_pieces(mesh),
     )
+
+
+def _pieces(mesh: trimesh.Trimesh) -> int:
+    """Outer surfaces: those of a cavity face inwards, so that their volume is negative."""
+    piece = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+    a, b, c = np.moveaxis(np.asarray(mesh.triangles) - mesh.bounds.mean(axis=0), 1, 0)
+    volume_m3 = np.bincount(piece, weights=(a * np.cross(b, c)).sum(axis=1) / 6.0)
+    return max(1, int((volume_m3 > _SMALLEST_M3).sum()))
 
 
 def _grid(low: float, high: float) -> FloatArray:

@@ -47,7 +47,7 @@ def read_parameters(path: Path, name: str) -> BoxOfParameters:
     tensors, metadata, source = read_tensors(path)
     facts: Any = described(metadata, "baselines", source).get(name)
     if not isinstance(facts, dict) or not isinstance(facts.get("parameters"), list):
-        remedy = "Give attack.space=pca or free, or vehicles of a parametric decoder"
+        remedy = "Give vehicle=wide, or attack.space=pca or free"
         raise InputError(f"{name[:80]!r} is made of no parameters", f"{source}, attack.space=parameters", remedy)
     names = tuple(str(parameter) for parameter in facts["parameters"])
     basis = tensor_of(tensors, f"{name}.parameters.basis", (len(names), CODE_LENGTH), source)

@@ -9,6 +9,9 @@ import pandas as pd
 
 from shift3d.seeding import generator
 
+_LEAST_FALL = 0.01
+"""Of a score that fell; less is a case for nobody (our choice)."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -42,12 +45,12 @@ def falls(scores: pd.DataFrame) -> list[Case]:
 
 
 def hardest(scores: pd.DataFrame, count: int = 4, unnatural: Collection[str] = ()) -> list[Case]:
-    """The tasks whose score fell furthest, other vehicles and scenes first.
+    """The tasks whose score fell furthest, by 0.01 or more, other vehicles and scenes first.
 
     Of equal falls the first in the plan's order. unnatural: tasks that are chosen only where there are not `count`
     others, and stand last.
     """
-    left = sorted((case for case in falls(scores) if case.fall > 0), key=lambda case: -case.fall)
+    left = sorted((case for case in falls(scores) if case.fall >= _LEAST_FALL), key=lambda case: -case.fall)
     chosen: list[Case] = []
     while left and len(chosen) < count:
         # Of those that repeat least, the first is the one that fell furthest.

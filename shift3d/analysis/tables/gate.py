@@ -90,11 +90,11 @@ class Comparison:
         number, least = self.number("hard"), self.detectable
         detected = int(self._of("hard")["detected_before"].sum())
         if least is None:
-            shown = "no loss is found in 90 % of releases"
+            shown = "a loss of any size can be missed"
         elif least * number > detected:
             shown = f"of which {detected} were detected before, no loss of recall can be shown"
         else:
-            shown = f"a loss of {100 * least:.1f} points of recall is found in 90 % of releases"
+            shown = f"a loss of {100 * least:.1f} points of recall would be found in 90 % of releases"
             shown += " if objects are independent; objects of one scene are not"
         return f"No loss found against {against}: {counts}. With {counted(number, 'hard object')}, {shown}."
 

@@ -106,6 +106,8 @@ def _show(config: Config, out: str | None) -> int:
     where = PlacementSpec(**settings, sector_centre_rad=centre, sector_half_width_rad=half_width)
     places = survey_scene(scenes, name, where)
     print(f"{'places for a car:':<22}{places.line()}")
+    if scene.conditions.weather != "dry" and not scene.conditions.weather_in_points:
+        print(f"{'weather:':<22}a sweep simulates it; places and picture are those of a clear day")
     if path is not None:
         from shift3d.scenes.picture import save_picture
 

@@ -56,8 +56,9 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     Returns: The files. ``scene.bin`` (KITTI: float32 x, y, z, reflectance; sensor frame; the scene's point order;
     reflectance 0 where the scene has none) and ``scene.ply`` (the same points, the vehicle's coloured),
     ``hit_mask.npy`` (bool, True where a point was moved onto the object), ``object.ply`` (metres, sensor frame) and
-    ``object.glb`` (the vehicle's own frame in glTF's axes, y up and z forward), ``box.json`` and ``boxes.json`` (sensor
-    frame, geometric centre; of the object, and of everything in the scene), and ``kitti/training/...``, the edited
+    ``object.glb`` (the vehicle's own frame in glTF's axes, y up and z forward), ``box.json`` (sensor frame, geometric
+    centre: ``own_box`` of the mesh; ``box``, of the unchanged vehicle's size, which the attack and the scores look at),
+    ``boxes.json`` (of everything in the scene, the object's own box last), and ``kitti/training/...``, the edited
     scene as a frame of a KITTI folder. Points that effects made vanish are left out; returns of beams that had none
     follow the scene's points.
 
@@ -69,11 +70,12 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
     rendered = render_solution(spec, solution, assets)
     theta, code, rendering = rendered.theta, rendered.code, rendered.rendering
     mesh = vehicle_mesh(vehicle, assets.decoder, code.float())
+    own_box = _mesh_box(mesh, theta)
     mesh.vertices = scene_from_object(torch.from_numpy(np.array(mesh.vertices)), theta).numpy()
     kept = slice(None) if rendering.returned is None else rendering.returned.numpy()
     hits, points = rendering.hit_mask.numpy()[kept], rendering.points.numpy()[kept]
     reflectance = _reflectance(scene, rendering, kept)
-    boxes = np.concatenate((scene.labels.boxes, object_box(theta, vehicle.size_m, 0.0)[None]))
+    boxes = np.concatenate((scene.labels.boxes, own_box[None]))
     classes = [*scene.labels.classes, "vehicle"]
     frame = frame_files(FRAME, points, reflectance, scene.ground_z_m, boxes, classes)
     files = {
@@ -82,7 +84,7 @@ def export_solution(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets,
         "hit_mask.npy": _npy_bytes(hits),
         "object.ply": _exported(mesh, "ply"),
         "object.glb": _exported(_in_gltf_axes(mesh, theta), "glb"),
-        "box.json": _box_json(spec, solution, theta, vehicle.size_m, int(hits.sum())),
+        "box.json": _box_json(spec, solution, object_box(theta, vehicle.size_m, 0.0), own_box, int(hits.sum())),
         "boxes.json": _boxes_json(boxes, classes, scene.ground_z_m),
         **{f"{_KITTI}/{path}": content for path, content in frame.items()},
     }
@@ -114,6 +116,13 @@ def _in_gltf_axes(mesh: trimesh.Trimesh, theta: torch.Tensor) -> trimesh.Trimesh
     return trimesh.Trimesh(vertices[:, [1, 2, 0]], mesh.faces, process=False)
 
 
+def _mesh_box(mesh: trimesh.Trimesh, theta: torch.Tensor) -> NDArray[np.float64]:
+    """(7,) the box of a mesh in the object frame, in the sensor frame: for a label, which has no pitch and roll."""
+    low, high = np.asarray(mesh.bounds, dtype=np.float64)
+    centre = scene_from_object(torch.from_numpy((low + high)[None] / 2.0), theta).numpy()[0]
+    return np.array([*centre, *(high - low), float(theta[3])])
+
+
 def _boxes_json(boxes: NDArray[np.float64], classes: list[str], ground_z_m: float) -> bytes:
     """Every labelled object and, last, the inserted one."""
     rows = [
@@ -128,13 +137,13 @@ def _boxes_json(boxes: NDArray[np.float64], classes: list[str], ground_z_m: floa
 def _box_json(
     spec: TaskSpec,
     solution: Mapping[str, Any],
-    theta: torch.Tensor,
-    size_m: tuple[float, float, float],
+    box: NDArray[np.float64],
+    own_box: NDArray[np.float64],
     object_points: int,
 ) -> bytes:
-    numbers = (float(value) for value in object_box(theta, size_m, 0.0))
     what = {
-        "box": dict(zip(_BOX, numbers, strict=True)),
+        "box": dict(zip(_BOX, box.tolist(), strict=True)),
+        "own_box": dict(zip(_BOX, own_box.tolist(), strict=True)),
         "frame": "lidar",
         "units": _UNITS,
         "class": "vehicle",

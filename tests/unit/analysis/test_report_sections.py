@@ -129,7 +129,7 @@ def test_cells_pool_vehicles_by_their_scores(finished: Path) -> None:
 
 def test_the_hardest_are_of_other_vehicles_and_scenes_first() -> None:
     falls = {("a", "suv", "1"): 0.8, ("b", "suv", "1"): 0.7, ("c", "coupe", "1"): 0.3, ("d", "coupe", "2"): 0.2,
-             ("e", "van", "3"): -0.1}  # fmt: skip
+             ("e", "van", "3"): -0.1, ("f", "van", "4"): 0.009}  # fmt: skip
     rows = [
         {"task_id": task, "vehicle": vehicle, "scene": scene, "mode": "shape", "detector": "p", "scored_by": "p"}
         | {"method": method, "replicate": 0, "score": 0.9 if method == "baseline" else 0.9 - fall}

@@ -18,6 +18,8 @@ from shift3d.cli.main import main
     [
         ([], "detector= is missing"),
         (["detector=pointpilars"], "pointpilars"),
+        (["detector=own"], "own detectors are not evaluated. Attack it in a sweep"),
+        (["detector=onnx"], "onnx detectors are not evaluated. Attack it in a sweep"),
         (["detector=pointpillars", "scenes=moon"], "scenes='moon' is unknown"),
         (["detector=pointpillars", "scenes=kitti"], "root= is missing"),
         (["detector=pointpillars", "root=x"], "root= means nothing for scenes=street"),

@@ -32,3 +32,12 @@ def test_words_that_make_takes_for_variables_reach_the_command() -> None:
     assert sorted(given[2:]) == ["effects=[fog,rain]", "out=/proc/x", "scenes.count=3"]
     assert command("sweep", "out=") == ["sweep", "default", "out="]
     assert command("verify", "OUT=here", "runner=local") == ["verify", "here", "runner=local"]
+
+
+@pytest.mark.parametrize("target", ["verify", "report", "retry-quarantined"])
+def test_a_sweep_that_nobody_named_is_asked_for_before_anything_is_installed(target: str, tmp_path: Path) -> None:
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "OUT"))}
+    done = subprocess.run(["make", target], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stdout.strip() == f"which sweep? make {target} OUT=outputs/NAME-HASH"
+    assert not (tmp_path / ".venv").exists()

@@ -19,6 +19,7 @@ from shift3d.detectors.loading import load_detector
 from shift3d.detectors.nms import suppress
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
+from shift3d.geometry.se3 import object_from_scene, scene_from_object
 from shift3d.scenes.kitti.files import lidar_box
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.kitti.writing import CALIBRATION, label_line
@@ -33,6 +34,7 @@ from shift3d.task.follow_ups.rendered import render_solution
 from shift3d.task.problem import build_problem
 from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
 
+BOX = ("x", "y", "z", "dx", "dy", "dz", "heading")
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 SPEC = make_spec()
 
@@ -68,8 +70,17 @@ def test_export_renders_the_solution_again(exported: tuple[Path, Row, Row], asse
 
     box = json.loads((folder / "box.json").read_text())
     assert box["frame"] == "lidar" and box["object_points"] == hits.sum()
-    values = np.array([[box["box"][name] for name in ("x", "y", "z", "dx", "dy", "dz", "heading")]])
+    values = np.array([[box["box"][name] for name in BOX]])
     assert points_in_boxes(moved, values, margin_m=0.5).mean() > 0.95
+    # Its own box is that of the mesh in the vehicle's axes.
+    own = np.array([box["own_box"][name] for name in BOX])
+    theta = torch.tensor([box["pose"][name] for name in POSE], dtype=torch.float64)
+    vertices = object_from_scene(torch.from_numpy(np.array(mesh.vertices, dtype=np.float64)), theta).numpy()
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    assert own[3:6] == pytest.approx(high - low, abs=1e-4) and own[6] == float(theta[3])
+    middle = scene_from_object(torch.from_numpy((low + high)[None] / 2.0), theta).numpy()[0]
+    assert own[:3] == pytest.approx(middle, abs=1e-4)
+    assert np.abs(own[3:6] - values[0, 3:6]).max() > 0.03
 
 
 def test_the_frame_loaded_again_has_the_score_of_the_sweep(exported: tuple[Path, Row, Row], assets: Assets) -> None:
@@ -90,7 +101,10 @@ def test_the_frame_has_every_box_and_the_inserted_one_last(exported: tuple[Path,
     original, _ = assets.scene(SPEC)
     scene = KittiScenes(folder / "kitti").load(FRAME)
     theta = torch.tensor([solution[name] for name in POSE], dtype=torch.float64)
-    expected = np.concatenate((original.labels.boxes, object_box(theta, assets.vehicle(SPEC).size_m, 0.0)[None]))
+    stated = json.loads((folder / "box.json").read_text())
+    box, own = (np.array([stated[which][name] for name in BOX]) for which in ("box", "own_box"))
+    assert box == pytest.approx(object_box(theta, assets.vehicle(SPEC).size_m, 0.0))
+    expected = np.concatenate((original.labels.boxes, own[None]))
     found = scene.labels.boxes
     assert found[:, :6] == pytest.approx(expected[:, :6], abs=1e-6)
     turned = found[:, 6] - expected[:, 6]
@@ -99,7 +113,7 @@ def test_the_frame_has_every_box_and_the_inserted_one_last(exported: tuple[Path,
     assert scene.ground_z_m == original.ground_z_m and len(scene.points) == len(original.points)
     stated = json.loads((folder / "boxes.json").read_text())
     assert [row["inserted"] for row in stated["objects"]] == [False] * len(original.labels.boxes) + [True]
-    assert stated["objects"][-1]["box"] == json.loads((folder / "box.json").read_text())["box"]
+    assert stated["objects"][-1]["box"] == json.loads((folder / "box.json").read_text())["own_box"]
     assert stated["ground_z_m"] == original.ground_z_m
 
 
@@ -122,7 +136,7 @@ def test_the_glb_is_the_mesh_in_its_own_frame_standing_upright(exported: tuple[P
     assert np.abs(glb.bounds.mean(axis=0)).max() < 0.2
     points = np.fromfile(folder / "scene.bin", dtype="<f4").reshape(-1, 4)[np.load(folder / "hit_mask.npy"), :3]
     box = json.loads((folder / "box.json").read_text())["box"]
-    values = np.array([[box[name] for name in ("x", "y", "z", "dx", "dy", "dz", "heading")]])
+    values = np.array([[box[name] for name in BOX]])
     assert points_in_boxes(points, values, margin_m=0.3).mean() > 0.95
 
 

@@ -122,7 +122,7 @@ def test_parameters_come_back_as_they_were_written(tmp_path: Path) -> None:
 
 
 def test_vehicles_without_parameters_or_with_an_empty_range_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"'suv' is made of no parameters\. Give attack.space=pca"):
+    with pytest.raises(InputError, match=r"'suv' is made of no parameters\. Give vehicle=wide"):
         read_parameters(write(tmp_path / "none.safetensors", box(), None), "suv")
     empty = BoxOfParameters(box().basis, box().start, np.array([-1.0, 0.6]), box().high, ("a", "b"))
     with pytest.raises(InputError, match="the range of b does not hold the vehicle"):

@@ -31,7 +31,7 @@ def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> Section:
     unnatural = sweep.unnatural
     chosen = hardest(sweep.scores, count, unnatural)
     if not chosen:
-        nothing = "No score fell below its baseline's: there is no hard case to show."
+        nothing = "No score fell by 0.01 or more below its baseline's: there is no hard case to show."
         return Section("cases", _TITLE, [Paragraph(nothing, "missing")])
     parts: list[Block] = []
     for number, case in enumerate(chosen, start=1):
@@ -41,8 +41,8 @@ def hard_cases(sweep: Sweep, loaded: Loaded, count: int = 4) -> Section:
             text = f"Case {number}, task {case.task_id}, cannot be drawn: {error.what}"
             parts.append(Paragraph(text, "missing"))
     lead = (
-        f"The {len(chosen)} solutions whose score fell furthest below the baseline's of the same task, other vehicles "
-        f"and scenes first.{_left_out(unnatural, chosen)} Drag a vehicle to turn both."
+        f"{counted(len(chosen), 'solution')} whose score fell furthest below the baseline's of the same task, other "
+        f"vehicles and scenes first.{_left_out(unnatural, chosen)} Drag a vehicle to turn both."
     )
     return Section(
         "cases", _TITLE, [Paragraph(lead), *parts, Fold("How the meshes are measured", [Terms(DEFINITIONS)])]

@@ -38,7 +38,9 @@ def retrieval(sweep: Sweep, loaded: Loaded) -> Section:
     """The section; it says how kin are found where nobody has looked."""
     if sweep.retrieved.empty:
         lead = Paragraph("Nobody has looked for natural vehicles that are like these shapes.", "missing")
-        return Section("retrieval", _TITLE, [lead, Command("It takes minutes:", "shift3d retrieve OUT")])
+        return Section(
+            "retrieval", _TITLE, [lead, Command("A vehicle of the set takes some seconds:", "shift3d retrieve OUT")]
+        )
     table = retrieval_table(sweep.retrieved)
     own = kept(sweep.retrieved)
     own = own[own["scored_by"] == own["detector"]]

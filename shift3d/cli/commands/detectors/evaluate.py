@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
 from shift3d.cli.completion import overrides
 from shift3d.cli.foreign_words import FOREIGN_KEYS, foreign_layout_of
+from shift3d.detectors.names import ONNX, OWN
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -64,6 +65,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
         return evaluate(key_values(arguments.words, ("model",), ("model",), "evaluate")["model"])
     values = key_values(arguments.words, _KEYS, ("detector",), "evaluate")
+    if values["detector"] in (OWN, ONNX):
+        remedy = f"Attack it in a sweep: shift3d sweep NAME detector={values['detector']}"
+        raise InputError(f"{values['detector']} detectors are not evaluated", "evaluate detector=", remedy)
     count = whole_number(values, "count", 200, "evaluate") if "count" in values else None
     workers = whole_number(values, "workers", 1, "evaluate")
     from shift3d.analysis.detector_evaluation import evaluate_detector

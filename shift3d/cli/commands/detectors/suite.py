@@ -39,6 +39,8 @@ def _run(arguments: argparse.Namespace) -> int:
     given = {key: choice(values, key, allowed, "suite") for key, allowed in _VALUES.items()}
     seed = whole_number(values, "seed", 0, "suite", least=0)
     count = whole_number(values, "count", 500, "suite")
+    from shift3d.analysis.statistics.loss import least_p_value
+    from shift3d.analysis.statistics.releases import Rule
     from shift3d.processor import configure_runtime
     from shift3d.suite.choosing import Choice
     from shift3d.suite.freezing import freeze_suite
@@ -51,6 +53,8 @@ def _run(arguments: argparse.Namespace) -> int:
     hard, controls, scenes = (manifest[name] for name in ("hard_objects", "control_objects", "scenes"))
     parts = [counted(hard, "hard object"), counted(controls, "control"), counted(scenes, "scene")]
     print(f"{suite.folder}: {', '.join(parts)}, {size:.1f} MB, digest {suite.digest}")
+    if least_p_value(scenes) > Rule().level:
+        print("a gate refuses so few scenes, where no loss is significant: freeze a sweep over five or more")
     for reason, number in frozen.left_out.items():
         print(f"left out: {number} {reason}")
     if frozen.unverified:

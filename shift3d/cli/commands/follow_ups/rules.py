@@ -33,4 +33,4 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = Command("rules", "say what the objects share that are missed", _DESCRIPTION, _EPILOG, _run, FINISHED)
+COMMAND = Command("rules", "find what missed objects have in common", _DESCRIPTION, _EPILOG, _run, FINISHED)

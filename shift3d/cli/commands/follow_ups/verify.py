@@ -12,11 +12,10 @@ from shift3d.exit_codes import ExitCode
 from shift3d.wording import counted
 
 _DESCRIPTION = """\
-Is a blind spot real, or a rounding? Every solution of a finished sweep is scored again: at reference accuracy
-(float64, along the decoder's linear pieces), with fresh noise on the beams that meet it, and a little off its
-pose. The result goes into OUT/final: columns score_reference and stable of scores.parquet, all of it in
-verification.parquet, and the page stability.html. The same command again resumes; a sweep that is run again keeps
-its verification."""
+Checks that low scores are no numerical errors. Every solution of a finished sweep is scored again: rendered
+exactly in float64, with fresh noise on the beams that meet it, and a little off its pose. The result goes into
+OUT/final: columns score_reference and stable of scores.parquet, all of it in verification.parquet, and the page
+stability.html. The same command again resumes; a sweep that is run again keeps its verification."""
 
 _EPILOG = """\
 examples:
