@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.errors import InputError
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 if TYPE_CHECKING:
-    from shift3d.effects.base import DetectorFacts, Effect
+    from shift3d.effects.base import Effect
     from shift3d.render.field.object_field import VehicleFrame
 
 MEASURED_IMPACT = Path(__file__).resolve().parent / "measured" / "effects.json"

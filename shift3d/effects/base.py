@@ -24,18 +24,9 @@ from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.rendering import Rendering
 from shift3d.render.settings import RenderSettings
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Scene
 from shift3d.seeding import generator
-
-
-@dataclass(frozen=True)
-class DetectorFacts:
-    """What an effect asks about a detector. reads_reflectance: beside coordinates."""
-
-    name: str
-    reads_reflectance: bool = False
-
 
 Kind = Literal["cast", "footprint", "returns"]
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, Effect, EffectContext, FootprintStep, Insertion, Kind, Returns
+from shift3d.effects.base import Effect, EffectContext, FootprintStep, Insertion, Kind, Returns
 from shift3d.effects.chain import SCENE_ALBEDO
 from shift3d.effects.physics.materials import albedo_of
 from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
@@ -16,7 +16,7 @@ from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.render.implicit import cosine_of_incidence
 from shift3d.render.render import render
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 PULSE_M = 0.75
 """Echoes of one beam nearer to each other than this merge: c t / 2 of a pulse of 5 ns (our choice)."""

@@ -7,11 +7,11 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import Cast, CastStep, DetectorFacts, Effect, EffectContext, Kind
+from shift3d.effects.base import Cast, CastStep, Effect, EffectContext, Kind
 from shift3d.effects.chain import NO_RETURN_M
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.sensor import NoReturnBeams
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from shift3d.effects.base import CastStep, DetectorFacts, Effect, EffectContext, Kind
+from shift3d.effects.base import CastStep, Effect, EffectContext, Kind
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import VehicleFrame
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
 class Origins(Effect):

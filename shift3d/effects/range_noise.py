@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import torch
 
-from shift3d.effects.base import DetectorFacts, Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
+from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.render.field.object_field import VehicleFrame
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 LEAST_NOISE_M = 2e-6
 """Noise below this is lost in what points are stored in: half a step of float32 at 50 m (our choice)."""

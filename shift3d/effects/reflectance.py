@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import torch
 
-from shift3d.effects.base import DetectorFacts, Effect, EffectContext, Kind, Returns, ReturnsStep
+from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep
 from shift3d.render.field.object_field import VehicleFrame
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
 class Reflectance(Effect):

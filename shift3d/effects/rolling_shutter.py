@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import Cast, CastStep, DetectorFacts, Effect, EffectContext, Kind
+from shift3d.effects.base import Cast, CastStep, Effect, EffectContext, Kind
 from shift3d.render.field.object_field import VehicleFrame
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.labels import Conditions
 
 ASSUMED_NOISE_M = 0.02

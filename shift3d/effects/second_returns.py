@@ -7,9 +7,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
+from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.render.field.object_field import VehicleFrame
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Scene
 
 _NONE_YET = 256

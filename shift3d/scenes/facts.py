@@ -91,6 +91,14 @@ _GROUND_SHARE = 0.02
 
 
 @dataclass(frozen=True)
+class DetectorFacts:
+    """What an effect asks about a detector. reads_reflectance: beside coordinates."""
+
+    name: str
+    reads_reflectance: bool = False
+
+
+@dataclass(frozen=True)
 class SceneFacts:
     """A scene without its points.
 

@@ -18,8 +18,8 @@ from torch.nn.utils import parametrizations
 
 from shift3d.errors import InputError
 from shift3d.sdf.field import Field
-from shift3d.sdf.tensors import check_magnitude, checked_tensors, read_safetensors, without_subnormals
-from shift3d.store.arrays import write_safetensors
+from shift3d.sdf.tensors import check_magnitude, checked_tensors, without_subnormals
+from shift3d.store.arrays import read_safetensors, write_safetensors
 
 CODE_LENGTH = 256
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "weights" / "sdf.safetensors"

@@ -7,7 +7,6 @@ was read from the file.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, TypeGuard
 
 import torch
@@ -21,27 +20,6 @@ _LARGEST_VALUE = 1e30
 """Of anything in a network. float32 ends at 3e38, and a sum beyond it is infinite, the difference of two such NaN.
 Trained decoders reach at most 1e14 by this estimate."""
 _LARGEST_NORMED = 1e18  # a layer norm squares its input
-
-
-def read_safetensors(
-    path: Path | str | None, default: Path, framework: str
-) -> tuple[dict[str, Any], dict[str, str], Path]:
-    """Tensors and metadata of a file, and its path. default: of the shipped weights, where path is None.
-
-    framework: "pt" or "np". Raises InputError naming the file: it is missing or unreadable.
-    """
-    from safetensors import SafetensorError, safe_open
-
-    source = Path(path) if path is not None else default
-    if not source.is_file():
-        remedy = "Check the path" if path is not None else 'Train it: make train ARGS="model=sdf"'
-        raise InputError("no such file", where=str(source), remedy=remedy)
-    try:
-        with safe_open(str(source), framework=framework) as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}, source  # noqa: SIM118
-    except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that NumPy does not have
-        what = f"not a readable safetensors file ({error})"
-        raise InputError(what, where=str(source), remedy="copy it again") from error
 
 
 def without_subnormals(weight: Tensor) -> Tensor:

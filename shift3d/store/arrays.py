@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 
 if TYPE_CHECKING:
@@ -43,3 +44,24 @@ def write_safetensors(path: Path, tensors: Mapping[str, Tensor | NDArray[Any]], 
     text = json.dumps(ordered, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 8)  # as the library pads it
     write_atomic(path, len(text).to_bytes(8, "little") + text + content[data:])
+
+
+def read_safetensors(
+    path: Path | str | None, default: Path, framework: str
+) -> tuple[dict[str, Any], dict[str, str], Path]:
+    """Tensors and metadata of a file, and its path. default: of the shipped weights, where path is None.
+
+    framework: "pt" or "np". Raises InputError naming the file: it is missing or unreadable.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    source = Path(path) if path is not None else default
+    if not source.is_file():
+        remedy = "Check the path" if path is not None else 'Train it: make train ARGS="model=sdf"'
+        raise InputError("no such file", where=str(source), remedy=remedy)
+    try:
+        with safe_open(str(source), framework=framework) as file:
+            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}, source  # noqa: SIM118
+    except (SafetensorError, OSError, TypeError) as error:  # TypeError: a type that NumPy does not have
+        what = f"not a readable safetensors file ({error})"
+        raise InputError(what, where=str(source), remedy="copy it again") from error

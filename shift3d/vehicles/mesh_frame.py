@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+
+if TYPE_CHECKING:
+    import trimesh
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -73,6 +76,8 @@ class MeshFrame:
         if extent[1:].max() * scale > WIDEST_M:
             what = f"the vehicle would be {extent[1] * scale:g} m wide and {extent[2] * scale:g} m high"
             raise InputError(what, where=where, remedy=f"Give a mesh of one vehicle: at most {WIDEST_M:g} m of either")
+        import trimesh
+
         return trimesh.Trimesh((vertices - (low + high) / 2.0) * scale, mesh.faces, process=False)
 
     def _check_direction(self, extent: NDArray[np.float64], where: str) -> None:

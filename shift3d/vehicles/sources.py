@@ -7,21 +7,24 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import Decoder, load_decoder
-from shift3d.sdf.deepsdf_network import DeepSdfNetwork
-from shift3d.sdf.foreign import Experiment, experiment_files, load_experiment
-from shift3d.sdf.meshes import extract_mesh
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.names import WIDE
 from shift3d.vehicles.parameter_box import BoxOfParameters, read_parameters
 from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles, family_vehicles
+
+# A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from shift3d.sdf.decoder import Decoder
+    from shift3d.sdf.deepsdf_network import DeepSdfNetwork
+    from shift3d.sdf.foreign import Experiment
 
 _T = TypeVar("_T")
 MEASURED_RESOLUTION = 129
@@ -126,6 +129,8 @@ class VehicleSet(VehicleSource):
         return read_parameters(self._folder / DEFAULT_VEHICLES.name, name)
 
     def decoder(self) -> Decoder:
+        from shift3d.sdf.decoder import load_decoder
+
         return load_decoder(self._folder / "sdf.safetensors")
 
     def decoder_hash(self) -> str:
@@ -175,6 +180,8 @@ class DeepSdfVehicles(VehicleSource):
 
     @functools.cached_property
     def _experiment(self) -> Experiment:
+        from shift3d.sdf.foreign import load_experiment
+
         return load_experiment(self._folder, self._checkpoint)
 
     @functools.cached_property
@@ -209,6 +216,8 @@ class DeepSdfVehicles(VehicleSource):
         return self._scaled
 
     def decoder_hash(self) -> str:
+        from shift3d.sdf.foreign import experiment_files
+
         digest = hashlib.blake2b(repr(self._code_norm).encode(), digest_size=16)
         for path in experiment_files(self._folder, self._checkpoint):
             digest.update(hashlib.blake2b(path.read_bytes(), digest_size=16).digest())
@@ -226,6 +235,8 @@ class DeepSdfVehicles(VehicleSource):
         return self._measured[name]
 
     def _measure(self, name: str, code: Tensor) -> Vehicle:
+        from shift3d.sdf.meshes import extract_mesh
+
         length_m = self._length_of(name)
         sdf_R_object = MeshFrame(self._forward, self._up, length_m=length_m).object_R_file().T
         mesh = extract_mesh(self._scaled.field(code), MEASURED_RESOLUTION)

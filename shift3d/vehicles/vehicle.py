@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.store.arrays import read_safetensors
 from shift3d.vehicles.mesh_frame import LENGTH_M
 
 if TYPE_CHECKING:
+    import trimesh
     from torch import Tensor
 
     from shift3d.sdf.decoder import Decoder
@@ -67,8 +68,6 @@ class Vehicle:
 
 def read_tensors(path: Path | str | None) -> tuple[dict[str, NDArray[np.generic]], dict[str, str], Path]:
     """Tensors and metadata of a vehicles file, and its path. Raises: InputError where it is missing or unreadable."""
-    from shift3d.sdf.tensors import read_safetensors
-
     return read_safetensors(path, DEFAULT_VEHICLES, "np")
 
 

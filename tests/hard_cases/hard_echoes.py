@@ -11,12 +11,12 @@ from analytic_fields import Frame, in_frame, sphere
 from hard_scenes import FAST
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.chain import EffectChain
 from shift3d.effects.weather import fog, precipitation
 from shift3d.render import Beams
 from shift3d.render.rendering import Rendering
-from shift3d.scenes.facts import EffectSettings
+from shift3d.scenes.facts import DetectorFacts, EffectSettings
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 

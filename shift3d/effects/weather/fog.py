@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
+from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
 from shift3d.effects.physics.power import (
     LEAST_LOSS,
     OVERLAP_FROM_M,
@@ -22,7 +22,7 @@ from shift3d.effects.physics.power import (
     reach_m,
 )
 from shift3d.render.field.object_field import VehicleFrame
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 PULSE_S = 20e-9
 """tau, half the length of the sin^2 pulse: its width at half height."""

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
+from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
 from shift3d.effects.physics.power import PowerLimit, echo_power
 from shift3d.render.field.object_field import VehicleFrame
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 WATER_INDEX = 1.33
 GROUND_BAND_M = 0.3

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from shift3d.effects.applicability import NEEDS, Choice, choose
-from shift3d.effects.base import DetectorFacts
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.schema.config import Config
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from shift3d.settings.catalogue.reading import Catalogue
+from shift3d.settings.catalogue.reading import Catalogue, read_catalogue
 from shift3d.settings.schema.config import Config
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.spec import TaskSpec
@@ -39,14 +39,27 @@ class TaskKind:
 
 def shift3d_kind() -> TaskKind:
     """The real task: place a vehicle, attack it, score what was found."""
-    from shift3d.settings.catalogue.reading import read_catalogue
-    from shift3d.task.assets import load_assets, prepare_reference
+    preview = functools.partial(read_catalogue, preview=True)
+    return TaskKind(run=_run, load=_load, catalogue=read_catalogue, preview=preview, prepare=_prepare)
+
+
+# What tasks need is imported where they run: a plan, and the driver of a sweep on Ray, do without torch.
+def _run(spec: TaskSpec, assets: Any) -> TaskResult:
     from shift3d.task.run import run_task
 
-    preview = functools.partial(read_catalogue, preview=True)
-    return TaskKind(
-        run=run_task, load=load_assets, catalogue=read_catalogue, preview=preview, prepare=prepare_reference
-    )
+    return run_task(spec, assets)
+
+
+def _load(spec: AssetsSpec) -> Any:
+    from shift3d.task.assets import load_assets
+
+    return load_assets(spec)
+
+
+def _prepare(spec: AssetsSpec) -> None:
+    from shift3d.task.assets import prepare_reference
+
+    prepare_reference(spec)
 
 
 def reproduce_command(kind: TaskKind, plan: Plan) -> str:

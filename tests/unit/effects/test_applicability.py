@@ -11,9 +11,8 @@ from analytic_fields import Frame
 
 from shift3d.effects import applicability
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, Choice, choose
-from shift3d.effects.base import DetectorFacts
 from shift3d.errors import InputError
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
@@ -109,9 +108,8 @@ def test_a_dry_scene_calls_for_nothing():
 _FRESH = """
 import sys
 from types import SimpleNamespace
-from shift3d.effects.base import DetectorFacts
 from shift3d.effects.applicability import choose
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.sensor import SensorModel
 frame = SimpleNamespace(scale_m=1.0, sdf_R_object=None, sdf_t_object=None, size_m=(4.4, 1.8, 1.5))
 noise = float(sys.argv[1]) or None
@@ -129,7 +127,7 @@ def fresh(noise_m: float) -> tuple[list[str], list[str]]:
 
 
 def test_no_effect_is_imported_where_none_is_called_for():
-    own = ["shift3d.effects", "shift3d.effects.applicability", "shift3d.effects.base"]
+    own = ["shift3d.effects", "shift3d.effects.applicability"]
     assert fresh(0.0) == ([], own)
 
 

@@ -8,7 +8,7 @@ import torch
 from analytic_fields import Field, Frame, box, in_frame, sphere
 from torch import Tensor
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Insertion, Returns
+from shift3d.effects.base import EffectContext, Insertion, Returns
 from shift3d.effects.chain import SCENE_ALBEDO, EffectChain
 from shift3d.effects.divergence import (
     EFFECT,
@@ -23,7 +23,7 @@ from shift3d.effects.physics.silhouettes import sub_rays
 from shift3d.geometry.se3 import scene_from_object
 from shift3d.render import Beams, preset, render
 from shift3d.render.rendering import Rendering
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 

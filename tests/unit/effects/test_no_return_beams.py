@@ -7,11 +7,11 @@ import pytest
 import torch
 from analytic_fields import Frame, in_frame, sphere
 
-from shift3d.effects.base import Cast, DetectorFacts, EffectContext
+from shift3d.effects.base import Cast, EffectContext
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
 from shift3d.effects.no_return_beams import EFFECT
 from shift3d.render import Beams, preset
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import NoReturnBeams

@@ -5,11 +5,11 @@ import pytest
 import torch
 from analytic_fields import Frame, in_frame, sphere
 
-from shift3d.effects.base import Cast, DetectorFacts, EffectContext
+from shift3d.effects.base import Cast, EffectContext
 from shift3d.effects.chain import EffectChain
 from shift3d.effects.origins import EFFECT
 from shift3d.render import Beams, preset, render
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.scene import Scene
 
 FRAME = Frame(size_m=(2.0, 2.0, 2.0), scale_m=2.5)

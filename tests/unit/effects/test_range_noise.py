@@ -8,10 +8,10 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.range_noise import EFFECT
 from shift3d.render.beams import Beams
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import SensorModel
 

@@ -8,12 +8,12 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.physics.materials import DARKEST_ALBEDO
 from shift3d.effects.physics.power import PowerLimit, echo_power
 from shift3d.effects.ray_drop import EFFECT, FAR_M, STEEP_RAD
 from shift3d.render.beams import Beams
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import SensorModel
 

@@ -7,11 +7,11 @@ import numpy as np
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.physics.materials import PAINT_ALBEDO
 from shift3d.effects.reflectance import EFFECT
 from shift3d.render.beams import Beams
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Scene
 
 

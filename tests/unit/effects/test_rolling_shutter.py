@@ -8,11 +8,11 @@ import pytest
 import torch
 from analytic_fields import Frame, box, in_frame
 
-from shift3d.effects.base import Cast, DetectorFacts, EffectContext
+from shift3d.effects.base import Cast, EffectContext
 from shift3d.effects.chain import EffectChain
 from shift3d.effects.rolling_shutter import ASSUMED_NOISE_M, EFFECT, relative_velocity
 from shift3d.render import Beams, preset
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import SensorModel

@@ -7,12 +7,12 @@ import pytest
 import torch
 from analytic_fields import Frame, box, in_frame
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
 from shift3d.effects.second_returns import EFFECT
 from shift3d.render import preset
 from shift3d.render.beams import Beams
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.scene import Scene
 
 

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from shift3d.effects.applicability import NEEDS, choose
-from shift3d.effects.base import DetectorFacts
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.options import StreetOptions
 

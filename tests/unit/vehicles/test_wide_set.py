@@ -65,5 +65,7 @@ def test_the_hash_of_a_space_tells_what_bounds_a_search(wide: VehicleSet) -> Non
 
 
 def test_vehicles_of_codes_alone_have_no_parameters() -> None:
-    with pytest.raises(InputError, match=r"'suv' is made of no parameters\. Give attack\.space=pca or free"):
+    with pytest.raises(
+        InputError, match=r"'suv' is made of no parameters\. Give vehicle=wide, or attack\.space=pca or free"
+    ):
         VehicleSet().parameters("suv")

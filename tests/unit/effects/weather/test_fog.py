@@ -8,10 +8,10 @@ import pytest
 import torch
 from analytic_fields import Frame
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.weather.fog import EFFECT, PULSE_S, backscatter_per_m, extinction_per_m, soft_echo
 from shift3d.render.beams import Beams
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 

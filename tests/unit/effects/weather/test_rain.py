@@ -9,11 +9,11 @@ import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.weather.precipitation import DIVERGENCE_RAD, EXIT_M, crossings, extra_noise_m
 from shift3d.effects.weather.rain import DROP_ALBEDO, EFFECT, drops
 from shift3d.render.beams import Beams
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 

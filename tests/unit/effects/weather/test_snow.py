@@ -10,13 +10,13 @@ from analytic_fields import Frame
 from scipy.integrate import quad
 
 from shift3d.effects.applicability import NEEDS, effect_named
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.weather.fog import extinction_per_m
 from shift3d.effects.weather.precipitation import DIVERGENCE_RAD, EXIT_M
 from shift3d.effects.weather.rain import drops
 from shift3d.effects.weather.snow import EFFECT, FLAKE_ALBEDO, FLAKE_WIDTH, flakes
 from shift3d.render.beams import Beams
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 

@@ -9,11 +9,11 @@ import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
 
-from shift3d.effects.base import DetectorFacts, EffectContext, Returns
+from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.physics.power import survival
 from shift3d.effects.weather.wet_ground import EFFECT, GROUND_BAND_M, WATER_INDEX, reflected, trapped, wet_albedo
 from shift3d.render.beams import Beams
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 
