@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ ZERO_BELOW = 30.0
 """How many times below the smallest error that is not zero a logarithmic axis has its zero."""
 
 _READ = (
-    *("setting", "ms_median", "missed_hits", "wrong_surface", "false_hits"),
+    *("setting", "start", "ms_median", "missed_hits", "wrong_surface", "false_hits"),
     *("depth_p50_m", "depth_p99_m", "depth_max_m", "grid", "gradient"),
 )
 
@@ -52,9 +52,13 @@ def effective_error_m(columns: Mapping[str, Any]) -> FloatArray:
     return np.asarray(depth + MISPLACED_M * (misplaced(columns) + _floats(columns["false_hits"])))
 
 
-def warm_starts(settings: Iterable[str]) -> BoolArray:
-    """Which settings start from a previous rendering: those whose name has the word "warm" in it."""
-    return np.array([re.search(r"\bwarm\b", setting) is not None for setting in settings], dtype=bool)
+def warm_starts(columns: Mapping[str, Any]) -> BoolArray:
+    """Which settings start from a previous rendering (N,): by their column `start`, and where it is null, as in a
+    frontier of version 1, by the word "warm" in their names. columns: the frontier's, or a frame of it."""
+    named = [re.search(r"\bwarm\b", setting) is not None for setting in columns["setting"]]
+    known = columns.get("start", [None] * len(named))
+    found = [start == "warm" if isinstance(start, str) else by_name for start, by_name in zip(known, named)]
+    return np.array(found, dtype=bool)
 
 
 def dominators(
@@ -111,7 +115,7 @@ def dominators_of(columns: Mapping[str, Any]) -> npt.NDArray[np.int64]:
     """
     grid = [each is True or each is np.True_ for each in columns["grid"]]
     gradient = [each if isinstance(each, str) else "no" for each in columns["gradient"]]
-    warm = warm_starts(columns["setting"])
+    warm = warm_starts(columns)
     return dominators(columns["ms_median"], effective_error_m(columns), warm, grid, gradient)
 
 

@@ -97,8 +97,9 @@ class _SourceLoader(importlib.machinery.SourceFileLoader):
 
 
 def _imported(path: Path) -> Any:
-    """The module of a file, under a name that its content gives it."""
-    name = f"shift3d_own_{hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()}"
+    """The module of a file, under a name that its place and its content give it."""
+    key = str(path.resolve()).encode() + b"\0" + path.read_bytes()
+    name = f"shift3d_own_{hashlib.blake2b(key, digest_size=16).hexdigest()}"
     if name not in sys.modules:
         loader = _SourceLoader(name, str(path))
         spec = importlib.util.spec_from_file_location(name, path, loader=loader)

@@ -20,9 +20,10 @@ def frame_weights(num_frames: int, draws: int = DRAWS) -> Floats:
 
     Of fewer than two frames there is nothing to draw: (0, F).
     """
-    draws = draws if num_frames > 1 else 0
+    if num_frames < 2:
+        return np.zeros((0, num_frames))
     rng = generator("evaluation frames", num_frames, draws)
-    share = np.full(num_frames, 1.0 / max(1, num_frames))
+    share = np.full(num_frames, 1.0 / num_frames)
     return rng.multinomial(num_frames, share, size=draws).astype(np.float64)
 
 

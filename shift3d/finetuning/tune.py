@@ -151,6 +151,10 @@ def fine_tune(
     return weights
 
 
+_NOT_OF_A_TUNING = ("steps", "anchor_size_m", "mesh_scenes", "inserted_scenes")
+"""Fields of a recipe that the sweep, the weights at the start or steps= decide."""
+
+
 def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
     """The detector's recipe for one epoch over some objects at `RATE`, with the fields that were given.
 
@@ -168,6 +172,12 @@ def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
         settle_steps=0,
         statistics_crops=0,
     )
+    for name in _NOT_OF_A_TUNING:
+        if name in options.recipe:
+            remedy = "Give steps=N" if name == "steps" else f"Leave recipe.{name}= out"
+            raise InputError(f"recipe.{name}= means nothing with finetune=", "train", remedy)
+    if options.steps == 0:
+        raise InputError("steps=0 tunes nothing", "train", "Give steps=N from 1, or leave it out for one epoch")
     recipe = changed(recipe, options.recipe)
     if recipe.inserted_share <= 0.0:
         raise InputError("recipe.inserted_share=0 leaves no object", "train", "Give a share above 0")

@@ -125,6 +125,8 @@ def expand_settings(config: FrontierConfig) -> list[tuple[MeasuredSetting, Accur
 
 
 def _written_out(setting: MeasuredSetting, where: str) -> list[MeasuredSetting]:
+    from shift3d.render.settings import STANDARD
+
     if not setting.over:
         changed = setting.render or setting.detector or (setting.warm, setting.gradient) != ("no", "no")
         if setting.name == setting.preset and changed:
@@ -138,7 +140,8 @@ def _written_out(setting: MeasuredSetting, where: str) -> list[MeasuredSetting]:
     written = []
     for value in values:
         changes = {"name": setting.name.replace("{}", f"{value:g}"), "over": {knob: [value]}}
-        plain = int(value) if knob == "max_iterations" else value
+        whole = value == int(value) and isinstance(getattr(STANDARD, knob, None), int)
+        plain = int(value) if whole else value
         more = {_CROP: value} if knob == _CROP else {"render": {**setting.render, knob: plain}}
         written.append(setting.model_copy(update={**changes, **more}))
     return written

@@ -15,7 +15,7 @@ _LEAST_MS, _LEAST = 0.5, 1e-4
 
 
 def effects_figure(impacts: Sequence[EffectImpact]) -> Figure:
-    """Change of the baseline's score against milliseconds; what lies below the line is left out by auto."""
+    """Change of the baseline's score against milliseconds; auto leaves out what lies whole below the line."""
     figure = Figure(figsize=(7.2, 4.6), dpi=110, layout="constrained")
     axes = figure.subplots()
     labels, bars = list[PointLabel](), list[FloatArray]()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +87,7 @@ def stopped_releases(
     worse, feasible = after.copy(), True
     for release in range(releases):
         both = np.flatnonzero(hard & (before[:, release] > score_threshold) & (after[:, release] > score_threshold))
-        number = round(loss * int(hard.sum()))
+        number = ceil(loss * int(hard.sum()) - 1e-9)  # of few objects one at least: none is no loss
         feasible &= len(both) >= number
         taken = rng.permutation(both)[:number]
         worse[taken, release] = score_threshold * rng.random(len(taken))

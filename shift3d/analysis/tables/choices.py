@@ -32,10 +32,13 @@ def choice_tables(choices: pd.DataFrame) -> list[Table]:
 
     choices: the table of ``final/``.
     """
-    several = [name for name in ("detector", "accuracy", "search", "effects", "alpha") if choices[name].nunique() > 1]
     tables = []
     for parameter, rows in choices.groupby("parameter", sort=False):
         candidates = sorted(set(rows["candidate"]))
+        further = ("mode", "detector", "accuracy", "search", "effects", "alpha")
+        several = [name for name in further if rows[name].nunique() > 1]
+        if parameter == "alpha":  # a line's name is its mode
+            several = [name for name in several if name != "mode"]
         lines = []
         for values, group in rows.groupby(list(_OF), sort=False, dropna=False):
             named = dict(zip(_OF, values))

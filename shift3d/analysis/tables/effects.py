@@ -75,7 +75,9 @@ def effect_impacts(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> l
 
     Raises: InputError: no task ran without effects, or none with one of them.
     """
-    scored = _by_effect(scores[scores["score"].notna() & scores["method"].isin(["baseline", "adversarial"])])
+    # Before the attacked detector: what others make of an effect says nothing of that one.
+    own = scores["score"].notna() & (scores["scored_by"] == scores["detector"])
+    scored = _by_effect(scores[own & scores["method"].isin(["baseline", "adversarial"])])
     plain = scored[scored["effect"] == ""]
     found = [name for name in NEEDS if (scored["effect"] == name).any()]
     if plain.empty or not found:
@@ -101,6 +103,9 @@ def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseco
         raise InputError(
             f"no object was scored both with {name} and without", "the sweep", "Run both on the same scenes"
         )
+    # Searches of several modes, lambdas or alphas have one baseline.
+    once = [name for name in _PAIR if name not in ("mode", "lambda", "alpha", "search")]
+    pairs = pairs[~(pairs["method"].eq("baseline") & pairs.duplicated([*once, "method", "replicate"]))]
     change = pairs["score"] - pairs["score_plain"]
     scene = pairs["dataset"] + "/" + pairs["scene"]
     base, hard = pairs["method"] == "baseline", pairs["method"] == "adversarial"

@@ -93,6 +93,9 @@ def rules_objects(sweep: Sweep) -> pd.DataFrame:
     """
     rows = sweep.scored
     rows = rows[rows["method"].isin(_METHODS)].drop_duplicates(["task_id", "scored_by", "method", "replicate"])
+    # Tasks of several modes, lambdas or alphas have one baseline, which is one object.
+    same = ["place", "vehicle", "detector", "scored_by", "accuracy", "x_m", "y_m", "yaw_rad", "score"]
+    rows = rows[~(rows["method"].eq("baseline") & rows.duplicated(["method", *same]))]
     posed = rows["mode"] == "pose"
     rows = rows.assign(shape=rows["method"].mask(posed, "baseline"), copy=rows["replicate"].mask(posed, 0))
     sizes = sweep.shapes[["task_id", "method", "replicate", *_SIZES]]

@@ -29,7 +29,7 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
         ratio = ratio_interval(rows, before)
         kind = f"{mode.replace('_', ' and ')}, " if placed["mode"].nunique() > 1 else ""
         name = f"{kind}{search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
-        counts = [str(len(rows)), str(rows["other_scene"].nunique())]
+        counts = [str(len(rows)), str(rows["place"].nunique())]
         means = [number(_vehicle_mean(before)), number(after)]
         lines.append([name, scored_by, *counts, *means, interval_text(ratio, 2, ""), f"{fell.mean:.0%}"])
     header = ["", "scored by", "placements", "scenes", "baseline", "shape", "ratio", "lower in"]
@@ -44,7 +44,8 @@ MISSED_BELOW = 0.1
 """A vehicle with a lower score is missed. Source: the score that the public Waymo config shows boxes from."""
 _BEAMS = r"-beams_([a-z0-9_]+)"
 _GROUP = ["mode", "method", "detector", "scored_by", "search"]
-_PAIR = ["street", "vehicle", "lambda", "alpha", "accuracy", "replicate", "copy"]
+_PAIR = ["street", "vehicle", "lambda", "alpha", "accuracy", "effects", "replicate"]
+_PAIR += ["baseline_x_m", "baseline_y_m", "baseline_yaw_rad"]  # the same to the bit under any beams
 _METHODS = ("baseline", "adversarial")
 
 
@@ -55,9 +56,12 @@ def paired_scores(scores: pd.DataFrame) -> dict[tuple[str, ...], tuple[pd.DataFr
     which they were planned. Baselines are one object; an adversarial one was searched under its own beams.
     """
     rows = scores[scores["method"].isin(_METHODS)]
-    rows = rows.assign(beams=rows["scene"].str.extract(_BEAMS, expand=False))
-    same = [*_GROUP, "scene", "vehicle", "lambda", "alpha", "accuracy", "replicate"]
-    rows = rows.assign(copy=rows.groupby(same, dropna=False).cumcount())  # replicates of a task, in the plan's order
+    base = rows[rows["method"] == "baseline"].drop_duplicates("task_id").set_index("task_id")
+    places = {f"baseline_{name}": rows["task_id"].map(base[name]) for name in ("x_m", "y_m", "yaw_rad")}
+    effects = rows["effects"].map(lambda names: "+".join(names))
+    rows = rows.assign(beams=rows["scene"].str.extract(_BEAMS, expand=False), effects=effects, **places)
+    # Searches of several lambdas or alphas have one baseline.
+    rows = rows.assign(**{name: rows[name].mask(rows["method"] == "baseline", -1.0) for name in ("lambda", "alpha")})
     rows = rows[rows["beams"].notna() & rows["score"].notna()]
     if rows["beams"].nunique() < 2:
         return {}

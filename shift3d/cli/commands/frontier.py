@@ -42,7 +42,7 @@ examples:
   shift3d frontier                                    everything, on procedural streets
   shift3d frontier kitti=PATH                         on real frames as well (twice the time); PATH holds training/
   shift3d frontier scenes=kitti scenes.root=PATH out=runs/frontier-kitti
-  shift3d frontier --quick                            three minutes: one far vehicle, eleven settings, once each
+  shift3d frontier --quick                            three minutes: one far vehicle, eleven settings, up to 3 times
   shift3d frontier --only 'standard|draft'            these settings alone; no ratio to paper without paper
   shift3d frontier 'frontier.cases=[{vehicle:suv,range_m:20}]' frontier.repeats=15 --again
 
@@ -117,6 +117,12 @@ def plan_of(config: FrontierSweep, only: str | None, quick: bool) -> tuple[Front
     chosen = [pair for pair in written if _matches(only, pair[0].name) and (not quick or pair[0].name in section.quick)]
     left_out = [setting.name for setting, _ in chosen if setting.bfloat16 and not has_fast_bfloat16()]
     settings = tuple(_setting(*pair) for pair in chosen if pair[0].name not in left_out)
+    if not settings and left_out:
+        what = f"{', '.join(left_out)}: this processor has no instructions for bfloat16"
+        raise InputError(what, "frontier", "Choose other settings")
+    if not settings and quick:
+        named = f"called like {only!r} " if only else ""
+        raise InputError(f"no setting {named}is in frontier.quick", "--quick", "Leave --quick out, or add it there")
     if not settings:
         raise InputError(f"no setting is called like {only!r}", "--only", "See sweeps/accuracy_time.yaml")
     cases, repeats, steps = section.cases, section.repeats, section.descent_steps

@@ -49,12 +49,17 @@ class PointsToScores(nn.Module):
         self.register_buffer("limits", limits, persistent=False)
 
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """points: (N, 3) float32, network frame, metres. Returns boxes (A, 7) and scores (A,), float32."""
+        """points: (N, 3) float32, network frame, metres. Returns boxes (A, 7) and scores (A,), float32.
+
+        The score of a proposal that suppression is not given, of a centre that is no peak, is 0.
+        """
         canvas = self._canvas(points).view(1, self.net.grid.num_y, self.net.grid.num_x, -1).permute(0, 3, 1, 2)
         features = self.net.backbone(canvas)
         heads = self.net.heads
-        boxes = heads.decode(heads.box_rows(features)[0], self.net.grid, full_window(self.net.grid))
-        return boxes, torch.sigmoid(heads.logits(features)[0])
+        window, logits = full_window(self.net.grid), heads.logits(features)[0]
+        boxes = heads.decode(heads.box_rows(features)[0], self.net.grid, window)
+        scores, kept = torch.sigmoid(logits), heads.candidates(logits, window)
+        return boxes, scores if kept is None else torch.where(kept, scores, 0.0)
 
     def _canvas(self, points: Tensor) -> Tensor:
         """(cells, C), zero where no point is."""

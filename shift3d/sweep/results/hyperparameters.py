@@ -7,7 +7,7 @@ we will choose the larger λ'.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -91,13 +91,27 @@ def choice_rows(scored: pd.DataFrame, sweep: str, steps: set[int]) -> list[dict[
     """Rows of ``choices``: every candidate of everything that there was a choice of, and why one was taken."""
     rows: list[dict[str, Any]] = []
     known = {"sweep": sweep}
-    for key, choice in choose_alphas(scored).items():
-        named = dict(zip(_ALPHA_KEYS, key)) | {"vehicle": None, "alpha": None}
-        rows += _candidates(known | named | {"parameter": "alpha"}, choice, _why_alpha(key[0], choice, steps))
-    for key, choice in choose_lambdas(scored).items():
+    alphas, lambdas = choose_alphas(scored), choose_lambdas(scored)
+    for key, choice in alphas.items():
+        named = dict(zip(_ALPHA_KEYS, key))
+        of = ", ".join([f"the {key[0]}", *_further(named, _ALPHA_KEYS, alphas)])
+        known_here = known | named | {"vehicle": None, "alpha": None, "parameter": "alpha"}
+        rows += _candidates(known_here, choice, _why_alpha(of, choice, steps))
+    for key, choice in lambdas.items():
         named = dict(zip(RULE_KEYS, key))
-        rows += _candidates(known | named | {"parameter": "lambda"}, choice, _why_lambda(named, choice))
+        further = _further(named, RULE_KEYS, lambdas, "mode")
+        of = ", ".join([f"the {str(named['vehicle']).replace('_', ' ')} at alpha {named['alpha']:g}", *further])
+        rows += _candidates(known | named | {"parameter": "lambda"}, choice, _why_lambda(of, choice))
     return rows
+
+
+def _further(
+    named: Mapping[str, Any], names: Sequence[str], chosen: Mapping[tuple[Any, ...], Choice], *more: str
+) -> list[str]:
+    """What else a choice is for, where a sweep has several of it."""
+    differ = [name for at, name in enumerate(names) if len({key[at] for key in chosen}) > 1]
+    of = (*more, "detector", "accuracy", "search", "effects")
+    return [f"{name} {named[name]}" for name in of if name in differ]
 
 
 def _found(scored: pd.DataFrame) -> pd.DataFrame:
@@ -121,17 +135,17 @@ def _candidates(known: dict[str, Any], choice: Choice, why: str) -> list[dict[st
     ]
 
 
-def _why_alpha(mode: str, choice: Choice, steps: set[int]) -> str:
+def _why_alpha(of: str, choice: Choice, steps: set[int]) -> str:
     best, others = choice.chosen, sorted((auc, alpha) for alpha, auc in choice.found.items() if alpha != choice.chosen)
-    text = f"alpha {best:g} for the {mode}: the AUC of what was found is the lowest, {choice.found[best]:.3f}"
+    text = f"alpha {best:g} for {of}: the AUC of what was found is the lowest, {choice.found[best]:.3f}"
     text += f" (next: {others[0][0]:.3f} at {others[0][1]:g})" if others else ""
     return f"{text}, in searches of {', '.join(str(count) for count in sorted(steps))} steps."
 
 
-def _why_lambda(named: Mapping[str, Any], choice: Choice) -> str:
+def _why_lambda(of: str, choice: Choice) -> str:
     found, best = choice.found, choice.chosen
     lowest = min(found, key=lambda value: (found[value], -value))
-    of = f"lambda {best:g} for the {str(named['vehicle']).replace('_', ' ')} at alpha {named['alpha']:g}"
+    of = f"lambda {best:g} for {of}"
     if best != lowest:
         near = f"is within {NEARLY_EQUAL:.0%} of the lowest, {found[lowest]:.3f} at {lowest:g}, and lambda is larger"
         return f"{of}: its mean adversarial loss, {found[best]:.3f}, {near}."

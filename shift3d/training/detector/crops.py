@@ -49,6 +49,14 @@ def window_around(grid: Grid, centre_xy: tuple[float, float], cells: int) -> Bev
     return BevWindow(x0, y0, cells, cells, x0, y0, cells, cells)
 
 
+def _pushed_m(grid: Grid, centre_xy: tuple[float, float], cells: int) -> float:
+    """How far the middle of `window_around` lies from the centre, as the window would leave the grid."""
+    half = cells / 2 * grid.cell_m
+    ends = ((grid.x_min_m, grid.num_x), (grid.y_min_m, grid.num_y))
+    inside = [(low + half, low + count * grid.cell_m - half) for low, count in ends]
+    return hypot(*(max(low - at, at - high, 0.0) for at, (low, high) in zip(centre_xy, inside, strict=True)))
+
+
 def random_crop(
     scene: TrainingScene,
     grid: Grid,
@@ -66,7 +74,12 @@ def random_crop(
     angle, scale = rng.uniform(*augmentation.turn_rad), rng.uniform(*augmentation.scale)
     flip = rng.random() < augmentation.flip
     centre = _centre(scene, recipe, rng) if around is None else _near(around, recipe, rng)
-    reach = (hypot(cells, cells) / 2 * grid.cell_m + 4.0) / scale
+    y = -centre[1] if flip else centre[1]
+    turned = (
+        scale * (np.cos(angle) * centre[0] - np.sin(angle) * y),
+        scale * (np.sin(angle) * centre[0] + np.cos(angle) * y),
+    )
+    reach = (hypot(cells, cells) / 2 * grid.cell_m + 4.0 + _pushed_m(grid, turned, cells)) / scale
     if database is not None and augmentation.pasted:
         side = cells / 2 * grid.cell_m
         scene = pasted(scene, database, centre, side, augmentation, recipe.min_points, rng)
@@ -75,11 +88,6 @@ def random_crop(
     boxes = scene.boxes[np.hypot(scene.boxes[:, 0] - centre[0], scene.boxes[:, 1] - centre[1]) < reach + 4.0]
     points, boxes = vehicles_varied(points, boxes, augmentation, rng)
     points, boxes = moved(points, boxes, (angle, flip, scale), augmentation, rng)
-    y = -centre[1] if flip else centre[1]
-    turned = (
-        scale * (np.cos(angle) * centre[0] - np.sin(angle) * y),
-        scale * (np.sin(angle) * centre[0] + np.cos(angle) * y),
-    )
     counts = points_in_boxes(points, boxes).sum(axis=1)
     return Crop(points, boxes, counts >= recipe.min_points, window_around(grid, turned, cells))
 

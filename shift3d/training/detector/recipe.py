@@ -91,8 +91,9 @@ class Recipe:
     vehicle it was chosen for; empty_share: of crops cut anywhere. min_points: a vehicle with fewer is neither sought
     nor background. bfloat16: take large products in half the bytes, where the processor has instructions for it.
 
-    box_weight, direction_weight: of these losses beside that of the class. code_weights: of the seven values of a box
-    (x, y, z, length, width, height, heading). box_beta: where the box loss turns from square to linear.
+    box_weight, direction_weight: of these losses beside that of the class; directions and anchor_size_m are of anchors
+    alone. code_weights: of the seven values of a box (x, y, z, length, width, height, heading). box_beta: where the box
+    loss of anchors turns from square to linear.
     centre_radius: cells around a vehicle's centre that regress its box, centres only.
 
     statistics_crops: crops of which batch norms take their statistics after `steps`, in one batch, so that every

@@ -127,7 +127,10 @@ def test_flags_are_of_each_scene_set_alone() -> None:
     ]
     assert pareto_flags(rows) == [True, False, True, True, True]
     assert pareto_flags([]) == []
-    assert warm_starts(["standard, warm", "warm start 20", "standard", "swarm"]).tolist() == [True, True, False, False]
+    names = ["standard, warm", "warm start 20", "standard", "swarm"]
+    assert warm_starts({"setting": names}).tolist() == [True, True, False, False]
+    starts = ["cold", "warm", "warm", None]
+    assert warm_starts({"setting": names, "start": starts}).tolist() == [False, True, True, False]
 
 
 def test_the_knee_is_the_corner_and_knows_no_units() -> None:

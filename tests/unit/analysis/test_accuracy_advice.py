@@ -93,3 +93,16 @@ def test_numbers_as_people_read_them() -> None:
     ]
     assert [share(v) for v in (0.0, 5e-5, 0.0034, 1.0)] == ["0", "0.005 %", "0.34 %", "100 %"]
     assert [factor(v) for v in (1.0, 1.2345, 387.2, 12345.0)] == ["1", "1.23", "387", "12,300"]
+
+
+def test_a_setting_with_a_gradient_is_no_step_of_the_front_without() -> None:
+    """It is on the front, as nothing faster has a gradient, and is neither faster nor more accurate."""
+    rows = [
+        frontier_row("draft", 1.0, preset="draft", **with_depth(1e-2)),
+        frontier_row("standard", 2.0, preset="standard", **with_depth(1e-5)),
+        frontier_row("draft, shape gradient", 3.5, gradient="shape", **with_depth(5e-3)),
+        frontier_row("reference", 5000.0, preset="reference"),
+    ]
+    text = advice(frame_of(rows))
+    assert "its knee at standard" in text and "the next more accurate, reference," in text
+    assert "knee" not in advice(frame_of(rows[:3]))

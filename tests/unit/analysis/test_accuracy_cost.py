@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 from frontier_by_hand import flagged, frontier_row
 
-from shift3d.analysis.tables.accuracy.cost import MEASURED, accuracy_cost, measured_presets, preset_table
+from shift3d.analysis.tables.accuracy.cost import MEASURED, accuracy_cost, diagnostics, measured_presets, preset_table
 from shift3d.store.frontier_table import frontier_table
 from shift3d.store.tables import write_table
 
@@ -55,6 +55,7 @@ def test_other_presets_stand_in_a_table_with_what_they_lose(tmp_path: Path) -> N
     measured = [
         frontier_row("standard", 2.0, preset="standard", missed_hits=0.001),
         frontier_row("paper", 800.0, preset="paper"),
+        *(frontier_row(name, 9.0, preset=name) for name in ("draft", "reference")),
     ]
     write_table(tmp_path / "frontier.parquet", frontier_table(flagged(measured)))
     table = preset_table(tmp_path)
@@ -62,3 +63,21 @@ def test_other_presets_stand_in_a_table_with_what_they_lose(tmp_path: Path) -> N
     rows = {str(line[0]): dict(zip(table.header, line)) for line in table.lines}
     assert rows["standard"]["time"] == "2 ms" and rows["standard"]["missed"] == "0.1 %"
     assert rows["standard"]["x paper"] == "400" and rows["paper"]["missed"] == "0"
+
+
+def test_a_frontier_of_other_scenes_or_one_that_is_torn_counts_as_none(tmp_path: Path) -> None:
+    names = ("draft", "standard", "paper", "reference")
+    kitti = [frontier_row(name, 9.0, preset=name, scenes="kitti") for name in names]
+    write_table(tmp_path / "frontier.parquet", frontier_table(flagged(kitti)))
+    assert "ships" in measured_presets(tmp_path)[1] and set(measured_presets(tmp_path)[0].index) == set(names)
+    (tmp_path / "frontier.parquet").write_bytes(b"PAR1")
+    assert "ships" in measured_presets(tmp_path)[1]
+
+
+def test_non_finite_values_are_those_of_an_object_whoever_scores_it() -> None:
+    rows = [
+        {"task_id": "a", "method": "baseline", "replicate": 0, "scored_by": name, "non_finite": 5}
+        | {"max_residual_m": 1e-6, "unresolved_beams": 0, "grazing_gradient": None, "least_slope": 0.5}
+        for name in ("one", "two")
+    ]
+    assert "5 non-finite values" in diagnostics(pd.DataFrame(rows))

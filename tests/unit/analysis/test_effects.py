@@ -126,3 +126,13 @@ def test_resampling_single_objects_would_have_promised_too_much() -> None:
     by_scene = mean_interval(values, list(np.repeat(np.arange(10), 20)))
     by_object = mean_interval(values, list(range(200)))
     assert by_scene.high - by_scene.low > 3 * (by_object.high - by_object.low)
+
+
+def test_other_detectors_and_further_lambdas_add_no_object() -> None:
+    scores, _ = tables({"fog": np.full(12, 0.02)}, {"fog": 20.0})
+    none = scores["effects"].map(len) == 0
+    others = scores.assign(scored_by="q", score=scores["score"].where(none, scores["score"] - 0.02))
+    ten = scores.assign(**{"lambda": 10.0, "task_id": "ten-" + scores["task_id"]})
+    (alone,), (among,) = (effect_impacts(rows, {}) for rows in (scores, pd.concat([scores, others, ten])))
+    assert (among.objects, among.score_change) == (alone.objects, alone.score_change) == (12, alone.score_change)
+    assert among.auc_adversarial is not None and among.auc_adversarial.mean == pytest.approx(0.02)

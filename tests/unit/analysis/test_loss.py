@@ -108,3 +108,6 @@ def test_a_loss_below_the_tolerance_stops_nothing() -> None:
     changes, p_values = np.array([-0.004, -0.005, -0.2, 0.1]), np.array([0.001, 0.001, 0.06, 0.001])
     assert rule.stops(changes, p_values).tolist() == [False, True, False, False]
     assert stopped_releases(*suite(20), 0.0, 0.9, rule).found is None, "too few are detected to lose nine of ten"
+    scores, hard, places = suite(20)
+    none_seen = stopped_releases(np.where(hard, 0.01, scores), hard, places, 0.0, 0.02, rule)
+    assert none_seen.found is None, "two points of twenty objects are one object at least"

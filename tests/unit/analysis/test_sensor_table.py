@@ -16,6 +16,7 @@ def scores(beams: tuple[str, ...] = ("waymo_top", "hdl32"), streets: int = 6) ->
         {"dataset": f"street-waymo_top-beams_{name}", "scene": f"street-test-waymo_top-{street:06d}-beams_{name}"}
         | {"vehicle": "suv", "mode": mode, "lambda": weight, "alpha": 0.01, "detector": "p", "scored_by": "p"}
         | {"accuracy": "standard", "search": "descent", "method": method, "replicate": 0, "object_points": 400}
+        | {"task_id": f"{name}-{street}-{mode}", "effects": [], "x_m": 20.0, "y_m": 1.0, "yaw_rad": 0.1}
         | {"score": None if name == "hdl32" and street == 5 else 0.5 + 0.05 * street - LOSS[name]}
         for name in beams
         for street in range(streets)
@@ -58,11 +59,23 @@ def test_misses_are_counted_where_both_miss() -> None:
 
 def test_replicates_of_a_task_are_objects_of_their_own() -> None:
     rows = scores(streets=5)
-    low = rows.assign(score=0.02)
+    low = rows.assign(score=0.02, x_m=30.0, task_id="again-" + rows["task_id"])  # at another place
     table = sensor_table(pd.concat([rows, low]))
     assert table is not None
     (own, _) = [line for line in table.lines if str(line[0]).startswith("baseline, shape")]
     assert own[3] == "10" and own[7] == "50%", "a mean over replicates would miss none"
+
+
+def test_lambdas_share_a_baseline_and_a_task_that_is_missing_moves_no_partner() -> None:
+    one = scores()
+    ten = one.assign(**{"lambda": one["lambda"] * 10.0, "task_id": "ten-" + one["task_id"]})
+    found = paired_scores(pd.concat([one, ten]))
+    assert len(found["shape", "baseline", "p", "p", "descent"][0]) == 6
+    assert len(found["shape", "adversarial", "p", "p", "descent"][0]) == 12
+    fog = one.assign(effects=one["effects"].map(lambda _: ["fog"]), score=0.9, task_id="fog-" + one["task_id"])
+    lost = pd.concat([one[~one["task_id"].str.startswith("hdl32-0-")], fog])
+    for score, _ in paired_scores(lost).values():
+        assert set((score["waymo_top"] - score["hdl32"]).dropna().round(9)) == {0.25, 0.0}
 
 
 def test_one_sensor_makes_no_table() -> None:

@@ -133,3 +133,19 @@ def test_what_is_no_detector_is_refused_in_one_line(tmp_path: Path, source: str,
 def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         load_own(tmp_path / "mine.py", None)
+
+
+def test_equal_files_in_two_folders_are_two_modules(tmp_path: Path) -> None:
+    text = (
+        "from pathlib import Path\nimport torch\nW = float(Path(__file__).with_name('w').read_text())\n"
+        "class Net(torch.nn.Module):\n    def forward(self, points):\n"
+        "        return torch.ones(1, 7), points.sum()[None] * 0 + W\n"
+        "def load(weights):\n    return Net()\n"
+    )
+    found = []
+    for name, weight in (("a", "-1"), ("b", "3")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "w").write_text(weight)
+        (tmp_path / name / "det.py").write_text(text)
+        found.append(float(load_own(tmp_path / name / "det.py", None).proposals(torch.zeros(4, 3)).logits[0]))
+    assert found == [-1.0, 3.0]

@@ -1,5 +1,6 @@
 """Failure rules: found where there is one, none where there is none, and tried on what they were not found on."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -129,3 +130,14 @@ def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_veh
         expected = shapes.get(key, math.nan)
         assert row.length_m == expected or (math.isnan(row.length_m) and (expected is None or math.isnan(expected)))
     assert rows["aspect_deg"].between(0, 90).all()
+
+
+def test_tasks_of_one_place_have_one_baseline(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    folder = tmp_path / "sweep"
+    valid_sweeps.write_sweep(folder)
+    write_final(folder, read_plan(folder), read_log(folder))
+    sweep = read_sweep(folder)
+    again = sweep.scores.assign(task_id="again-" + sweep.scores["task_id"])
+    twice = dataclasses.replace(sweep, scores=pd.concat([sweep.scores, again], ignore_index=True))
+    one, two = (rules_objects(each)["method"].value_counts() for each in (sweep, twice))
+    assert two["baseline"] == one["baseline"] and two["adversarial"] == 2 * one["adversarial"]

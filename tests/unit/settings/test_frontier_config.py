@@ -126,6 +126,8 @@ def test_what_needs_bfloat16_is_left_out_and_named_where_it_would_be_slow(monkey
         assert (wanted <= names and not left_out) if fast else (set(left_out) == wanted and not wanted & names)
         if not fast:
             assert all(setting.precision != "bfloat16" for setting in plan.settings)
+            with pytest.raises(InputError, match="no instructions for bfloat16"):
+                plan_of(frontier(), "nothing in bfloat16", quick=False)
 
 
 def test_quick_and_only_choose() -> None:
@@ -137,6 +139,8 @@ def test_quick_and_only_choose() -> None:
     for pattern in ("no such setting", "("):
         with pytest.raises(InputError):
             plan_of(frontier(), pattern, quick=False)
+    with pytest.raises(InputError, match=r"'minimum' is in frontier\.quick"):
+        plan_of(frontier(), "minimum", quick=True)
 
 
 def test_kitti_is_a_second_set_or_the_only_one(tmp_path: Any) -> None:
@@ -152,6 +156,11 @@ def test_kitti_is_a_second_set_or_the_only_one(tmp_path: Any) -> None:
     assert half_width[1] < half_width[0]  # KITTI is labelled in the camera's view alone
 
 
+def test_whole_numbers_are_given_over_a_setting_that_counts() -> None:
+    written = expand_settings(changed(name="every {}", over={"warm_refresh": [20, 40]}).frontier)
+    assert [pair[0].render["warm_refresh"] for pair in written if pair[0].name.startswith("every")] == [20, 40]
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -161,6 +170,7 @@ def test_kitti_is_a_second_set_or_the_only_one(tmp_path: Any) -> None:
         ({"render": {"stepp_m": 0.1}}, "Did you mean 'step_m'"),
         ({"render": {"step_m": "wide"}}, "not float"),
         ({"over": {"step_m": [0.1, 0.2]}}, "no place for step_m"),
+        ({"name": "{}", "over": {"max_iterations": [20.6]}}, r"max_iterations is 20\.6, not int"),
         ({"name": "{}", "over": {"step_m": []}}, "at least 1 item"),
         ({"name": "{}", "over": {"step_m": [0.1], "batch": [1]}}, "at most 1 item"),
         ({"warm": "yes"}, "One of: no, shape, pose"),

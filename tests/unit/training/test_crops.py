@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from shift3d.detectors.grid import WAYMO_GRID
+from shift3d.detectors.grid import WAYMO_GRID, cells_of
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.training.detector.augmentation import moved, thinned, vehicles_varied
 from shift3d.training.detector.crops import random_crop, vehicle_centre
@@ -116,3 +117,15 @@ def test_a_plain_crop_is_the_scene_around_a_vehicle() -> None:
     low = WAYMO_GRID.x_min_m + crop.window.x0 * WAYMO_GRID.cell_m
     middle = low + 32 * WAYMO_GRID.cell_m
     assert np.abs(BOXES[:, 0] - middle).min() <= 2 * WAYMO_GRID.cell_m
+
+
+@pytest.mark.parametrize("vehicle_x", [20.0, 60.0, 71.0])
+def test_a_window_at_the_edge_of_the_grid_has_all_of_its_points(vehicle_x: float) -> None:
+    ground = np.random.default_rng(1).uniform((-74, -74, 0.0), (74, 74, 0.1), (60_000, 3)).astype(np.float32)
+    boxes = np.array([[vehicle_x, -60.0, 0.8, 4.5, 1.8, 1.6, 0.4]], dtype=np.float32)
+    scene = TrainingScene(np.concatenate((ground, _inside(boxes, np.random.default_rng(2)))), boxes, 1.8)
+    recipe = Recipe(crop_cells=64, jitter_m=5.0, empty_share=0.0, augmentation=NONE)
+    for seed in range(20):
+        crop = random_crop(scene, WAYMO_GRID, recipe, np.random.default_rng(seed))
+        _, _, seen = cells_of(torch.from_numpy(scene.points), WAYMO_GRID, crop.window)
+        assert len(crop.points_inside(WAYMO_GRID)) == int(seen.sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -127,3 +128,23 @@ def test_a_vehicle_behind_a_wall_is_not_pasted(database: VehicleDatabase) -> Non
 def test_no_vehicle_at_such_a_range_means_none(database: VehicleDatabase) -> None:
     scene = pasted(_empty(), database, np.array((3.0, 0.0)), 1.0, SAME_RANGE, 5, np.random.default_rng(0))
     assert not len(scene.boxes)
+
+
+def test_a_long_vehicle_is_put_on_nothing_that_stands_at_its_ends(tmp_path: Path) -> None:
+    truck = np.array((30.0, 0.0, 1.5, 9.0, 2.5, 3.0, 0.0), dtype=np.float32)
+    rng = np.random.default_rng(0)
+    files = cache_scenes(tmp_path, ["0"], lambda _: TrainingScene(_on(truck, rng), truck[None], HEIGHT_M))
+    trucks, empty = VehicleDatabase.of(files, 5), _empty()
+    pole = np.column_stack((np.full(200, 4.0), np.zeros(200), np.linspace(0.5, 2.5, 200))).astype(np.float32)
+    put, farther = 0, Augmentation(pasted=4, pasted_range=(1.0, 1.3))
+    for seed in range(40):
+        free = pasted(empty, trucks, np.array((33.0, 0.0)), 2.0, farther, 5, np.random.default_rng(seed))
+        for box in free.boxes[:1]:
+            cos, sin = np.cos(box[6]), np.sin(box[6])
+            at_end = pole @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]], dtype=np.float32)
+            at_end[:, :2] += box[:2]
+            scene = replace(empty, points=np.concatenate((empty.points, at_end)))
+            again = pasted(scene, trucks, np.array((33.0, 0.0)), 2.0, farther, 5, np.random.default_rng(seed))
+            assert not points_in_boxes(at_end, again.boxes, 0.0).any()
+            put += 1
+    assert put

@@ -27,7 +27,11 @@ def impact_blocks(impacts: Sequence[EffectImpact]) -> list[Block]:
     alt = "; ".join(f"{each.effect}: {each.score_change.mean:.3f} for {each.milliseconds:.0f} ms" for each in impacts)
     return [
         Paragraph("The same vehicles at the same places, without effects and with one at a time."),
-        Picture(png(effects_figure(impacts)), alt, "Below the dashed line effects=auto leaves an effect out."),
+        Picture(
+            png(effects_figure(impacts)),
+            alt,
+            "An effect whose whole bar lies below the dashed line is left out by effects=auto.",
+        ),
         effect_table(impacts),
         Fold("What the columns mean", [Terms(MEANINGS)]),
     ]

@@ -29,7 +29,7 @@ def advice(frame: pd.DataFrame) -> str:
     for scenes in dict.fromkeys(frame["scenes"]):
         rows = frame[frame["scenes"] == scenes].reset_index(drop=True)
         rows["error_m"], rows["misplaced"] = effective_error_m(rows), misplaced(rows)
-        rows["warm"] = warm_starts(rows["setting"])
+        rows["warm"] = warm_starts(rows)
         presets = {row["preset"]: row for _, row in rows[rows["preset"].notna()].iterrows()}
         sentences = [
             _costs(rows, str(scenes), presets),
@@ -147,6 +147,8 @@ def _knee(rows: pd.DataFrame) -> str:
     front = (
         front.drop_duplicates(["ms_median", "error_m"]).sort_values("ms_median", kind="stable").reset_index(drop=True)
     )
+    # What needs more, a gradient say, is on the front beside what is faster and better: neither is a step along it.
+    front = front[front["error_m"] < front["error_m"].cummin().shift(fill_value=np.inf)].reset_index(drop=True)
     at = knee(front["ms_median"], front["error_m"])
     if at is None:
         return ""
@@ -156,7 +158,8 @@ def _knee(rows: pd.DataFrame) -> str:
         faster = front.iloc[at - 1]
         text += f": the next faster setting on it, {faster['setting']}, saves "
         text += f"{share(1 - faster['ms_median'] / row['ms_median'])} of the time for "
-        text += f"{factor(faster['error_m'] / row['error_m'])} times the error"
+        worse = f"{factor(faster['error_m'] / row['error_m'])} times the error" if row["error_m"] else "an error of "
+        text += worse if row["error_m"] else f"{worse}{length(faster['error_m'])}"
     if at + 1 < len(front):
         better = front.iloc[at + 1]
         text += f"{',' if at > 0 else ':'} and the next more accurate, {better['setting']}, takes "

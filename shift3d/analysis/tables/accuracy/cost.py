@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pandas as pd
 
 from shift3d.analysis.tables.accuracy.frontier import settings_table
 from shift3d.analysis.tables.table import Table
+from shift3d.errors import InputError
 from shift3d.wording import counted
 
 
@@ -18,7 +20,7 @@ def diagnostics(scores: pd.DataFrame) -> str:
         return "Numerics: no object was rendered."
     unresolved = int(rows["unresolved_beams"].sum())
     text = (
-        f"Numerics: {int(scores['non_finite'].sum())} non-finite values, {unresolved} unresolved beams, largest |g| at "
+        f"Numerics: {int(rows['non_finite'].sum())} non-finite values, {unresolved} unresolved beams, largest |g| at "
         f"a hit {1e3 * float(rows['max_residual_m'].max()):.2g} mm over {counted(len(rows), 'object')}"
     )
     searched = rows[rows["method"] == "adversarial"]
@@ -39,21 +41,26 @@ _HEADERS = ("time", "x paper", "missed", "wrong", "false", "p99", "max", "cosine
 def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
     """The presets' rows on streets of this installation's frontier, or of the one that ships; and whose they are.
 
-    folder: where a frontier was written, default outputs/frontier of the working directory.
-    Raises: InputError for a frontier file that is there and cannot be read.
+    folder: where a frontier was written, default outputs/frontier of the working directory. One that cannot be read, is
+    of other scenes or lacks a preset counts as none: a sweep does not end in an error for it.
     """
     import pandas as pd
 
     from shift3d.store.frontier_table import FRONTIER_SCHEMA, read_frontier
 
     file = (folder or Path("outputs") / "frontier") / "frontier.parquet"
+    shipped = _of_presets(pd.read_json(MEASURED).reindex(columns=FRONTIER_SCHEMA.names))
     if file.is_file():
-        rows, whose = read_frontier(file).to_pandas(), "this machine's frontier"
-    else:
-        rows = pd.read_json(MEASURED).reindex(columns=FRONTIER_SCHEMA.names)
-        whose = "the frontier that ships (another machine; make frontier measures this one)"
+        with contextlib.suppress(InputError):
+            own = _of_presets(read_frontier(file).to_pandas())
+            if set(shipped.index) <= set(own.index):
+                return own, "this machine's frontier"
+    return shipped, "the frontier that ships (another machine; make frontier measures this one)"
+
+
+def _of_presets(rows: pd.DataFrame) -> pd.DataFrame:
     rows = rows[rows["preset"].notna() & (rows["scenes"] == "street")]
-    return rows.drop_duplicates("preset").set_index("preset"), whose
+    return rows.drop_duplicates("preset").set_index("preset")
 
 
 def preset_table(folder: Path | None = None) -> Table:
