@@ -9,8 +9,7 @@ from torch import Tensor
 from shift3d.attack.loop import best_step
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
-from shift3d.attack.score_only import FREE_DISTANCE
-from shift3d.attack.trials import Family, Search, Trials
+from shift3d.attack.trials import FREE_DISTANCE, Family, Search, Trials
 
 SHIFT_M, TURN_RAD = 0.1, 0.02
 """Standard deviations of the placements that a loss is the mean over: a point of a beam's grid, a degree."""
@@ -47,14 +46,14 @@ def descend_expectation(
     trials = Trials(problem, search)
     if starts > 1:
         search = _turn_to_best_start(trials, problem, search, starts, rng, family)
-    variable = trials.held
+    variable, at_start = trials.held, starts > 1 and trials.held is trials.variables[0]
     steps = max(0, (evaluations - (starts - 1)) // placements)
     mean, square = torch.zeros_like(variable, dtype=torch.float64), torch.zeros_like(variable, dtype=torch.float64)
     # Without further starts the baseline is the first step of the descent.
     moves = steps if starts == 1 else steps - 1
     for move in range(moves + 1):
         shifts = [_shift(rng) for _ in range(placements - 1)]
-        gradient = trials.evaluate(variable, move < moves, shifts)
+        gradient = trials.evaluate(variable, move < moves, shifts, again=at_start and move == 0)
         if gradient is None:
             break
         direction, mean, square = _adam(gradient.double(), mean, square, move)

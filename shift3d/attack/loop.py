@@ -59,6 +59,6 @@ def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
     for step in range(1, len(trace)):
         near = [record.loss for record in trace[max(step - selection_window, 1) : step + selection_window + 1]]
         loss = float(np.max(near))  # NaN where one of them is
-        if trace[step].valid and not trace[step].unchanged and loss < lowest:
+        if trace[step].valid and not trace[step].is_start and loss < lowest:
             best, lowest = step, loss
     return best

@@ -21,9 +21,9 @@ class StepRecord:
     LEAVES this step carried by grazing beams, None where none leaves it (the last). least_slope: smallest |e . grad g|
     of this step's hits, infinite where no gradient was taken. non_finite: NaN and infinities among the moved points,
     the proposals, the loss and the gradient; 0 by construction. within_budget: False for a shape that was found to lie
-    beyond the budget of naturalness, see `trials.Search.natural`. unchanged: whether it is the start, which may come
-    again: a descent begins at it, a gradient is 0. milliseconds: by stage (placement, render, detector, constraints,
-    backward, naturalness), over every place that the loss is the mean over.
+    beyond the budget of naturalness, see `trials.Search.natural`. is_start: the start, which comes again where a
+    descent from the best of several starts begins at it. milliseconds: by stage (placement, render, detector,
+    constraints, backward, naturalness), over every place that the loss is the mean over.
     """
 
     step: int
@@ -40,7 +40,7 @@ class StepRecord:
     least_slope: float = math.inf
     non_finite: int = 0
     within_budget: bool = True
-    unchanged: bool = False
+    is_start: bool = False
     milliseconds: dict[str, float] = field(default_factory=dict)
 
     @property

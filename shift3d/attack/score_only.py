@@ -12,10 +12,8 @@ from torch import Tensor
 from shift3d.attack.loop import best_step
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
-from shift3d.attack.trials import Family, Search, Trials
+from shift3d.attack.trials import FREE_DISTANCE, Family, Search, Trials
 
-FREE_DISTANCE = 0.2
-"""Latent distance of draws in the free space; the paper's solutions lie about so far from their baselines."""
 SIGMA = 0.3
 """First standard deviation of an evolution, in the variable's units (our choice)."""
 

@@ -19,6 +19,8 @@ from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.render.solvers.search import WarmStart
 
+FREE_DISTANCE = 0.2
+"""Latent distance of draws in the free space; the paper's solutions lie about so far from their baselines."""
 Parameters = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
@@ -96,11 +98,14 @@ class Trials:
         self._places = [Elsewhere(problem, lambda code: problem.theta0), *search.elsewhere]
         self._warm: list[WarmStart | None] = [None] * len(self._places)
 
-    def evaluate(self, variable: Tensor, with_gradient: bool, shifts: Sequence[Tensor] = ()) -> Tensor | None:
+    def evaluate(
+        self, variable: Tensor, with_gradient: bool, shifts: Sequence[Tensor] = (), again: bool = False
+    ) -> Tensor | None:
         """Try a variable and note it as the next step; returns the loss' gradient, None where none is asked for.
 
         shifts: changes of the pose, (6,) each; loss and gradient are the mean over the pose, its shifts, and the
         search's places elsewhere. Whether the step is valid is asked of the pose itself, which is measured first.
+        again: the start comes once more, where a descent begins: it is no solution.
         A loss that does not depend on the variable (no hit, no overlapping proposal) has the gradient 0.
         """
         variable = variable.detach().clone().requires_grad_(self._differentiable)
@@ -126,7 +131,8 @@ class Trials:
                 gradient = part if gradient is None else gradient + part
                 spent["backward"] += part_ms
         assert first is not None
-        record = self._with_budget(self._record(code, theta, losses, gradient, first, spent), code, variable)
+        record = replace(self._record(code, theta, losses, gradient, first, spent), is_start=again or not self.trace)
+        record = self._with_budget(record, code, variable)
         self.trace.append(record)
         self.variables.append(variable.detach())
         self._tried.append((self._problem.vehicle, code.detach().clone(), theta.detach().clone()))
@@ -146,7 +152,7 @@ class Trials:
     def _with_budget(self, record: StepRecord, code: Tensor, variable: Tensor) -> StepRecord:
         """The record, with what the budget says of it where that matters."""
         lowest = record.loss < self._lowest
-        if record.step == 0 or record.unchanged or not record.valid or not (lowest or self._every_step):
+        if record.is_start or not record.valid or not (lowest or self._every_step):
             return record
         if self._search.natural is not None:
             start = time.perf_counter()
@@ -156,12 +162,6 @@ class Trials:
         if record.valid and lowest:
             self._lowest, self.held = record.loss, variable.detach()
         return record
-
-    def _is_start(self, code: Tensor, theta: Tensor) -> bool:
-        if not self._tried:
-            return True
-        vehicle, first_code, first_theta = self._tried[0]
-        return self._problem.vehicle is vehicle and torch.equal(code, first_code) and torch.equal(theta, first_theta)
 
     def _record(
         self,
@@ -187,7 +187,6 @@ class Trials:
             evaluations=rendering.evaluations,
             grazing_gradient=None if gradient is None else rendering.grazing.gradient,
             least_slope=rendering.grazing.least_slope,
-            unchanged=self._is_start(code, theta),
             non_finite=measured.non_finite
             + sum(count_non_finite(part) for part in (loss, gradient) if part is not None),
             milliseconds=dict(spent),

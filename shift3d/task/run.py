@@ -13,8 +13,8 @@ from torch import Tensor
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult
-from shift3d.attack.score_only import FREE_DISTANCE
 from shift3d.attack.shape import SNAP_M, on_ground
+from shift3d.attack.trials import FREE_DISTANCE
 from shift3d.detectors.base import Detector
 from shift3d.naturalness.measure import NaturalnessMeasure
 from shift3d.placement.sampling import NoPlacement
