@@ -13,7 +13,7 @@ from shift3d.analysis.tables.table import Table
 MEASURES = {"alpha": "AUC of what was found", "lambda": "mean adversarial loss"}
 _PAPER = Path(__file__).resolve().parents[1] / "measured" / "paper_choices.json"
 """Copied from the paper's text: supplement, Hyper-Parameters."""
-_OF = ("mode", "vehicle", "alpha", "detector", "accuracy", "search", "effects")
+_OF = ("mode", "vehicle", "detector", "accuracy", "search", "effects", "alpha")
 
 
 @functools.cache
@@ -35,14 +35,12 @@ def choice_tables(choices: pd.DataFrame) -> list[Table]:
     tables = []
     for parameter, rows in choices.groupby("parameter", sort=False):
         candidates = sorted(set(rows["candidate"]))
-        further = ("mode", "detector", "accuracy", "search", "effects", "alpha")
-        several = [name for name in further if rows[name].nunique() > 1]
-        if parameter == "alpha":  # a line's name is its mode
-            several = [name for name in several if name != "mode"]
+        own = "mode" if parameter == "alpha" else "vehicle"
+        several = [name for name in _OF if name != own and rows[name].nunique() > 1]
         lines = []
         for values, group in rows.groupby(list(_OF), sort=False, dropna=False):
             named = dict(zip(_OF, values))
-            of = str(named["mode"] if parameter == "alpha" else named["vehicle"])
+            of = str(named[own])
             settings = [f"{name} {_short(named[name])}" for name in several if named[name] == named[name]]
             found = dict(zip(group["candidate"], group["found"]))
             paper = papers_choice(str(parameter), of)

@@ -15,6 +15,7 @@ from pathlib import Path
 import pandas as pd
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
+from shift3d.analysis.tables.objects import PLACE, one_baseline, with_places
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
 from shift3d.errors import InputError
@@ -23,7 +24,6 @@ from shift3d.store.atomic import write_atomic
 LEAST_SCENES = 8
 """Fewer say too little for `auto` to go by (our choice: at 8 the intervals hold in 88 % of the cases, not in 95 %)."""
 
-_PLACE = ["baseline_x_m", "baseline_y_m", "baseline_yaw_rad"]
 _PAIR = [
     "vehicle",
     "dataset",
@@ -34,7 +34,7 @@ _PAIR = [
     "detector",
     "accuracy",
     "search",
-    *_PLACE,
+    *PLACE,
     "scored_by",
 ]
 MEANINGS = {
@@ -88,9 +88,7 @@ def effect_impacts(scores: pd.DataFrame, milliseconds: Mapping[str, float]) -> l
 
 def _by_effect(scores: pd.DataFrame) -> pd.DataFrame:
     """With what a row's task ran under, and where its vehicle stands: replicates differ in their place alone."""
-    base = scores[scores["method"] == "baseline"].drop_duplicates("task_id").set_index("task_id")
-    places = {f"baseline_{name}": scores["task_id"].map(base[name]) for name in ("x_m", "y_m", "yaw_rad")}
-    return scores.assign(effect=scores["effects"].map(lambda names: "+".join(names)), **places)
+    return with_places(scores).assign(effect=scores["effects"].map(lambda names: "+".join(names)))
 
 
 def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseconds: float) -> EffectImpact:
@@ -103,9 +101,8 @@ def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseco
         raise InputError(
             f"no object was scored both with {name} and without", "the sweep", "Run both on the same scenes"
         )
-    # Searches of several modes, lambdas or alphas have one baseline.
     once = [name for name in _PAIR if name not in ("mode", "lambda", "alpha", "search")]
-    pairs = pairs[~(pairs["method"].eq("baseline") & pairs.duplicated([*once, "method", "replicate"]))]
+    pairs = one_baseline(pairs, [*once, "replicate"])
     change = pairs["score"] - pairs["score_plain"]
     scene = pairs["dataset"] + "/" + pairs["scene"]
     base, hard = pairs["method"] == "baseline", pairs["method"] == "adversarial"

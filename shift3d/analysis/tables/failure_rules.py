@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from shift3d.analysis.statistics.intervals import Interval, difference_interval
+from shift3d.analysis.tables.objects import one_baseline
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.errors import InputError
 from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg, find_rules
@@ -93,9 +94,8 @@ def rules_objects(sweep: Sweep) -> pd.DataFrame:
     """
     rows = sweep.scored
     rows = rows[rows["method"].isin(_METHODS)].drop_duplicates(["task_id", "scored_by", "method", "replicate"])
-    # Tasks of several modes, lambdas or alphas have one baseline, which is one object.
     same = ["place", "vehicle", "detector", "scored_by", "accuracy", "x_m", "y_m", "yaw_rad", "score"]
-    rows = rows[~(rows["method"].eq("baseline") & rows.duplicated(["method", *same]))]
+    rows = one_baseline(rows, same)
     posed = rows["mode"] == "pose"
     rows = rows.assign(shape=rows["method"].mask(posed, "baseline"), copy=rows["replicate"].mask(posed, 0))
     sizes = sweep.shapes[["task_id", "method", "replicate", *_SIZES]]

@@ -90,7 +90,7 @@ class Comparison:
         number, least = self.number("hard"), self.detectable
         detected = int(self._of("hard")["detected_before"].sum())
         if least is None:
-            shown = "a loss of any size can be missed"
+            shown = "a loss of any size is missed in more than one release of ten"
         elif least * number > detected:
             shown = f"of which {detected} were detected before, no loss of recall can be shown"
         else:

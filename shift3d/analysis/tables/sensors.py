@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from shift3d.analysis.statistics.intervals import mean_interval, ratio_interval
+from shift3d.analysis.tables.objects import PLACE, with_places
 from shift3d.analysis.tables.table import Table, interval_text, number
 
 _TRANSFER_GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
@@ -44,8 +45,7 @@ MISSED_BELOW = 0.1
 """A vehicle with a lower score is missed. Source: the score that the public Waymo config shows boxes from."""
 _BEAMS = r"-beams_([a-z0-9_]+)"
 _GROUP = ["mode", "method", "detector", "scored_by", "search"]
-_PAIR = ["street", "vehicle", "lambda", "alpha", "accuracy", "effects", "replicate"]
-_PAIR += ["baseline_x_m", "baseline_y_m", "baseline_yaw_rad"]  # the same to the bit under any beams
+_PAIR = ["street", "vehicle", "lambda", "alpha", "accuracy", "effects", "replicate", *PLACE]
 _METHODS = ("baseline", "adversarial")
 
 
@@ -56,10 +56,8 @@ def paired_scores(scores: pd.DataFrame) -> dict[tuple[str, ...], tuple[pd.DataFr
     which they were planned. Baselines are one object; an adversarial one was searched under its own beams.
     """
     rows = scores[scores["method"].isin(_METHODS)]
-    base = rows[rows["method"] == "baseline"].drop_duplicates("task_id").set_index("task_id")
-    places = {f"baseline_{name}": rows["task_id"].map(base[name]) for name in ("x_m", "y_m", "yaw_rad")}
     effects = rows["effects"].map(lambda names: "+".join(names))
-    rows = rows.assign(beams=rows["scene"].str.extract(_BEAMS, expand=False), effects=effects, **places)
+    rows = with_places(rows).assign(beams=rows["scene"].str.extract(_BEAMS, expand=False), effects=effects)
     # Searches of several lambdas or alphas have one baseline.
     rows = rows.assign(**{name: rows[name].mask(rows["method"] == "baseline", -1.0) for name in ("lambda", "alpha")})
     rows = rows[rows["beams"].notna() & rows["score"].notna()]

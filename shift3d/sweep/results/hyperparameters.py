@@ -93,25 +93,23 @@ def choice_rows(scored: pd.DataFrame, sweep: str, steps: set[int]) -> list[dict[
     known = {"sweep": sweep}
     alphas, lambdas = choose_alphas(scored), choose_lambdas(scored)
     for key, choice in alphas.items():
-        named = dict(zip(_ALPHA_KEYS, key))
-        of = ", ".join([f"the {key[0]}", *_further(named, _ALPHA_KEYS, alphas)])
-        known_here = known | named | {"vehicle": None, "alpha": None, "parameter": "alpha"}
-        rows += _candidates(known_here, choice, _why_alpha(of, choice, steps))
+        named = dict(zip(_ALPHA_KEYS, key)) | {"vehicle": None, "alpha": None}
+        of = ", ".join([f"the {named['mode']}", *_distinguished(named, _ALPHA_KEYS, alphas, ("mode",))])
+        rows += _candidates(known | named | {"parameter": "alpha"}, choice, _why_alpha(of, choice, steps))
     for key, choice in lambdas.items():
         named = dict(zip(RULE_KEYS, key))
-        further = _further(named, RULE_KEYS, lambdas, "mode")
-        of = ", ".join([f"the {str(named['vehicle']).replace('_', ' ')} at alpha {named['alpha']:g}", *further])
+        of = f"the {str(named['vehicle']).replace('_', ' ')} at alpha {named['alpha']:g}"
+        of = ", ".join([of, *_distinguished(named, RULE_KEYS, lambdas, ("vehicle", "alpha"))])
         rows += _candidates(known | named | {"parameter": "lambda"}, choice, _why_lambda(of, choice))
     return rows
 
 
-def _further(
-    named: Mapping[str, Any], names: Sequence[str], chosen: Mapping[tuple[Any, ...], Choice], *more: str
+def _distinguished(
+    named: Mapping[str, Any], keys: Sequence[str], chosen: Mapping[tuple[Any, ...], Choice], known: Sequence[str]
 ) -> list[str]:
-    """What else a choice is for, where a sweep has several of it."""
-    differ = [name for at, name in enumerate(names) if len({key[at] for key in chosen}) > 1]
-    of = (*more, "detector", "accuracy", "search", "effects")
-    return [f"{name} {named[name]}" for name in of if name in differ]
+    """What a choice is for, beside what is known of it, where a sweep's choices differ in it."""
+    differ = [name for at, name in enumerate(keys) if name not in known and len({key[at] for key in chosen}) > 1]
+    return [f"{name} {named[name]}" for name in differ]
 
 
 def _found(scored: pd.DataFrame) -> pd.DataFrame:

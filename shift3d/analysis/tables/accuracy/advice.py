@@ -158,8 +158,8 @@ def _knee(rows: pd.DataFrame) -> str:
         faster = front.iloc[at - 1]
         text += f": the next faster setting on it, {faster['setting']}, saves "
         text += f"{share(1 - faster['ms_median'] / row['ms_median'])} of the time for "
-        worse = f"{factor(faster['error_m'] / row['error_m'])} times the error" if row["error_m"] else "an error of "
-        text += worse if row["error_m"] else f"{worse}{length(faster['error_m'])}"
+        error, least = faster["error_m"], row["error_m"]
+        text += f"{factor(error / least)} times the error" if least else f"an error of {length(error)}"
     if at + 1 < len(front):
         better = front.iloc[at + 1]
         text += f"{',' if at > 0 else ':'} and the next more accurate, {better['setting']}, takes "

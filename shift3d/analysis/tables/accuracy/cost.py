@@ -42,7 +42,7 @@ def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
     """The presets' rows on streets of this installation's frontier, or of the one that ships; and whose they are.
 
     folder: where a frontier was written, default outputs/frontier of the working directory. One that cannot be read, is
-    of other scenes or lacks a preset counts as none: a sweep does not end in an error for it.
+    of other scenes or lacks a preset is named and left out: a sweep does not end in an error for it.
     """
     import pandas as pd
 
@@ -55,6 +55,7 @@ def measured_presets(folder: Path | None = None) -> tuple[pd.DataFrame, str]:
             own = _of_presets(read_frontier(file).to_pandas())
             if set(shipped.index) <= set(own.index):
                 return own, "this machine's frontier"
+        return shipped, f"the frontier that ships ({file} cannot be read or lacks a preset on streets: make frontier)"
     return shipped, "the frontier that ships (another machine; make frontier measures this one)"
 
 
