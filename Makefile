@@ -36,7 +36,7 @@ sweep: .venv/.runtime  ## run sweeps/$(SWEEP).yaml; the same command again resum
 which-sweep:
 	@test -n "$(OUT)" || { echo 'which sweep? make $(MAKECMDGOALS) OUT=outputs/NAME-HASH'; exit 2; }
 
-retry-quarantined: which-sweep .venv/.runtime  ## run again what a sweep gave up on: OUT=outputs/NAME-HASH
+retry-quarantined: which-sweep .venv/.runtime  ## run a sweep's quarantined tasks again: OUT=outputs/NAME-HASH
 	$(BIN)/shift3d sweep $(OUT) $(ARGS) $(WORDS) --retry-quarantined
 
 verify: which-sweep .venv/.runtime  ## score a sweep's solutions again at reference accuracy: OUT=outputs/NAME-HASH

@@ -22,7 +22,7 @@ def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     return x @ weight.T if bias is None else torch.addmm(bias, x, weight.T)
 
 
-def in_round_batches(x: Tensor, *parts: Tensor) -> Tensor:
+def padded_to_bucket(x: Tensor, *parts: Tensor) -> Tensor:
     """Points x (N, 3) with rows of zeros behind them, up to a number that comes round again: see `pad_to_bucket`.
 
     The same tensor where oneDNN is not asked, or a gradient of the point or the parts is wanted.

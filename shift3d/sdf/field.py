@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from shift3d.sdf.affine import affine, in_round_batches
+from shift3d.sdf.affine import affine, padded_to_bucket
 from shift3d.sdf.linear_regions import LinearRegion, linear_region
 
 
@@ -37,7 +37,7 @@ def tangent(
     A unit exactly at its switch counts as off, as in autograd. Costs two evaluations.
     Source: our choice: the paper says what is needed, not how it is had.
     """
-    count, x = len(x), in_round_batches(x)
+    count, x = len(x), padded_to_bucket(x)
     last, hidden, units = len(weights) - 1, x, []
     for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         if layer == skip_layer:
@@ -85,7 +85,7 @@ class Field:
             x_sdf: points (N, 3), sdf frame, unit-sphere units; cast to the field's dtype.
         Returns: (N,), in (-1, 1) because of the tanh.
         """
-        hidden = x = in_round_batches(x_sdf.to(self.dtype), *self.weights, *self.biases)
+        hidden = x = padded_to_bucket(x_sdf.to(self.dtype), *self.weights, *self.biases)
         last = len(self.weights) - 1
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if layer == self.skip_layer:
@@ -119,7 +119,7 @@ class Field:
         """
         weights, biases = ([part.detach() for part in parts] for parts in (self.weights, self.biases))
         with torch.no_grad():
-            hidden = x = in_round_batches(x_sdf.detach().to(self.dtype))
+            hidden = x = padded_to_bucket(x_sdf.detach().to(self.dtype))
             live = []
             for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
                 if layer == self.skip_layer:

@@ -25,7 +25,7 @@ _RESTORE = "Restore the file from a copy, or remove the output folder and run th
 
 @dataclass(frozen=True)
 class Commit:
-    """One entry: the tasks it finished, those it gave up on, and the segment files that hold their rows.
+    """One entry: the tasks it finished, those it quarantined, and the segment files that hold their rows.
 
     kind: session (a driver began), commit, or compact, which stands for all entries before it.
 

@@ -86,7 +86,7 @@ def run_sweep(
     """Run what a plan has left to run, and write ``final/``.
 
     finish: writes the final tables from (folder, plan, log entries) when everything has run. retry_quarantined: tasks
-    that earlier runs gave up on are left to run, too. reuse: folders of other sweeps, whose results of the same tasks
+    that earlier runs quarantined are left to run, too. reuse: folders of other sweeps, whose results of the same tasks
     are taken over first.
 
     The first Ctrl-C (or SIGTERM) lets the tasks in flight finish and commits them, the second one drops them.

@@ -31,7 +31,7 @@ def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -
     """
     found: list[MovedTask] = []
     for other in spec.transfer_scenes[: spec.attack.search_scenes]:
-        moved = spec.moved_to(other, assets.placing_scene(spec)[2])
+        moved = _moved(spec, other, assets)
         placement = place_vehicle(moved, assets)
         if not isinstance(placement, NoPlacement):
             there = build_problem(moved, assets, placement.theta)
@@ -53,7 +53,12 @@ def put_elsewhere(spec: TaskSpec, assets: Assets, code: Tensor, vehicle: Vehicle
         rotation and translation). That the height follows the shape is our choice, as in `attack.shape`.
     """
     for other in spec.transfer_scenes[spec.attack.search_scenes :]:
-        yield from _put(spec.moved_to(other, assets.placing_scene(spec)[2]), other, assets, code, vehicle)
+        yield from _put(_moved(spec, other, assets), other, assets, code, vehicle)
+
+
+def _moved(spec: TaskSpec, other: TransferScene, assets: Assets) -> TaskSpec:
+    """The task in another scene, at the same place there whatever beams see its own."""
+    return spec.moved_to(other, assets.placing_scene(spec)[2])
 
 
 def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor, vehicle: Vehicle | None) -> Iterator[Row]:

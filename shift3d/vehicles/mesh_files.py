@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import itertools
@@ -37,8 +36,8 @@ class MeshFile:
         content = self.path.read_bytes()
         digest = hashlib.sha256(content)
         for part in _files_beside(content) if self.path.suffix.lower() == ".gltf" else ():
-            with contextlib.suppress(OSError):  # reading the mesh says what is missing
-                digest.update((self.path.parent / part).read_bytes())
+            if (file := self.path.parent / part).is_file():  # reading the mesh says what is missing
+                digest.update(file.read_bytes())
         return digest.hexdigest()
 
 

@@ -46,7 +46,7 @@ class Round:
         return code, errors
 
     def gives_up(self, *words: str, alone: bool = False, **environment: str) -> int:
-        """A run that ends with a task that it gave up on."""
+        """A run that ends with a quarantined task."""
         code, errors = self.run(*words, alone=alone, **environment)
         assert code == 3, errors
         return code

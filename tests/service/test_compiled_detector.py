@@ -1,4 +1,4 @@
-"""The shipped PointPillars as an ONNX file: its scores, and a sweep that a Ray worker runs on them alone."""
+"""The shipped PointPillars as an ONNX file: its scores, and a sweep that two Ray workers run on them alone."""
 
 from __future__ import annotations
 
@@ -48,9 +48,8 @@ def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(
         "attack.noise_replicates=0",
         "attack.steps=1",
         "vehicle=coupe",
-        "mode=shape",
         "runner=ray",
-        "runner.workers=1",
+        "runner.workers=2",
         "tracking=none",
         "out=mine",
         "naturalness=none",
@@ -59,7 +58,9 @@ def test_the_shipped_detector_is_compiled_and_attacked_by_its_scores(
     assert main(["sweep", "smoke", *words]) == 2 and "attack.search=evolution" in capsys.readouterr().err
     done = shift3d(tmp_path, "sweep", "smoke", *words, "attack.search=evolution")
     assert done.returncode == 0, done.stderr[-3000:]
-    assert "pp.onnx: scores are those of pointpillars within" in done.stdout
+    assert (
+        "pp.onnx: scores are those of pointpillars within" in done.stdout and "2 workers" in done.stdout + done.stderr
+    )
     scores = pd.read_parquet(tmp_path / "mine" / "final" / "scores.parquet")
     assert set(scores["detector"]) == {"onnx"} and set(scores["scored_by"]) == {"onnx", "pointpillars"}
     assert set(scores["method"]) >= {"baseline", "random_search", "adversarial"}

@@ -105,10 +105,10 @@ def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
 
 
 def _quarantined_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
-    """Of each task whether a sweep that goes on in one of these folders has given it up."""
-    given_up = {task for folder in folders for entry in read_log(folder) for task in entry.quarantined}
+    """Of each task whether a sweep that goes on in one of these folders has quarantined it."""
+    quarantined = {task for folder in folders for entry in read_log(folder) for task in entry.quarantined}
     found = np.ones(len(tasks), dtype=bool)
-    found[tasks.without(given_up)] = False
+    found[tasks.without(quarantined)] = False
     return found
 
 
@@ -207,10 +207,10 @@ def expected_lines(
     """
     own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
     done = finished_in(plan.tasks, [*own, *others])
-    given_up = _quarantined_in(plan.tasks, own) & ~done
-    left = plan.tasks.select(np.flatnonzero(~done & ~given_up))
+    quarantined = _quarantined_in(plan.tasks, own) & ~done
+    left = plan.tasks.select(np.flatnonzero(~done & ~quarantined))
     progress = f"{int(done.sum())} of {counted(len(plan.tasks), 'task')} are done already\n" if done.any() else ""
-    if count := int(given_up.sum()):
+    if count := int(quarantined.sum()):
         stay = "stays out: --retry-quarantined runs it" if count == 1 else "stay out: --retry-quarantined runs them"
         progress += f"{counted(count, 'quarantined task')} {stay} again\n"
     if not len(left):

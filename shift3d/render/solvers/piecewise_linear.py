@@ -157,7 +157,7 @@ class Traversal:
         self._end(rows[~jumps][beyond > self.rays.far_m[rows[~jumps]]])
 
     def _usable(self, rows: Tensor, k: Tensor, g: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Rows that are outside, as the bound has it; the others are sent back, or given up."""
+        """Rows that are outside, as the bound has it; the others are sent back, or left undecided."""
         lost = ~torch.isfinite(g)
         self._give_up(rows[lost])
         k_before, g_before = self._k_before[rows], self._g_before[rows]

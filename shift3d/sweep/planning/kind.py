@@ -43,7 +43,7 @@ def shift3d_kind() -> TaskKind:
     return TaskKind(run=_run, load=_load, catalogue=read_catalogue, preview=preview, prepare=_prepare)
 
 
-# What tasks need is imported where they run: a plan, and the driver of a sweep on Ray, do without torch.
+# The renderer and the meshes are imported where tasks run: a plan, and the driver of a sweep on Ray, need neither.
 def _run(spec: TaskSpec, assets: Any) -> TaskResult:
     from shift3d.task.run import run_task
 

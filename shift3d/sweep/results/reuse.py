@@ -26,7 +26,7 @@ _TASKS_A_COMMIT = 100_000
 def take_finished(log: CommitLog, plan: Plan, other: LocationLike) -> int:
     """Commit what another sweep has finished of a plan's tasks, and this one has not; returns how many.
 
-    The other sweep may have any name, be unfinished or be running: what it has committed counts, what it gave up on
+    The other sweep may have any name, be unfinished or be running: what it has committed counts, what it quarantined
     does not. A task's rows are committed with it or not at all, so that a driver that is killed here loses nothing.
 
     Raises: InputError: the folder is no sweep's, of another schema version, or damaged; as `CommitLog.commit`.

@@ -125,7 +125,8 @@ def _vehicle_at(
     box[:3], box[6] = (*place, ground + box[5] / 2), np.mod(box[6] + turn + np.pi, 2 * np.pi) - np.pi
     space = box.copy()
     space[2] += CLEARANCE_M
-    if points_in_boxes(scene.points, space[None], MARGIN_M).any():
+    long = float(np.hypot(box[3], box[4])) / 2 + MARGIN_M > GROUND_RADIUS_M
+    if points_in_boxes(scene.points if long else around, space[None], MARGIN_M).any():
         return None
     return np.asarray(offset + box[:3], dtype=np.float32), box
 

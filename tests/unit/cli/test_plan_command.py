@@ -63,7 +63,6 @@ def test_tasks_are_listed_of_plans_alone(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_a_plan_does_without_what_its_tasks_need() -> None:
-    """A plan, and the driver of a sweep on Ray, start two seconds sooner for it."""
     heavy = ("shift3d.task.run", "shift3d.task.assets", "trimesh", "ray", "mlflow")
     code = (
         "import sys\nfrom shift3d.cli.main import main\nassert main(['plan', 'smoke', 'tracking=none']) == 0\n"

@@ -178,7 +178,7 @@ def test_a_change_at_the_rim_of_what_is_seen_is_kept_in_mind(exact: TrainedDetec
         _assert_same(exact, incremental, points, window)
 
 
-def test_many_editions_in_a_row(exact: TrainedDetector) -> None:
+def test_many_frames_in_a_row(exact: TrainedDetector) -> None:
     generator = torch.Generator().manual_seed(2)
     points = _scene().double()
     incremental = exact.incremental(exact.window_for(CENTRE, 8.0))

@@ -23,7 +23,16 @@ PRIVATE_TERMS = (
     *("silent beams?", "silent_beams", "sphere_m", "steady_steps", "still_a_car", "twins?", "unchecked_m"),
 )
 # What a diary says: the past is in git.
-DIARY = ("anew", "by this version", "of this version", "given up on", "nobody's fault", "previously", "until now")
+DIARY = (
+    "anew",
+    "by this version",
+    "gave up on",
+    "of this version",
+    "given up on",
+    "nobody's fault",
+    "previously",
+    "until now",
+)
 # Old names that are refused with the valid one, or read from older folders; a program's English.
 ALLOWED = {
     "shift3d/settings/renamed.py": PRIVATE_TERMS,

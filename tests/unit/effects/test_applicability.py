@@ -126,19 +126,19 @@ def fresh(noise_m: float) -> tuple[list[str], list[str]]:
     return first, second
 
 
-def test_no_effect_is_imported_where_none_is_called_for():
+def test_no_effect_is_imported_where_none_applies():
     own = ["shift3d.effects", "shift3d.effects.applicability"]
     assert fresh(0.0) == ([], own)
 
 
-def test_other_effects_are_not_imported_with_the_one_that_is_called_for():
+def test_other_effects_are_not_imported_with_the_one_that_applies():
     effects, modules = fresh(0.02)
     assert effects == ["range_noise"]
     assert {name.rpartition(".")[2] for name in modules} & set(NEEDS) == {"range_noise"}
 
 
 @pytest.mark.parametrize("name", ALONE)
-def test_an_effect_is_called_for_by_the_scene_that_has_its_data(name):
+def test_an_effect_applies_in_the_scene_that_has_its_data(name):
     choices = called(with_data(name), READER)
     assert names(choices) == [name]
     assert any(letter.isdigit() for letter in choices[0].reason) or name == "reflectance"
@@ -150,13 +150,13 @@ def laid_over(scene: Scene) -> Scene:
     return dataclasses.replace(scene, conditions=dataclasses.replace(scene.conditions, weather_in_points=False))
 
 
-def test_wet_ground_is_called_for_by_rain_that_is_not_in_the_points_and_a_known_limit():
+def test_wet_ground_applies_in_rain_that_is_not_in_the_points_and_a_known_limit():
     scene = with_data("rain", "ray_drop")
     assert names(called(laid_over(scene))) == ["wet_ground", "rain", "ray_drop"]
     assert names(called(scene)) == ["rain", "ray_drop"]  # the points were measured over wet ground
 
 
-def test_reflectance_is_called_for_by_detectors_that_read_it_alone():
+def test_reflectance_applies_for_detectors_that_read_it_alone():
     assert names(called(with_data("reflectance"), COORDINATES)) == []
     assert names(called(with_data("reflectance"), READER)) == ["reflectance"]
 
@@ -203,7 +203,7 @@ def test_unknown_names_are_refused_with_those_that_are_known():
     assert all(name in str(caught.value) for name in NEEDS)
 
 
-def test_a_forced_effect_is_used_whether_it_is_called_for_or_not():
+def test_a_forced_effect_is_used_whether_it_applies_or_not():
     """A noise that float32 cannot hold is not called for; forced it is used."""
     scene = dataclasses.replace(dry_scene(), sensor=SensorModel(range_noise_m=1e-7))
     assert called(scene) == []

@@ -281,7 +281,7 @@ def test_the_strongest_group_of_echoes() -> None:
     assert strongest(range_m, power).tolist() == [[False, True, True], [True, True, True], [False, False, True]]
 
 
-def test_called_for_by_the_width_of_the_cone_at_the_farthest_place() -> None:
+def test_applies_by_the_width_of_the_cone_at_the_farthest_place() -> None:
     detector = DetectorFacts("any")
     widest = LEAST_FOOTPRINT_M / PLACEMENT_LIMIT_M
     for factor, expected in ((0.99, False), (1.01, True)):

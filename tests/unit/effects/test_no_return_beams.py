@@ -120,7 +120,7 @@ def test_origins_no_return_rows_and_shutter_each_keep_what_the_former_did() -> N
     assert torch.allclose(rendering.points[80:][~hit[80:]].double(), resting[~hit[80:]], rtol=1e-7)
 
 
-def test_called_for_by_how_many_there_are() -> None:
+def test_applies_by_how_many_there_are() -> None:
     detector = DetectorFacts("any")
     reason = EFFECT.applicability(SceneFacts.of(scene_of()), FRAME, detector)
     assert reason is not None and "60" in reason

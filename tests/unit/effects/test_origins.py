@@ -72,7 +72,7 @@ def test_places_that_agree_row_by_row_give_the_beams_of_one_place() -> None:
     assert torch.equal(render(rows, FIELD, THETA, FRAME).points, render(one, FIELD, THETA, FRAME).points)
 
 
-def test_called_for_where_places_differ() -> None:
+def test_applies_where_places_differ() -> None:
     detector = DetectorFacts("any")
     assert EFFECT.applicability(SceneFacts.of(scene_of(TWO[:1])), FRAME, detector) is None
     assert EFFECT.applicability(SceneFacts.of(scene_of(TWO)), FRAME, detector) is not None

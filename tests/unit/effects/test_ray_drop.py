@@ -153,7 +153,7 @@ def test_what_stays_keeps_its_gradient():
     assert after.points is points and not after.returned.all()
 
 
-def test_called_for_where_the_weakest_echo_comes_near_the_limit():
+def test_applies_where_the_weakest_echo_comes_near_the_limit():
     """Sharp: the darkest echo, albedo cos(80 deg) / 50^2, equals 0.9 / limit^2 for a limit of 569 m."""
     limit_m = FAR_M * math.sqrt(0.9 / (DARKEST_ALBEDO * math.cos(STEEP_RAD)))
     assert round(limit_m) == 569

@@ -99,7 +99,7 @@ def test_it_carries_no_gradient():
     assert reported is not None and not reported.requires_grad
 
 
-def test_called_for_where_a_detector_reads_what_the_scene_has():
+def test_applies_where_a_detector_reads_what_the_scene_has():
     with_it, without = (SceneFacts.of(context_of(20, known).scene) for known in (True, False))
     reader, coordinates = DetectorFacts("sst", reads_reflectance=True), DetectorFacts("pointpillars")
     reason = EFFECT.applicability(with_it, Frame(), reader)

@@ -129,7 +129,7 @@ def test_gradient_by_the_pose_is_that_of_finite_differences() -> None:
         assert float(gradient[axis]) == pytest.approx(float(ahead - back) / 2e-4, rel=1e-4, abs=1e-5)
 
 
-def test_called_for_where_the_displacement_exceeds_the_range_noise() -> None:
+def test_applies_where_the_displacement_exceeds_the_range_noise() -> None:
     scene = dataclasses.replace(scene_of(), sensor=SensorModel(range_noise_m=0.5))
     for speed, expected in ((4.9, False), (5.1, True), (-5.1, True)):
         facts = SceneFacts.of(scene, EffectSettings(object_speed_m_s=speed))
@@ -140,7 +140,7 @@ def test_called_for_where_the_displacement_exceeds_the_range_noise() -> None:
         assert (EFFECT.applicability(facts, FRAME, DETECTOR) is not None) == expected
 
 
-def test_called_for_by_a_moving_sensor_only_where_points_do_not_contain_its_motion() -> None:
+def test_applies_by_a_moving_sensor_only_where_points_do_not_contain_its_motion() -> None:
     for compensated in (True, False):
         conditions = Conditions(ego_velocity_m_s=(10.0, 0.0, 0.0), motion_compensated=compensated)
         reason = EFFECT.applicability(SceneFacts.of(scene_of(conditions)), FRAME, DETECTOR)

@@ -167,7 +167,7 @@ def test_one_return_a_beam_from_an_inserted_box():
     assert float(gradient[0]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_called_for_where_beams_have_more_than_one_return():
+def test_applies_where_beams_have_more_than_one_return():
     two = scene_of([0, 1], [SAME, SAME])
     detector = DetectorFacts("reader")
     assert "2 returns" in (EFFECT.applicability(SceneFacts.of(two), Frame(), detector) or "")

@@ -5,7 +5,7 @@ import torch
 
 from shift3d.processor import has_fast_bfloat16, has_wide_float32, pad_to_bucket
 from shift3d.sdf import affine as module
-from shift3d.sdf.affine import affine, in_round_batches
+from shift3d.sdf.affine import affine, padded_to_bucket
 
 
 @pytest.fixture(params=[False, True], ids=["torch", "onednn"])
@@ -64,24 +64,24 @@ def test_a_row_is_the_same_whatever_stands_beside_it() -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
-def test_a_round_batch_changes_no_value_and_holds_no_gradient_back(
+def test_a_padded_batch_changes_no_value_and_holds_no_gradient_back(
     dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not has_wide_float32():
         monkeypatch.setattr(module, "has_wide_float32", lambda: True)
     x, weight, bias = (part.to(dtype) for part in parts(37, 3, 40))
-    filled = in_round_batches(x, weight, bias)
+    filled = padded_to_bucket(x, weight, bias)
     assert torch.equal(filled[:37], x) and not filled[37:].any()
     assert len(filled) == (
         37 if dtype == torch.float64 or (dtype == torch.bfloat16 and not has_fast_bfloat16()) else 48
     )
-    assert in_round_batches(x, weight, bias.requires_grad_()) is x
+    assert padded_to_bucket(x, weight, bias.requires_grad_()) is x
     with torch.no_grad():
-        assert len(in_round_batches(x, weight, bias)) == len(filled)
-    assert len(in_round_batches(x[:0], weight)) == 0
+        assert len(padded_to_bucket(x, weight, bias)) == len(filled)
+    assert len(padded_to_bucket(x[:0], weight)) == 0
 
 
-def test_round_batches_are_few_and_near() -> None:
+def test_buckets_are_few_and_near() -> None:
     sizes = [pad_to_bucket(rows) for rows in range(1, 1025)]
     spare = {rows: size - rows for rows, size in enumerate(sizes, start=1)}
     assert all(0 <= more < (max(16, rows / 2) if rows <= 256 else 128) for rows, more in spare.items())

@@ -14,7 +14,7 @@ from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.places import survey_scene
 from shift3d.task.problem import build_problem, place_vehicle
-from shift3d.task.spec import TaskSpec
+from shift3d.task.spec import TaskSpec, TransferScene
 
 NAMES = (None, "hdl32")
 
@@ -74,3 +74,12 @@ def test_the_ids_of_streets_seen_by_their_own_sensor_do_not_say_beams() -> None:
     other = read_catalogue(validate(compose_sweep("smoke", ["scenes.count=1", "scenes.beams=hdl32"]).base, "smoke"))
     assert "beams" not in own.scene_arguments and other.scene_arguments["beams"] == "hdl32"
     np.testing.assert_array_equal(own.sector_rad, other.sector_rad)
+
+
+def test_a_shape_is_put_into_another_scene_at_one_place_whatever_beams_see_its_own(
+    placed: dict[str | None, tuple[TaskSpec, Assets, Placement]],
+) -> None:
+    other = TransferScene("street_another", "hash")
+    seeds = {spec.moved_to(other, assets.placing_scene(spec)[2]).placement_seed for spec, assets, _ in placed.values()}
+    assert len(seeds) == 1
+    assert len({spec.moved_to(other).placement_seed for spec, _, _ in placed.values()}) == len(placed)

@@ -95,7 +95,7 @@ def _end_idle_helpers(ray: Any) -> None:
 
 
 def _check_token(address: str) -> None:
-    """Ask a cluster whether it takes our token: ``ray.init`` would try for 20 s and then not say why it gave up.
+    """Ask a cluster whether it takes our token: ``ray.init`` would try for 20 s and then not say why it failed.
 
     Raises: ray.exceptions.AuthenticationError: it does not. OSError: nobody answers there.
     """

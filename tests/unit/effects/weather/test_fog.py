@@ -197,14 +197,14 @@ def facts_of(visibility_m: float, **known: object) -> SceneFacts:
     return SceneFacts("s", conditions=Conditions("fog", visibility_m=visibility_m), **known)
 
 
-def test_called_for_with_figures():
+def test_applies_with_figures():
     reason = EFFECT.applicability(facts_of(50.0), Frame(), BLIND)
     # 1 - exp(-2 * 30 ln 20 / 50) = 0.973
     assert reason is not None
     assert "visibility 50 m: 97 % of the light is lost at 30 m and back" in reason
 
 
-def test_not_called_for_where_it_cannot_matter():
+def test_does_not_apply_where_it_cannot_matter():
     limited = SensorModel(limit_range_m=100.0)
     assert EFFECT.applicability(facts_of(math.inf, sensor=limited), Frame(), BLIND) is None
     # 2 * 50 ln 20 / MOR = 1 % at 30 km.

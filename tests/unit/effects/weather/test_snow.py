@@ -191,7 +191,7 @@ def facts_of(snow_mm_h: float) -> SceneFacts:
     return SceneFacts("s", conditions=Conditions("snow", snow_mm_h=snow_mm_h))
 
 
-def test_called_for_with_figures():
+def test_applies_with_figures():
     reason = EFFECT.applicability(facts_of(1.0), Frame(), BLIND)
     # 1 - exp(-2 * 3.24e-3 * 30) = 0.177
     assert reason == "snow 1 mm/h: 18 % of the light is lost at 30 m and back"

@@ -172,7 +172,7 @@ def facts_of(in_points: bool = False, **known: object) -> SceneFacts:
     return SceneFacts("s", conditions=conditions, sensor=LIMIT, **known)
 
 
-def test_called_for_in_rain_over_ground_in_view():
+def test_applies_in_rain_over_ground_in_view():
     detector = DetectorFacts("xyz")
     reason = EFFECT.applicability(facts_of(), Frame(), detector)
     share = float(wet_albedo(values(0.3), values(1.73 / 20.0))) / 0.3
