@@ -125,3 +125,18 @@ def test_the_papers_choices() -> None:
     assert [papers_choice("lambda", name) for name in ("coupe", "sports_car", "suv", "convertible", "beach_wagon")] == [
         10, 10, 1, 1, 1]  # fmt: skip
     assert papers_choice("alpha", "pose") == 0.01 and papers_choice("lambda", "van") is None
+
+
+def test_choices_of_several_modes_are_told_apart_in_words_and_lines() -> None:
+    """The shape wants the smaller lambda, shape and pose the larger one."""
+    rows = [
+        scored(0.01, weight, 0.4, loss, mode=mode)
+        for mode, losses in (("shape", (0.2, 0.9)), ("shape_pose", (0.9, 0.2)))
+        for weight, loss in zip((1.0, 10.0), losses)
+    ]
+    table = table_from_rows("choices", choice_rows(pd.DataFrame(rows), "sweep", {40})).to_pandas()
+    shape, both = reasons(table)
+    assert shape.startswith("lambda 1 for the coupe at alpha 0.01, mode shape:")
+    assert both.startswith("lambda 10 for the coupe at alpha 0.01, mode shape_pose:")
+    (lines,) = (one.lines for one in choice_tables(table))
+    assert [line[0] for line in lines] == ["coupe, mode shape", "coupe, mode shape_pose"]
