@@ -127,7 +127,7 @@ def test_the_papers_choices() -> None:
     assert papers_choice("alpha", "pose") == 0.01 and papers_choice("lambda", "van") is None
 
 
-def test_choices_of_several_modes_are_told_apart_in_words_and_lines() -> None:
+def test_choices_of_several_modes_differ_in_words_and_lines() -> None:
     """The shape wants the smaller lambda, shape and pose the larger one."""
     rows = [
         scored(0.01, weight, 0.4, loss, mode=mode)
