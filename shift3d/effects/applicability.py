@@ -81,7 +81,8 @@ _WEATHER = ("wet_ground", "fog", "rain", "snow")
 
 
 def _ego_moves(scene: SceneFacts) -> bool:
-    return any(scene.conditions.ego_velocity_m_s or ())
+    """Whether the sensor's motion is in the points: compensated ones have origins that follow it."""
+    return not scene.conditions.motion_compensated and any(scene.conditions.ego_velocity_m_s or ())
 
 
 @dataclass(frozen=True)

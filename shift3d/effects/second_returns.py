@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
+from shift3d.effects.physics.pairing import NO_NUMBER, BeamReturns
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
-from shift3d.scenes.scene import Scene
-
-_NONE_YET = 256
-"""More than any return number, which is a uint8."""
 
 
 class SecondReturns(Effect):
@@ -42,49 +37,23 @@ class SecondReturns(Effect):
 
     def bind(self, context: EffectContext) -> ReturnsStep:
         """Rows are paired here, once. Nothing is drawn."""
-        scene, count = context.scene, len(context.beams)
-        if scene.return_number is None or scene.range_image_index is None:
+        paired = BeamReturns.of(context)
+        if paired is None:
             return unchanged
-        number = torch.zeros(count, dtype=torch.long)  # beams that had no return have one at most
-        number[: len(scene.points)] = torch.from_numpy(scene.return_number.astype(np.int64))
-        beam = torch.from_numpy(beam_numbers(scene, count))
 
         def step(returns: Returns) -> Returns:
-            later = returns.on_object & _behind(beam[returns.row], number[returns.row], returns.on_object, count)
+            later = returns.on_object & _behind(returns.row, returns.on_object, paired)
             return returns.without(later) if bool(later.any()) else returns
 
         return step
 
 
-def _behind(beam: Tensor, number: Tensor, on_object: Tensor, count: int) -> Tensor:
-    """(K,) bool: whether an earlier return of the same beam is on the object; beam, number (K,) int64."""
-    earliest = torch.full((count,), _NONE_YET, dtype=torch.long)
+def _behind(row: Tensor, on_object: Tensor, paired: BeamReturns) -> Tensor:
+    """(K,) bool: whether an earlier return of the same beam is on the object; row (K,) int64."""
+    beam, number = paired.beam[row], paired.number[row]
+    earliest = torch.full_like(paired.beam, NO_NUMBER)
     earliest = earliest.scatter_reduce(0, beam[on_object], number[on_object], "amin")
     return number > earliest[beam]
-
-
-def beam_numbers(scene: Scene, count: int) -> NDArray[np.int64]:
-    """(count,) a number for each row, below `count`: the same for rows of the same beam.
-
-    The same beam: the same pixel and the same origin, since several sensors may count their pixels alike. Rows
-    without a pixel (negative indices, rows beyond the scene's points) are beams of their own.
-    """
-    assert scene.range_image_index is not None
-    pixel = scene.range_image_index.astype(np.int64)
-    known = (pixel >= 0).all(axis=1)
-    keys = [pixel[known, 0], pixel[known, 1]]
-    if not bool((scene.origins == scene.origins[:1]).all()):
-        keys += list(scene.origins[known].T)
-    order = np.lexsort(keys)
-    starts = np.zeros(len(order), dtype=bool)
-    for key in keys:
-        ordered = key[order]
-        starts[1:] |= ordered[1:] != ordered[:-1]
-    rows = np.flatnonzero(known)[order]
-    first = np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
-    beams = np.arange(count)
-    beams[rows] = rows[first]
-    return beams
 
 
 EFFECT = SecondReturns()

@@ -9,8 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
+from shift3d.effects.physics.pairing import BeamReturns
 from shift3d.effects.physics.power import (
     LEAST_LOSS,
     OVERLAP_FROM_M,
@@ -125,7 +127,8 @@ class Fog(WeatherEffect):
 
     Where the fog's wins, the point moves along the beam to the range of that echo's maximum. An echo's maximum arrives
     half a pulse (c tau / 2, 3 m) after the first light, and a sensor that reports a surface at R0 has that taken off;
-    it is taken off the fog's echo too. So the point never lies behind the surface. No noise is added to this range:
+    it is taken off the fog's echo too. So the point never lies behind the surface. A beam shows the fog in its first
+    return alone: a later one that the fog outshines is lost (our choice). No noise is added to this range:
     the published method scatters it without a law; our choice is the smooth fog of the equations, in which it has one
     value. An echo of fog is not from the object (`on_object` False), with cosine 1.
 
@@ -174,10 +177,12 @@ class Fog(WeatherEffect):
             return unchanged
         limit = PowerLimit.of(context, self.name)
         soft = soft_echo(extinction_per_m(visibility_m), backscatter_per_m(visibility_m))
-        return lambda returns: _in_fog(returns, soft, limit)
+        paired = BeamReturns.of(context)
+        later = None if paired is None else paired.later
+        return lambda returns: _in_fog(returns, soft, limit, later)
 
 
-def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit) -> Returns:
+def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit, later: Tensor | None) -> Returns:
     range_m = returns.range_m.detach()
     log_hard = -2.0 * soft.extinction_per_m * range_m
     log_soft, soft_m = (torch.from_numpy(values) for values in soft.at(range_m.numpy()))
@@ -185,6 +190,8 @@ def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit) -> Returns:
     transmission = torch.exp(log_hard)
     power = echo_power(returns.albedo, returns.cosine, range_m)
     lost = limit.lost(returns.without(fog), power, transmission)
+    if later is not None:
+        lost |= fog & later[returns.row]
     rows = fog.nonzero().squeeze(1)
     # As reported: power times the square of the range that the sensor believes.
     nearness = soft_m[rows] / range_m[rows]

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
 from shift3d.effects.physics import power as law
+from shift3d.effects.physics.pairing import BeamReturns
 from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss
 from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
@@ -169,7 +170,8 @@ def crossings(particles: Particles, divergence_rad: float) -> Crossings:
 class ParticleEchoes:
     """Particles in front of what beams meet.
 
-    arrival, size: (N,) exponential draws: where a beam's nearest particle is, and how wide. noise: (N,) normal draws.
+    arrival, size: (N,) exponential draws: where a beam's nearest particle is, and how wide; alike for the returns of
+    one beam. noise: (N,) normal draws. later: (N,) bool, returns behind another of their beam; None: there are none.
     """
 
     crossings: Crossings
@@ -177,23 +179,28 @@ class ParticleEchoes:
     arrival: Tensor
     size: Tensor
     noise: Tensor
+    later: Tensor | None = None
 
     @staticmethod
     def of(context: EffectContext, effect: str, particles: Particles) -> ParticleEchoes:
         """Particles in the beams of a context."""
         sensor = context.scene.sensor or SensorModel()
-        arrival, size = (
+        paired = BeamReturns.of(context)
+        drawn = (
             torch.from_numpy(context.draws(effect, what).standard_exponential(len(context.beams)))
             for what in ("arrival", "size")
         )
+        arrival, size = (values if paired is None else values[paired.beam] for values in drawn)
         table = crossings(particles, sensor.divergence_rad or DIVERGENCE_RAD)
         noise = torch.from_numpy(context.draws(effect, "noise").standard_normal(len(context.beams)))
-        return ParticleEchoes(table, PowerLimit.of(context, effect), arrival, size, noise)
+        later = None if paired is None else paired.later
+        return ParticleEchoes(table, PowerLimit.of(context, effect), arrival, size, noise, later)
 
     def act(self, returns: Returns) -> Returns:
         """Weaken echoes, lose what is too weak, and put the nearest particle in the place of what it outdoes.
 
         A particle is in the place of the echo behind it if it sends back more, and at least the sensor's least power.
+        Of a beam's later returns, those that a particle outdoes are lost.
         """
         range_m = returns.range_m.detach()
         transmission = torch.exp(-2.0 * self.crossings.particles.extinction_per_m * range_m)
@@ -204,9 +211,10 @@ class ParticleEchoes:
         nearest = self.crossings.nearest(outdone, range_m.numpy(), self.arrival[returns.row].numpy())
         particle = returns.returned & torch.from_numpy(np.isfinite(nearest))
         surface = returns.returned & ~particle & ~lost
+        outdone_later = torch.zeros_like(particle) if self.later is None else particle & self.later[returns.row]
         left = torch.where(returns.returned, transmission, 1.0)
         changed = replace(
-            returns.without(lost & ~particle),
+            returns.without((lost & ~particle) | outdone_later),
             on_object=returns.on_object & ~particle,
             albedo=returns.albedo * left,
             cosine=torch.where(particle, 1.0, returns.cosine),
@@ -242,9 +250,10 @@ class Precipitation(WeatherEffect):
 
     A particle counts if its centre is in the beam, a cone of `DIVERGENCE_RAD` or what the sensor states. It covers the
     share (D / width)^2 of the beam; particles that outdo the echo behind them are then a Poisson process along the beam
-    (`crossings`), of which the nearest becomes the return: met with the probability 1 - exp(-Lambda). Its echo is not
-    from the object (`on_object` False), with cosine 1 and the apparent albedo that gives its power. All others weaken
-    the echo behind them, by their mean extinction.
+    (`crossings`), of which the nearest becomes the return: met with the probability 1 - exp(-Lambda). A beam shows it
+    in its first return alone: a later one that it outdoes is lost (our choice). Its echo is not from the object
+    (`on_object` False), with cosine 1 and the apparent albedo that gives its power. All others weaken the echo behind
+    them, by their mean extinction.
 
     Echoes of surfaces are lost below the sensor's least power, where that is known, and their ranges then scatter by
     `extra_noise_m`, along the beam. Reflectance and albedo are from here on as seen through the particles. Left as they

@@ -6,6 +6,8 @@ measured against.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -13,6 +15,9 @@ from shift3d.render.beams import Beams, FirstHits
 from shift3d.render.culling import SPHERE_RADIUS_M, Rays, beams_near, object_rays
 from shift3d.render.field.object_field import ObjectField
 from shift3d.render.settings import RenderSettings
+
+FARTHEST_RETURN_M = 1000.0
+"""Beyond what any LiDAR sees: a beam that is longer has no return (our choice)."""
 
 
 def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: RenderSettings) -> FirstHits:
@@ -25,14 +30,15 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
         settings: `step_m`, `max_iterations` and `sphere_chord_only` are used.
 
     A beam whose sensor lies inside the object has no crossing from outside: it is unresolved, and so is one whose
-    field is not finite before its crossing. A sample with g exactly 0 is outside (the paper leaves g = 0 open).
+    field is not finite before its crossing. A sample with g exactly 0 is outside (the paper leaves g = 0 open). A beam
+    without a return, which the paper does not have, is marched to the far side of the sphere.
 
     Source: SHIFT3D supplement, Rendering.
     """
     index = beams_near(beams, theta[:3].detach(), SPHERE_RADIUS_M)
     if len(index) == 0:
         return FirstHits.none()
-    rays = object_rays(beams, index, theta)
+    rays = _ending_at_sphere(object_rays(beams, index, theta))
     found, unresolved = [], []
     for rows in torch.arange(len(rays)).split(_beams_at_once(rays, settings)):
         part = rays.select(rows)
@@ -47,6 +53,13 @@ def first_hits(beams: Beams, field: ObjectField, theta: Tensor, settings: Render
         unresolved.append(part.index[lost])
     hits = [torch.cat(column) for column in zip(*found)]
     return FirstHits(hits[0], hits[1], hits[2], torch.cat(unresolved))
+
+
+def _ending_at_sphere(rays: Rays) -> Rays:
+    """Rays without a return end where they leave the sphere: their rest would be 100,000 samples of nothing."""
+    along, half = _chord(rays)
+    leaves = (along + half).squeeze(1)
+    return replace(rays, far_m=torch.where(rays.far_m > FARTHEST_RETURN_M, leaves, rays.far_m))
 
 
 def _beams_at_once(rays: Rays, settings: RenderSettings) -> int:
@@ -76,11 +89,16 @@ def _first_sample_inside(
 
 
 def _within_sphere(rays: Rays, k: Tensor, margin_m: float) -> Tensor:
+    along, half = _chord(rays)
+    within: Tensor = (k >= along - half - margin_m) & (k <= along + half + margin_m)
+    return within
+
+
+def _chord(rays: Rays) -> tuple[Tensor, Tensor]:
+    """(M, 1) where a ray is nearest to the object's centre, and half its chord of the 7 m sphere."""
     along = -(rays.origins * rays.directions).sum(-1, keepdim=True)
     offset = torch.linalg.cross(rays.origins, rays.directions).square().sum(-1, keepdim=True)
-    half = (SPHERE_RADIUS_M**2 - offset).clamp_min(0.0).sqrt() + margin_m
-    within: Tensor = (k >= along - half) & (k <= along + half)
-    return within
+    return along, (SPHERE_RADIUS_M**2 - offset).clamp_min(0.0).sqrt()
 
 
 def _bisect(

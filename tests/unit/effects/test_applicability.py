@@ -238,6 +238,14 @@ def test_a_speed_of_the_object_calls_for_rolling_shutter_where_times_are_known()
     assert names(called(scene, settings=EffectSettings(object_speed_m_s=15.0))) == ["rolling_shutter"]
 
 
+def test_points_that_follow_the_sensor_hold_no_motion_of_it():
+    scene = with_data("rolling_shutter")
+    compensated = dataclasses.replace(scene, conditions=dataclasses.replace(scene.conditions, motion_compensated=True))
+    assert names(choose(["rolling_shutter"], SceneFacts.of(scene), Frame(), COORDINATES)) == ["rolling_shutter"]
+    with pytest.raises(InputError, match="object_speed_m_s"):
+        choose(["rolling_shutter"], SceneFacts.of(compensated), Frame(), COORDINATES)
+
+
 def test_an_effect_that_moves_no_score_is_left_out_with_the_reason(impact_file):
     measured(impact_file, range_noise=0.9 * IMPACT_BOUND, divergence=IMPACT_BOUND)
     divergence, noise = called(with_data("range_noise", "divergence"))

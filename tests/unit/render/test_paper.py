@@ -42,6 +42,19 @@ def test_on_an_analytic_car() -> None:
     assert fast.evaluations * 20 < chord.evaluations < plain.evaluations
 
 
+def test_a_beam_without_a_return_is_marched_no_farther_than_the_sphere() -> None:
+    """It hits what a beam that ends just behind the object hits."""
+    field, settings = in_frame(car(), SHAPENET_FRAME), preset("paper").with_(dtype=torch.float64)
+    near, far = (
+        render(Beams.from_arrays(*sector_scan(tuple(THETA[:3]), far_m=far_m)), field, THETA, SHAPENET_FRAME, settings)
+        for far_m in (25.0, 1e4)
+    )
+    both = near.hit_mask & far.hit_mask
+    assert int(both.sum()) > 100 and int((near.hit_mask ^ far.hit_mask).sum()) <= 0.02 * int(both.sum())
+    assert float((near.range_m - far.range_m)[both].abs().quantile(0.9)) < 1e-6
+    assert far.evaluations <= near.evaluations
+
+
 def test_what_a_draft_leaves_out() -> None:
     """Chords shorter than its step, and the last millimetres of depth."""
     beams = Beams.from_arrays(*ground_scan(rings=64, columns=1024))

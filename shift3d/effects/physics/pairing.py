@@ -1,0 +1,67 @@
+"""Which rows are returns of one beam, and in which order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from shift3d.effects.base import EffectContext
+from shift3d.scenes.scene import Scene
+
+NO_NUMBER = 256
+"""More than any return number, which is a uint8."""
+
+
+@dataclass(frozen=True)
+class BeamReturns:
+    """Returns paired by their beams.
+
+    beam: (N,) int64, see `beam_numbers`. number: (N,) int64, of the return: 0 for the first of its beam.
+    """
+
+    beam: Tensor
+    number: Tensor
+
+    @staticmethod
+    def of(context: EffectContext) -> BeamReturns | None:
+        """The rows of a context; None where the scene has no return numbers or no pixels to pair them by."""
+        scene, count = context.scene, len(context.beams)
+        if scene.return_number is None or scene.range_image_index is None:
+            return None
+        number = torch.zeros(count, dtype=torch.long)  # beams that had no return have one at most
+        number[: len(scene.points)] = torch.from_numpy(scene.return_number.astype(np.int64))
+        return BeamReturns(torch.from_numpy(beam_numbers(scene, count)), number)
+
+    @property
+    def later(self) -> Tensor:
+        """(N,) bool: whether a return of the same beam comes before."""
+        earliest = torch.full_like(self.beam, NO_NUMBER).scatter_reduce(0, self.beam, self.number, "amin")
+        return self.number > earliest[self.beam]
+
+
+def beam_numbers(scene: Scene, count: int) -> NDArray[np.int64]:
+    """(count,) a number for each row, below `count`: the same for rows of the same beam.
+
+    The same beam: the same pixel and the same origin, since several sensors may count their pixels alike. Rows
+    without a pixel (negative indices, rows beyond the scene's points) are beams of their own.
+    """
+    assert scene.range_image_index is not None
+    pixel = scene.range_image_index.astype(np.int64)
+    known = (pixel >= 0).all(axis=1)
+    keys = [pixel[known, 0], pixel[known, 1]]
+    if not bool((scene.origins == scene.origins[:1]).all()):
+        keys += list(scene.origins[known].T)
+    order = np.lexsort(keys)
+    starts = np.zeros(len(order), dtype=bool)
+    for key in keys:
+        ordered = key[order]
+        starts[1:] |= ordered[1:] != ordered[:-1]
+    rows = np.flatnonzero(known)[order]
+    first = np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
+    beams = np.arange(count)
+    beams[rows] = rows[first]
+    return beams
