@@ -48,11 +48,11 @@ def batch_loss(
     parts: dict[str, Tensor] = {}
     positives = 0
     with torch.autocast(features.device.type, enabled=False):
-        logits = heads.logits(features.to(heads.classes.weight.dtype))
-        for index, target in enumerate(targets):
+        logits = heads.logits(features.to(heads.classes.weight.dtype)).unbind()
+        for own_features, own_logits, target in zip(features.unbind(), logits, targets, strict=True):
             cells = objective.cells(heads, target)
-            rows = heads.box_rows_at(features[index], cells)
-            for name, part in objective.loss(logits[index], rows, target).items():
+            rows = heads.box_rows_at(own_features, cells)
+            for name, part in objective.loss(own_logits, rows, target).items():
                 parts[name] = parts.get(name, 0.0) + part / len(targets)
             positives += len(cells)
     shown = {name: float(part.detach()) for name, part in parts.items()}
