@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 MODELS = ("sdf", *DETECTOR_NAMES)
 ADAPTING_SHARE = 0.2
+RANDOM = "random"
 WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 
 
@@ -32,7 +33,8 @@ class TrainOptions:
     out: holds samples, scenes and checkpoints. threads: None for every core. device: auto, cpu or cuda.
     scenes: "street" or "kitti"; root: of KITTI; count: scenes, None for the recipe's (street) or every frame (kitti).
     steps, inserted (scenes with inserted vehicles): None for the recipe's.
-    start_from: a weights file to start from, or "shipped". recipe: fields of the recipe, as words.
+    start_from: a weights file to start from, "shipped", or "random": no weights, where the recipe has some to start
+    from. recipe: fields of the recipe, as words.
     """
 
     out: Path
@@ -96,7 +98,9 @@ def detector_recipe(name: str, options: TrainOptions) -> Recipe:
         recipe = scaled_to_steps(recipe, options.steps)
     if options.scenes == "street" and options.count is not None:
         recipe = replace(recipe, mesh_scenes=options.count, inserted_scenes=min(recipe.inserted_scenes, options.count))
-    if options.start_from is not None:
+    if options.start_from == RANDOM:
+        recipe = replace(recipe, grown_from="", backbone_from="")
+    elif options.start_from is not None:
         # A peak as high as from random weights would undo the start (our choice).
         recipe = replace(recipe, peak_rate=ADAPTING_SHARE * recipe.peak_rate)
     if options.inserted is not None:
@@ -133,9 +137,9 @@ def _train_detector(name: str, options: TrainOptions, report: Report | None) -> 
 
     weights = (WEIGHTS_FOLDER if options.shipped else options.out) / f"{name}.safetensors"
     start_from = None
-    if options.start_from is not None:
+    if options.start_from not in (None, RANDOM):
         shipped = WEIGHTS_FOLDER / f"{name}.safetensors"
-        start_from = shipped if options.start_from == "shipped" else Path(options.start_from).expanduser()
+        start_from = shipped if options.start_from == "shipped" else Path(str(options.start_from)).expanduser()
     train_detector(
         options.out,
         detector_recipe(name, options),

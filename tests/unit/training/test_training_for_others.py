@@ -32,6 +32,7 @@ from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import RECIPES, scaled_to_steps
 from shift3d.training.detector.train import train_detector
+from shift3d.training.detector.warm_start import start_state
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene
 from shift3d.training.progress import CurvePoint
 
@@ -177,6 +178,14 @@ def test_adapting_weights_takes_a_fifth_of_the_rate(tmp_path: Path) -> None:
     adapting = command.detector_recipe("sst", command.TrainOptions(tmp_path, start_from="shipped"))
     assert fresh == RECIPES["sst"]
     assert adapting == dataclasses.replace(fresh, peak_rate=0.2 * fresh.peak_rate)
+
+
+def test_a_training_may_start_from_nothing(tmp_path: Path) -> None:
+    for name, recipe in RECIPES.items():
+        own = command.detector_recipe(name, command.TrainOptions(tmp_path, start_from="random"))
+        assert start_state(own, None) is None and own.peak_rate == recipe.peak_rate
+    with pytest.raises(InputError, match="steps='0'"):
+        _options({"model": "sst", "out": str(tmp_path), "steps": "0", "start_from": "random"})
 
 
 def test_scenes_without_a_vehicle_are_refused(tmp_path: Path) -> None:

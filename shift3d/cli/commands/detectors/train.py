@@ -43,6 +43,8 @@ examples:
   shift3d train model=pointpillars scenes=kitti root=PATH start_from=shipped steps=500 out=DIR
                                                    adapt the shipped weights to real frames, vehicles inserted,
                                                    at a fifth of the learning rate
+  shift3d train model=pointpillars start_from=random out=DIR
+                                                   from no weights at all
   shift3d train model=pointpillars start_from=FILE steps=0 out=DIR
                                                    batch statistics and heads alone (600 steps)
   shift3d train model=pointpillars start_from=shipped recipe.pasted=0 recipe.scale=0.9,1.1 out=DIR
@@ -72,7 +74,7 @@ _VALUES = {
     "model": ("sdf", *DETECTOR_NAMES),
     "device": ("auto", "cpu", "cuda"),
     "scenes": ("street", "kitti"),
-    "start_from": ("shipped",),
+    "start_from": ("shipped", "random"),
     "mlflow": ("none",),
     **FRAME_VALUES,
 }
@@ -129,11 +131,13 @@ def _recipe_words(words: list[str]) -> dict[str, str]:
 
 
 def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> TrainOptions:
-    from shift3d.training.command import TrainOptions
+    from shift3d.training.command import RANDOM, TrainOptions
 
     scenes = values.get("scenes", "street")
     tail = "-finetuned" if "finetune" in values else "" if scenes == "street" else f"-{scenes}"
     folder = f"outputs/train-{values['model']}{tail}"
+    # Without steps of its own a training only trains the heads of existing weights.
+    heads_alone = values.get("steps") == "0" and values.get("start_from", RANDOM) != RANDOM
     return TrainOptions(
         out=writable_folder(values.get("out", folder)),
         threads=_number(values, "threads"),
@@ -141,8 +145,7 @@ def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> Tr
         scenes=scenes,
         root=values.get("root"),
         count=_number(values, "count"),
-        # Without steps of its own a training only trains the heads of existing weights.
-        steps=0 if values.get("steps") == "0" and "start_from" in values else _number(values, "steps"),
+        steps=0 if heads_alone else _number(values, "steps"),
         inserted=0 if values.get("inserted") == "0" else _number(values, "inserted"),
         start_from=values.get("start_from"),
         recipe=recipe or {},
@@ -246,7 +249,7 @@ COMMAND = Command(
     _run,
     words=f"model=sdf|{'|'.join(DETECTOR_NAMES)} [out=DIR] [steps=N] [device=auto|cpu|cuda] [threads=N] "
     "[mlflow=URI|none]; "
-    "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped] "
+    "detectors: [scenes=street|kitti] [root=PATH] [count=N] [inserted=N] [start_from=FILE|shipped|random] "
     "[recipe.FIELD=VALUE] [finetune=OUT [method=adversarial|baseline]]; "
     f"sdf: vehicles=PATH|wide [count=N] [{'=] ['.join(FRAME_KEYS)}=]",
     complete=key_words(_KEYS, _VALUES),
