@@ -30,6 +30,8 @@ from shift3d.task.spec import TaskSpec
 _DETERMINISTIC_TRIES = 2
 _IO_TRIES = 4
 _IO_PAUSE_S = (0.5, 2.0, 8.0)
+# Errors of the file system that do not pass: readers say with them what is missing.
+_LASTING = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)
 _GIVES_BACK_S = 1.0
 """After a batch this long memory is given back, which takes some hundredths of a second."""
 
@@ -178,7 +180,7 @@ class Worker:
             try:
                 result = completed_rows(spec, self._sweep, self._kind.run(spec, assets))
             except Exception as error:
-                io = isinstance(error, OSError)
+                io = _is_io(error)
                 quarantined = tries >= (_IO_TRIES if io else _DETERMINISTIC_TRIES)
                 outcome = "out_of_memory" if isinstance(error, MemoryError) else "failed"
                 row = attempt_row(spec.task_id, attempt, outcome, started, time.perf_counter() - began)
@@ -194,6 +196,16 @@ class Worker:
             rows.result = result
             rows.attempts.append(attempt_row(spec.task_id, attempt, "done", started, time.perf_counter() - began))
             return rows
+
+
+def _is_io(error: BaseException) -> bool:
+    """Whether the file system or the network failed: an OSError, or a reader's InputError that a passing one caused."""
+    if not isinstance(error, InputError):
+        return isinstance(error, OSError)
+    cause = error.__cause__
+    while cause is not None and not isinstance(cause, OSError):
+        cause = cause.__cause__
+    return cause is not None and not isinstance(cause, _LASTING)
 
 
 def _give_memory_back() -> None:

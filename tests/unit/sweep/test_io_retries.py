@@ -1,0 +1,67 @@
+"""What the file system or the network did is tried four times with pauses; what is missing, twice without."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from shift3d.errors import InputError
+from shift3d.scenes.listing import read_bytes
+from shift3d.store.location import LocalLocation
+from shift3d.sweep.execution import worker
+from shift3d.sweep.planning.kind import TaskKind
+from shift3d.sweep.planning.plan import Plan
+from shift3d.task.exchange import TaskResult
+
+
+@pytest.fixture
+def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    found: list[float] = []
+    monkeypatch.setattr(worker.time, "sleep", found.append)
+    return found
+
+
+def outcomes(plan: Plan, failures: list[Exception], reader: Any) -> list[str]:
+    """Of each try of one task that reads a file, which fails with these and is read then."""
+
+    def run(spec: object, assets: object) -> TaskResult:
+        with pytest.MonkeyPatch.context() as patch:
+            if failures:
+                patch.setattr(LocalLocation, "read_bytes", lambda self: raise_(failures.pop(0)))
+            reader()
+        return TaskResult()
+
+    kind = TaskKind(run=run, load=lambda _: None, catalogue=lambda _: None)  # type: ignore[arg-type, return-value]
+    assets = [dataclasses.replace(one, threads=1) for one in plan.assets]
+    outcome = worker.Worker(kind, plan.sweep, assets).run_batch([plan.tasks[0]])
+    rows: list[str] = outcome.tables["attempts"]["outcome"].to_pylist()
+    return rows
+
+
+def raise_(error: Exception) -> bytes:
+    raise error
+
+
+@pytest.mark.parametrize("through_a_reader", [False, True])
+def test_an_error_that_passes_is_waited_for(
+    through_a_reader: bool, suv_plan: Plan, pauses: list[float], tmp_path: Path
+) -> None:
+    (tmp_path / "frame").write_bytes(b"points")
+    frame = LocalLocation(tmp_path / "frame")
+    reader = (lambda: read_bytes(frame, "frame")) if through_a_reader else (lambda: frame.read_bytes())
+    again: list[Exception] = [OSError(errno.EIO, "Input/output error") for _ in range(3)]
+    assert outcomes(suv_plan, again, reader) == ["failed", "failed", "failed", "done"]
+    assert pauses == [0.5, 2.0, 8.0]
+
+
+@pytest.mark.parametrize("error", [FileNotFoundError(), PermissionError(), InputError("no points")])
+def test_what_is_missing_or_damaged_is_not_waited_for(
+    error: Exception, suv_plan: Plan, pauses: list[float], tmp_path: Path
+) -> None:
+    reader = lambda: read_bytes(LocalLocation(tmp_path / "frame"), "frame")  # noqa: E731
+    assert outcomes(suv_plan, [error, error], reader) == ["failed", "failed"]
+    assert pauses == []
