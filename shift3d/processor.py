@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import math
 import os
 import sys
+from pathlib import Path
 
-__all__ = ["configure_runtime", "has_fast_bfloat16", "has_wide_float32", "pad_to_bucket"]
+__all__ = ["configure_runtime", "has_fast_bfloat16", "has_wide_float32", "pad_to_bucket", "usable_cpus"]
 
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # oneDNN's own products, and what torch keeps of how each is to be made; and large pages for large tensors.
@@ -33,6 +36,17 @@ def configure_runtime(threads: int = 1) -> None:
         os.environ.setdefault(name, value)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(threads)
+
+
+def usable_cpus(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
+    """CPUs that this process may use: those of its affinity, at most the CPU quota of its control group, rounded up."""
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    for names in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):  # versions 2 and 1
+        with contextlib.suppress(OSError, ValueError):  # there is no such file, or it says "max"
+            quota, period = (int(word) for name in names for word in (cgroup / name).read_text().split())
+            if quota > 0:
+                return max(1, min(allowed, math.ceil(quota / period)))
+    return allowed
 
 
 @functools.cache

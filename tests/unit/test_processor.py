@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from shift3d.processor import has_wide_float32
+from shift3d.processor import has_wide_float32, usable_cpus
 
 # Grows by what 700 products of different sizes leave behind, configured before or not, torch imported before or not.
 PRODUCTS = """
@@ -105,3 +105,25 @@ def small_pages_kb() -> int:
 def test_large_tensors_lie_in_large_pages(torch_imported: str, small_pages_kb: int) -> None:
     # Half of the 64 MB: what of a tensor is not on a page's border, and what the kernel has left, may not.
     assert large_pages_kb(torch_imported) > small_pages_kb + 32 * 1024
+
+
+@pytest.mark.parametrize(
+    ("files", "cpus"),
+    [
+        ({}, 6),
+        ({"cpu.max": "max 100000\n"}, 6),
+        ({"cpu.max": "250000 100000\n"}, 3),
+        ({"cpu.max": "10000 100000\n"}, 1),
+        ({"cpu.max": "1600000 100000\n"}, 6),
+        ({"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, 6),
+        ({"cpu/cpu.cfs_quota_us": "200000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 2),
+    ],
+)
+def test_cpus_are_those_that_this_process_may_use(
+    files: dict[str, str], cpus: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(6)), raising=False)
+    (tmp_path / "cpu").mkdir()
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    assert usable_cpus(tmp_path) == cpus

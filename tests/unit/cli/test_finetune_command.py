@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,15 @@ def test_the_commands_in_order(tmp_path: Path, capsys: pytest.CaptureFixture[str
     adaptive = [line for line in lines if "detector.weights=" in line]
     assert all(f"{tmp_path}/finetuned-{seed}/pointpillars.safetensors" in "".join(adaptive) for seed in (0, 1))
     assert not list(tmp_path.iterdir()), "nothing runs"
+
+
+def test_detectors_are_measured_with_the_cpus_that_this_process_may_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+    assert main(["finetune", "--steps", *LOCAL[1:], f"out={tmp_path}"]) == 0
+    measured = [line for line in capsys.readouterr().out.splitlines() if " evaluate " in line]
+    assert measured and all(" workers=1 " in line for line in measured)
 
 
 def test_scenes_that_are_trained_on_and_held_out_are_refused_by_name(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -28,6 +29,14 @@ def test_the_summary_comes_first_and_the_list_is_folded(capsys: pytest.CaptureFi
     listed = capsys.readouterr().out.splitlines()
     assert listed[: len(folded) - 1] == folded[:-1]
     assert [line.split()[2] for line in listed[-2:]] == StreetScenes("mixed", count=2).names()
+
+
+def test_time_is_that_of_the_cpus_that_this_process_may_use(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+    assert main(["plan", "default", "scenes.count=2", *ONE]) == 0
+    assert " with 1 worker (runner.workers=N)" in capsys.readouterr().out
 
 
 def test_places_of_each_scene_are_counted(capsys: pytest.CaptureFixture[str]) -> None:

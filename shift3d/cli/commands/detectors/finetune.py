@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
@@ -194,10 +193,11 @@ def _models(folder: Path, detector: str, request: FinetuneRequest) -> list[Tuned
 def steps_of(folder: Path, config: Config, request: FinetuneRequest, models: Sequence[Tuned]) -> Iterator[_Step]:
     """The commands, in order."""
     from shift3d.finetuning.report import HELD_OUT, NATURAL
+    from shift3d.processor import usable_cpus
     from shift3d.settings.schema.config import MlflowConfig, RayRunnerConfig
 
     runner = config.runner
-    workers = (runner.workers or os.cpu_count() or 1) if isinstance(runner, RayRunnerConfig) else 1
+    workers = (runner.workers or usable_cpus()) if isinstance(runner, RayRunnerConfig) else 1
     mlflow = config.tracking.uri if isinstance(config.tracking, MlflowConfig) else "none"
     detector, own_weights = config.detector.name, config.detector.weights
     attacked = folder / "attacked"

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from shift3d.errors import InputError
+from shift3d.processor import usable_cpus
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.token import require_token
 
@@ -57,7 +58,7 @@ def connect(config: RayRunnerConfig, tasks_left: int) -> Any:
             _check_token(config.address)
             ray.init(address=config.address, **quiet)
         else:
-            workers = min(config.workers or os.cpu_count() or 1, max(tasks_left, 1))
+            workers = min(config.workers or usable_cpus(), max(tasks_left, 1))
             with _on_loopback(), _agent_on_any_port(), _deaf_to_sigterm():
                 ray.init(
                     address="local",
