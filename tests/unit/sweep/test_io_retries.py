@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from shift3d.errors import InputError
 from shift3d.scenes.listing import read_bytes
 from shift3d.store.location import LocalLocation
-from shift3d.sweep.execution import worker
+from shift3d.sweep.execution.worker import Worker
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.task.exchange import TaskResult
@@ -21,7 +22,7 @@ from shift3d.task.exchange import TaskResult
 @pytest.fixture
 def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     found: list[float] = []
-    monkeypatch.setattr(worker.time, "sleep", found.append)
+    monkeypatch.setattr(time, "sleep", found.append)
     return found
 
 
@@ -37,7 +38,7 @@ def outcomes(plan: Plan, failures: list[Exception], reader: Any) -> list[str]:
 
     kind = TaskKind(run=run, load=lambda _: None, catalogue=lambda _: None)  # type: ignore[arg-type, return-value]
     assets = [dataclasses.replace(one, threads=1) for one in plan.assets]
-    outcome = worker.Worker(kind, plan.sweep, assets).run_batch([plan.tasks[0]])
+    outcome = Worker(kind, plan.sweep, assets).run_batch([plan.tasks[0]])
     rows: list[str] = outcome.tables["attempts"]["outcome"].to_pylist()
     return rows
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep, validate
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray import connection
-from shift3d.sweep.execution.ray.worker_pool import room_for
+from shift3d.sweep.execution.ray.worker_pool import WorkerPool, room_for
 
 
 def config(*overrides: str) -> RayRunnerConfig:
@@ -27,12 +30,54 @@ def test_the_scarcer_of_the_two_decides_on_each_machine() -> None:
     assert room_for([node(8, 2), node(2, 64)], cpus=1, memory_mb=1024) == 2 + 2
 
 
+def pool(nodes: list[dict[str, Any]], *overrides: str) -> WorkerPool:
+    """For 100 tasks that are known to need 300 MB, on a Ray of these machines where no start ends."""
+    actor = SimpleNamespace(ready=SimpleNamespace(remote=object))
+    runner = config(*overrides)
+    ray = SimpleNamespace(nodes=lambda: nodes)
+    return WorkerPool(ray, lambda: actor, runner, runner.worker_memory_mb or 300, 100)
+
+
 def test_machines_that_are_gone_hold_none() -> None:
     assert room_for([node(8, 64, alive=False), node(2, 64)], cpus=1, memory_mb=1024) == 2
 
 
 def test_one_worker_is_tried_where_memory_seems_too_little_for_any() -> None:
     assert room_for([node(4, 0.5), node(4, 0.5)], cpus=1, memory_mb=1024) == 1
+
+
+def test_memory_that_the_settings_state_is_no_estimate() -> None:
+    assert room_for([node(4, 0.5), node(4, 0.5)], cpus=1, memory_mb=1024, estimated=False) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("runner.worker_memory_mb=100000",), "CPUs and 100000 MB.*Lower .* or runner.worker_memory_mb"),
+        (("runner.worker_memory_mb=100000", "runner.workers=1"), "CPUs and 100000 MB"),
+        (("runner.cpus_per_worker=8", "runner.workers=4"), "8 CPUs. Lower runner.cpus_per_worker, or"),
+    ],
+)
+def test_a_private_ray_without_room_is_refused(words: tuple[str, ...], message: str) -> None:
+    with pytest.raises(InputError, match=f"runner: Ray has no room for a worker of .*{message}"):
+        pool([node(4, 16)] * 3, *words)
+    assert pool([node(4, 0.1)], "runner.workers=2").wanted == 2, "an estimate refuses nothing"
+
+
+def test_a_cluster_without_room_may_grow_and_says_once_that_nothing_starts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("runner.address=auto", "runner.workers=4", "runner.worker_memory_mb=100000")
+    found = pool([node(4, 16)], *words)
+    found.grow(100)
+    assert (len(found.starting), capsys.readouterr().err) == (4, "")
+    later = time.monotonic() + 31
+    monkeypatch.setattr(time, "monotonic", lambda: later)
+    found.grow(100)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("no worker is ready after 30 s") and "1 CPUs and 100000 MB" in line
+    found.grow(100)
+    assert capsys.readouterr().err == ""
 
 
 def test_no_cpus_no_worker() -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from shift3d.errors import InputError
+from shift3d.progress_bar import write_line
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.worker import Ready
 
@@ -15,18 +16,20 @@ from shift3d.sweep.execution.ray.worker import Ready
 _FAILED_STARTS = 3
 # How often the cluster is asked for its size: machines join and leave within minutes.
 _LOOK_S = 2.0
+# A cluster that has no worker ready after this is reported: it may lack room, or be adding machines.
+_PATIENCE_S = 30.0
 
 
-def room_for(nodes: list[dict[str, Any]], cpus: float, memory_mb: float) -> int:
+def room_for(nodes: list[dict[str, Any]], cpus: float, memory_mb: float, estimated: bool = True) -> int:
     """Workers that fit on the machines that are alive, by their CPUs and by their memory.
 
-    A machine with the CPUs but too little memory holds one all the same if nothing else holds any: memory_mb is
-    an estimate, and to try is better than to refuse.
+    estimated: memory_mb is an estimate, and to try is better than to refuse: a machine with the CPUs but too little
+    memory holds one all the same if nothing else holds any. Ray itself keeps free what the settings state.
     """
     alive = [node["Resources"] for node in nodes if node["Alive"]]
     by_cpu = [int(resources.get("CPU", 0) // cpus) for resources in alive]
     by_memory = [int(resources.get("memory", 0) // (memory_mb * 2**20)) for resources in alive]
-    return max(sum(map(min, by_cpu, by_memory)), min(1, sum(by_cpu)))
+    return max(sum(map(min, by_cpu, by_memory)), min(1, sum(by_cpu)) if estimated else 0)
 
 
 @dataclass
@@ -55,7 +58,7 @@ class WorkerPool:
         start: starts an actor. config: how many there shall be (None: as many as there is room for), and their size.
         most: no more than this.
 
-    Raises: InputError: there is no room for one.
+    Raises: InputError: there is no room for one, and nothing that could make room.
     """
 
     def __init__(self, ray: Any, start: Callable[[], Any], config: RayRunnerConfig, memory_mb: float, most: int):
@@ -68,18 +71,35 @@ class WorkerPool:
         self._workers: list[PooledWorker] = []
         self._failed = 0
         self._looked = 0.0
+        self._report_at = time.monotonic() + _PATIENCE_S if config.address else float("inf")
         self.wanted = self._room()
         if self.wanted < 1:
-            raise InputError(
-                f"Ray has no room for a worker of {config.cpus_per_worker} CPUs",
-                where="runner",
-                remedy="Lower runner.cpus_per_worker, or use runner=local",
-            )
+            settings = "runner.cpus_per_worker" + (" or runner.worker_memory_mb" if config.worker_memory_mb else "")
+            what = f"Ray has no room for a worker of {self._demand()}"
+            raise InputError(what, where="runner", remedy=f"Lower {settings}, or use runner=local")
 
     def _room(self) -> int:
-        room = room_for(self._ray.nodes(), self._config.cpus_per_worker, self._memory_mb)
+        config = self._config
+        room = room_for(self._ray.nodes(), config.cpus_per_worker, self._memory_mb, not config.worker_memory_mb)
         # A cluster that grows on demand grows by workers that wait for room, so what was asked for is started.
-        return min(self._config.workers or room, self._most)
+        wanted = config.workers if config.workers and (room or config.address) else room
+        return min(wanted, self._most)
+
+    def _demand(self) -> str:
+        """Of a worker, in words."""
+        memory = f" and {self._memory_mb:g} MB" if self._config.worker_memory_mb else ""
+        return f"{self._config.cpus_per_worker:g} CPUs{memory}"
+
+    def _report_waiting(self, now: float) -> None:
+        """Print one line where no worker is ready after a while: a cluster without room looks like one that is slow."""
+        if self._workers:
+            self._report_at = float("inf")
+        elif self._starting and now >= self._report_at:
+            self._report_at = float("inf")
+            write_line(
+                f"no worker is ready after {_PATIENCE_S:.0f} s: the cluster has no room for one of {self._demand()} "
+                "(runner.cpus_per_worker, runner.worker_memory_mb), or its machines are starting"
+            )
 
     @property
     def size(self) -> int:
@@ -97,6 +117,7 @@ class WorkerPool:
         if now - self._looked >= _LOOK_S:
             self._looked = now
             self.wanted = max(self._room(), 1)
+        self._report_waiting(now)
         # After a failed start one at a time.
         at_once = 1 if self._failed else self.wanted
         missing = min(self.wanted, tasks) - len(self._workers) - len(self._starting)
