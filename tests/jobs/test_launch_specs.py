@@ -152,22 +152,49 @@ def test_slurms_script_parses_and_its_directives_are_slurms() -> None:
     assert re.fullmatch(r"\d+:\d\d:\d\d", directives["time"])
 
 
-def test_slurms_python_is_that_of_the_folder_or_the_one_given(tmp_path: Path) -> None:
-    def run(**environment: str) -> subprocess.CompletedProcess[str]:
-        path = {"PATH": f"{tmp_path / 'slurm'}:/usr/bin:/bin", "SLURM_JOB_NODELIST": "n", "SLURM_JOB_NUM_NODES": "1"}
-        command = ["bash", str(JOBS / "slurm.sbatch"), "default"]
-        known = path | {"SLURM_CPUS_ON_NODE": "1", **environment}
-        return subprocess.run(command, cwd=tmp_path, env=known, capture_output=True, text=True, check=False)
+def run_slurm(folder: Path, tools: dict[str, str], **environment: str) -> subprocess.CompletedProcess[str]:
+    """The script with these tools, name to shell lines; those in slurm/ come before the system's."""
+    for name, text in {"slurm/scontrol": "echo n", **tools}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(f"#!/bin/bash\n{text}\n")
+        (folder / name).chmod(0o755)
+    path = {"PATH": f"{folder / 'slurm'}:/usr/bin:/bin", "SLURM_JOB_NODELIST": "n", "SLURM_JOB_NUM_NODES": "1"}
+    command = ["bash", str(JOBS / "slurm.sbatch"), "default"]
+    known = path | {"SLURM_CPUS_ON_NODE": "1", **environment}
+    return subprocess.run(command, cwd=folder, env=known, capture_output=True, text=True, check=False)
 
-    tools = {"slurm/scontrol": "echo n", "slurm/srun": "command -v shift3d"}
-    for name in (*tools, "repo/.venv/bin/shift3d", "repo/.venv/bin/ray", "mine/bin/shift3d", "mine/bin/ray"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(f"#!/bin/bash\n{tools.get(name, 'true')}\n")
-        (tmp_path / name).chmod(0o755)
-    absent = run()
+
+def test_slurms_python_is_that_of_the_folder_or_the_one_given(tmp_path: Path) -> None:
+    names = ("repo/.venv/bin/shift3d", "repo/.venv/bin/ray", "mine/bin/shift3d", "mine/bin/ray")
+    tools = {"slurm/srun": "command -v shift3d", **dict.fromkeys(names, "true")}
+    absent = run_slurm(tmp_path, tools)
     assert absent.returncode == 2 and "make setup" in absent.stderr
-    assert run(SLURM_SUBMIT_DIR=str(tmp_path / "repo")).stdout.strip() == str(tmp_path / "repo/.venv/bin/shift3d")
-    assert run(VENV=str(tmp_path / "mine")).stdout.strip() == str(tmp_path / "mine/bin/shift3d")
+    here, mine = str(tmp_path / "repo"), str(tmp_path / "mine")
+    assert run_slurm(tmp_path, tools, SLURM_SUBMIT_DIR=here).stdout.strip() == f"{here}/.venv/bin/shift3d"
+    assert run_slurm(tmp_path, tools, VENV=mine).stdout.strip() == f"{mine}/bin/shift3d"
+
+
+@pytest.mark.parametrize(("sweeps_code", "code"), [(0, 0), (3, 3), (None, 1)])
+def test_a_slurm_job_ends_with_the_code_of_its_sweep_or_has_failed(
+    sweeps_code: int | None, code: int, tmp_path: Path
+) -> None:
+    """None: Ray does not start, for which `ray symmetric-run` ends with 0."""
+    runs = 'while [ "$1" != -- ]; do shift; done; shift; "$@"'
+    sweep = f'echo "$@" > {tmp_path / "words"}; exit {sweeps_code}'
+    tools = {"slurm/srun": "true" if sweeps_code is None else runs, "bin/shift3d": sweep, "bin/ray": "true"}
+    (tmp_path / "tmp").mkdir()
+    done = run_slurm(tmp_path, tools, VENV=str(tmp_path), TMPDIR=str(tmp_path / "tmp"))
+    assert done.returncode == code, done
+    assert list((tmp_path / "tmp").iterdir()) == []
+    if sweeps_code is not None:
+        assert (tmp_path / "words").read_text() == "sweep default job=ray_cluster\n"
+
+
+def test_the_time_that_slurms_nodes_wait_for_each_other_is_a_variable_of_this_ray() -> None:
+    import ray.scripts.symmetric_run as module
+
+    (name,) = re.findall(r"export (RAY_\w+)=300", (JOBS / "slurm.sbatch").read_text())
+    assert name in Path(module.__file__).read_text()
 
 
 def _uncommented(path: Path) -> str:
