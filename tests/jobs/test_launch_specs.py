@@ -116,13 +116,27 @@ def test_the_image_is_of_the_ray_that_the_specs_and_the_constraints_name() -> No
     assert yaml.safe_load((JOBS / "autoscaler.yaml").read_text())["file_mounts"]["~/shift3d"] == "dist"
 
 
-def test_credentials_are_a_secret_of_the_driver_alone() -> None:
+def test_credentials_are_a_secret_of_every_container_that_runs_the_driver_or_tasks() -> None:
     cluster = kuberay()["spec"]["rayClusterSpec"]
-    (head,) = cluster["headGroupSpec"]["template"]["spec"]["containers"]
-    assert [source["secretRef"]["name"] for source in head["envFrom"]] == ["shift3d-bucket"]
-    for group in cluster["workerGroupSpecs"]:
-        assert all("envFrom" not in worker for worker in group["template"]["spec"]["containers"])
+    for group in (cluster["headGroupSpec"], *cluster["workerGroupSpecs"]):
+        for container in group["template"]["spec"]["containers"]:
+            assert [source["secretRef"]["name"] for source in container["envFrom"]] == ["shift3d-bucket"]
     assert not re.search(r"(KEY|SECRET|PASSWORD)\w*, value", (JOBS / "kuberay.yaml").read_text())
+
+
+def test_the_autoscalers_workers_can_have_a_role_that_reads_scenes() -> None:
+    text = re.sub(r"# (IamInstanceProfile: {)", r"\1", (JOBS / "autoscaler.yaml").read_text())
+    worker = yaml.safe_load(text)["available_node_types"]["worker"]["node_config"]
+    assert worker["IamInstanceProfile"]["Arn"].startswith("arn:aws:iam::")
+
+
+def test_a_failed_sweep_makes_no_second_cluster() -> None:
+    assert kuberay()["spec"]["backoffLimit"] == 0
+
+
+@pytest.mark.parametrize("name", ["autoscaler.yaml", "kuberay.yaml"])
+def test_a_spec_says_how_workers_read_recorded_scenes(name: str) -> None:
+    assert "scenes.root=s3://BUCKET/FOLDER" in (JOBS / name).read_text().partition("\n\n")[0]
 
 
 @pytest.mark.parametrize("name", ["autoscaler.yaml", "kuberay.yaml", "ray_job.yaml", "slurm.sbatch"])
