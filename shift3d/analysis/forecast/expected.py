@@ -6,6 +6,7 @@ Source: our choice.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,8 @@ import pyarrow.compute as pc
 
 from shift3d.analysis.tables.accuracy.cost import measured_presets
 from shift3d.effects.applicability import measured_impact
+from shift3d.processor import usable_cpus
+from shift3d.settings.schema.config import RayRunnerConfig, RunnerConfig
 from shift3d.store.log import committed_rows
 from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike, as_location
@@ -83,12 +86,13 @@ def shipped_parts() -> TaskParts:
 @dataclass(frozen=True)
 class Expected:
     """Seconds of one worker for all tasks together. source: where they come from. guessed: how many of the tasks have
-    other settings than anything that was measured there."""
+    other settings than anything that was measured there. longest_s: of the task that takes longest."""
 
     tasks: int
     seconds: float
     source: str
     guessed: int
+    longest_s: float
 
 
 def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
@@ -119,19 +123,30 @@ def expected(tasks: Tasks, folders: Sequence[LocationLike]) -> Expected:
 
     Raises: InputError: a folder is no sweep's, or damaged.
     """
-    model = _Model()
+    model, kinds = _Model(), _kinds(tasks)
+    each, guessed, source = [model.seconds(spec) for spec, _ in kinds], len(tasks), model.source
     for folder in folders:
         if found := _measured(folder, model):
-            seconds, guessed = 0.0, 0
-            for spec, count in _kinds(tasks):
+            guessed, source = 0, f"{counted(found[()].tasks, 'task')} that ran in {as_location(folder)}"
+            for number, (spec, count) in enumerate(kinds):
                 level, key = next((at, key) for at, key in enumerate(_keys(spec)) if key in found)
-                seconds += count * found[key].seconds * model.seconds(spec) / found[key].by_model
+                each[number] *= found[key].seconds / found[key].by_model
                 guessed += count * (level > 0)
-            return Expected(
-                len(tasks), seconds, f"{counted(found[()].tasks, 'task')} that ran in {as_location(folder)}", guessed
-            )
-    seconds = sum(count * model.seconds(spec) for spec, count in _kinds(tasks))
-    return Expected(len(tasks), seconds, model.source, len(tasks))
+            break
+    seconds = sum(count * one for one, (_, count) in zip(each, kinds, strict=True))
+    return Expected(len(tasks), seconds, source, guessed, max(each))
+
+
+def limit_line(longest_s: float, runner: RunnerConfig) -> str:
+    """Where a task is expected to take more than half of its time limit: a line that says so; empty otherwise."""
+    limit_s = runner.task_timeout_s if isinstance(runner, RayRunnerConfig) else None
+    if limit_s is None or longest_s <= limit_s / 2:
+        return ""
+    enough_s = 60 * math.ceil(4 * longest_s / 60)
+    return (
+        f"a task is expected to take {_duration(longest_s)}; one that takes more than {_duration(limit_s)} is ended, "
+        f"retried once and quarantined (runner.task_timeout_s={limit_s:g}): give runner.task_timeout_s={enough_s}"
+    )
 
 
 def _kinds(tasks: Tasks) -> list[tuple[TaskSpec, int]]:
@@ -196,9 +211,13 @@ class _Model:
 
 
 def expected_lines(
-    plan: Plan, out: LocationLike | None, others: Sequence[LocationLike], timings: Sequence[LocationLike], workers: int
+    plan: Plan,
+    out: LocationLike | None,
+    others: Sequence[LocationLike],
+    timings: Sequence[LocationLike],
+    runner: RunnerConfig,
 ) -> str:
-    """What is left to run of a plan, in words: time with some workers, and core-hours.
+    """What is left to run of a plan, in words: time with the workers of a runner, core-hours, and a time limit too low.
 
     Args: out: the folder that the sweep would write to, where it is known; others: those whose results it would take
     over; timings: those that say how long tasks take, asked before these.
@@ -217,6 +236,7 @@ def expected_lines(
         return f"{progress}nothing is left to run"
     found = expected(left, [*timings, *own, *others])
     mean = found.seconds / found.tasks
+    workers = runner.workers or usable_cpus() if isinstance(runner, RayRunnerConfig) else 1
     wall = found.seconds / min(workers, found.tasks)
     text = (
         f"{progress}expected: {counted(found.tasks, 'task')} of {_duration(mean)}: {_duration(wall)} with "
@@ -225,7 +245,8 @@ def expected_lines(
     )
     if found.guessed and not found.source.startswith("the figures"):
         text += f"; {found.guessed} of these tasks have other settings: scaled by the figures that ship"
-    return text
+    limit = limit_line(found.longest_s, runner)
+    return f"{text}\n{limit}" if limit else text
 
 
 def _duration(seconds: float) -> str:

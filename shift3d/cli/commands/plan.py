@@ -55,9 +55,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
     """
     from shift3d.analysis.forecast.expected import expected_lines
     from shift3d.analysis.mlflow.store_uri import check_tracking
-    from shift3d.processor import usable_cpus
     from shift3d.settings.compose import compose_sweep
-    from shift3d.settings.schema.config import LocalRunnerConfig
     from shift3d.sweep.planning.folder import check_folder, default_folder
     from shift3d.sweep.planning.plan import make_plan
     from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
@@ -77,8 +75,7 @@ def show(sweep_words: Sequence[str], kind: TaskKind, tasks: bool = False, places
     folder = request.out or (None if plan.preview else default_folder(plan))
     if folder:
         check_folder(folder, plan)
-    workers = 1 if isinstance(config.runner, LocalRunnerConfig) else config.runner.workers or usable_cpus()
-    print(expected_lines(plan, folder, request.reuse, timings, workers))
+    print(expected_lines(plan, folder, request.reuse, timings, config.runner))
     print(_where(plan, folder))
     for line in plan_lines(plan) if tasks else ():
         print(line)

@@ -80,6 +80,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     """Run the command with a kind of task."""
+    from shift3d.analysis.forecast.expected import expected, limit_line
     from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
     from shift3d.sweep.drive import run_sweep
@@ -111,6 +112,8 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
         print(run_single(plan, kind, arguments.task))
         return 0
     print(f"writing to {folder}", flush=True)
+    if limit := limit_line(expected(plan.tasks, []).longest_s, config.runner):
+        print(limit, flush=True)
     result = run_sweep(
         plan, config.runner, kind, folder, retry_quarantined=arguments.retry_quarantined, reuse=request.reuse
     )

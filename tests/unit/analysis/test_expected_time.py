@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pandas as pd
 import pytest
 from scripts.shipped import measured_parts
 from valid_sweeps import catalogue, plan, write_sweep
 
-from shift3d.analysis.forecast.expected import TaskParts, expected, expected_lines, shipped_parts
+from shift3d.analysis.forecast.expected import TaskParts, expected, expected_lines, limit_line, shipped_parts
+from shift3d.cli.main import main
 from shift3d.effects.applicability import measured_impact
 from shift3d.errors import InputError
-from shift3d.settings.compose import compose_sweep
+from shift3d.settings.compose import compose_sweep, validate
+from shift3d.settings.schema.config import LocalRunnerConfig, RayRunnerConfig
 from shift3d.store.log import CommitLog
 from shift3d.store.tables import table_from_rows
+from shift3d.sweep import drive
 from shift3d.sweep.execution.worker import attempt_row
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.plan import Plan, make_plan
@@ -24,6 +28,12 @@ from shift3d.task.spec import AttackSpec, TransferScene
 
 def plan_of(*words: str) -> Plan:
     return make_plan(compose_sweep("smoke", ["vehicle=suv", *words]), catalogue)[0]
+
+
+def ray(**settings: float) -> RayRunnerConfig:
+    runner = validate(compose_sweep("smoke", []).base, "test").runner
+    assert isinstance(runner, RayRunnerConfig)
+    return runner.model_copy(update=settings)
 
 
 def ran(folder: Path, done: Plan, seconds: float) -> Path:
@@ -158,27 +168,53 @@ def test_parts_of_tasks_from_their_timings() -> None:
 def test_what_is_done_is_not_counted(tmp_path: Path) -> None:
     north, both = plan_of("mode=shape", "scene=north"), plan_of("mode=shape")
     folder = ran(tmp_path / "earlier", north, 36.0)
-    lines = expected_lines(both, tmp_path / "out", [folder], [], 4).splitlines()
+    lines = expected_lines(both, tmp_path / "out", [folder], [], ray(workers=4)).splitlines()
     assert lines[0] == "1 of 2 tasks are done already"
     assert lines[1] == "expected: 1 task of 36 s: 36 s with 4 workers (runner.workers=N), 0.01 core-hours"
-    assert expected_lines(north, folder, [], [], 1).endswith("nothing is left to run")
+    assert expected_lines(north, folder, [], [], ray(workers=1)).endswith("nothing is left to run")
 
 
 def test_what_was_given_up_on_is_not_counted_but_said(tmp_path: Path) -> None:
     both, out = plan_of("mode=shape"), tmp_path / "out"
     open_folder(out, both)
     CommitLog(out, both.spec_hash).commit((), (both.tasks[0].spec.task_id,), {})
-    lines = expected_lines(both, out, [], [], 1).splitlines()
+    lines = expected_lines(both, out, [], [], ray(workers=1)).splitlines()
     assert lines[0] == "1 quarantined task stays out: --retry-quarantined runs it again"
     assert lines[1].startswith("expected: 1 task of ")
 
 
 def test_a_folder_that_has_run_nothing_says_nothing(tmp_path: Path) -> None:
     open_folder(tmp_path / "out", plan())
-    assert "the figures that ship" in expected_lines(plan(), tmp_path / "out", [], [], 2)
+    assert "the figures that ship" in expected_lines(plan(), tmp_path / "out", [], [], ray(workers=2))
     with pytest.raises(InputError, match="is not the output folder of a sweep"):
-        expected_lines(plan(), tmp_path / "out", [], [tmp_path / "none"], 2)
+        expected_lines(plan(), tmp_path / "out", [], [tmp_path / "none"], ray(workers=2))
     write_sweep(tmp_path / "finished")
     (tmp_path / "finished" / "plan.parquet").write_bytes(b"PAR1")
     with pytest.raises(InputError, match=r"plan\.parquet"):
-        expected_lines(plan_of("mode=pose"), tmp_path / "out", [], [tmp_path / "finished"], 2)
+        expected_lines(plan_of("mode=pose"), tmp_path / "out", [], [tmp_path / "finished"], ray(workers=2))
+
+
+def test_a_time_limit_below_twice_the_slowest_task_is_reported_with_one_that_suits(tmp_path: Path) -> None:
+    both, limit = plan_of("mode=shape,pose"), ray(workers=1)
+    shape, pose = (expected(plan_of(f"mode={mode}").tasks, []).longest_s for mode in ("shape", "pose"))
+    assert expected(both.tasks, []).longest_s == max(shape, pose)
+    earlier = ran(tmp_path / "earlier", plan_of("mode=shape,pose", "scene=north"), 1000.0)
+    *_, line = expected_lines(both, None, [], [earlier], limit).splitlines()
+    assert line.startswith("a task is expected to take 16.7 min; one that takes more than 30 min is ended")
+    assert line.endswith("(runner.task_timeout_s=1800): give runner.task_timeout_s=4020")
+    assert limit_line(900.0, limit) == limit_line(1e9, ray(task_timeout_s=None)) == ""  # type: ignore[arg-type]
+    local = LocalRunnerConfig(kind="local", commit_seconds=2.0, abort_after=None, abort_share=None)
+    assert limit_line(1e9, local) == ""
+
+
+@pytest.mark.parametrize("command", [["plan", "smoke"], ["sweep", "smoke"]])
+def test_a_plan_and_the_start_of_a_sweep_report_a_time_limit_too_low(
+    command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(drive, "run_sweep", Mock(side_effect=InputError("it starts")))
+    words = ["vehicle=suv", "mode=pose", "scenes.count=1", "tracking=none"]
+    main([*command, *words, "accuracy=paper", "attack=paper"])
+    assert "give runner.task_timeout_s=" in capsys.readouterr().out
+    main([*command, *words])
+    assert "task_timeout_s" not in capsys.readouterr().out
