@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,19 @@ from shift3d.settings.schema.config import Config
 
 if TYPE_CHECKING:
     from shift3d.render.field.object_field import VehicleFrame
+
+_WEATHER = ("fog", "rain", "snow", "wet_ground")
+_USERS: Mapping[str, tuple[str, ...]] = {
+    "visibility_m": ("fog",),
+    "rain_mm_h": ("rain", "wet_ground"),
+    "snow_mm_h": ("snow",),
+    "range_noise_m": ("range_noise", "rolling_shutter"),
+    "divergence_rad": ("divergence", "rain", "snow"),
+    "limit_range_m": ("ray_drop", *_WEATHER),
+    "power_spread": ("ray_drop", *_WEATHER),
+    "object_speed_m_s": ("rolling_shutter",),
+}
+"""The effects that use each of `EffectSettings`."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +48,7 @@ class EffectChoices:
 
     _lines: dict[tuple[str, bool], tuple[Choice, dict[str, None]]] = field(default_factory=dict)
     _alike: dict[int, tuple[Catalogue, list[int], list[SceneFacts]]] = field(default_factory=dict)
+    _settings: dict[str, None] = field(default_factory=dict)
 
     def of(self, config: Config, catalogue: Catalogue, vehicle: str, scenes: Sequence[int]) -> list[tuple[str, ...]]:
         """The names of the effects of tasks that attack a vehicle, in the order of the physics.
@@ -44,6 +58,7 @@ class EffectChoices:
         Raises: InputError: an effect is forced that a scene has no data for.
         """
         overrides = EffectSettings(**config.effects.overrides())
+        self._settings |= dict.fromkeys(overrides.overrides())
         frame, detector = catalogue.frame_of(vehicle), DetectorFacts(config.detector.name)
         kind, facts = self._kinds(catalogue)
         found: dict[int, tuple[tuple[str, ...], list[dict[str, None]]]] = {}
@@ -76,6 +91,13 @@ class EffectChoices:
             self._alike[id(catalogue)] = (catalogue, kind, facts)
         _, kind, facts = self._alike[id(catalogue)]
         return kind, facts
+
+    def unused(self) -> list[str]:
+        """A line for each setting about scenes that no effect of any task uses."""
+        used = {effect for effect, used in self._lines if used}
+        return [
+            f"effects.{name}: no effect of this sweep uses it" for name in self._settings if not used & {*_USERS[name]}
+        ]
 
     def lines(self) -> tuple[EffectLine, ...]:
         """What was decided, by effect in the order of the physics."""

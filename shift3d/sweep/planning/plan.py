@@ -116,7 +116,10 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
         decided.lines(),
         skipped={name: why for catalogue, _ in catalogues.values() for name, why in catalogue.skipped.items()},
         preview=not all(entry.content_hash for catalogue, _ in catalogues.values() for entry in catalogue.scenes),
-        notes=tuple(dict.fromkeys(note for catalogue, _ in catalogues.values() for note in catalogue.notes)),
+        notes=(
+            *dict.fromkeys(note for catalogue, _ in catalogues.values() for note in catalogue.notes),
+            *decided.unused(),
+        ),
     )
     return plan, first
 

@@ -7,14 +7,17 @@ import dataclasses
 import pytest
 from by_hand import catalogue
 
+from shift3d.effects.applicability import NEEDS
 from shift3d.errors import InputError
-from shift3d.scenes.facts import SceneFacts
+from shift3d.scenes.facts import EffectSettings, SceneFacts
 from shift3d.scenes.labels import Conditions
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.schema.config import Config
+from shift3d.sweep.planning import effect_choices
 from shift3d.sweep.planning.effect_choices import effect_table
 from shift3d.sweep.planning.plan import Plan, make_plan
+from shift3d.sweep.planning.plan_view import plan_summary
 
 FOG = SceneFacts("north", conditions=Conditions(weather="fog", visibility_m=40.0))
 
@@ -51,6 +54,28 @@ def test_what_is_said_of_scenes_is_part_of_the_tasks_that_use_it() -> None:
     assert thick.tasks[0].spec.task_id != thin.tasks[0].spec.task_id
     unused = plan_of("effects=none", "effects.visibility_m=30")
     assert unused.tasks[0].spec.task_id == plan_of().tasks[0].spec.task_id
+
+
+@pytest.mark.parametrize(
+    ("overrides", "unused"),
+    [
+        (("effects=none", "effects.rain_mm_h=20"), ["rain_mm_h"]),
+        (("effects=rain", "effects.rain_mm_h=10", "effects.visibility_m=30"), ["visibility_m"]),
+        (("effects=none,rain", "effects.rain_mm_h=10,20"), []),
+        (("effects=fog", "effects.visibility_m=30", "effects.limit_range_m=80"), []),
+        (("effects=none",), []),
+    ],
+)
+def test_settings_that_no_effect_of_the_sweep_uses_are_named(overrides: tuple[str, ...], unused: list[str]) -> None:
+    expected = tuple(f"effects.{name}: no effect of this sweep uses it" for name in unused)
+    plan = plan_of(*overrides)
+    assert plan.notes == expected
+    assert all(line in plan_summary(plan) for line in expected)
+
+
+def test_it_is_known_of_each_setting_which_effects_use_it() -> None:
+    assert {*effect_choices._USERS} == {field.name for field in dataclasses.fields(EffectSettings)}
+    assert {effect for users in effect_choices._USERS.values() for effect in users} <= {*NEEDS}
 
 
 def test_an_effect_without_data_is_refused_with_what_would_supply_it() -> None:
