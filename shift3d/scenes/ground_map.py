@@ -14,7 +14,7 @@ from shift3d.errors import InputError
 _NEAR_M, _FAR_M = 4.0, 12.0
 _BAND_M, _LAYER_M, _REFINED_M = 0.35, 0.05, 0.15
 _FEWEST = 500
-_LOWEST_M, _HIGHEST_M = -4.0, -0.3  # between a truck's roof and a small robot's
+_LOWEST_M, _HIGHEST_M = -4.0, -0.4  # between a truck's roof and a small robot's
 
 
 def estimate_ground_z(points: NDArray[np.float32], nominal_z_m: float) -> float:
@@ -42,7 +42,7 @@ def estimate_ground_z(points: NDArray[np.float32], nominal_z_m: float) -> float:
 def search_ground_z(points: NDArray[np.float32]) -> float | None:
     """`estimate_ground_z` where the sensor's height is unknown; None where too few points lie below it.
 
-    The nominal height is that of the fullest layer of 0.2 m between 4 and 12 m from the sensor, 0.3 to 4 m below it.
+    The nominal height is that of the fullest layer of 0.2 m between 4 and 12 m from the sensor, 0.4 to 4 m below it.
 
     Args:
         points: (N, 3) scene frame, origin at the sensor.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d
-from shift3d.scenes.listing import read_bytes, read_lines, refuse_not_finite
+from shift3d.scenes.listing import read_bytes, read_lines, refuse_not_finite, require_metres
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
@@ -121,8 +121,8 @@ def read_points(
     Args:
         reflectance_max: what the file calls full reflectance; None: 1. Reflectance is divided by it and cut to 0..1.
 
-    Raises InputError: where the file is missing, empty, not a whole number of 16-byte records, holds NaN, infinity or a
-    point beyond FARTHEST_M, no point away from the sensor, or reflectances on another scale.
+    Raises InputError: where the file is missing, empty, not a whole number of 16-byte records, holds NaN or infinity,
+    ranges that are no metres (`require_metres`), or reflectances on another scale.
     """
     raw = read_bytes(as_location(path), "frame")
     if not raw or len(raw) % 16:
@@ -133,13 +133,7 @@ def read_points(
         )
     values = np.frombuffer(raw, dtype="<f4").reshape(-1, 4).astype(np.float32)
     refuse_not_finite(values, str(path))
-    beyond = (np.abs(values[:, :3]) > FARTHEST_M).any(axis=1)
-    if beyond.any():
-        rows = counted(int(beyond.sum()), "row")
-        what = f"row {int(np.argmax(beyond))} is more than {FARTHEST_M / 1000:g} km away ({rows})"
-        raise InputError(what, str(path), "Give float32 x, y, z, reflectance in metres.")
-    if not values[:, :3].any():
-        raise InputError("no point with a positive range", str(path), "Use another frame.")
+    require_metres(np.linalg.norm(values[:, :3].astype(np.float64), axis=1), str(path))
     stated = 1.0 if reflectance_max is None else reflectance_max
     values[:, 3] /= full_reflectance(values[:, 3], str(path), stated, _RESCALE)
     return np.ascontiguousarray(values[:, :3]), np.clip(values[:, 3], 0.0, 1.0)

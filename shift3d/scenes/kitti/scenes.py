@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
-from shift3d.scenes.ground_map import estimate_ground_z
+from shift3d.scenes.ground_map import estimate_ground_z, search_ground_z
 from shift3d.scenes.kitti.files import (
     CLASSES,
     GROUND,
@@ -26,6 +26,7 @@ from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
 NOMINAL_GROUND_Z_M = -1.73  # over the labelled sample frames the estimate lies between -1.80 and -1.63
+_NOMINAL_WITHIN_M = 0.2  # there the estimate around the nominal height has the whole layer of the ground
 
 
 class KittiScenes(RecordedScenes):
@@ -38,8 +39,10 @@ class KittiScenes(RecordedScenes):
         keep_bad: list frames whose files are missing, too; loading one raises InputError.
 
     Scenes keep the point order of the files. Points at zero range stay in place and carry no beam
-    (:attr:`~shift3d.scenes.scene.Scene.has_beam`). Labels cover camera 2's view only, 0.70 rad to either side of
-    +x: objects are placed within 0.6 rad, so that most of the vehicle stays inside.
+    (:attr:`~shift3d.scenes.scene.Scene.has_beam`). The ground is looked for around KITTI's 1.73 m below the LiDAR, and
+    at any height where it lies more than 0.2 m from there: other vehicles carry their LiDAR elsewhere. Labels cover
+    camera 2's view only, 0.70 rad to either side of +x: objects are placed within 0.6 rad, so that most of the vehicle
+    stays inside.
 
     Raises InputError: where folders are missing; without keep_bad, where frames are, or a label file has no frame.
     """
@@ -93,7 +96,7 @@ class KittiScenes(RecordedScenes):
             dataset=self.dataset,
             points=points,
             origins=np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape),
-            ground_z_m=read_ground_z(ground) if ground.is_file() else estimate_ground_z(points, NOMINAL_GROUND_Z_M),
+            ground_z_m=read_ground_z(ground) if ground.is_file() else _ground_z(points),
             labels=self._labels(name, points),
             reflectance=reflectance,
         )
@@ -139,6 +142,14 @@ class KittiScenes(RecordedScenes):
                 str(self.folder / "label_2" / f"{orphans[0]}.txt"),
                 "Add the frame, remove the label file, or list the frames to use in scenes.names.",
             )
+
+
+def _ground_z(points: NDArray[np.float32]) -> float:
+    """Height of the ground, metres, by the rule of `KittiScenes`. Source: our choice."""
+    found = search_ground_z(points)
+    if found is None or abs(found - NOMINAL_GROUND_Z_M) <= _NOMINAL_WITHIN_M:
+        return estimate_ground_z(points, NOMINAL_GROUND_Z_M)
+    return found
 
 
 def _stems(folder: Location | None, suffix: str) -> set[str]:

@@ -89,6 +89,23 @@ def test_ground_height_is_found_in_the_fullest_layer() -> None:
     assert found == pytest.approx(-1.66, abs=0.021)
 
 
+@pytest.mark.parametrize("ground_z_m", [-0.6, -1.1, -1.55, -1.9, -2.1, -2.4, -3.4])
+def test_the_ground_of_a_frame_is_found_at_any_mounting_height(tmp_path: Path, ground_z_m: float) -> None:
+    rng = np.random.default_rng(0)
+    ring, reach = rng.uniform(-np.pi, np.pi, 4000), rng.uniform(4.0, 30.0, 4000)
+    z = np.where(rng.random(4000) < 0.8, rng.normal(ground_z_m, 0.02, 4000), rng.uniform(ground_z_m, 1.0, 4000))
+    points = np.stack((reach * np.cos(ring), reach * np.sin(ring), z, np.full(4000, 0.3)), axis=1)
+    scene = KittiScenes(write_frame(tmp_path, "000007", points)).load("000007")
+    assert scene.ground_z_m == pytest.approx(ground_z_m, abs=0.011)
+
+
+def scaled(factor: float) -> Callable[[Path], None]:
+    def change(root: Path) -> None:
+        write_frame(root, "000007", POINTS * (factor, factor, factor, 1.0), CAR)
+
+    return change
+
+
 def truncate(root: Path) -> None:
     path = root / "training" / "velodyne" / "000007.bin"
     path.write_bytes(path.read_bytes()[:-3])
@@ -117,6 +134,8 @@ def replace_in(part: str, old: str, new: str) -> Callable[[Path], None]:
     [
         (truncate, r"velodyne.000007\.bin.*61 bytes.*truncated"),
         (poison, r"velodyne.000007\.bin.*row 2"),
+        (scaled(100.0), r"velodyne.000007\.bin: the median range is .*metres"),
+        (scaled(0.001), r"velodyne.000007\.bin: the median range is .*metres"),
         (drop_frame, r"label_2.000007\.txt.*no frame"),
         (replace_in("label_2", "1.60", "wide"), r"label_2.000007\.txt, line 1.*'wide'"),
         (replace_in("label_2", "1.60", "-1.60"), r"line 1.*size"),
@@ -162,6 +181,7 @@ def test_real_frames_load() -> None:
         scene = scenes.load(name)
         assert len(scene.points) > 100_000
         assert -1.85 < scene.ground_z_m < -1.6
+        assert scene.ground_z_m == estimate_ground_z(scene.points, -1.73)
 
 
 @needs_kitti
