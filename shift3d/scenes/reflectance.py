@@ -23,8 +23,9 @@ def full_reflectance(
     """The number that stands for full reflectance: divide by it, then cut what is beyond 0 to 1.
 
     stated: that number, as the sensor's manual has it: 1, 255, or for raw intensities up to `MOST_RAW`.
-    None: it is recognised: 1 where values lie in 0 to 1, 255 where they are whole numbers from 0 to 255. Raw
-        intensities cannot be recognised: the largest value of a scene differs from scene to scene, and is never used.
+    None: it is recognised: 1 where values lie in 0 to 1, 255 where they are whole numbers from 0 to 255; of whole
+        numbers alone one beyond 1 is enough, as in a dark frame. Raw intensities cannot be recognised: the largest
+        value of a scene differs from scene to scene, and is never used.
 
     Args:
         values: (N,) of one file, finite. where: the file, for errors. remedy: what to do where no scale fits.
@@ -39,7 +40,9 @@ def full_reflectance(
             raise InputError(f"a largest reflectance of {stated}", where, f"Give more than 0, at most {MOST_RAW:g}")
         _refuse(_misfits(values, stated), values, where, f"the scale 0 to {stated:g}", remedy)
         return stated
-    off_unit, off_bytes = _misfits(values, 1.0), _misfits(values, 255.0, whole=True)
+    whole_alone = (values % 1.0 == 0.0).all() and (values > 1.0).any()
+    off_unit = values > 1.0 if whole_alone else _misfits(values, 1.0)
+    off_bytes = _misfits(values, 255.0, whole=True)
     if off_unit.any() and off_bytes.any():
         both = off_unit & off_bytes
         scales = "either of the scales 0 to 1 and 0 to 255 (whole numbers)"

@@ -23,9 +23,15 @@ def test_scales_are_recognised() -> None:
     assert full_reflectance(fractions(), WHERE) == 1.0
     assert full_reflectance(whole(), WHERE) == 255.0
     assert full_reflectance(np.zeros(5, np.float32), WHERE) == 1.0
+    dark = whole(1)
+    dark[7] = 20.0  # one bright return of a frame of whole numbers
+    assert full_reflectance(dark, WHERE) == 255.0
+    flipped = fractions()
+    flipped[7] = 3e38
+    assert full_reflectance(flipped, WHERE) == 1.0
 
 
-@pytest.mark.parametrize("values", [whole(60_000), fractions() * 100, -fractions() - 0.1, fractions() * 1e5])
+@pytest.mark.parametrize("values", [whole(60_000), -whole(3), fractions() * 100, -fractions() - 0.1, fractions() * 1e5])
 def test_what_is_on_neither_scale_is_refused(values: np.ndarray) -> None:
     with pytest.raises(InputError, match=r"frame\.bin: row \d+ has reflectance .* not on either") as caught:
         full_reflectance(values, WHERE, remedy="Say what is full")
