@@ -28,24 +28,22 @@ def class_of(category: str) -> str:
 def read_annotations(folder: Location, samples: set[str]) -> dict[str, list[dict[str, Any]]]:
     """Annotations of samples by sample, each with its ``category``; empty where the release has none (test split).
 
-    Raises InputError: a table is missing or damaged, or an annotation's instance or category is.
+    The category is None where its row or the instance's is missing: `boxes_of` refuses such an annotation.
+
+    Raises InputError: a table is missing or damaged.
     """
-    file = folder / "sample_annotation.json"
     found: dict[str, list[dict[str, Any]]] = {sample: [] for sample in samples}
-    for row in table_rows(file):
-        if row.get("sample_token") in found:
-            found[row["sample_token"]].append(row)
+    for row in table_rows(folder / "sample_annotation.json"):
+        if (sample := str(row.get("sample_token"))) in found:
+            found[sample].append(row)
     wanted = {str(row.get("instance_token")) for rows in found.values() for row in rows}
     if not wanted:
         return found
-    instances = indexed(folder / "instance.json", lambda row: row.get("token") in wanted)
+    instances = indexed(folder / "instance.json", lambda row: str(row.get("token")) in wanted)
     categories = indexed(folder / "category.json")
     for row in (row for rows in found.values() for row in rows):
         instance = instances.get(str(row.get("instance_token")), {})
-        category = categories.get(str(instance.get("category_token")), {}).get("name")
-        if category is None:
-            raise InputError(f"row {row.get('token')} has no category", str(file), "Copy the release's tables again")
-        row["category"] = category
+        row["category"] = categories.get(str(instance.get("category_token")), {}).get("name")
     return found
 
 
@@ -55,11 +53,14 @@ def boxes_of(
     """Boxes in the scene's frame; counts are those of the points (N, 3) given. Raises InputError: a row is no box."""
     boxes = np.zeros((len(rows), 7))
     for index, row in enumerate(rows):
-        size = row.get("size")
-        if not isinstance(size, list) or len(size) != 3:
-            raise InputError("no size of 3 numbers", f"{where}, row {row.get('token')}", "Copy it again")
-        placed = scene_SE3_global @ pose_of(row, f"{where}, row {row.get('token')}")
-        width, length, height = (float(edge) for edge in size)
+        here = f"{where}, row {row.get('token')}"
+        if row["category"] is None:
+            raise InputError("it has no category", here, "Copy the release's tables again")
+        try:
+            width, length, height = (float(edge) for edge in row["size"])
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise InputError("no size of 3 numbers", here, "Copy it again") from error
+        placed = scene_SE3_global @ pose_of(row, here)
         boxes[index] = [*placed[:3, 3], length, width, height, float(heading_of(placed))]
     names = tuple(str(row["category"]) for row in rows)
     return Labels(boxes, tuple(class_of(name) for name in names), count_in_boxes(points, boxes), names)
@@ -73,7 +74,7 @@ def read_weather(folder: Location, samples: set[str]) -> dict[str, str]:
 
     Raises InputError: a table is missing or damaged.
     """
-    rows = indexed(folder / "sample.json", lambda row: row.get("token") in samples)
+    rows = indexed(folder / "sample.json", lambda row: str(row.get("token")) in samples)
     drives = indexed(folder / "scene.json")
     descriptions = {
         name: str(drives.get(str(row.get("scene_token")), {}).get("description", "")) for name, row in rows.items()

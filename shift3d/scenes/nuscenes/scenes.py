@@ -15,7 +15,7 @@ from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.listing import RecordedScenes, chosen, first_few, names_in, read_bytes, require_metres
 from shift3d.scenes.nuscenes.annotations import boxes_of, read_annotations, read_weather
-from shift3d.scenes.nuscenes.tables import LidarFile, Release
+from shift3d.scenes.nuscenes.tables import LidarFile, Poses, Release
 from shift3d.scenes.scene import Scene
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
@@ -76,8 +76,9 @@ class NuScenesScenes(RecordedScenes):
         if self._tables is None:
             return self._alone(name)
         release = self._release
-        if name not in release.key_frames:
-            raise InputError(f"unknown scene {name!r}", str(self._tables), f"Samples: {first_few(release.key_frames)}")
+        if name not in self._needed:
+            known = first_few(self._needed or release.key_frames)
+            raise InputError(f"unknown scene {name!r}", str(self._tables), f"Choose from: {known}")
         files = self._files(name)
         poses, mounts = self._poses
         key = files[0]
@@ -136,7 +137,7 @@ class NuScenesScenes(RecordedScenes):
         return {name for name in self._listed if name in self._release.key_frames}
 
     @functools.cached_property
-    def _poses(self) -> tuple[dict[str, Float], dict[str, Float]]:
+    def _poses(self) -> tuple[Poses, Poses]:
         """Of the vehicle and of the sensor, by token, as far as the listed scenes need them."""
         release, files = self._release, []
         for name in self._needed:
@@ -164,8 +165,8 @@ class NuScenesScenes(RecordedScenes):
         return files
 
     def _alone(self, name: str) -> Scene:
-        if name not in self._stems:
-            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._stems)}")
+        if name not in self._listed:
+            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._listed)}")
         values = _read(_stem_file(self.root, name))
         points = moved(values[:, :3], _SIDEWAYS).astype(np.float32)
         scene = _scene(name, points, np.zeros_like(points), _reflectance(values))
@@ -240,11 +241,11 @@ def _scene(
 
 
 def _velocity(
-    release: Release, poses: dict[str, Float], key: LidarFile, global_SE3_scene: Float
+    release: Release, poses: Poses, key: LidarFile, global_SE3_scene: Float
 ) -> tuple[float, float, float] | None:
     """Of the sensor since the sweep before the key frame, m/s, scene frame; None at the beginning of a drive."""
     before = release.lidar.get(key.previous)
-    if before is None or before.pose not in poses or before.time_us >= key.time_us:
+    if before is None or before.time_us >= key.time_us:
         return None
     driven = poses[key.pose][:3, 3] - poses[before.pose][:3, 3]
     along = global_SE3_scene[:3, :3].T @ driven / ((key.time_us - before.time_us) * 1e-6)

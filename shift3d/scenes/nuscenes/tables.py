@@ -105,7 +105,7 @@ class Release:
             found = LidarFile(
                 str(_of(row, "sample_token", file)),
                 str(_of(row, "filename", file)),
-                int(_of(row, "timestamp", file)),
+                _time_us(row, file),
                 str(_of(row, "prev", file)),
                 str(_of(row, "ego_pose_token", file)),
                 str(_of(row, "calibrated_sensor_token", file)),
@@ -115,25 +115,43 @@ class Release:
                 key_frames.append((found.time_us, found.sample, token))
         return Release(folder, lidar, {sample: token for _, sample, token in sorted(key_frames)})
 
-    def poses(self, table: str, tokens: set[str]) -> dict[str, NDArray[np.float64]]:
-        """(4, 4) of rows with translation and rotation, metres. Raises InputError: a token has none."""
+    def poses(self, table: str, tokens: set[str]) -> Poses:
+        """Poses by token. Raises InputError: as `indexed`."""
         file = self.folder / f"{table}.json"
-        found = indexed(file, lambda row: row.get("token") in tokens)
-        for token in tokens:
-            if token not in found:
-                raise InputError(f"no row {token}", str(file), "Copy the release's tables again")
-        return {token: pose_of(row, f"{file}, row {token}") for token, row in found.items()}
+        return Poses(file, indexed(file, lambda row: str(row.get("token")) in tokens))
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Rows of a table with translation and rotation, by token: one that is no pose concerns nobody but its users."""
+
+    file: Location
+    rows: Mapping[str, Row]
+
+    def __getitem__(self, token: str) -> NDArray[np.float64]:
+        """(4, 4), metres. Raises InputError: there is no such row, or it is no pose."""
+        if token not in self.rows:
+            raise InputError(f"no row {token}", str(self.file), "Copy the release's tables again")
+        return pose_of(self.rows[token], f"{self.file}, row {token}")
 
 
 def pose_of(row: Mapping[str, Any], where: str) -> NDArray[np.float64]:
     """(4, 4) of a row's translation and rotation (w, x, y, z). Raises InputError: they are none."""
     try:
         rotation, translation = (np.array(row[name], dtype=np.float64) for name in ("rotation", "translation"))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError("no rotation and translation", where, _AGAIN) from error
     if rotation.shape != (4,) or translation.shape != (3,):
         raise InputError("no rotation and translation", where, _AGAIN)
     return from_quaternion(rotation, translation, where)
+
+
+def _time_us(row: Row, file: Location) -> int:
+    value = _of(row, "timestamp", file)
+    try:
+        return int(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"row {row.get('token')} has timestamp {str(value)[:40]}", str(file), _AGAIN) from error
 
 
 def _of(row: Row, name: str, file: Location) -> Any:

@@ -122,6 +122,8 @@ def test_versions_and_names_are_chosen(tmp_path: Path) -> None:
         NuScenesScenes(tmp_path, names=["sample99"]).names()
     with pytest.raises(InputError, match=r"unknown scene 'sample99'"):
         NuScenesScenes(tmp_path).load("sample99")
+    with pytest.raises(InputError, match=r"unknown scene 'sample10'.*Choose from: sample00, sample01"):
+        NuScenesScenes(tmp_path, count=2).load("sample10")
     (tmp_path / "v1.0-trainval").mkdir()
     with pytest.raises(InputError, match=r"2 versions of tables.*scenes\.version"):
         NuScenesScenes(tmp_path)
@@ -148,6 +150,10 @@ def table(name: str, change: Callable[[list[dict[str, Any]]], Any]) -> Callable[
 
 def without(key: str) -> Callable[[list[dict[str, Any]]], Any]:
     return lambda rows: [{k: v for k, v in row.items() if k != key} for row in rows]
+
+
+def changed(name: str, **values: Any) -> Callable[[Path], None]:
+    return table(name, lambda rows: [row | values for row in rows])
 
 
 def cut(root: Path) -> None:
@@ -178,7 +184,10 @@ TABLES = (
         (table("sample_data", without("timestamp")), r"sample_data\.json.*has no timestamp"),
         (table("ego_pose", lambda rows: rows[:1]), r"ego_pose\.json: no row pose0"),
         (table("ego_pose", without("rotation")), r"ego_pose\.json.*no rotation and translation"),
+        (changed("sample_data", timestamp=None), r"sample_data\.json: row \S+ has timestamp None"),
         (table("sample_annotation", without("size")), r"no size of 3 numbers"),
+        (changed("sample_annotation", size=[None, 1, 2]), r"no size of 3 numbers"),
+        (changed("sample_annotation", size=None), r"no size of 3 numbers"),
         (table("instance", lambda rows: rows[:1]), r"sample_annotation\.json.*no category"),
         (drop_lidar, r"pcd\.bin.*missing"),
         (rewrite_lidar(lambda v: v.ravel()[:-1]), r"pcd\.bin.*bytes"),
@@ -195,6 +204,31 @@ def test_damaged_files_give_one_clear_line(tmp_path: Path, spoil: Callable[[Path
         scenes.load(scenes.names()[1])
     assert caught.value.remedy
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "token", "values"),
+    [
+        ("ego_pose", "pose10", {"rotation": [0, 0, 0, 0]}),
+        ("ego_pose", "pose10", {"token": "another"}),
+        ("sample_annotation", "asample10", {"instance_token": "another"}),
+        ("sample_annotation", "asample10", {"translation": None}),
+        ("sample_annotation", "asample10", {"size": "large"}),
+    ],
+)
+def test_a_bad_row_refuses_the_scenes_that_use_it(
+    tmp_path: Path, name: str, token: str, values: dict[str, Any]
+) -> None:
+    write_release(tmp_path, drives=2)
+    change_table(tmp_path, name, lambda rows: [row | (values if row["token"] == token else {}) for row in rows])
+    scenes, refused = NuScenesScenes(tmp_path), []
+    for scene in scenes.names():
+        try:
+            scenes.load(scene)
+        except InputError as error:
+            refused.append(scene)
+            assert f"{name}.json" in error.where
+    assert refused == ["sample10"]
 
 
 def test_rows_of_a_table_are_read_across_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
