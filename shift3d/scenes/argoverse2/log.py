@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.feather as feather
 from numpy.typing import NDArray
 
@@ -77,9 +76,10 @@ CLASSES = {
     for names, kind in ((_VEHICLES, "vehicle"), (_PEDESTRIANS, "pedestrian"), (_CYCLISTS, "cyclist"), (_OTHER, "other"))
     for name in names.split()
 }
-_FARTHEST_NS = 100_000_000  # between a sweep and the nearest pose; poses come every 5 to 10 ms
+_FARTHEST_NS = 20_000_000  # from a sweep's start and last firing to the nearest pose; poses come every 5 to 10 ms
 _SHORTEST_NS, _LONGEST_NS = 1_000_000, 200_000_000  # of a sweep's last firing: a hundredth of a turn, and two
 _AT_ONCE = np.zeros(1, dtype=np.int64)
+_TENTH_NS = 100_000_000  # over which the vehicle's velocity is taken
 
 
 @dataclass(frozen=True)
@@ -149,30 +149,58 @@ def ego_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64]) -> 
 
 def city_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64] = _AT_ONCE) -> Float:
     """(N, 4, 4) of the vehicle in the city at each of the times after a sweep's start. Raises: as `ego_SE3_ego`."""
-    file = log / "city_SE3_egovehicle.feather"
-    table = feather_table(file, ("timestamp_ns", *_POSE))
-    times = column(table, "timestamp_ns", np.int64, file).astype(np.int64)
-    order = np.argsort(times, kind="stable")
-    times, city = times[order], poses(table, file)[order]
-    if np.abs(times - timestamp).min() > _FARTHEST_NS:
-        raise InputError(f"no pose near the sweep {timestamp}", str(file), "Pair files of one log: copy both again")
+    times, city = _city_poses(log)
+    for offset in (0, int(offset_ns.max())):
+        if np.abs(times - (timestamp + offset)).min() > _FARTHEST_NS:
+            what = f"no pose near the sweep {timestamp}, {offset / 1e6:g} ms after its start"
+            raise InputError(what, str(_poses_file(log)), "Pair files of one log: copy both again")
     return interpolated(times, city, timestamp + offset_ns)
 
 
+def ego_velocity_m_s(log: Location, timestamp: int) -> tuple[float, float, float] | None:
+    """Of the vehicle over the tenth of a second after a sweep's start, its frame there; None where no pose is later.
+
+    Raises: as `ego_SE3_ego`.
+    """
+    times, city = _city_poses(log)
+    later = min(_TENTH_NS, int(times[-1]) - timestamp)
+    if later <= _FARTHEST_NS:
+        return None
+    start, end = interpolated(times, city, np.array([timestamp, timestamp + later]))
+    x, y, z = (inverse(start) @ end)[:3, 3] * (1e9 / later)
+    return (float(x), float(y), float(z))
+
+
+def _poses_file(log: Location) -> Location:
+    return log / "city_SE3_egovehicle.feather"
+
+
+def _city_poses(log: Location) -> tuple[NDArray[np.int64], Float]:
+    """Times (K,), nanoseconds, ascending, and poses (K, 4, 4) of the vehicle in the city."""
+    file = _poses_file(log)
+    table = feather_table(file, ("timestamp_ns", *_POSE))
+    times = column(table, "timestamp_ns", np.int64, file).astype(np.int64)
+    order = np.argsort(times, kind="stable")
+    return times[order], poses(table, file)[order]
+
+
 def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offset: Float) -> Labels:
-    """Boxes of a sweep, in file order (none where the log has no annotations, as those of the test split).
+    """Boxes of a sweep, in file order; none where it has no annotations, or the log has none, as in the test split.
 
     Args:
         points: (N, 3) scene frame; they are counted. offset: (3,) of the scene's origin in the vehicle frame, metres.
 
-    Raises InputError: the file is damaged, or has an unknown category.
+    Raises InputError: the file is damaged, of another log, or has an unknown category.
     """
     file = log / "annotations.feather"
     if not file.is_file():
         return Labels()
     table = feather_table(file, ("timestamp_ns", "category", "length_m", "width_m", "height_m", *_POSE))
-    table = table.filter(pc.equal(table["timestamp_ns"], timestamp))
+    times = column(table, "timestamp_ns", np.int64, file)
+    table = table.filter(pa.array(times == timestamp))
     if not table.num_rows:
+        if not np.isin(times, timestamps(log)).any():
+            raise InputError("it annotates no sweep of the log", str(file), "Pair files of one log: copy both again")
         return Labels()
     placed = poses(table, file)
     sizes = np.stack([column(table, f"{edge}_m", np.float64, file) for edge in ("length", "width", "height")], axis=1)

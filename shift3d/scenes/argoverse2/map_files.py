@@ -57,19 +57,24 @@ def _heights(file: Location, placed_by: Location, centre_m: Float) -> Float:
         raise InputError(f"not a readable array ({' '.join(str(error).split())[:80]})", str(file), _AGAIN) from error
     values = _json(placed_by)
     try:
-        rotation, shift, scale = np.reshape(values["R"], (2, 2)), np.reshape(values["t"], 2), float(values["s"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError("no R of 4 numbers, t of 2 and s", str(placed_by), _AGAIN) from error
-    if raster.ndim != 2 or not scale > 0.0:
-        raise InputError(f"an array of shape {raster.shape} at scale {scale}", str(file), _AGAIN)
-    column, row = scale * (rotation @ centre_m + shift)
+        rotation, shift = (np.array(values[name], dtype=np.float64) for name in "Rt")
+        scale = float(values["s"])
+        with np.errstate(over="ignore", invalid="ignore"):
+            column, row = scale * (rotation.reshape(2, 2) @ centre_m + shift)
+        if not np.isfinite([column, row]).all():
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError("no R of 4 numbers, t of 2 and s, all finite", str(placed_by), _AGAIN) from error
+    if raster.ndim != 2 or raster.dtype.kind not in "fiu" or not scale > 0.0:
+        what = f"an array of {raster.dtype}, shape {raster.shape}, at scale {scale}"
+        raise InputError(what, str(file), _AGAIN)
     reach = _REACH_M * scale
     rows, columns = (
         np.arange(max(0, int(middle - reach)), min(size, max(0, int(middle + reach))))
         for middle, size in ((row, raster.shape[0]), (column, raster.shape[1]))
     )
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) + 0.5
-    city = (pixels / scale - shift) @ rotation
+    city = (pixels / scale - shift) @ rotation.reshape(2, 2)
     return np.column_stack((city, raster[np.ix_(rows, columns)].reshape(-1).astype(np.float64)))
 
 
@@ -77,12 +82,15 @@ def _outlines(file: Location) -> list[Float]:
     """(V, 3) each, city frame."""
     try:
         areas = _json(file)["drivable_areas"].values()
-        found = [np.array([[point[axis] for axis in "xyz"] for point in area["area_boundary"]]) for area in areas]
-    except (KeyError, TypeError, AttributeError) as error:
+        found = [
+            np.array([[point[axis] for axis in "xyz"] for point in area["area_boundary"]], dtype=np.float64)
+            for area in areas
+        ]
+    except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise InputError("no drivable_areas of area_boundary points x, y, z", str(file), _AGAIN) from error
-    if any(outline.ndim != 2 or not np.isfinite(outline.astype(np.float64)).all() for outline in found):
+    if any(outline.ndim != 2 or not np.isfinite(outline).all() for outline in found):
         raise InputError("an outline without finite points", str(file), _AGAIN)
-    return [outline.astype(np.float64) for outline in found]
+    return found
 
 
 def _json(file: Location) -> dict[str, Any]:

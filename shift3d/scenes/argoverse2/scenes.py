@@ -13,6 +13,7 @@ from shift3d.scenes.argoverse2.log import (
     Sweep,
     city_SE3_ego,
     ego_SE3_ego,
+    ego_velocity_m_s,
     lidar_mounts,
     read_labels,
     read_sweep,
@@ -29,7 +30,6 @@ from shift3d.store.resolve import LocationLike, as_location
 
 VEHICLE_HEIGHT_M = 0.33  # of the vehicle frame's origin, the rear axle, above the ground
 _SPLITS = ("val", "train", "test")
-_SECOND_NS = np.int64(10**9)
 
 
 class Argoverse2Scenes(RecordedScenes):
@@ -40,6 +40,7 @@ class Argoverse2Scenes(RecordedScenes):
         names: ``LOG-TIMESTAMP`` of the sweeps to use; None: every sweep, in order.
         count: the first so many; those after them are not looked for.
         every: of each log every n-th sweep, of those that are not named.
+        keep_bad: list sweeps that are named and not there, too; loading one raises InputError.
 
     A scene's origin is the upper LiDAR, its axes are the vehicle's, its time 0 the sweep's start. Points keep the order
     of the file. Every beam starts where its LiDAR (two of 32 beams, one above the other) was as it fired. Points are
@@ -55,9 +56,14 @@ class Argoverse2Scenes(RecordedScenes):
     dataset = "argoverse2"
 
     def __init__(
-        self, root: LocationLike, names: Sequence[str] | None = None, count: int | None = None, every: int = 1
+        self,
+        root: LocationLike,
+        names: Sequence[str] | None = None,
+        count: int | None = None,
+        every: int = 1,
+        keep_bad: bool = False,
     ) -> None:
-        self.root, self.every, self._count = as_location(root), every, count
+        self.root, self.every, self.keep_bad, self._count = as_location(root), every, keep_bad, count
         self._wanted = None if names is None else list(names)[:count]
         inside = names_in(self.root)
         own = {self.root.absolute().name: self.root}  # the name of "." is empty
@@ -74,7 +80,6 @@ class Argoverse2Scenes(RecordedScenes):
         require_metres(np.linalg.norm(points - origins, axis=1), str(sweep_file(log, timestamp)))
         city_SE3_scene = city_SE3_ego(log, timestamp)[0]
         city_SE3_scene[:3, 3] += city_SE3_scene[:3, :3] @ up
-        driven = ego_SE3_ego(log, timestamp, np.array([_SECOND_NS // 10]))[0, :3, 3] * 10.0  # over a tenth of a second
         scene = Scene(
             scene_id=name,
             dataset=self.dataset,
@@ -84,7 +89,7 @@ class Argoverse2Scenes(RecordedScenes):
             labels=read_labels(log, timestamp, points, up),
             reflectance=sweep.reflectance,
             time_s=(sweep.offset_ns * 1e-9).astype(np.float32),
-            conditions=Conditions(ego_velocity_m_s=(float(driven[0]), float(driven[1]), float(driven[2]))),
+            conditions=Conditions(ego_velocity_m_s=ego_velocity_m_s(log, timestamp)),
             ground_map=read_ground_map(log, city_SE3_scene),
         )
         scene.validate()
@@ -100,6 +105,8 @@ class Argoverse2Scenes(RecordedScenes):
 
     @functools.cached_property
     def _listed(self) -> list[str]:
+        if self._wanted is not None and self.keep_bad:
+            return list(self._wanted)
         try:
             return chosen(self._sweeps(), self._wanted, str(self.root), self._count)
         except InputError:

@@ -69,6 +69,22 @@ def test_labels_are_in_the_scenes_frame(tmp_path: Path) -> None:
     assert labels.names == ("REGULAR_VEHICLE", "PEDESTRIAN") and labels.classes == ("vehicle", "pedestrian")
 
 
+def test_a_sweep_without_annotations_is_unlabelled(tmp_path: Path) -> None:
+    log = write_log(tmp_path)
+    rewrite(BOXES, lambda table: table.filter(pc.equal(table["timestamp_ns"], START)))(log)
+    assert len(Argoverse2Scenes(tmp_path).load(NAME).labels.boxes) == 0
+
+
+def test_the_velocity_is_unknown_where_no_pose_is_later(tmp_path: Path) -> None:
+    log = write_log(tmp_path)
+    rewrite(SWEEP, scaled("offset_ns", 0.1))(log)
+    rewrite(POSES, poses_until(40_000_000))(log)
+    velocity = Argoverse2Scenes(tmp_path).load(NAME).conditions.ego_velocity_m_s
+    assert velocity is not None and np.linalg.norm(velocity) == pytest.approx(SPEED_M_S, rel=0.01)
+    rewrite(POSES, poses_until(0))(log)
+    assert Argoverse2Scenes(tmp_path).load(NAME).conditions.ego_velocity_m_s is None
+
+
 def test_sweeps_are_listed_in_order_and_chosen(tmp_path: Path) -> None:
     log = write_log(tmp_path, sweeps=3, labels=False)
     names = [f"{LOG}-{START + sweep * PERIOD}" for sweep in range(3)]
@@ -79,6 +95,8 @@ def test_sweeps_are_listed_in_order_and_chosen(tmp_path: Path) -> None:
     assert len(Argoverse2Scenes(tmp_path).load(names[0]).labels.boxes) == 0
     with pytest.raises(InputError, match=r"no scene 'x-1'"):
         Argoverse2Scenes(tmp_path, names=["x-1"]).names()
+    named = Argoverse2Scenes(tmp_path, [names[0], f"{LOG}-1"], keep_bad=True)
+    assert named.names() == [names[0], f"{LOG}-1"], "what is wrong with one is said when it is loaded"
     for unknown in ("x-1", LOG, f"{LOG}-1", ""):
         with pytest.raises(InputError):
             Argoverse2Scenes(tmp_path).load(unknown)
@@ -110,6 +128,16 @@ def cut(part: str) -> Spoil:
     return lambda log: (log / part).write_bytes((log / part).read_bytes()[:-40])
 
 
+def poses_until(offset_ns: int) -> Callable[[pa.Table], pa.Table]:
+    """Without the poses later than a time after the second sweep's start."""
+    return lambda table: table.filter(pc.less_equal(table["timestamp_ns"], START + PERIOD + offset_ns))
+
+
+def as_text(table: pa.Table) -> pa.Table:
+    at = table.column_names.index("timestamp_ns")
+    return table.set_column(at, "timestamp_ns", table["timestamp_ns"].cast(pa.string()))
+
+
 def centimetres(table: pa.Table) -> pa.Table:
     for name in "xyz":
         table = scaled(name, 100.0)(table)
@@ -130,9 +158,13 @@ def centimetres(table: pa.Table) -> pa.Table:
         (rewrite(SWEEP, scaled("offset_ns", 1e-3)), r"firing times from .* nanoseconds"),
         (rewrite(SWEEP, scaled("offset_ns", -1.0)), r"firing times from -"),
         (rewrite(POSES, scaled("timestamp_ns", 0.5)), r"no pose near the sweep"),
+        (rewrite(POSES, poses_until(0)), r"no pose near the sweep \d+, 99\.\d* ms after its start.*one log"),
+        (rewrite(POSES, poses_until(-30_000_000)), r"no pose near the sweep \d+, 0 ms after its start.*one log"),
         (rewrite(POSES, scaled("qw", 1.5)), r"no unit quaternion"),
         (rewrite(MOUNTS, lambda table: table.slice(0, 2)), r"0 rows of down_lidar"),
         (rewrite(BOXES, lambda t: t.set_column(2, "category", pa.array(["CAR"] * len(t)))), r"unknown category 'CAR'"),
+        (rewrite(BOXES, as_text), r"annotations\.feather: column timestamp_ns has gaps or is no numbers"),
+        (rewrite(BOXES, scaled("timestamp_ns", 0.5)), r"annotations\.feather: it annotates no sweep of the log"),
         (rewrite(BOXES, scaled("length_m", 0.0)), r"annotations\.feather, sweep .*dx = 0"),
         (rewrite(BOXES, scaled("tz_m", float("nan"))), r"annotations\.feather.*finite translation"),
     ],

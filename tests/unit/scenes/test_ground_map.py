@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -89,15 +90,32 @@ def test_a_log_without_a_map_has_none_and_one_with_it_is_another_scene(tmp_path:
     assert outlines is not None and np.isnan(outlines.height_m).all() and outlines.drivable is not None
 
 
+def outline(x: str) -> bytes:
+    return f'{{"drivable_areas": {{"1": {{"area_boundary": [{{"x": {x}, "y": 0, "z": 0}}]}}}}}}'.encode()
+
+
+def array_of_text() -> bytes:
+    content = io.BytesIO()
+    np.save(content, np.full((800, 800), "1.5"))
+    return content.getvalue()
+
+
 @pytest.mark.parametrize(
     ("part", "content", "says"),
     [
         (f"{LOG}_ground_height_surface____PIT.npy", b"", "not a readable array"),
         (f"{LOG}_ground_height_surface____PIT.npy", b"\x93NUMPY\x01\x00", "not a readable array"),
+        (f"{LOG}_ground_height_surface____PIT.npy", array_of_text(), "an array of <U3"),
         (f"{LOG}___img_Sim2_city.json", b"{}", "no R of 4 numbers"),
+        (f"{LOG}___img_Sim2_city.json", b'{"R": [1, 0, 0, 1], "t": [0, NaN], "s": 3}', "no R of 4 numbers"),
+        (f"{LOG}___img_Sim2_city.json", b'{"R": [1, 0, 0, 1], "t": [0, null], "s": 3}', "no R of 4 numbers"),
+        (f"{LOG}___img_Sim2_city.json", b'{"R": ["a", 0, 0, 1], "t": [0, 0], "s": 3}', "no R of 4 numbers"),
+        (f"{LOG}___img_Sim2_city.json", b'{"R": [1, 0, 0, 1], "t": [0, 0], "s": Infinity}', "no R of 4 numbers"),
         (f"{LOG}___img_Sim2_city.json", b"{", "not a readable JSON file"),
         (f"log_map_archive_{LOG}____PIT_city_1.json", b"[]", "no JSON object"),
         (f"log_map_archive_{LOG}____PIT_city_1.json", b'{"drivable_areas": {"1": {}}}', "no drivable_areas of"),
+        (f"log_map_archive_{LOG}____PIT_city_1.json", outline('"a"'), "no drivable_areas of"),
+        (f"log_map_archive_{LOG}____PIT_city_1.json", outline("null"), "an outline without finite points"),
     ],
 )
 def test_damaged_maps_give_one_clear_line(log: Path, part: str, content: bytes, says: str) -> None:
