@@ -56,7 +56,7 @@ def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[st
     """The frame as each of the lasers saw it, in the order of their numbers.
 
     Raises InputError: a component is missing or unreadable; a laser has no row, or two, in one of them; images of a
-    laser differ in size.
+    laser differ in size, or have a range that is not finite.
     """
     lidar = component_file(root, "lidar", segment)
     columns = [LASER, *(f"{image}.{part}" for image in _IMAGES for part in ("values", "shape"))]
@@ -68,6 +68,8 @@ def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[st
         first, second = (_image(_row(rows, number, lidar, timestamp), name, 4, where) for name in _IMAGES)
         if first.shape != second.shape:
             raise InputError(f"range images of {first.shape} and {second.shape} for its two returns", where, _PAIR)
+        if not np.isfinite([first[..., 0], second[..., 0]]).all():
+            raise InputError("a range that is not finite", where, "Copy the component again")
         calibration = calibrations.get(number)
         if calibration is None:
             of = str(component_file(root, "lidar_calibration", segment).file)

@@ -52,7 +52,7 @@ class WaymoScenes(RecordedScenes):
     sensor. Points are motion compensated, to the frame's time. No firing times are stated by the data set. Reflectance
     is tanh of the intensity, which has no upper limit: the scale that detectors of this data set are trained on.
 
-    Raises InputError: no component lidar/, or an unknown laser.
+    Raises InputError: no component lidar/, an unknown laser, or one twice.
     """
 
     dataset = "waymo"
@@ -73,6 +73,9 @@ class WaymoScenes(RecordedScenes):
             raise InputError(
                 f"unknown laser {(unknown or ['none at all'])[0]!r}", "Waymo", f"Known: {', '.join(LASERS)}"
             )
+        if len(set(self.lasers)) < len(self.lasers):
+            what = f"a laser twice in scenes.lasers=[{','.join(self.lasers)}]"
+            raise InputError(what, "Waymo", "Name each laser once")
         self._wanted = None if names is None else list(names)[:count]
         if "lidar" not in self._names_in(self.root):
             raise InputError(

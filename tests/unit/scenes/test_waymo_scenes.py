@@ -197,6 +197,10 @@ def millimetres(values: list[float]) -> list[float]:
     return [value * 1000.0 if index % 4 == 0 else value for index, value in enumerate(values)]
 
 
+def one_range(value: float) -> Callable[[list[float]], list[float]]:
+    return lambda values: [value, *values[1:]]
+
+
 def empty(image: str) -> Callable[[pa.Table], pa.Table]:
     return with_column(f"{image}.values", lambda values: [-1.0] * len(values))
 
@@ -233,6 +237,14 @@ INCLINATION = "[LiDARCalibrationComponent].beam_inclination"
         (rewrite("lidar_pose", with_column(f"{POSE}.values", lambda v: v[:-6])), r"lidar_pose.*numbers, .* expected"),
         (rewrite("lidar_pose", with_column(f"{POSE}.values", lambda v: [0.0] * len(v))), r"every pixel's pose is zero"),
         (rewrite("lidar", with_column(f"{FIRST}.values", millimetres)), r"range of .* m.*metres"),
+        *(
+            (
+                rewrite("lidar", with_column(f"{image}.values", one_range(value))),
+                r"laser 1 at \d+: a range that is not fin",
+            )
+            for image in (FIRST, SECOND)
+            for value in (float("nan"), float("inf"))
+        ),
         (rewrite("lidar", lambda table: empty(FIRST)(empty(SECOND)(table))), r"no point with a positive"),
         (rewrite("lidar", lambda table: table.drop_columns([f"{FIRST}.shape"])), r"no column .*return1\.shape"),
         (rewrite("lidar_calibration", with_column(EXTRINSIC, lambda m: [2 * v for v in m])), r"no rotation"),
@@ -271,6 +283,8 @@ def test_folders_that_are_no_data_set(tmp_path: Path) -> None:
         WaymoScenes(tmp_path).names()
     with pytest.raises(InputError, match=r"unknown laser 'BACK'.*REAR"):
         WaymoScenes(tmp_path, lasers=["BACK"])
+    with pytest.raises(InputError, match=r"a laser twice in scenes\.lasers=\[TOP,REAR,TOP\]"):
+        WaymoScenes(tmp_path, lasers=["TOP", "REAR", "TOP"])
 
 
 def test_a_bad_segment_is_listed_where_bad_scenes_are_kept(tmp_path: Path) -> None:
