@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib.metadata
 import os
 from pathlib import Path
+
+# Libraries that the last bits of scenes and meshes may depend on.
+_LIBRARIES = ("numpy", "pyarrow", "scipy", "embreex", "trimesh", "scikit-image", "libigl", "fast-simplification")
 
 
 def user_cache() -> Path:
@@ -23,3 +27,10 @@ def source_digest(*parts: str) -> str:
             if file.suffix in (".py", ".csv", ".toml"):
                 digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
     return digest.hexdigest()
+
+
+@functools.cache
+def program_digest(*parts: str) -> str:
+    """BLAKE2b of `source_digest` and of the versions of the libraries that scenes and meshes are made with."""
+    libraries = [f"{library} {importlib.metadata.version(library)}" for library in _LIBRARIES]
+    return hashlib.blake2b("\n".join([*libraries, source_digest(*parts)]).encode(), digest_size=16).hexdigest()

@@ -10,9 +10,7 @@ Source: our choice.
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
-import importlib.metadata
 import json
 import platform
 from collections.abc import Sequence
@@ -24,11 +22,10 @@ from pydantic import TypeAdapter, ValidationError
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.store.atomic import write_atomic
-from shift3d.store.user_cache import source_digest, user_cache
+from shift3d.store.user_cache import program_digest, user_cache
 
-# Layers that scenes are made by, and libraries that their last bits may depend on.
+# Layers that scenes are made by.
 _SOURCES = ("scenes", "vehicles", "sdf", "geometry", "seeding.py")
-_LIBRARIES = ("numpy", "pyarrow", "scipy", "embreex", "trimesh", "scikit-image", "libigl", "fast-simplification")
 
 
 @dataclass(frozen=True)
@@ -63,8 +60,6 @@ def _file(source: Sequence[object]) -> Path:
     return user_cache() / "scenes" / f"{key}.json"
 
 
-@functools.cache
 def _program() -> str:
     """A hash of what makes scenes on this machine."""
-    libraries = [f"{library} {importlib.metadata.version(library)}" for library in _LIBRARIES]
-    return "\n".join([platform.node(), *libraries, source_digest(*_SOURCES)])
+    return f"{platform.node()}\n{program_digest(*_SOURCES)}"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from shift3d.scenes.street.build import pool
+from shift3d.store import user_cache
 
 
 @pytest.fixture
@@ -33,10 +34,43 @@ def test_built_stored_damaged_and_unwritable_give_the_same_vehicle(empty_cache: 
     assert stored.name == "test-004.npz"
     pool.pool_vehicle.cache_clear()
     np.testing.assert_array_equal(hits(pool.pool_vehicle("test", 4)), built)
-    stored.write_bytes(stored.read_bytes()[:1000])
-    pool.pool_vehicle.cache_clear()
-    np.testing.assert_array_equal(hits(pool.pool_vehicle("test", 4)), built)
+    for damaged in (stored.read_bytes()[:1000], b""):
+        stored.write_bytes(damaged)
+        pool.pool_vehicle.cache_clear()
+        np.testing.assert_array_equal(hits(pool.pool_vehicle("test", 4)), built)
     assert [path.name for path in empty_cache.glob("*")] == ["test-004.npz"]
+
+
+@pytest.fixture
+def digests() -> Iterator[Callable[[], None]]:
+    def forget() -> None:
+        user_cache.source_digest.cache_clear()
+        user_cache.program_digest.cache_clear()
+
+    yield forget
+    forget()
+
+
+@pytest.mark.parametrize("part", ["vehicles/family/solid.py", "seeding.py", "scenes/street/build/pool.py"])
+def test_another_program_keeps_meshes_elsewhere(
+    digests: Callable[[], None], monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    known, read = pool.cache_folder(), Path.read_bytes
+    digests()
+    assert pool.cache_folder() == known
+    with monkeypatch.context() as patch:
+        ending = f"/shift3d/{part}"
+        patch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(ending))
+        digests()
+        assert pool.cache_folder() != known
+
+
+def test_other_libraries_keep_meshes_elsewhere(digests: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    known = pool.cache_folder()
+    digests()
+    with monkeypatch.context() as patch:
+        patch.setattr(user_cache.importlib.metadata, "version", lambda library: "0")
+        assert pool.cache_folder() != known
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(empty_cache: Path) -> None:

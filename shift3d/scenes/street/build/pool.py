@@ -15,8 +15,9 @@ from shift3d.errors import InputError
 from shift3d.scenes.street.raycast import Intersector
 from shift3d.seeding import generator
 from shift3d.store.arrays import write_arrays
-from shift3d.store.user_cache import source_digest, user_cache
+from shift3d.store.user_cache import program_digest, user_cache
 
+_SOURCES = ("vehicles", "seeding.py", "scenes/street/build/pool.py")
 POOL_SIZES = {"train": 270, "val": 90, "test": 90}
 RESOLUTION_M = 0.07
 # Windows lie between these shares of a vehicle's height; some vehicles lose most of the returns from them.
@@ -84,7 +85,7 @@ def _cached_mesh(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[
     try:
         with np.load(path, allow_pickle=False) as stored:
             return stored["vertices"], stored["faces"], str(stored["body_type"])
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         vertices, faces, body_type = _build(split, number)
         with contextlib.suppress(InputError, OSError):  # a cache that cannot be written is done without
             write_arrays(path, vertices=vertices, faces=faces, body_type=np.array(body_type))
@@ -92,5 +93,5 @@ def _cached_mesh(split: str, number: int) -> tuple[NDArray[np.float32], NDArray[
 
 
 def cache_folder() -> Path:
-    """Where pool meshes are kept: XDG_CACHE_HOME/shift3d, keyed by the code that shapes vehicles."""
-    return user_cache() / f"street-pool-{RESOLUTION_M}-{source_digest('vehicles')[:16]}"
+    """Where pool meshes are kept: XDG_CACHE_HOME/shift3d, keyed by the code and the libraries that shape them."""
+    return user_cache() / f"street-pool-{RESOLUTION_M}-{program_digest(*_SOURCES)[:16]}"
