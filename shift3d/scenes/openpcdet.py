@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,17 +28,34 @@ from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
 _CLASSES = {
-    "vehicle": "vehicle car van truck bus trailer construction_vehicle",
-    "pedestrian": "pedestrian person",
-    "cyclist": "cyclist bicyclist motorcyclist bicycle motorcycle",
+    "vehicle": """vehicle motor_vehicle regular_vehicle large_vehicle big_vehicle other_vehicle emergency_vehicle
+        construction_vehicle railed_vehicle type_vehicle car sedan suv van minivan pickup pickup_truck truck box_truck
+        truck_cab bus school_bus articulated_bus trailer vehicular_trailer message_board_trailer traffic_light_trailer
+        vehicle.car vehicle.truck vehicle.bus vehicle.bus.bendy vehicle.bus.rigid vehicle.trailer vehicle.construction
+        vehicle.emergency.ambulance vehicle.emergency.police""",
+    "pedestrian": """pedestrian person person_sitting official_signaler type_pedestrian human.pedestrian
+        human.pedestrian.adult human.pedestrian.child human.pedestrian.construction_worker
+        human.pedestrian.personal_mobility human.pedestrian.police_officer human.pedestrian.stroller
+        human.pedestrian.wheelchair""",
+    "cyclist": """cyclist bicyclist motorcyclist wheeled_rider bicycle motorcycle type_cyclist vehicle.bicycle
+        vehicle.motorcycle""",
 }
-_CLASS_OF = {name: kind for kind, names in _CLASSES.items() for name in names.split()}
 _COLUMNS = ("x", "y", "z", "dx", "dy", "dz", "heading", "class")
 
 
 def class_of(name: str) -> str:
-    """The class here of a name in a label file, whatever its case: "other" where it is unknown."""
-    return _CLASS_OF.get(name.lower(), "other")
+    """The class here of a name in a label file: "other" where it is unknown.
+
+    Names are those of any data set here, in any case, with ``_``, ``-``, ``.`` or nothing between their words.
+    """
+    return _CLASS_OF.get(_joined(name), "other")
+
+
+def _joined(name: str) -> str:
+    return re.sub(r"[-_.]", "", name).lower()
+
+
+_CLASS_OF = {_joined(name): kind for kind, names in _CLASSES.items() for name in names.split()}
 
 
 class OpenPcdetScenes(RecordedScenes):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +10,11 @@ import numpy as np
 import pytest
 
 from shift3d.errors import InputError
+from shift3d.scenes.argoverse2 import log as argoverse2
+from shift3d.scenes.kitti import files as kitti
+from shift3d.scenes.nuscenes.annotations import class_of as nuscenes_class_of
 from shift3d.scenes.openpcdet import OpenPcdetScenes, class_of
+from shift3d.scenes.waymo import frame as waymo
 
 LABELS = "12.0 3.0 -0.9 4.5 1.9 1.6 0.3 Car\n8.0 -5.0 -0.8 0.7 0.7 1.8 0.0 Pedestrian\n9 9 -1 1 1 1 0 Bollard\n"
 
@@ -107,6 +112,18 @@ def test_names_of_classes() -> None:
     assert [class_of(name) for name in ("Car", "TRUCK", "Vehicle", "person", "Cyclist", "cone")] == [
         "vehicle", "vehicle", "vehicle", "pedestrian", "cyclist", "other",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("written", [str, str.lower, str.title, lambda name: re.sub(r"[_.]", "-", name),
+                                     lambda name: re.sub(r"[_.]", "", name)])  # fmt: skip
+def test_names_of_other_data_sets_are_known(written: Callable[[str], str]) -> None:
+    known = {**kitti.CLASSES, **argoverse2.CLASSES, **dict(waymo.CLASSES.values())}
+    known |= dict.fromkeys(("SUV", "motor_vehicle", "pickup_truck"), "vehicle")
+    nuscenes = ("vehicle.bus.rigid", "vehicle.emergency.police", "vehicle.bicycle", "human.pedestrian.adult", "animal")
+    known |= {name: nuscenes_class_of(name) for name in nuscenes}
+    for cycle in ("BICYCLE", "MOTORCYCLE"):  # with or without a rider, as nuScenes has them
+        known[cycle] = "cyclist"
+    assert {name: class_of(written(name)) for name in known} == known
 
 
 def label(text: str) -> Callable[[Path], object]:
