@@ -72,7 +72,8 @@ NO_OVERRIDES = EffectSettings()
 
 
 def _weather(conditions: Conditions, overrides: dict[str, float], scene: str) -> Conditions:
-    """A recording's own weather may be given its rate, and stays in its points; it has no other."""
+    """A recording's own weather may be given its rate, and stays in its points; it has no other. Of a street it is the
+    one that is given a rate above 0, else its own, dry where its own rate is 0."""
     about: dict[str, Any] = {name: overrides[name] for name in _WEATHER.values() if name in overrides}
     if not about:
         return conditions
@@ -81,7 +82,8 @@ def _weather(conditions: Conditions, overrides: dict[str, float], scene: str) ->
             what = f"its points carry {conditions.weather} already"
             raise InputError(what, f"effects, scene {scene}", f"Leave out {', '.join(other)}, or this scene")
         return replace(conditions, **about)
-    weather = next((word for word, name in _WEATHER.items() if about.get(name)), "dry")
+    stated = "dry" if _WEATHER.get(conditions.weather) in about else conditions.weather
+    weather = next((word for word, name in _WEATHER.items() if about.get(name)), stated)
     return replace(conditions, weather=weather, weather_in_points=False, **about)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from shift3d.effects.applicability import NEEDS, choose
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
+from shift3d.scenes.labels import Conditions
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.options import StreetOptions
 
@@ -59,3 +60,22 @@ def test_the_configuration_decides_as_the_made_scene_does(seed: int, options: di
             if overrides.overrides().keys() & {"visibility_m", "rain_mm_h"} and made.conditions.weather != "dry":
                 continue
             assert decided(facts, overrides) == decided(seen, overrides)
+
+
+@pytest.mark.parametrize(
+    ("own", "settings", "weather"),
+    [
+        ({"weather": "snow", "snow_mm_h": 1.0}, {"rain_mm_h": 0.0}, "snow"),
+        ({"weather": "snow", "snow_mm_h": 1.0}, {"snow_mm_h": 0.0}, "dry"),
+        ({"weather": "snow", "snow_mm_h": 1.0}, {"snow_mm_h": 0.0, "rain_mm_h": 5.0}, "rain"),
+        ({"weather": "rain", "rain_mm_h": 10.0}, {"rain_mm_h": 2.0}, "rain"),
+        ({"weather": "rain", "rain_mm_h": 10.0}, {"rain_mm_h": 0.0}, "dry"),
+        ({"weather": "fog", "visibility_m": 40.0}, {"snow_mm_h": 0.0}, "fog"),
+        ({}, {"rain_mm_h": 0.0}, "dry"),
+    ],
+)
+def test_a_street_keeps_its_weather_where_another_has_no_rate(
+    own: dict[str, Any], settings: dict[str, float], weather: str
+) -> None:
+    facts = SceneFacts("a street", conditions=Conditions(**own, weather_in_points=False))
+    assert facts.described(EffectSettings(**settings)).conditions.weather == weather

@@ -33,7 +33,7 @@ def sample_layout(rng: np.random.Generator, mount_height_m: float, fleet: Fleet)
 
     street: a road with kerbside parking, buildings and gardens. intersection: the same with a side road and crossing
     traffic. lot: with a car park beside it. plaza: a car park all around. open: a country road, few things.
-    Every kind has 10 to 30 vehicles of the fleet within 75 m, so that a detector sees all headings and all distances.
+    Every kind has some 12 to 32 vehicles of the fleet within 75 m, so that a detector sees all headings and distances.
 
     Source: our choice; the paper uses Waymo validation scenes.
     """
