@@ -78,7 +78,8 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     params = stated["hydra"]["sweeper"]["params"] or {}
     own = [f"{key}={value}" for key, value in params.items()]
     small = _small(stated.get(_SMALL), parse(list(overrides)), where)
-    words = [quoted(word, text_settings(Config)) for word in [*own, *small, *overrides]]
+    own, requested = ([quoted(word, text_settings(Config)) for word in words] for words in (own, overrides))
+    words = [*own, *small, *requested]
     axis_texts, fixed = _split(parse(words), where)
     first = [f"{key}={texts[0]}" for key, texts in axis_texts.items()]
     base = compose([*fixed, *first])
@@ -110,7 +111,11 @@ def _small(listed: Any, requested: Sequence[Any], where: str) -> list[str]:
         remedy = "Cut it by hand, as with scenes.count=4"
         raise InputError("it has no small size", where=where, remedy=remedy)
     # A text is written as in an override, where 1,10 are two values; the others as YAML and Hydra both have them.
-    return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in listed.items()]
+    texts = text_settings(Config)
+    return [
+        quoted(f"{key}={value}", texts) if isinstance(value, str) else f"{key}={json.dumps(value)}"
+        for key, value in listed.items()
+    ]
 
 
 def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:

@@ -60,7 +60,8 @@ def from_validation(error: ValidationError, where: str) -> InputError:
         error_text = str(first["ctx"]["error"])
         return InputError(f"{field}: {error_text}" if field else error_text, where, "Change one of them")
     what = f"{field} is {_shown(value)}: {first['msg'][0].lower()}{first['msg'][1:]}"
-    return InputError(what, where=where, remedy=f"Change it with {field}=VALUE")
+    remedy = first.get("ctx", {}).get("remedy", f"Change it with {field}=VALUE")
+    return InputError(what, where=where, remedy=remedy)
 
 
 def _shown(value: object) -> str:

@@ -15,6 +15,7 @@ from collections.abc import Collection
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator
+from pydantic_core import PydanticCustomError
 
 _NUMBER = re.compile(r"(?<![^\s=,\[])[-+]?[\d._]+(?:[eE][-+]?\d+)?(?![^\s,\]])")
 
@@ -26,6 +27,17 @@ def _as_text(value: object) -> object:
 
 Text = Annotated[str, BeforeValidator(_as_text)]
 """A text setting of the schema."""
+
+
+def _refuse_number(value: object) -> object:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        remedy = {"remedy": 'Put names in quotes, as in ["000008", "000010"]'}
+        raise PydanticCustomError("number", "a number, which YAML makes of a name: 8 of 010", remedy)
+    return value
+
+
+Name = Annotated[str, BeforeValidator(_refuse_number)]
+"""A name of the schema in a list, where YAML would take its digits for a number: 010 for 8, 2023_10_05 for 20231005."""
 
 
 @functools.cache

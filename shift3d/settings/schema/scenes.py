@@ -10,7 +10,7 @@ from pydantic import Field, TypeAdapter, model_validator
 from shift3d.errors import InputError
 from shift3d.scenes.reflectance import MOST_RAW
 from shift3d.scenes.street.options import BEAM_NAMES, LIMITS, MOST_SENSORS, StreetOptions
-from shift3d.settings.names import Text
+from shift3d.settings.names import Name, Text
 from shift3d.settings.schema.records import Count, Record, Seed
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class FramesConfig(Record):
     kind: str
     root: Text
     count: Count | None
-    names: list[Text] | None
+    names: list[Name] | None
     skip_bad: bool = False
 
 
@@ -142,7 +142,7 @@ def scene_set(config: SceneConfig) -> SceneSet:
     if isinstance(config, Argoverse2Config):
         from shift3d.scenes.argoverse2.scenes import Argoverse2Scenes
 
-        return Argoverse2Scenes(root, names, count, config.every)
+        return Argoverse2Scenes(root, names, count, config.every, keep_bad)
     if isinstance(config, NuScenesConfig):
         from shift3d.scenes.nuscenes.scenes import NuScenesScenes
 

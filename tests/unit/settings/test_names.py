@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from shift3d.errors import InputError
@@ -62,8 +64,26 @@ def test_frames_are_names() -> None:
 
 
 def test_numbers_of_a_file_are_names_too() -> None:
-    config = KittiConfig.model_validate({"kind": "kitti", "root": 7, "count": None, "names": [12, "000001"]})
-    assert (config.root, config.names) == ("7", ["12", "000001"])
+    config = KittiConfig.model_validate({"kind": "kitti", "root": 7, "count": None, "names": ["000001"]})
+    assert (config.root, config.names) == ("7", ["000001"])
+
+
+@pytest.mark.parametrize("written", ["010", "2023_10_05", "12:30:00", "1e5"])
+@pytest.mark.parametrize("in_small", [False, True])
+def test_frames_of_a_file_without_quotes_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: str, in_small: bool
+) -> None:
+    """YAML makes other numbers of them than their digits are."""
+    (tmp_path / "sweeps").mkdir()
+    monkeypatch.chdir(tmp_path)
+    defaults = "defaults: [smoke, {override /scenes: kitti}, _self_]\n"
+    listed = f"small: {{scenes.names: [{written}]}}" if in_small else f"scenes: {{names: [{written}]}}"
+    (tmp_path / "sweeps" / "mine.yaml").write_text(f"{defaults}{listed}\n")
+    size = ["size=small"] if in_small else []
+    with pytest.raises(InputError, match=r"scenes\.names\S* is \d.*Put names in quotes"):
+        list(expand(compose_sweep("mine", ["scenes.root=here", *size])))
+    config = next(expand(compose_sweep("mine", ["scenes.root=here", f"scenes.names=[{written}]"])))
+    assert isinstance(config.scenes, KittiConfig) and config.scenes.names == [written]
 
 
 @pytest.mark.parametrize(
