@@ -141,10 +141,11 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
         try:
             return plain(overrides)
         except Exception as error:
-            known = None
+            known = chosen = None
             with contextlib.suppress(Exception):  # a file that cannot be read is no better without overrides
-                known = plain([])
-            raise messages.from_hydra(error, where, known, _Groups().get_group_options) from error
+                known = chosen = plain([])
+                chosen = plain([text for text in overrides if "." not in text.partition("=")[0]])
+            raise messages.from_hydra(error, where, known, chosen, _Groups().get_group_options) from error
 
     def parse(texts: Sequence[str]) -> Any:
         parser = OverridesParser.create(config_loader=_Groups())  # type: ignore[arg-type]

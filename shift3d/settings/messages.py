@@ -71,11 +71,16 @@ def _shown(value: object) -> str:
 
 
 def from_hydra(
-    error: Exception, where: str, config: Mapping[str, Any] | None, options: Callable[[str], Sequence[str]]
+    error: Exception,
+    where: str,
+    config: Mapping[str, Any] | None,
+    chosen: Mapping[str, Any] | None,
+    options: Callable[[str], Sequence[str]],
 ) -> InputError:
     """Hydra's message in our form: what, the names that exist, and the nearest one.
 
-    Args: config: the settings without any override, for the names of fields. options: of a group, by its name.
+    Args: config: the settings without any override, for the names of fields. chosen: those of the groups' options that
+    the overrides choose. options: of a group, by its name.
     """
     text = str(error)
     # Of one option Hydra says that it did not find it, of one in a list that it could not load it.
@@ -94,7 +99,7 @@ def from_hydra(
             return InputError(what, where=where, remedy=f"Leave it out, or choose another option: {group}=NAME")
         if key in siblings:
             return InputError(f"{key} cannot be set as a whole", where=where, remedy=f"Set {key}.NAME=VALUE")
-        return choice_error("setting", key, siblings, where)
+        return choice_error("setting", key, _siblings(key, chosen or {}), where)
     remedy = f"See {shown(shipped('conf'))} for all settings"
     return InputError(" ".join(text.split())[:300], where=where, remedy=remedy)
 

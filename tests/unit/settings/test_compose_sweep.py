@@ -188,6 +188,10 @@ def test_configuration_names_no_code() -> None:
             ["scenes=kitti", "scenes.root=a", "scenes.sensor=hdl64"],
             "scenes.sensor is a setting of another option of scenes",
         ),
+        (
+            ["scenes=nuscenes", "scenes.root=a", "scenes.every=2"],
+            "scenes.names, scenes.root, scenes.skip_bad, scenes.sweeps, scenes.version",
+        ),
         (["~scenes"], "cannot be removed"),
         (["+extra=3"], "there is no setting extra"),
         (["+scenes.extra=3"], "there is no setting scenes.extra"),
