@@ -31,7 +31,7 @@ from shift3d.training.command import WEIGHTS_FOLDER, TrainOptions
 from shift3d.training.compute import Compute
 from shift3d.training.detector.drawn_crops import EpochCrops, epoch_steps
 from shift3d.training.detector.loop import CHECKPOINT, train_on_scenes
-from shift3d.training.detector.recipe import Recipe
+from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector.recipes import RECIPES, changed
 from shift3d.training.detector.train import CURVE_POINTS, export_weights
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene
@@ -100,6 +100,9 @@ BOX_SHARE = 0.1
 """Of the recipe's weights of boxes and directions. In a crop about a hard object their gradient is thirty times that of
 the class: at full weight the object's score fell over 36 steps at `RATE`, with a tenth it rose (our choice)."""
 
+BATCH = 2
+"""Crops a step, as `RATE` was chosen for."""
+
 
 def fine_tune(
     detector: str,
@@ -158,11 +161,17 @@ _NOT_OF_A_TUNING = ("steps", "anchor_size_m", "mesh_scenes", "inserted_scenes")
 def tuning_recipe(detector: str, objects: int, options: TrainOptions) -> Recipe:
     """The detector's recipe for one epoch over some objects at `RATE`, with the fields that were given.
 
+    Crops vary as those of any recipe: what widens the sizes of a family would change the shapes that were found.
+
     Raises: InputError for an unknown field, or a value that it cannot have.
     """
     shipped = RECIPES[detector]
     recipe = replace(
         shipped,
+        batch=BATCH,
+        augmentation=Augmentation(),
+        seed=0,
+        warm_up_share=0.3,
         peak_rate=RATE,
         box_weight=BOX_SHARE * shipped.box_weight,
         direction_weight=BOX_SHARE * shipped.direction_weight,

@@ -20,9 +20,11 @@ from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 from shift3d.errors import InputError
 from shift3d.finetuning.objects import stable_objects
 from shift3d.finetuning.rescoring import object_scores, rescored
-from shift3d.finetuning.tune import object_scenes
+from shift3d.finetuning.tune import RATE, object_scenes, tuning_recipe
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.settings.catalogue.detector_files import file_hash
+from shift3d.training.command import TrainOptions
+from shift3d.training.detector.recipes import RECIPES
 from shift3d.training.detector_scenes import load_cached
 
 SHIPPED = WEIGHTS_FOLDER / "pointpillars.safetensors"
@@ -49,6 +51,12 @@ def test_the_same_command_gives_the_same_bytes(_attacked: Path, weights: Path, t
     assert tuned(_attacked, weights.parent, *words).read_bytes() == before, "what is finished is finished again"
     with pytest.raises(InputError, match="another recipe"):
         tuned(_attacked, weights.parent, "recipe.peak_rate=1e-3", "recipe.seed=3")
+
+
+def test_every_detector_is_tuned_at_one_pace_on_shapes_in_their_own_proportions(tmp_path: Path) -> None:
+    recipes = [tuning_recipe(name, 10, TrainOptions(tmp_path)) for name in RECIPES]
+    assert {(recipe.batch, recipe.peak_rate, recipe.seed, recipe.steps) for recipe in recipes} == {(2, RATE, 0, 10)}
+    assert {recipe.augmentation.object_stretch for recipe in recipes} == {(1.0, 1.0)}
 
 
 def test_provenance_names_the_sweep_its_rows_and_what_was_left_out(_attacked: Path, weights: Path) -> None:
