@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
+from shift3d.processor import usable_cpus
 from shift3d.store.atomic import check_writable
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class TrainOptions:
         """Device and threads. Raises: InputError for a device that is not there."""
         from shift3d.training.compute import choose_compute
 
-        return choose_compute(self.device, self.threads or os.cpu_count() or 1)
+        return choose_compute(self.device, self.threads or usable_cpus())
 
 
 def train(model: str, options: TrainOptions, report: Report | None = None) -> Path:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 
 from shift3d.errors import InputError
-from shift3d.processor import has_fast_bfloat16
+from shift3d.processor import has_fast_bfloat16, usable_cpus
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -38,12 +37,12 @@ class Compute:
     @property
     def scene_workers(self) -> int:
         """Processes that make the scenes, before the network trains."""
-        return self.threads if self.device.type == "cpu" else os.cpu_count() or 1
+        return self.threads if self.device.type == "cpu" else usable_cpus()
 
     @property
     def crop_workers(self) -> int:
         """Processes that make crops while the network trains; 0: a thread keeps up, as on a CPU."""
-        return 0 if self.device.type == "cpu" else max(1, (os.cpu_count() or 1) - 1)
+        return 0 if self.device.type == "cpu" else max(1, usable_cpus() - 1)
 
     def autocast(self, wanted: bool) -> torch.autocast:
         """bfloat16 for large products where it is wanted and pays."""

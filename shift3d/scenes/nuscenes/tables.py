@@ -123,7 +123,7 @@ class Release:
 
 @dataclass(frozen=True)
 class Poses:
-    """Rows of a table with translation and rotation, by token: one that is no pose concerns nobody but its users."""
+    """Rows of a table with translation and rotation, by token; a row that is no pose is refused when it is used."""
 
     file: Location
     rows: Mapping[str, Row]

@@ -23,7 +23,7 @@ from shift3d.task.run import run_task
 
 CODEBASES = ("openpcdet", "mmdet3d")
 # The first step of the search is as long in a direction of no gradient as in any, so rounding moves what it finds.
-NEAR = {"baseline": 1e-4, "adversarial": 0.1}
+NEAR = {"openpcdet": 6e-2, "mmdet3d": 5e-2}
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_an_attack_on_it_is_the_attack_on_the_shipped_one(
     assert found["adversarial"]["adversarial_loss"] < 0.95 * found["baseline"]["adversarial_loss"]
     for method, row in found.items():
         for column in ("score", "adversarial_loss", "latent_distance"):
-            near = NEAR[method]
+            near = NEAR[codebase] if method == "adversarial" else 1e-4
             assert row[column] == pytest.approx(shipped[method][column], rel=near, abs=near)
 
 

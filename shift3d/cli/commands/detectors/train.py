@@ -44,10 +44,10 @@ examples:
   shift3d train model=pointpillars scenes=kitti root=PATH start_from=shipped steps=500 out=DIR
                                                    adapt the shipped weights to real frames, vehicles inserted,
                                                    at a fifth of the learning rate
-  shift3d train model=pointpillars start_from=random out=DIR
-                                                   from no weights at all
+  shift3d train model=pointpillars start_from=random steps=20000 out=DIR
+                                                   from no weights; the recipe's 1,500 steps are too few for that
   shift3d train model=pointpillars start_from=FILE steps=0 out=DIR
-                                                   batch statistics and heads alone (600 steps)
+                                                   batch statistics and heads alone (60 steps; recipe.settle_steps=N)
   shift3d train model=pointpillars start_from=shipped recipe.pasted=0 recipe.scale=0.9,1.1 out=DIR
                                                    any field of the recipe; an unknown one lists them
   shift3d train model=pointpillars finetune=OUT out=DIR
