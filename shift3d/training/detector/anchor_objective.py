@@ -59,11 +59,10 @@ def nearest_bev_iou(anchors: Tensor, boxes: Tensor) -> Tensor:
     return inner / (areas - inner)
 
 
-def assign_anchors(anchors: Tensor, boxes: Tensor, usable: Tensor, counts: Tensor) -> AnchorTargets:
+def assign_anchors(anchors: Tensor, boxes: Tensor, usable: Tensor) -> AnchorTargets:
     """Anchors (A, 7), vehicles (M, 7) -> targets.
 
     usable: (M,) bool; the others (too few points) only turn the anchors they overlap into ignored ones.
-    counts: (A,) bool, anchors that may be trained at all (not in the crop's rim).
     Positive at IoU >= 0.55, and the best anchor of each usable vehicle whatever its IoU; negative below 0.40.
     Source: public Waymo config of PointPillars.
     """
@@ -79,7 +78,6 @@ def assign_anchors(anchors: Tensor, boxes: Tensor, usable: Tensor, counts: Tenso
         rows, columns = torch.nonzero(forced, as_tuple=True)
         labels[rows] = POSITIVE
         owner[rows] = columns
-    labels[~counts] = IGNORED
     positives = torch.nonzero(labels == POSITIVE).squeeze(1)
     matched = boxes[owner[positives]] if len(boxes) else anchors[positives]
     codes = encode_boxes(matched, anchors[positives])
@@ -120,11 +118,8 @@ class AnchorObjective:
     def targets(self, heads: BoxHeads, grid: Grid, crop: Crop) -> AnchorTargets:
         """Of one crop."""
         assert isinstance(heads, AnchorHeads)
-        window, rim = crop.window, self.recipe.rim_cells
-        inner = torch.zeros(window.num_y, window.num_x, heads.per_cell, dtype=torch.bool)
-        inner[rim : window.num_y - rim, rim : window.num_x - rim] = True
-        anchors = anchor_boxes(heads.anchors, grid, window)
-        return assign_anchors(anchors, torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable), inner.reshape(-1))
+        anchors = anchor_boxes(heads.anchors, grid, crop.window)
+        return assign_anchors(anchors, torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable))
 
     def cells(self, heads: BoxHeads, target: AnchorTargets) -> Tensor:
         """(P,) the cells of the positive anchors."""

@@ -44,19 +44,15 @@ def gaussian_radius(length: float, width: float) -> int:
     return max(LEAST_RADIUS, int((total - sqrt(max(0.0, total**2 - 4.0 * part))) / 2.0))
 
 
-def assign_centres(
-    grid: Grid, window: BevWindow, boxes: Tensor, usable: Tensor, rim: int, centre_radius: int
-) -> CentreTargets:
+def assign_centres(grid: Grid, window: BevWindow, boxes: Tensor, usable: Tensor, centre_radius: int) -> CentreTargets:
     """Vehicles (M, 7) -> targets of the window's cells, over y, then x.
 
-    usable: (M,) bool; around the centres of the others (too few points) nothing is trained. rim: cells at the window's
-    edge that are not trained. centre_radius: cells around a centre's own that draw its box too, so that a peak one
-    cell off draws it as well; a cell of two vehicles belongs to the nearer one. Source: CenterPoint, section 4.1; more
-    than one cell: AFDet (Ge et al. 2020).
+    usable: (M,) bool; around the centres of the others (too few points) nothing is trained. centre_radius: cells around
+    a centre's own that draw its box too, so that a peak one cell off draws it as well; a cell of two vehicles belongs
+    to the nearer one. Source: CenterPoint, section 4.1; more than one cell: AFDet (Ge et al. 2020).
     """
     y, x = torch.meshgrid(torch.arange(window.num_y), torch.arange(window.num_x), indexing="ij")
-    inner = (y >= rim) & (y < window.num_y - rim) & (x >= rim) & (x < window.num_x - rim)
-    heat, trained = torch.zeros(window.num_y, window.num_x), inner.clone()
+    heat, trained = torch.zeros(x.shape), torch.ones(x.shape, dtype=torch.bool)
     nearest = torch.full(heat.shape, float("inf"))
     owner = torch.full(heat.shape, -1)
     for row, box in enumerate(boxes.double()):
@@ -104,8 +100,7 @@ class CentreObjective:
     def targets(self, heads: BoxHeads, grid: Grid, crop: Crop) -> CentreTargets:
         """Of one crop."""
         boxes, usable = torch.from_numpy(crop.boxes), torch.from_numpy(crop.usable)
-        recipe = self.recipe
-        return assign_centres(grid, crop.window, boxes, usable, recipe.rim_cells, recipe.centre_radius)
+        return assign_centres(grid, crop.window, boxes, usable, self.recipe.centre_radius)
 
     def loss(self, logits: Tensor, box_rows: Tensor, target: CentreTargets) -> dict[str, Tensor]:
         """Weighted parts. logits: (cells,). box_rows: (P, 8) at the positives."""

@@ -86,10 +86,10 @@ class Recipe:
     encoder and backbone are the start, under heads of random weights.
 
     steps: optimiser steps; the first `mesh_only_steps` use streets alone, after which each crop comes from a scene
-    with inserted vehicles with probability `inserted_share`. crop_cells: side of the square crops; batch: crops a
-    step; rim_cells: cells so close to a crop's edge are not trained; jitter_m: how far a crop's centre lies from the
-    vehicle it was chosen for; empty_share: of crops cut anywhere. min_points: a vehicle with fewer is neither sought
-    nor background. bfloat16: take large products in half the bytes, where the processor has instructions for it.
+    with inserted vehicles with probability `inserted_share`. crop_cells: side of the square crops, trained to their
+    edges: what lies there is what lies at the grid's edge; batch: crops a step; jitter_m: how far a crop's centre lies
+    from the vehicle it was chosen for; empty_share: of crops cut anywhere. min_points: a vehicle with fewer is neither
+    sought nor background. bfloat16: take large products in half the bytes, where the processor has instructions for it.
 
     box_weight, direction_weight: of these losses beside that of the class; directions and anchor_size_m are of anchors
     alone. code_weights: of the seven values of a box (x, y, z, length, width, height, heading). box_beta: where the box
@@ -114,7 +114,6 @@ class Recipe:
     inserted_scenes: int = 240
     crop_cells: int = 112
     batch: int = 2
-    rim_cells: int = 6
     jitter_m: float = 11.0
     empty_share: float = 0.15
     min_points: int = 5
@@ -170,7 +169,7 @@ class Recipe:
             values = value if isinstance(value, tuple) else (value,)
             _check(all(0.0 < v < float("inf") for v in values), name, value, where, "Give numbers above 0")
         for name in ("steps", "settle_steps", "mesh_only_steps", "inserted_scenes", "statistics_crops", "centre_radius",
-                     "rim_cells", "jitter_m", "weight_decay", "box_weight", "direction_weight"):  # fmt: skip
+                     "jitter_m", "weight_decay", "box_weight", "direction_weight"):  # fmt: skip
             _check(0.0 <= getattr(self, name) < float("inf"), name, getattr(self, name), where, "Give 0 or more")
         unused = self.inserted_scenes > 0 and self.inserted_share > 0.0 and self.mesh_only_steps > self.steps
         remedy = "No step draws an inserted scene: give fewer mesh_only_steps, or steps=N beside the recipe"
@@ -180,7 +179,6 @@ class Recipe:
         _check(self.crop_cells % 4 == 0, "crop_cells", self.crop_cells, where, "Give a multiple of 4")
         cells = min(WAYMO_GRID.num_x, WAYMO_GRID.num_y)
         _check(self.crop_cells <= cells, "crop_cells", self.crop_cells, where, f"Give {cells}, the grid's, or fewer")
-        _check(2 * self.rim_cells < self.crop_cells, "rim_cells", self.rim_cells, where, "Leave cells to train")
         self.augmentation.validate(where)
         return self
 

@@ -36,14 +36,14 @@ def test_a_box_of_no_code_is_finite() -> None:
 
 
 def test_targets_decode_to_the_vehicle_and_peak_at_its_cell() -> None:
-    target = assign_centres(WAYMO_GRID, WINDOW, VEHICLE, YES, rim=2, centre_radius=1)
+    target = assign_centres(WAYMO_GRID, WINDOW, VEHICLE, YES, centre_radius=1)
     peak = int(target.heat.argmax())
     # x = 0.3 lies in column floor(75.18 / 0.32), y = -0.7 in line floor(74.18 / 0.32).
     assert _cells(torch.tensor([peak])).tolist() == [[234, 231]]
     assert target.heat.max() == 1.0 and (target.heat == 1.0).sum() == 1
     assert len(target.positives) == 9 and peak in target.positives.tolist()
     assert torch.allclose(decode_centres(target.codes, _cells(target.positives), WAYMO_GRID), VEHICLE.expand(9, 7))
-    alone = assign_centres(WAYMO_GRID, WINDOW, VEHICLE, YES, rim=2, centre_radius=0)
+    alone = assign_centres(WAYMO_GRID, WINDOW, VEHICLE, YES, centre_radius=0)
     assert alone.positives.tolist() == [peak]
 
 
@@ -57,18 +57,18 @@ def test_the_radius_keeps_a_tenth_of_overlap() -> None:
     assert gaussian_radius(0.5, 0.5) == 2
 
 
-def test_vehicles_with_few_points_and_the_rim_are_not_trained() -> None:
-    unseen = assign_centres(WAYMO_GRID, WINDOW, VEHICLE, NO, rim=0, centre_radius=1)
+def test_around_vehicles_with_few_points_nothing_is_trained() -> None:
+    unseen = assign_centres(WAYMO_GRID, WINDOW, VEHICLE, NO, centre_radius=1)
     assert not len(unseen.positives) and unseen.heat.max() == 0.0 and not unseen.trained.all()
-    rim = assign_centres(WAYMO_GRID, WINDOW, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), 4, 1)
-    assert rim.trained.view(40, 40)[4:-4, 4:-4].all() and rim.trained.sum() == 32 * 32
+    nothing = assign_centres(WAYMO_GRID, WINDOW, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), 1)
+    assert nothing.trained.all() and nothing.heat.max() == 0.0
     outside = VEHICLE + torch.tensor([50.0, 0, 0, 0, 0, 0, 0])
-    assert assign_centres(WAYMO_GRID, WINDOW, outside, YES, 0, 1).heat.max() == 0.0
+    assert assign_centres(WAYMO_GRID, WINDOW, outside, YES, 1).heat.max() == 0.0
 
 
 def test_a_cell_of_two_vehicles_draws_the_nearer_one() -> None:
     pair = torch.cat((VEHICLE, VEHICLE + torch.tensor([0.32, 0, 0, 0, 0, 0, 0])))
-    target = assign_centres(WAYMO_GRID, WINDOW, pair, torch.tensor([True, True]), 0, centre_radius=1)
+    target = assign_centres(WAYMO_GRID, WINDOW, pair, torch.tensor([True, True]), centre_radius=1)
     boxes = decode_centres(target.codes, _cells(target.positives), WAYMO_GRID)
     centres = WAYMO_GRID.x_min_m + (_cells(target.positives)[:, 0] + 0.5) * 0.32
     assert ((boxes[:, 0] - centres).abs() <= (centres[:, None] - pair[:, 0]).abs().min(dim=1).values + 1e-4).all()
@@ -85,7 +85,7 @@ def test_the_heat_map_s_loss_in_closed_form() -> None:
 
 
 def test_a_batch_without_a_vehicle_has_a_finite_loss() -> None:
-    target = assign_centres(WAYMO_GRID, WINDOW, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), 2, 1)
+    target = assign_centres(WAYMO_GRID, WINDOW, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), 1)
     parts = CentreObjective(Recipe(heads="centres")).loss(torch.full((1600,), 50.0), torch.zeros(0, 8), target)
     assert torch.isfinite(parts["class"]) and parts["box"] == 0.0
 

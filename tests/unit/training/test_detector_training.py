@@ -39,7 +39,6 @@ from shift3d.training.progress import averaged
 
 WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
 ANCHORS = anchor_boxes(WAYMO_ANCHORS, WAYMO_GRID, WINDOW)
-EVERYWHERE = torch.ones(len(ANCHORS), dtype=torch.bool)
 TINY = Recipe(
     steps=6,
     settle_steps=3,
@@ -47,7 +46,6 @@ TINY = Recipe(
     statistics_crops=3,
     crop_cells=32,
     batch=2,
-    rim_cells=2,
     network=BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4),
 )
 
@@ -78,7 +76,7 @@ def test_nearest_iou_of_snapped_boxes() -> None:
 
 def test_targets_decode_to_the_vehicle() -> None:
     vehicle = torch.tensor([[0.3, -0.7, 0.8, 4.4, 1.8, 1.5, 2.9]])
-    targets = assign_anchors(ANCHORS, vehicle, torch.tensor([True]), EVERYWHERE)
+    targets = assign_anchors(ANCHORS, vehicle, torch.tensor([True]))
     assert targets.positives.numel() > 4
     directions = torch.nn.functional.one_hot(targets.directions, 2).float()
     decoded = decode_boxes(targets.codes, ANCHORS[targets.positives], directions)
@@ -91,7 +89,7 @@ def test_targets_decode_to_the_vehicle() -> None:
 
 def test_a_vehicle_unlike_any_anchor_still_trains_its_best_one() -> None:
     truck = torch.tensor([[0.3, -0.7, 1.5, 11.0, 2.6, 3.5, 0.0]])
-    targets = assign_anchors(ANCHORS, truck, torch.tensor([True]), EVERYWHERE)
+    targets = assign_anchors(ANCHORS, truck, torch.tensor([True]))
     best = nearest_bev_iou(ANCHORS, truck)[:, 0]
     assert best.max() < 0.55
     assert (targets.labels[best == best.max()] == POSITIVE).all()
@@ -99,14 +97,14 @@ def test_a_vehicle_unlike_any_anchor_still_trains_its_best_one() -> None:
 
 def test_vehicles_with_few_points_only_ignore() -> None:
     vehicle = torch.tensor([[0.3, -0.7, 0.8, 4.4, 1.8, 1.5, 0.1]])
-    targets = assign_anchors(ANCHORS, vehicle, torch.tensor([False]), EVERYWHERE)
+    targets = assign_anchors(ANCHORS, vehicle, torch.tensor([False]))
     assert targets.positives.numel() == 0
     assert (targets.labels == IGNORED).any() and (targets.labels == NEGATIVE).any()
 
 
-def test_no_vehicles_and_untrained_rim() -> None:
-    targets = assign_anchors(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), ~EVERYWHERE)
-    assert (targets.labels == IGNORED).all()
+def test_without_vehicles_every_anchor_is_background_to_the_edges_of_the_crop() -> None:
+    targets = assign_anchors(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool))
+    assert (targets.labels == NEGATIVE).all()
     assert targets.codes.shape == (0, 7)
 
 
@@ -132,7 +130,7 @@ def test_half_turns_cost_nothing() -> None:
 
 
 def test_loss_without_positives_is_finite() -> None:
-    targets = assign_anchors(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool), EVERYWHERE)
+    targets = assign_anchors(ANCHORS, torch.zeros(0, 7), torch.zeros(0, dtype=torch.bool))
     count = len(ANCHORS)
     logits = torch.full((count,), 100.0, requires_grad=True)
     parts = AnchorObjective(TINY).loss(logits, torch.zeros(0, 18), targets)

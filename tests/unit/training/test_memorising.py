@@ -19,7 +19,7 @@ from shift3d.training.detector.recipe import Recipe
 
 WINDOW = BevWindow(214, 214, 40, 40, 214, 214, 40, 40)
 BOXES = np.array([[1.0, 0.5, 0.8, 4.5, 1.8, 1.6, 0.5], [-2.5, -3.8, 0.7, 4.2, 1.7, 1.4, 2.6]], dtype=np.float32)
-RECIPES = {name: Recipe(network=spec, heads="centres" if name == "centerpoint" else "anchors", rim_cells=2)
+RECIPES = {name: Recipe(network=spec, heads="centres" if name == "centerpoint" else "anchors")
            for name, spec in SLIM.items()}  # fmt: skip
 
 

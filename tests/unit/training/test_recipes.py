@@ -68,7 +68,6 @@ def test_words_change_fields_of_the_recipe_and_of_its_augmentation() -> None:
         ("shift_m", "inf", "0 or more"),
         ("crop_cells", "512", "468"),
         ("mesh_only_steps", "20001", "No step draws an inserted scene"),
-        ("rim_cells", "60", "cells to train"),
         ("crop_cells", "90", "multiple of 4"),
         ("settle_steps", "-1", "0 or more"),
     ],

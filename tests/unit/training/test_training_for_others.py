@@ -45,7 +45,6 @@ TINY = Recipe(
     mesh_only_steps=6,
     inserted_scenes=0,
     crop_cells=32,
-    rim_cells=2,
     statistics_crops=2,
 )
 RECIPE = {
