@@ -51,7 +51,7 @@ def random_pose(problem: AttackProblem, rng: np.random.Generator, limits: PoseLi
     metric = problem.metric(problem.code0.detach())
     for _ in range(_ATTEMPTS):
         theta = snapped(drawn_pose(problem.theta0, rng, limits), problem, metric, limits)
-        held = check(metric, problem.points_near(), theta, problem.size_m, 0, problem.limits, problem.others)
+        held = check(metric, problem.obstacles_at(theta), theta, problem.size_m, 0, problem.limits, problem.others)
         if not (held.overlap_ok and held.contact_ok and held.clear_ok):
             continue
         with torch.no_grad():

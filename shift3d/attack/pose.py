@@ -14,7 +14,6 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.attack.records import AttackResult, StepRecord
 from shift3d.attack.trials import Search
 from shift3d.placement.constraints import snap_to_ground
-from shift3d.placement.ground import fit_ground
 from shift3d.render.field.object_field import ObjectField
 
 
@@ -106,17 +105,15 @@ def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
 def snapped(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: PoseLimits) -> Tensor:
     """The pose with its height on the ground under its new place.
 
-    First the height of the ground plane there, then up or down until it touches. Unchanged where no ground is
-    seen or in reach: the step is then invalid for want of contact.
+    First the height of the ground plane there, then up or down until it touches a return, or the ground between them
+    (`AttackProblem.below_ground_m`). Unchanged where no ground is seen or in reach: the step is then invalid for want
+    of contact.
     """
     if limits.snap_m == 0 or not bool(torch.isfinite(theta).all()):
         return theta
-    near = problem.points_near()
     size = problem.size_m
     on_ground = theta.detach().clone()
-    footprint_m = float(size[:2].norm()) / 2 + 0.5
-    level = float(problem.theta0[2] - size[2] / 2)
-    plane = fit_ground(near.numpy(), (float(theta[0]), float(theta[1])), level, footprint_m)
-    on_ground[2] = (level if plane is None else plane.height_m) + size[2] / 2
-    found = snap_to_ground(metric, near, on_ground, size, limits.snap_m)
+    plane = problem.ground_at(theta)
+    on_ground[2] = problem.theta0[2] if plane is None else plane.height_m + size[2] / 2
+    found = snap_to_ground(metric, problem.obstacles_at(theta), on_ground, size, limits.snap_m)
     return theta if found is None else found

@@ -23,6 +23,7 @@ from shift3d.attack.objective import (
 from shift3d.detectors.base import Detector, Proposals
 from shift3d.detectors.incremental.inference import IncrementalInference, incremental_inference
 from shift3d.placement.constraints import PAPER_CONSTRAINTS, ConstraintCheck, Constraints, check, points_near
+from shift3d.placement.ground import GroundPlane, fit_ground
 from shift3d.render.beams import Beams
 from shift3d.render.field.object_field import Field, ObjectField, VehicleFrame
 from shift3d.render.field.sdf_grid import SdfGrid
@@ -53,6 +54,8 @@ class AttackProblem:
         others: (M, 2) centres of the scene's own vehicles, to stay clear of.
         space: `SdfGrid.of` the field of code0, where one is at hand: renderings of code0 get cheaper.
         effects: what happens to beams beyond their first hit; None: nothing does, as in the paper.
+        below_ground_m: deepest that the object may reach below the plane of the ground, where between scan lines and in
+            shadows there is no point to hold it; 0: only points are asked, as in the paper. Our choice.
     """
 
     beams: Beams
@@ -69,7 +72,9 @@ class AttackProblem:
     others: Tensor | None = None
     space: SdfGrid | None = None
     effects: EffectChain | None = None
+    below_ground_m: float = 0.0
     _near: list[Tensor] = field(default_factory=list, repr=False)
+    _planes: dict[tuple[float, float], GroundPlane | None] = field(default_factory=dict, repr=False)
 
     @property
     def size_m(self) -> Tensor:
@@ -122,6 +127,28 @@ class AttackProblem:
             reach = self.travel_m + float(self.size_m.norm()) / 2 + 1.0
             self._near.append(points_near(self.beams, self.theta0, reach))
         return self._near[0]
+
+    def ground_at(self, theta: Tensor) -> GroundPlane | None:
+        """The plane of the ground under a pose (6,); None where too little of it is seen."""
+        place = (float(theta[0]), float(theta[1]))
+        if place not in self._planes:
+            level = float(self.theta0[2] - self.size_m[2] / 2)
+            self._planes.clear()  # a search asks again for the place where it is
+            self._planes[place] = fit_ground(self.points_near().numpy(), place, level, self._footprint_m)
+        return self._planes[place]
+
+    def obstacles_at(self, theta: Tensor) -> Tensor:
+        """(M, 3) what the object may not enter at a pose (6,): original returns, and ground between scan lines."""
+        plane = self.ground_at(theta) if self.below_ground_m and bool(torch.isfinite(theta).all()) else None
+        if plane is None:
+            return self.points_near()
+        place = (float(theta[0]), float(theta[1]))
+        ground = plane.lowered(place, self._footprint_m, self.below_ground_m)
+        return torch.cat((self.points_near(), torch.from_numpy(ground)))
+
+    @property
+    def _footprint_m(self) -> float:
+        return float(self.size_m[:2].norm()) / 2 + 0.5
 
 
 @dataclass(frozen=True)
@@ -182,7 +209,8 @@ def measure(
     seen = rendering.first_hits.object_points
     metric = problem.metric(code)
     around = rendering.first_hits.box
-    held = check(metric, problem.points_near(), theta, problem.size_m, seen, problem.limits, problem.others, around)
+    obstacles, size = problem.obstacles_at(theta), problem.size_m
+    held = check(metric, obstacles, theta, size, seen, problem.limits, problem.others, around)
     by_effect = {f"effect_{name}": spent for name, spent in rendering.milliseconds.items()}
     spent = {
         "render": 1e3 * (rendered - start) - sum(by_effect.values()),

@@ -19,6 +19,7 @@ _MIN_POINTS = 12
 _MIN_BREADTH_M = 1.0
 _WIDER = (1.0, 1.75, 2.5)  # reaches, in radii: where one scan line crosses the footprint, its neighbours are farther
 _TRIPLES = 80
+_SPACING_M = 0.25  # of points that stand for the ground: less than a wheel is long
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,17 @@ class GroundPlane:
         """Whether at most a tenth of the points (N, 3), about (x0, y0), lie more than 15 cm below."""
         below = local[:, 2] - self.height_m - local[:, :2] @ (self.slope_x, self.slope_y) < -_BELOW_M
         return bool(below.mean() <= _BELOW_SHARE)
+
+    def lowered(self, centre_xy: tuple[float, float], radius_m: float, depth_m: float) -> Array:
+        """Points (N, 3) every quarter of a metre within a radius of its place, depth_m below the plane.
+
+        centre_xy: the place that it was fitted at.
+        """
+        steps = np.arange(-radius_m, radius_m + _SPACING_M, _SPACING_M)
+        local = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        local = local[np.hypot(local[:, 0], local[:, 1]) <= radius_m]
+        height = self.height_m - depth_m + local @ (self.slope_x, self.slope_y)
+        return np.column_stack((local + np.asarray(centre_xy), height))
 
     def attitude(self, yaw_rad: float) -> tuple[float, float]:
         """(pitch, roll) in radians that lay an object of this heading on the plane.

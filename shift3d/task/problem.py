@@ -66,6 +66,7 @@ def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicl
         others=other_vehicles(scene),
         space=space,
         effects=_effects(spec, assets, vehicle),
+        below_ground_m=spec.attack.below_ground_m,
     )
 
 

@@ -57,7 +57,8 @@ class AttackSpec:
     selection_window: steps before and after that count when one is kept, see `shift3d.attack.loop.best_step`.
     noise_sigma: standard deviation of the codes of ``adversarial_noise``; noise_share: the same as a share of the
     solution's latent distance, where it is above 0. max_shift_m: largest |Δxy| of a pose, metres. max_tilt_rad:
-    largest change of pitch and roll from the ground's. detection_radius_m: from the vehicle's centre to that of a box
+    largest change of pitch and roll from the ground's. below_ground_m: deepest that the vehicle may reach below the
+    plane of the ground; 0: only scene points are asked. detection_radius_m: from the vehicle's centre to that of a box
     that detects it.
 
     search: how it goes; every search has ``steps`` evaluations. space: where a shape may go; components: of space pca;
@@ -80,6 +81,7 @@ class AttackSpec:
     noise_sigma: float = 0.01
     max_shift_m: float = 4.0
     max_tilt_rad: float = 0.1
+    below_ground_m: float = 0.0
     detection_radius_m: float = 5.0
     search: SearchName = "descent"
     space: SpaceName = "free"
@@ -119,7 +121,7 @@ BUDGET_RULE = 2
 """Raised when a search within a budget of naturalness comes to another shape under the same settings."""
 _LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,
           "random_search": 0, "naturalness": 0.0, "noise_share": 0.0, "search_scenes": 0, "edit": "",
-          "space_hash": "", "budget_rule": 0}  # fmt: skip
+          "space_hash": "", "budget_rule": 0, "below_ground_m": 0.0}  # fmt: skip
 """Fields that specs of version 6 had not from the beginning, with the values that leave a task as it was."""
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
-from analytic_fields import Field, Frame, box, in_frame, soft_car, sphere, union
+from analytic_fields import SHAPENET_FRAME, Field, Frame, box, ground_scan, in_frame, soft_car, sphere, union
 from catalogue import hard_case
 from hard_scenes import PLAIN, beams_along_x, draw, pose
 from torch import Tensor
+from toy_detector import WaveDetector
 
+from shift3d.attack.pose import PoseLimits, snapped
+from shift3d.attack.problem import AttackProblem
+from shift3d.geometry.se3 import object_from_scene
 from shift3d.placement.constraints import ConstraintCheck, Constraints, check, is_clear, snap_to_ground
 from shift3d.placement.ground import fit_ground
 from shift3d.placement.sampling import NoPlacement, PlacementLimits, place
@@ -21,6 +26,7 @@ AREA = "constraints"
 FRAME = Frame((4.0, 1.8, 1.4))
 SETTINGS = preset("standard").with_(dtype=torch.float64, sdf_grid=False)
 CODE = torch.zeros(6, dtype=torch.float64)
+LOW = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
 EXACT = Constraints(overlap_m=2.0**-6, contact_m=2.0**-6)  # distances to such limits are exact in floating point
 
 
@@ -184,6 +190,37 @@ def ground_seen_along_one_scan_line() -> None:
         wide = np.concatenate([ring * np.array([share, share, 1.0]) for share in (0.95, 1.0, 1.05)])
         plane = fit_ground(wide, centre, -1.73, 2.9)
         assert plane is not None and math.hypot(plane.slope_x, plane.slope_y) < 0.02
+
+
+@hard_case(
+    area=AREA,
+    why="between two scan lines there is no point: tilted, a vehicle comes to rest with its nose there, below the road",
+    must="it rests at most 5 cm below the ground's plane, and a pose that is deeper overlaps the scene",
+    guard="points of the plane, lowered by attack.below_ground_m, count as scene points",
+)
+def the_road_between_two_scan_lines() -> None:
+    beams = Beams.from_arrays(*ground_scan(rings=16, columns=900))
+    start = torch.tensor([12.6, 0.0, -1.73 + 0.7, 0.0, 0.0, 0.0], dtype=torch.float64)
+    only_points = AttackProblem(
+        beams, -1.73, lambda code: in_frame(soft_car(code), LOW), LOW, WaveDetector(), start, CODE, settings=SETTINGS
+    )
+    with_ground = replace(only_points, below_ground_m=0.05)
+    metric = only_points.metric(CODE)
+
+    def depth_m(theta: Tensor) -> float:
+        grid = (torch.arange(9.5, 15.7, 0.1), torch.arange(-1.2, 1.3, 0.1), torch.arange(-2.3, -1.73, 0.01))
+        points = torch.stack(torch.meshgrid(*grid, indexing="ij"), dim=-1).reshape(-1, 3).double()
+        inside = metric(object_from_scene(points, theta)) < 0
+        return -1.73 - float(points[inside, 2].min()) if bool(inside.any()) else 0.0
+
+    def held_by(problem: AttackProblem, theta: Tensor) -> ConstraintCheck:
+        return check(metric, problem.obstacles_at(theta), theta, problem.size_m, 300, problem.limits)
+
+    tilted = start + torch.tensor([0.0, 0.0, 0.0, 0.0, 0.1, 0.0])
+    sunk, on_road = (snapped(tilted, problem, metric, PoseLimits()) for problem in (only_points, with_ground))
+    assert depth_m(sunk) > 0.1 and 0.02 < depth_m(on_road) < 0.07
+    assert held_by(only_points, sunk).valid and not held_by(with_ground, sunk).overlap_ok
+    assert held_by(with_ground, on_road).valid
 
 
 @hard_case(

@@ -30,10 +30,10 @@ class PlacementConfig(Record):
 class AttackConfig(Record):
     """The search and its comparisons.
 
-    selection_window: steps before and after that count when one is kept. search, space, components, rate, placements,
-    starts, random_search, naturalness: see `task.spec.AttackSpec`. edit: NAME:PLACE, a parameter of the
-    vehicle and a place in its range, for the method edited. search_scenes: number of other scenes that each
-    shape is searched in beside its own. transfer_scenes: number of others yet that it is put into.
+    selection_window: steps before and after that count when one is kept. below_ground_m, search, space, components,
+    rate, placements, starts, random_search, naturalness: see `task.spec.AttackSpec`. edit: NAME:PLACE, a parameter of
+    the vehicle and a place in its range, for the method edited. search_scenes: number of other scenes that each shape
+    is searched in beside its own. transfer_scenes: number of others yet that it is put into.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
@@ -48,6 +48,7 @@ class AttackConfig(Record):
     noise_share: NotNegative = 0.0
     max_shift_m: NotNegative
     max_tilt_rad: NotNegative
+    below_ground_m: NotNegative = 0.05
     detection_radius_m: Annotated[float, Field(gt=0, le=5, allow_inf_nan=False)]
     search: SearchName = "descent"
     space: SpaceName = "free"
