@@ -15,9 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.analysis.figures.picture import COLOURS
 from shift3d.errors import InputError
-from shift3d.methods import METHODS
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -27,7 +25,7 @@ if TYPE_CHECKING:
 
     from shift3d.task.assets import Assets
 
-__all__ = ["draw_case", "draw_curves", "draw_family", "draw_random_codes", "draw_training", "draw_vehicles"]
+__all__ = ["draw_case", "draw_family", "draw_random_codes", "draw_training"]
 
 _RED = (0.75, 0.3, 0.27)
 _SIDE, _THREE_QUARTERS = (np.pi / 2, 0.05), (0.7, 0.3)
@@ -40,24 +38,6 @@ def _figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
-
-
-def draw_vehicles(path: Path) -> None:
-    """The five baseline vehicles as the decoder draws them: from the side, and three quarters from the front."""
-    from shift3d.sdf.decoder import load_decoder
-    from shift3d.vehicles.picture import shaded
-    from shift3d.vehicles.vehicle import baseline_vehicles, vehicle_mesh
-
-    decoder, vehicles = load_decoder(), baseline_vehicles()
-    figure = _figure(11, 2.9)
-    axes = figure.subplots(2, len(vehicles))
-    for column, (name, vehicle) in enumerate(vehicles.items()):
-        mesh = vehicle_mesh(vehicle, decoder, resolution=256)
-        for row, (azimuth, elevation) in enumerate((_SIDE, _THREE_QUARTERS)):
-            axes[row, column].imshow(shaded(mesh, azimuth, elevation, width_px=420, height_px=220))
-            axes[row, column].set_axis_off()
-        axes[0, column].set_title(f"{name.replace('_', ' ')}, {vehicle.size_m[0]:.2f} m", fontsize=9)
-    figure.savefig(path)
 
 
 def draw_family(path: Path, columns: int = 6) -> None:
@@ -201,33 +181,6 @@ def _from_above(points: NDArray[np.float64], theta: NDArray[np.float64]) -> tupl
     return seen[:, :2] / np.maximum(seen[:, 2:], 1e-3), seen[:, 2]
 
 
-def draw_curves(scores: pd.DataFrame, auc: pd.DataFrame, path: Path) -> None:
-    """Threshold-recall curves of every vehicle over all its scenes, shape above pose, at the lambda that was chosen.
-
-    Scores are those of the attacked detector: another one's opinion is no point of the same curve.
-    """
-    from shift3d.evaluation.recall_curve import recall_curve
-
-    vehicles = list(dict.fromkeys(scores["vehicle"]))
-    chosen = auc[auc["selected"]][["vehicle", "mode", "lambda", "method"]].drop_duplicates()
-    own = scores["scored_by"] == scores["detector"]
-    kept = scores[scores["score"].notna() & own].merge(chosen, on=["vehicle", "mode", "lambda", "method"])
-    figure = _figure(11, 4.2)
-    axes = figure.subplots(2, len(vehicles), sharex=True, sharey=True, squeeze=False)
-    for (mode, vehicle, method), group in kept.groupby(["mode", "vehicle", "method"], sort=False):
-        panel = axes[("shape", "pose").index(mode), vehicles.index(vehicle)]
-        curve = recall_curve(group["score"].to_numpy())
-        label = f"{METHODS[method]} {group['score'].mean():.2f}"
-        panel.step(curve.score_threshold, curve.recall, where="post", c=COLOURS[method], lw=1.2, label=label)
-        panel.set_title(f"{vehicle.replace('_', ' ')}, {mode}", fontsize=8)
-    for panel in axes.flat:
-        if panel.lines:
-            panel.legend(fontsize=6, loc="lower left", frameon=False)
-    figure.supxlabel("score threshold", fontsize=9)
-    figure.supylabel("recall", fontsize=9)
-    figure.savefig(path)
-
-
 def draw_training(path: Path) -> None:
     """The losses of each detector whose training is on record beside its weights, over the crops that it has seen."""
     import json
@@ -287,7 +240,6 @@ def main(arguments: list[str]) -> None:
         if not (out / "final" / "scores.parquet").is_file():
             raise InputError("no finished sweep", str(out), "Run make sweep first")
     folder.mkdir(parents=True, exist_ok=True)
-    draw_vehicles(folder / "vehicles.png")
     draw_family(folder / "family.png")
     draw_random_codes(folder / "random_codes.png")
     draw_training(folder / "training.png")
@@ -298,7 +250,6 @@ def main(arguments: list[str]) -> None:
     # What the attacked detector says; others may have scored the same objects.
     for name in ("scores", "auc"):
         tables[name] = tables[name][tables[name]["scored_by"] == tables[name]["detector"]]
-    draw_curves(tables["scores"], tables["auc"], folder / "curves.png")
     shown = given.get("task") or _hardest_natural(tables["scores"])
     found = [(plan, task) for plan in map(read_plan, outs) for task in plan.tasks.starting_with(shown)]
     if len(found) != 1:

@@ -56,9 +56,10 @@ def from_validation(error: ValidationError, where: str) -> InputError:
     if kind == "union_tag_invalid":
         tags_text = re.findall(r"'([^']+)'", first["ctx"]["expected_tags"])
         return choice_error(f"{field}.kind", str(first["ctx"]["tag"]), tags_text, where)
-    if kind == "value_error":  # a rule between several fields: it says which
-        error_text = str(first["ctx"]["error"])
-        return InputError(f"{field}: {error_text}" if field else error_text, where, "Change one of them")
+    if kind == "value_error":  # a rule between several fields: it says which, and what to do where it knows
+        error_text, *remedies = first["ctx"]["error"].args
+        message = error_text if field in ("", where) else f"{field}: {error_text}"
+        return InputError(message, where, *remedies or ["Change one of them"])
     what = f"{field} is {_shown(value)}: {first['msg'][0].lower()}{first['msg'][1:]}"
     remedy = first.get("ctx", {}).get("remedy", f"Change it with {field}=VALUE")
     return InputError(what, where=where, remedy=remedy)

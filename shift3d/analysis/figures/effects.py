@@ -12,6 +12,7 @@ from shift3d.analysis.tables.effects import EffectImpact
 from shift3d.effects.applicability import IMPACT_BOUND
 
 _LEAST_MS, _LEAST = 0.5, 1e-4
+_MEANING = {True: "auto takes it: its interval reaches the line", False: "auto leaves it out"}
 
 
 def effects_figure(impacts: Sequence[EffectImpact]) -> Figure:
@@ -25,15 +26,17 @@ def effects_figure(impacts: Sequence[EffectImpact]) -> Figure:
         colour = "#d55e00" if impact.measured.matters else "#707070"
         bars.append(np.array([[x, max(change.low, _LEAST)], [x, max(change.high, _LEAST)]]))
         axes.plot(*bars[-1].T, color=colour, lw=1.2)
-        axes.plot(x, y, "o", color=colour, ms=5)
+        axes.plot(x, y, "o", color=colour, ms=5, label=_MEANING[impact.measured.matters])
         labels.append(PointLabel(impact.effect.replace("_", " "), x, y))
-    axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--")
+    axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--", label=f"{IMPACT_BOUND:g}")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel(f"milliseconds a rendering, more (less than {_LEAST_MS:g} drawn there)")
     axes.set_ylabel(f"mean |change of score| (less than {_LEAST:g} drawn there)")
     axes.grid(True, which="major", color="#e4e4e4", lw=0.6)
     axes.set_xlim(_LEAST_MS / 2)  # room for the labels of what takes no time
+    handles = {text: handle for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     figure.draw_without_rendering()
     bound = np.array([[x, IMPACT_BOUND] for x in axes.get_xlim()])
     place_labels(axes, labels, np.array([[label.x, label.y] for label in labels]), [*bars, bound])

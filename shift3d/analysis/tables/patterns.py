@@ -41,13 +41,14 @@ _POSE = {
 }
 _SHOWN_RATIO = {"cm": 1.0, "°": 1.0, "m³": 0.01, "m": 0.01, "": 0.5}
 """A change is counted from here on, by its unit."""
+_LEAST_SCENES = 6  # with fewer, drawing signs for scenes cannot come below 0.05, and resampling claims too much
 
 
 @dataclass(frozen=True)
 class Pattern:
     """How a measure changes over solutions. before: the baselines' mean. change: mean, with scenes redrawn.
 
-    size: mean absolute change. fell, rose: shares of the solutions.
+    size: mean absolute change. fell, rose: shares of the solutions. scenes: how many they are of.
     """
 
     name: str
@@ -59,11 +60,12 @@ class Pattern:
     fell: float
     rose: float
     solutions: int
+    scenes: int
 
     @property
     def clear(self) -> bool:
-        """Whether the interval leaves out zero."""
-        return self.change.low > 0.0 or self.change.high < 0.0
+        """Whether the interval leaves out zero, of enough scenes."""
+        return self.scenes >= _LEAST_SCENES and (self.change.low > 0.0 or self.change.high < 0.0)
 
 
 def pattern_groups(patterns: pd.DataFrame, scores: pd.DataFrame) -> list[tuple[str, list[Pattern]]]:
@@ -129,7 +131,9 @@ def _patterns(changes: Changes, names: dict[str, tuple[str, str, int]], places: 
             interval = mean_interval(values, list(places[known]))
             size = float(values.abs().mean())
             mean = float(before[known].mean())
-            found.append(Pattern(name, unit, digits, mean, interval, size, fell, rose, int(known.sum())))
+            found.append(
+                Pattern(name, unit, digits, mean, interval, size, fell, rose, int(known.sum()), places[known].nunique())
+            )
     return found
 
 
@@ -140,6 +144,7 @@ def patterns_table(title: str, patterns: list[Pattern]) -> Table:
         change = interval_text(found.change, found.digits + 1)
         texts = [f"{found.name}, {found.unit}".strip(", "), str(found.solutions), number(found.before, found.digits)]
         texts += [change, number(found.size, found.digits + 1), f"{found.fell:.0%}", f"{found.rose:.0%}"]
-        lines.append([*texts, "yes" if found.clear else "no"])
+        few = f"fewer than {_LEAST_SCENES} scenes"
+        lines.append([*texts, few if found.scenes < _LEAST_SCENES else "yes" if found.clear else "no"])
     header = ["", "solutions", "baseline", "change", "size of change", "less", "more", "clear of 0"]
     return Table(title, header, lines)

@@ -50,7 +50,7 @@ class StreetOptionsConfig(Record):
         try:
             self.options()
         except InputError as error:
-            raise ValueError(f"{error.what}. {error.remedy}") from error
+            raise ValueError(error.what, error.remedy) from error
         return self
 
 

@@ -126,7 +126,7 @@ def effect_table(lines: tuple[EffectLine, ...], scenes: int) -> str:
         (
             line.effect if line.used else f"({line.effect})",
             f"{len(line.scenes)} of {scenes}",
-            "not measured" if line.milliseconds is None else f"{line.milliseconds:.1f}",
+            "not measured" if line.milliseconds is None else f"{max(line.milliseconds, 0.0):.1f}",
             line.reason,
         )
         for line in lines

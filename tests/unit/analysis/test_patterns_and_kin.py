@@ -35,13 +35,15 @@ def poses(after: dict[str, float], yaw: float) -> pd.DataFrame:
 
 
 def test_a_change_that_all_share_is_a_point_and_clear() -> None:
-    ((label, found),) = pattern_groups(measured([-8.0] * 5), poses({}, 0.0).iloc[:0])
+    ((label, found),) = pattern_groups(measured([-8.0] * 6), poses({}, 0.0).iloc[:0])
     assert label == "shape, descent, lambda 1, alpha 0.01, pointpillars"
     by_name = {pattern.name: pattern for pattern in found}
     height = by_name["height"]
     assert (height.change.mean, height.change.low, height.change.high) == pytest.approx((-8.0, -8.0, -8.0))
-    assert (height.before, height.fell, height.rose, height.solutions, height.clear) == (150.0, 1.0, 0.0, 5, True)
+    assert (height.before, height.fell, height.rose, height.solutions, height.clear) == (150.0, 1.0, 0.0, 6, True)
     assert not by_name["length"].clear and by_name["length"].size == 0.0
+    ((_, few),) = pattern_groups(measured([-8.0] * 5), poses({}, 0.0).iloc[:0])
+    assert not any(pattern.clear for pattern in few) and "fewer than 6 scenes" in str(patterns_table("Changes", few))
 
 
 def test_what_differs_from_scene_to_scene_has_an_interval_around_its_mean() -> None:

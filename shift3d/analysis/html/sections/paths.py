@@ -17,11 +17,12 @@ from shift3d.wording import counted
 
 _TITLE = "The score along the steps"
 _MISSING = Paragraph("This sweep kept no scores along the steps.", "missing")
-_DASHES = ("dot", "dash", "dashdot", "longdash", "longdashdot")
+_VEHICLES = ("#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a8a8a")
 _LEAD = (
     "What the search sees at every step, step 0 being the unchanged vehicle: the score of the best box within 5 m "
     "before non-maximum suppression, at the search's own precision; so it may differ a little from the scores in the "
-    "tables. Mean over tasks; band: 95 %, pointwise, scenes redrawn. The solution is the best valid step, not the last."
+    "tables. Mean over tasks; band: 95 %, pointwise, scenes redrawn. Steps that break a constraint count here too; the "
+    "solution is the best valid step, not the last."
 )
 
 
@@ -58,10 +59,12 @@ def _plot(variant: Variant, rows: pd.DataFrame) -> Plot:
     vehicles = [name for name in variant.vehicles if rows["vehicle"].eq(name).any()]
     for number, vehicle in enumerate(vehicles if len(vehicles) > 1 else []):
         at, own, *_ = mean_path(rows[rows["vehicle"] == vehicle])
-        style = {"color": "#8a8a8a", "width": 1.5, "dash": _DASHES[number % len(_DASHES)]}
+        style = {"color": _VEHICLES[number % len(_VEHICLES)], "width": 1.5, "dash": "dot"}
         traces.append(line(at, own, vehicle.replace("_", " "), style))
     traces.append(line(steps, mean, "mean", {"color": colour, "width": 3}))
     counts = f"{counted(rows['task_id'].nunique(), 'task')}, {counted(rows['place'].nunique(), 'scene')}"
+    last = rows.sort_values("step").groupby("task_id")["valid"].last()
+    counts += f"; the last step is valid in {int(last.sum())} of them"
     text = f"{variant.title}: mean score {mean[0]:.3f} → {mean[-1]:.3f} in {steps[-1]} steps; {counts}"
     return plot(f"path-{variant.key}", traces, _layout(int(steps[-1])), f"Score by step. {text}", text, 360)
 
