@@ -120,5 +120,9 @@ def test_every_sweep_can_be_composed() -> None:
     ],
 )
 def test_tasks_of_sweeps_that_were_run_keep_their_ids(name: str, words: tuple[str, ...], spec_hash: str) -> None:
-    """Pinned before sizes and transfers were added: a finished or half-finished folder is found again."""
-    assert make_plan(compose_sweep(name, words), catalogue)[0].spec_hash == spec_hash
+    """Pinned before sizes and transfers were added: a finished or half-finished folder is found again.
+
+    Those sweeps asked points alone what holds a vehicle.
+    """
+    earlier = compose_sweep(name, (*words, "attack.below_ground_m=0"))
+    assert make_plan(earlier, catalogue)[0].spec_hash == spec_hash
