@@ -19,7 +19,7 @@ _MIN_POINTS = 12
 _MIN_BREADTH_M = 1.0
 _WIDER = (1.0, 1.75, 2.5)  # reaches, in radii: where one scan line crosses the footprint, its neighbours are farther
 _TRIPLES = 80
-_SPACING_M = 0.25  # of points that stand for the ground: less than a wheel is long
+_SPACING_M = 0.4  # of points that stand for the ground: less than a wheel is long; at 0.25 a step takes 5 % longer
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class GroundPlane:
         return bool(below.mean() <= _BELOW_SHARE)
 
     def lowered(self, centre_xy: tuple[float, float], radius_m: float, depth_m: float) -> Array:
-        """Points (N, 3) every quarter of a metre within a radius of its place, depth_m below the plane.
+        """Points (N, 3) every 40 cm within a radius of its place, depth_m below the plane.
 
         centre_xy: the place that it was fitted at.
         """
