@@ -125,7 +125,8 @@ def published_step(problem: AttackProblem) -> dict[str, float]:
         torch.autograd.grad(loss, code)
     marks.append(time.perf_counter())
     metric = problem.metric(code.detach())
-    check(metric, problem.points_near(), theta, problem.size_m, rendering.object_points, problem.limits, problem.others)
+    obstacles, size = problem.obstacles_at(theta), problem.size_m
+    check(metric, obstacles, theta, size, rendering.object_points, problem.limits, problem.others)
     marks.append(time.perf_counter())
     stages = ("render", "detector", "backward", "constraints")
     spent = {stage: 1e3 * (b - a) for stage, a, b in zip(stages, marks, marks[1:])}
