@@ -221,6 +221,9 @@ def the_road_between_two_scan_lines() -> None:
     assert depth_m(sunk) > 0.1 and 0.02 < depth_m(on_road) < 0.07
     assert held_by(only_points, sunk).valid and not held_by(with_ground, sunk).overlap_ok
     assert held_by(with_ground, on_road).valid
+    off_ground = start + torch.tensor([40.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # no ground near: the returns alone
+    for theta in (off_ground, torch.full_like(start, torch.nan)):
+        assert torch.equal(with_ground.obstacles_at(theta), with_ground.points_near())
 
 
 @hard_case(

@@ -89,6 +89,8 @@ def test_a_sweep_of_ones_own_in_an_empty_folder(python: Path, tmp_path: Path) ->
     assert "out/final written" in run(python, tmp_path, "sweep", "mine", *words, "out=out", OMP_NUM_THREADS="1")
     scores = pd.read_parquet(tmp_path / "out" / "final" / "scores.parquet")
     assert set(scores["vehicle"]) == {"coupe", "suv"} and scores["score"].notna().all()
+    assert set(scores.loc[scores["method"] != "adversarial", "status"]) == {"ok"}
+    assert set(scores["status"]) <= {"ok", "no_valid_step"}, "the only step of a search may break a constraint"
     run(python, tmp_path, "report", "out", "--cases", "1")
     assert "mine" in (tmp_path / "out" / "report.html").read_text()
 

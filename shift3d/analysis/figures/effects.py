@@ -28,7 +28,7 @@ def effects_figure(impacts: Sequence[EffectImpact]) -> Figure:
         axes.plot(*bars[-1].T, color=colour, lw=1.2)
         axes.plot(x, y, "o", color=colour, ms=5, label=_MEANING[impact.measured.matters])
         labels.append(PointLabel(impact.effect.replace("_", " "), x, y))
-    axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--", label=f"{IMPACT_BOUND:g}")
+    axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--", label=f"a change of {IMPACT_BOUND:g}")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel(f"milliseconds a rendering, more (less than {_LEAST_MS:g} drawn there)")
