@@ -1,7 +1,7 @@
 """The README's pictures, drawn from the shipped weights and finished sweeps.
 
 ``python docs/scripts/pictures.py OUT ... [task=ID] [folder=FOLDER]``: OUTs are folders of sweeps before one detector,
-one of shapes and one of poses say; ID (the hardest whose shape is natural) is the task that is shown; FOLDER
+one of shapes and one of poses say; ID (the one whose score falls furthest, its shape natural) is what is shown; FOLDER
 (docs/pictures) gets the PNGs.
 """
 
@@ -143,13 +143,20 @@ def draw_case(assets: Assets, spec: Any, solutions: pd.DataFrame, scores: pd.Dat
         solution = solutions[solutions["method"] == method].iloc[0]
         score = float(scores[scores["method"] == method].iloc[0]["score"])
         mesh = vehicle_mesh(vehicle, assets.decoder, np.asarray(solution["latent_code"], np.float32), resolution=224)
-        axes[row, 0].imshow(shaded(mesh, 0.9, 0.25, width_px=520, height_px=300, rgb=rgb))
+        # A shape from one side, a pose from where the sensor stands.
+        azimuth = 0.9 if spec.mode == "shape" else _azimuth_of_sensor(solution)
+        axes[row, 0].imshow(shaded(mesh, azimuth, 0.25, width_px=520, height_px=300, rgb=rgb))
         axes[row, 0].set_axis_off()
         weight = f", lambda {spec.lambda_:g}" if method == "adversarial" and spec.lambda_ is not None else ""
         axes[row, 0].set_title(f"{spec.vehicle.replace('_', ' ')}, {method}{weight}", fontsize=9)
         _draw_points(axes[row, 1], assets, spec, solution)
         axes[row, 1].set_title(f"score {score:.2f}", fontsize=9)
     figure.savefig(path)
+
+
+def _azimuth_of_sensor(solution: pd.Series) -> float:
+    """Direction of the sensor from the object, counter-clockwise from its nose, radians."""
+    return float(np.arctan2(-solution["y_m"], -solution["x_m"]) - solution["yaw_rad"])
 
 
 def _draw_points(axes: Axes, assets: Assets, spec: Any, solution: pd.Series) -> None:
@@ -212,10 +219,10 @@ def draw_training(path: Path) -> None:
 
 
 def _hardest_natural(scores: pd.DataFrame) -> str:
-    """Id of the shape task whose score fell furthest, of those whose shape is natural."""
+    """Id of the task whose score fell furthest, of those whose shape is natural."""
     from shift3d.analysis.results import natural_by_task
 
-    first = scores[(scores["replicate"] == 0) & (scores["mode"] == "shape")]
+    first = scores[scores["replicate"] == 0]
     table = first.pivot(index="task_id", columns="method", values="score").dropna()
     verdicts = natural_by_task(scores)
     cars = table[[verdicts.get(task, False) for task in table.index]]
