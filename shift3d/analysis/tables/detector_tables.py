@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-    from shift3d.evaluation.breakdown import BreakdownRow
     from shift3d.evaluation.frames import DetectedFrame
-    from shift3d.evaluation.metrics import Metric
     from shift3d.evaluation.vehicles import VehicleRows
     from shift3d.training.detector.detect_scenes import Answer
 
