@@ -70,11 +70,6 @@ class FrontierPlan:
         return expected_seconds(self.settings, number) + number * _TRUTH_SECONDS
 
 
-def expected_minutes(plan: FrontierPlan, groups: int) -> int:
-    """The same in minutes, for people."""
-    return round(plan.expected_seconds(groups) / 60)
-
-
 def measure_frontier(
     groups: Sequence[SceneGroup], plan: FrontierPlan, folder: Path, again: bool, tell: Tell
 ) -> list[MeasuredCase]:
