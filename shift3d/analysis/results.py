@@ -72,6 +72,11 @@ class Sweep:
         """Tasks whose adversarial shape is unnatural."""
         return {task for task, natural in self.verdicts.items() if not natural}
 
+    def pair_of(self, task_id: str) -> list[pd.Series]:
+        """Rows of ``solutions`` of a task that has them: its baseline and its adversarial object."""
+        rows = self.solutions[(self.solutions["task_id"] == task_id) & (self.solutions["replicate"] == 0)]
+        return [rows[rows["method"] == method].iloc[0] for method in ("baseline", "adversarial")]
+
 
 def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
     """Whether the adversarial shape is natural, by task that searches a shape; none where it was not measured."""

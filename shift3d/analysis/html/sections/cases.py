@@ -12,7 +12,7 @@ from shift3d.analysis.cases.measures import change_lines, in_words
 from shift3d.analysis.cases.rendered import Loaded, Rendered, render_again
 from shift3d.analysis.html.blocks import Article, Block, Command, Fold, Paragraph, Section, Terms
 from shift3d.analysis.html.scene_figures import from_above, turnable
-from shift3d.analysis.html.sections.paths import case_path
+from shift3d.analysis.html.sections.curves import case_path
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.table import Table
 from shift3d.errors import InputError
@@ -61,8 +61,7 @@ def _left_out(unnatural: set[str], chosen: list[Case]) -> str:
 
 def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:
     (task,) = sweep.plan.tasks.starting_with(case.task_id)
-    rows = sweep.solutions[(sweep.solutions["task_id"] == case.task_id) & (sweep.solutions["replicate"] == 0)]
-    both = [rows[rows["method"] == method].iloc[0].to_dict() for method in ("baseline", "adversarial")]
+    both = [row.to_dict() for row in sweep.pair_of(case.task_id)]
     centre = np.mean([[row["x_m"], row["y_m"]] for row in both], axis=0)
     before, after = (render_again(task, row, centre, loaded) for row in both)
     key = f"case-{number}"
