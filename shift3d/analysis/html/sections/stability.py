@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from shift3d.analysis.figures.effects import effects_figure
 from shift3d.analysis.figures.picture import png
-from shift3d.analysis.figures.stability import stability_figure
+from shift3d.analysis.figures.sweep import effects_figure, stability_figure
 from shift3d.analysis.html.blocks import Block, Fold, Heading, Items, Paragraph, Picture, Section, Terms
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_table
