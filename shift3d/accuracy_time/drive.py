@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from shift3d.accuracy_time.cases import Case, place_case
 from shift3d.accuracy_time.journal import Journal
 from shift3d.accuracy_time.measure import CaseInstrument
 from shift3d.accuracy_time.rows import MeasuredCase
-from shift3d.accuracy_time.run import Repeats, expected_seconds, measure_case
+from shift3d.accuracy_time.run import Repeats, Tell, expected_seconds, measure_case
 from shift3d.accuracy_time.settings import Setting
 from shift3d.accuracy_time.timing import machine
 from shift3d.accuracy_time.truth import Truth, make_truth, read_truth, write_truth
@@ -26,9 +26,6 @@ from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.sources import vehicle_hash
-
-Tell = Callable[[str, float, bool], None]
-"""Called with what is being measured, how many expected seconds are done with it, and whether it was known already."""
 
 _TRUTH_SECONDS = 25.0
 # What the numbers depend on, and what only presents them.
@@ -68,11 +65,6 @@ class FrontierPlan:
         """About how long it takes on a core without bfloat16, for the progress bar."""
         number = len(self.cases) * groups
         return expected_seconds(self.settings, number) + number * _TRUTH_SECONDS
-
-
-def expected_minutes(plan: FrontierPlan, groups: int) -> int:
-    """The same in minutes, for people."""
-    return round(plan.expected_seconds(groups) / 60)
 
 
 def measure_frontier(

@@ -28,27 +28,6 @@ from shift3d.render.solvers.search import WarmStart
 from shift3d.task.assets import Assets
 from shift3d.task.scoring import score_object
 
-
-def attack_scores(case: Case, assets: Assets, setting: Setting) -> list[float]:
-    """Final scores of the best step of an attack on the shape and of one on the pose, `attack_steps` long each.
-
-    Both are the attacks of a task: its lambda, step size and limits, an SDF grid if the setting uses one, and the
-    detector in the precision of the search; what they find is scored in the precision of a task's scores.
-    """
-    spec, steps = case.spec, setting.attack_steps
-    problem = problem_of(case, assets, setting.accuracy, grid=True)
-    limits = PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
-    steady = spec.attack.selection_window
-    found = [
-        attack_shape(problem, spec.lambda_ or 0.0, spec.alpha, steps, selection_window=steady),
-        attack_pose(problem, spec.alpha, steps, limits, selection_window=steady),
-    ]
-    scoring = dataclasses.replace(problem, detector=assets.detector_of(spec.detector, setting.score_precision))
-    radius_m = spec.attack.detection_radius_m
-    scored = [score_object(scoring, best.latent_code, best.theta, radius_m) for best in found]
-    return [float(each.answers[scoring.detector.name].score) for each in scored]
-
-
 Outcome = dict[str, Any]
 """Plain values, ready for JSON."""
 
@@ -112,8 +91,23 @@ class CaseInstrument:
         return self._outcome(setting, prepared, self._render(setting, prepared), "displaced")
 
     def attack(self, setting: Setting) -> Outcome:
-        """Final scores of attacks on the shape and on the pose."""
-        return {"scores": attack_scores(self.case, self.assets, setting)}
+        """Final scores of the best step of an attack on the shape and of one on the pose, `attack_steps` long each.
+
+        Both are the attacks of a task: its lambda, step size and limits, an SDF grid if the setting uses one, and the
+        detector in the precision of the search; what they find is scored in the precision of a task's scores.
+        """
+        spec, steps = self.case.spec, setting.attack_steps
+        problem = problem_of(self.case, self.assets, setting.accuracy, grid=True)
+        limits = PoseLimits(max_shift_m=spec.attack.max_shift_m, max_tilt_rad=spec.attack.max_tilt_rad)
+        steady, radius_m = spec.attack.selection_window, spec.attack.detection_radius_m
+        found = [
+            attack_shape(problem, spec.lambda_ or 0.0, spec.alpha, steps, selection_window=steady),
+            attack_pose(problem, spec.alpha, steps, limits, selection_window=steady),
+        ]
+        detector = self.assets.detector_of(spec.detector, setting.score_precision)
+        scoring = dataclasses.replace(problem, detector=detector)
+        scored = [score_object(scoring, best.latent_code, best.theta, radius_m) for best in found]
+        return {"scores": [float(each.answers[detector.name].score) for each in scored]}
 
     def sample(self, setting: Setting) -> float:
         """Milliseconds of one rendering."""

@@ -40,14 +40,9 @@ class Setting:
         return self.gradient if self.warm == "no" else self.warm
 
     @property
-    def precision(self) -> str:
-        """Of the detector in the search."""
-        return str(self.accuracy["detector"])
-
-    @property
     def score_precision(self) -> str:
         """Of the detector that scores; as tasks have it (`task.assets.score_precision`)."""
-        return "float64" if self.precision == "float64" else "float32"
+        return "float64" if self.accuracy["detector"] == "float64" else "float32"
 
     @property
     def rendering_key(self) -> str:

@@ -73,25 +73,24 @@ class StreetChoice:
     count: int = 200
     sensor: str = "mixed"
     split: str = "test"
-    seed: int = 0
     traffic: str = "family"
 
     @property
     def dataset(self) -> str:
         """Name in the tables and in the folder's name."""
         traffic = f"-{self.traffic}" if self.traffic != "family" else ""
-        return f"street-{self.sensor}-{self.split}{traffic}" + (f"-seed{self.seed}" if self.seed else "")
+        return f"street-{self.sensor}-{self.split}{traffic}"
 
     @property
     def identity(self) -> dict[str, object]:
         """What decides which scene lies behind a name."""
         traffic = {"traffic": self.traffic} if self.traffic != "family" else {}
-        return {"sensor": self.sensor, "split": self.split, "seed": self.seed, **traffic}
+        return {"sensor": self.sensor, "split": self.split, "seed": 0, **traffic}
 
     def open(self) -> SceneSet:
         """The scenes. Raises InputError for an unknown sensor, split or traffic."""
         options = StreetOptions(traffic=self.traffic)
-        return StreetScenes(self.sensor, self.seed, self.count, self.split, options=options)
+        return StreetScenes(self.sensor, 0, self.count, self.split, options=options)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,6 +21,8 @@ _LATER = (
     "trajectories", "transfers", "bev_transfer", "choices", "shapes", "vehicle_pool", "retrieved", "patterns",
 )  # fmt: skip
 """Tables that folders of older versions do not have."""
+PLACE = ["baseline_x_m", "baseline_y_m", "baseline_yaw_rad"]
+"""Where a row's vehicle was placed: the same to the bit under any effects and beams."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,11 @@ class Sweep:
         """Tasks whose adversarial shape is unnatural."""
         return {task for task, natural in self.verdicts.items() if not natural}
 
+    def pair_of(self, task_id: str) -> list[pd.Series]:
+        """Rows of ``solutions`` of a task that has them: its baseline and its adversarial object."""
+        rows = self.solutions[(self.solutions["task_id"] == task_id) & (self.solutions["replicate"] == 0)]
+        return [rows[rows["method"] == method].iloc[0] for method in ("baseline", "adversarial")]
+
 
 def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
     """Whether the adversarial shape is natural, by task that searches a shape; none where it was not measured."""
@@ -79,6 +86,21 @@ def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:
         return {}
     found = scores[(scores["method"] == "adversarial") & (scores["mode"] != "pose") & scores["natural"].notna()]
     return {str(task): bool(natural) for task, natural in zip(found["task_id"], found["natural"])}
+
+
+def with_places(scores: pd.DataFrame) -> pd.DataFrame:
+    """Rows of ``scores`` with `PLACE`, that of their task's baseline, NaN without one."""
+    base = scores[scores["method"] == "baseline"].drop_duplicates("task_id").set_index("task_id")
+    places = {name: scores["task_id"].map(base[name.removeprefix("baseline_")]) for name in PLACE}
+    return scores.assign(**places)
+
+
+def one_baseline(rows: pd.DataFrame, same: Sequence[str]) -> pd.DataFrame:
+    """The rows without a baseline that came before: tasks of several modes, lambdas or alphas share it.
+
+    same: columns that tell an object from others.
+    """
+    return rows[~(rows["method"].eq("baseline") & rows.duplicated(["method", *same]))]
 
 
 def sweep_of(plan: Plan, tables: Mapping[str, pd.DataFrame], environment: Mapping[str, Any]) -> Sweep:

@@ -40,12 +40,8 @@ class JobSpec(BaseModel):
         """The runner's settings as overrides that go before those given; none where these name a runner."""
         if any(word.startswith("runner=") for word in requested):
             return []
-        rest = [f"runner.{key}={_text(value)}" for key, value in self.runner.items() if key != "kind"]
-        return [f"runner={self.runner['kind']}", *rest]
-
-
-def _text(value: str | int | float | None) -> str:
-    return "null" if value is None else str(value)
+        values = {key: "null" if value is None else value for key, value in self.runner.items() if key != "kind"}
+        return [f"runner={self.runner['kind']}", *(f"runner.{key}={value}" for key, value in values.items())]
 
 
 def take_job(words: Sequence[str]) -> tuple[JobSpec | None, list[str]]:

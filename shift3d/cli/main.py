@@ -17,29 +17,12 @@ from shift3d.cli.commands.follow_ups import export, patterns, retrieve, rules, v
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode, exit_codes
 
-COMMANDS: tuple[Command, ...] = (
-    sweep.COMMAND,
-    plan.COMMAND,
-    verify.COMMAND,
-    report.COMMAND,
-    rules.COMMAND,
-    patterns.COMMAND,
-    retrieve.COMMAND,
-    scenes.COMMAND,
-    effects.COMMAND,
-    export.COMMAND,
-    suite.COMMAND,
-    gate.COMMAND,
-    gc.COMMAND,
-    compact.COMMAND,
-    fit.COMMAND,
-    train.COMMAND,
-    finetune.COMMAND,
-    evaluate.COMMAND,
-    compile.COMMAND,
-    frontier.COMMAND,
-    ui.COMMAND,
-    jobs.COMMAND,
+COMMANDS: tuple[Command, ...] = tuple(
+    module.COMMAND
+    for module in (
+        *(sweep, plan, verify, report, rules, patterns, retrieve, scenes, effects, export, suite, gate, gc, compact),
+        *(fit, train, finetune, evaluate, compile, frontier, ui, jobs),
+    )
 )
 
 _DESCRIPTION = """\

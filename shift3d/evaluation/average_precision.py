@@ -9,10 +9,27 @@ import numpy as np
 import numpy.typing as npt
 
 from shift3d.evaluation.frames import Comparison
-from shift3d.evaluation.precision_recall import PrecisionRecall
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class PrecisionRecall:
+    """What became of all frames' detections as the score threshold moves.
+
+    average_precision: AP in [0, 1]; average_precision_heading: APH, at most AP. Both None where there was nothing
+    to find. score_threshold, recall, precision, heading_precision: (K,) float64, one row a point of the curve;
+    heading_precision counts each right detection by its heading accuracy. num_truth: objects to find.
+    """
+
+    average_precision: float | None
+    average_precision_heading: float | None
+    score_threshold: Floats
+    recall: Floats
+    precision: Floats
+    heading_precision: Floats
+    num_truth: int
 
 
 @dataclass(frozen=True)

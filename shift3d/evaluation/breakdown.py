@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -86,14 +87,11 @@ def breakdown(frames: Sequence[DetectedFrame], draws: int = DRAWS) -> tuple[Vehi
             key = (view, *group.range_m)
             if key not in assigned:
                 assigned[key] = [assign(compare(frame, view), IOU, *key[1:]) for frame in frames]
-            rows += _areas(group, view, assigned[key], weights)
+            for measure, area in _group_areas(group, assigned[key], weights).items():
+                low, high = interval(area.drawn)
+                rows.append(BreakdownRow(group.by, group.name, measure, view, area.value, low, high, area.number))
         rows += _of_vehicles(group, vehicles, len(frames), weights)
     return vehicles, rows
-
-
-def _areas(group: Group, view: str, assignments: Sequence[Assignment], weights: Floats) -> Iterator[BreakdownRow]:
-    for measure, area in _group_areas(group, assignments, weights).items():
-        yield BreakdownRow(group.by, group.name, measure, view, area.value, *interval(area.drawn), area.number)
 
 
 def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Floats) -> dict[str, Area]:
@@ -145,15 +143,7 @@ def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floa
         order = np.flatnonzero(found)[np.argsort(rows.errors[found, column], kind="stable")]
         errors, owner = rows.errors[order, column], of_frame[order]
         for statistic, of_errors in (("median", weighted_median), ("mean", _mean), ("std", _std)):
-
-            def spread(
-                drawn: Floats,
-                errors: Floats = errors,
-                owner: npt.NDArray[np.int64] = owner,
-                of_errors: Callable[[Floats, Floats], float | None] = of_errors,
-            ) -> float | None:
-                return of_errors(errors, drawn[owner])
-
+            spread = partial(_spread, of_errors, errors, owner)
             yield _row(group, f"error_{name}", statistic, spread, weights, len(order))
 
 
@@ -163,6 +153,12 @@ def _row(
     value = of(np.ones(weights.shape[1])) if number else None
     low, high = interval(map(of, weights) if number else ())
     return BreakdownRow(group.by, group.name, measure, statistic, value, low, high, number)
+
+
+def _spread(
+    of_errors: Callable[[Floats, Floats], float | None], errors: Floats, owner: npt.NDArray[np.int64], drawn: Floats
+) -> float | None:
+    return of_errors(errors, drawn[owner])
 
 
 def _mean(values: Floats, weights: Floats) -> float | None:

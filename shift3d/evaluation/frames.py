@@ -38,7 +38,12 @@ class Truth:
     @property
     def range_m(self) -> Floats:
         """(M,) horizontal distance of the centres from the sensor."""
-        return _range(self.boxes)
+        return range_of(self.boxes)
+
+    def where(self, kept: Flags) -> Truth:
+        """Those that are kept, (M,) bool."""
+        texts = [tuple(text for text, own in zip(column, kept) if own) for column in (self.names, self.kinds)]
+        return Truth(self.boxes[kept], self.num_points[kept], self.counts[kept], self.difficulty[kept], *texts)
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,12 @@ class Found:
     @property
     def range_m(self) -> Floats:
         """(K,) horizontal distance of the centres from the sensor."""
-        return _range(self.boxes)
+        return range_of(self.boxes)
+
+    def at(self, rows: Ints | Flags) -> Found:
+        """Those of some rows, in their order."""
+        heights = np.asarray(self.image_height_px)[rows]
+        return Found(self.boxes[rows], self.scores[rows], self.labelled[rows], heights)
 
 
 @dataclass(frozen=True)
@@ -88,11 +98,7 @@ def compare(frame: DetectedFrame, view: View) -> Comparison:
 
     Equal scores are ordered by their boxes, so that the order in which detections are given changes nothing.
     """
-    boxes, scores = frame.found.boxes, frame.found.scores
-    order = np.lexsort((*boxes.T[::-1], -scores))
-    found = Found(
-        boxes[order], scores[order], frame.found.labelled[order], np.asarray(frame.found.image_height_px)[order]
-    )
+    found = frame.found.at(np.lexsort((*frame.found.boxes.T[::-1], -frame.found.scores)))
     overlap = (iou_bev if view == "BEV" else iou_3d)(found.boxes, frame.truth.boxes)
     return Comparison(frame.truth, found, overlap, heading_accuracy(found.boxes, frame.truth.boxes))
 
@@ -108,6 +114,7 @@ def heading_accuracy(a: Floats, b: Floats) -> Floats:
     return accuracy
 
 
-def _range(boxes: Floats) -> Floats:
+def range_of(boxes: Floats) -> Floats:
+    """(N,) horizontal distance of the centres of boxes (N, 7) from the sensor, metres."""
     distance: Floats = np.hypot(boxes[:, 0], boxes[:, 1])
     return distance

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from shift3d.evaluation.frames import range_of
+
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
@@ -48,7 +50,7 @@ class Group:
     def members(self, boxes: Floats, num_points: npt.NDArray[np.int64], kinds: Sequence[str]) -> Flags:
         """(M,) bool: which vehicles belong to it. kinds: M of them, or none at all."""
         if self.by in ("all", "range"):
-            distance = np.hypot(boxes[:, 0], boxes[:, 1])
+            distance = range_of(boxes)
             return np.asarray((distance >= self.range_m[0]) & (distance < self.range_m[1]))
         if self.by == "points":
             return np.asarray((num_points >= self.low) & (num_points < self.high))

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shift3d.evaluation.average_precision import greedy_curve, match_frame
+from shift3d.evaluation.average_precision import PrecisionRecall, greedy_curve, match_frame
 from shift3d.evaluation.frames import VIEWS, Comparison, DetectedFrame, View, compare
-from shift3d.evaluation.precision_recall import PrecisionRecall
 from shift3d.evaluation.waymo import LEVELS, WaymoRules, assign, waymo_curve
 
 IOU_THRESHOLDS = (0.7, 0.5)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shift3d.evaluation.frames import DetectedFrame, compare
+from shift3d.evaluation.frames import DetectedFrame, compare, range_of
 from shift3d.evaluation.groups import aspect
 from shift3d.geometry.iou import iou_3d
 
@@ -50,7 +50,7 @@ class VehicleRows:
     @property
     def range_m(self) -> Floats:
         """(V,) horizontal distance of the centres from the sensor."""
-        return np.asarray(np.hypot(self.boxes[:, 0], self.boxes[:, 1]))
+        return range_of(self.boxes)
 
     @property
     def matched(self) -> Flags:

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from shift3d.evaluation.average_precision import PrecisionRecall
 from shift3d.evaluation.frames import Comparison
-from shift3d.evaluation.precision_recall import PrecisionRecall
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -64,7 +64,9 @@ def assign(comparison: Comparison, iou_threshold: float, min_range_m: float, max
     truth, found = comparison.truth, comparison.found
     objects = (truth.num_points >= 1) & (truth.range_m >= min_range_m) & (truth.range_m < max_range_m)
     boxes = (found.range_m >= min_range_m) & (found.range_m < max_range_m)
-    cut = _select(comparison, boxes, objects)
+    pairs = np.ix_(boxes, objects)
+    overlap, heading_accuracy = comparison.overlap[pairs], comparison.heading_accuracy[pairs]
+    cut = Comparison(truth.where(objects), found.at(boxes), overlap, heading_accuracy)
     weights = np.where(cut.overlap >= iou_threshold, cut.overlap, 0.0)
     num_found = (cut.found.scores[None, :] >= SCORE_CUTOFFS[:, None]).sum(axis=1)
     possible = weights > 0.0
@@ -85,23 +87,6 @@ def _best_assignment(weights: Floats) -> Ints:
         real = weights[rows[chosen], columns[objects]] > 0.0
         matched[rows[chosen[real]]] = columns[objects[real]]
     return matched
-
-
-def _select(comparison: Comparison, boxes: Flags, objects: Flags) -> Comparison:
-    truth, found = comparison.truth, comparison.found
-    return Comparison(
-        type(truth)(
-            truth.boxes[objects],
-            truth.num_points[objects],
-            truth.counts[objects],
-            truth.difficulty[objects],
-            tuple(name for name, kept in zip(truth.names, objects) if kept),
-            tuple(kind for kind, kept in zip(truth.kinds, objects) if kept),
-        ),
-        type(found)(found.boxes[boxes], found.scores[boxes], found.labelled[boxes], found.image_height_px[boxes]),
-        comparison.overlap[np.ix_(boxes, objects)],
-        comparison.heading_accuracy[np.ix_(boxes, objects)],
-    )
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,10 @@ import math
 import numpy as np
 from catalogue import hard_case
 
-from shift3d.evaluation.average_precision import area_exact, area_r40, greedy_curve, match_frame
+from shift3d.evaluation.average_precision import PrecisionRecall, area_exact, area_r40, greedy_curve, match_frame
 from shift3d.evaluation.bev_grid import bev_grid
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth, compare, heading_accuracy
 from shift3d.evaluation.metrics import evaluate
-from shift3d.evaluation.precision_recall import PrecisionRecall
 from shift3d.evaluation.recall_curve import area_under, recall_curve
 from shift3d.evaluation.waymo import WaymoRules, assign, waymo_curve
 

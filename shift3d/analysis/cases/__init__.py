@@ -1,1 +1,1 @@
-"""Single solutions: chosen, rendered again, measured."""
+"""Single solutions: chosen, rendered again."""

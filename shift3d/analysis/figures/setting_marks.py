@@ -72,30 +72,13 @@ def mark_settings(axes: Axes, rows: pd.DataFrame, x: FloatArray, styles: dict[st
         style, drawn = styles[method], there.setdefault(place, [])
         if method in drawn:
             continue
-        size = _STAR if style.marker == "*" else _SIZE
-        if not drawn:
-            face, edge = (style.colour, "white") if front[row] else ("white", style.colour)
-            width, zorder = (0.6, 4) if front[row] else (1.2, 3)
-            marker: dict[str, Any] = {
-                "marker": style.marker,
-                "ms": size,
-                "mfc": face,
-                "mec": edge,
-                "mew": width,
-                "zorder": zorder,
-            }
+        if drawn:
+            size, colour = _STAR + (len(drawn) - 1) * _RING, style.colour
+            axes.plot(*place, marker="o", ls="none", ms=size, mfc="none", mec=colour, mew=1.5, zorder=5, gid=RING)
         else:
-            size = _STAR + (len(drawn) - 1) * _RING
-            marker = {
-                "marker": "o",
-                "ms": size,
-                "mfc": "none",
-                "mec": style.colour,
-                "mew": 1.5,
-                "zorder": 5,
-                "gid": RING,
-            }
-        axes.plot(*place, ls="none", **marker)
+            size, own = _STAR if style.marker == "*" else _SIZE, style.colour
+            face, edge, width, zorder = (own, "white", 0.6, 4) if front[row] else ("white", own, 1.2, 3)
+            axes.plot(*place, marker=style.marker, ls="none", ms=size, mfc=face, mec=edge, mew=width, zorder=zorder)
         drawn.append(method)
 
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pyarrow.compute as pc
@@ -95,24 +96,14 @@ class Expected:
     longest_s: float
 
 
-def finished_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
-    """Of each task whether one of some sweeps' folders has its result.
+def _named_in(tasks: Tasks, folders: Sequence[LocationLike], what: Literal["done", "quarantined"]) -> np.ndarray:
+    """Of each task whether the log of one of some sweeps' folders says that of it.
 
     Raises: InputError: a log cannot be read.
     """
-    done = np.zeros(len(tasks), dtype=bool)
-    for folder in folders:
-        here = np.ones(len(tasks), dtype=bool)
-        here[tasks.without({task for entry in read_log(folder) for task in entry.done})] = False
-        done |= here
-    return done
-
-
-def _quarantined_in(tasks: Tasks, folders: Sequence[LocationLike]) -> np.ndarray:
-    """Of each task whether a sweep that goes on in one of these folders has quarantined it."""
-    quarantined = {task for folder in folders for entry in read_log(folder) for task in entry.quarantined}
+    named = {task for folder in folders for entry in read_log(folder) for task in getattr(entry, what)}
     found = np.ones(len(tasks), dtype=bool)
-    found[tasks.without(quarantined)] = False
+    found[tasks.without(named)] = False
     return found
 
 
@@ -225,8 +216,8 @@ def expected_lines(
     Raises: InputError: a folder of others or timings is no sweep's, or damaged.
     """
     own = [out] if out is not None and (as_location(out) / "spec.yaml").is_file() else []
-    done = finished_in(plan.tasks, [*own, *others])
-    quarantined = _quarantined_in(plan.tasks, own) & ~done
+    done = _named_in(plan.tasks, [*own, *others], "done")
+    quarantined = _named_in(plan.tasks, own, "quarantined") & ~done
     left = plan.tasks.select(np.flatnonzero(~done & ~quarantined))
     progress = f"{int(done.sum())} of {counted(len(plan.tasks), 'task')} are done already\n" if done.any() else ""
     if count := int(quarantined.sum()):

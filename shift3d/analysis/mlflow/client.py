@@ -1,8 +1,9 @@
-"""What every mirror needs of MLflow: a client that gives up soon, runs found again, and batches of the right size."""
+"""What every mirror needs of MLflow: a client that gives up soon, runs found again, batches, a view with AUCs."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import os
 import re
@@ -105,3 +106,31 @@ def flat(params: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
         elif value is not None:
             found[f"{prefix}{key}"] = str(value)[:_LONGEST_PARAM]
     return found
+
+
+_VIEW_KEY = "auc"
+_VIEW_TAG = f"mlflow.sharedViewState.{_VIEW_KEY}"
+_MOST_COLUMNS = 24
+_GROUP_COLUMN = "metrics.`auc`"  # of the runs below a sweep's, a group each
+
+
+def share_view(client: MlflowClient, experiment_id: str, metrics: Iterable[str]) -> None:
+    """Put mean AUCs, as columns, into the experiment's view, beside those of the sweeps before.
+
+    MLflow 3.17 keeps the columns of a list in the browser, and starts with none for metrics. What it shares between
+    users is a view behind a link: an experiment's tag that holds the view as JSON, named in the link by its key.
+
+    metrics: names as `overall` gives them, of which those of means over vehicles are taken.
+    """
+    means = [f"metrics.`{name}`" for name in metrics if not name.startswith("auc/")]
+    tag = client.get_experiment(experiment_id).tags.get(_VIEW_TAG)
+    before = json.loads(tag)["selectedColumns"] if tag else []
+    columns = list(dict.fromkeys([*means, *before, _GROUP_COLUMN]))[:_MOST_COLUMNS]
+    client.set_experiment_tag(experiment_id, _VIEW_TAG, json.dumps({"selectedColumns": columns}))
+
+
+def shared_views(client: MlflowClient) -> Iterator[tuple[str, str]]:
+    """(name, path of its list of runs with AUC columns) of each experiment that has such a view."""
+    for experiment in client.search_experiments():
+        if _VIEW_TAG in experiment.tags:
+            yield experiment.name, f"#/experiments/{experiment.experiment_id}/runs?viewStateShareKey={_VIEW_KEY}"

@@ -6,8 +6,7 @@ import os
 import socket
 import warnings
 
-from shift3d.analysis.mlflow.auc_view import shared_views
-from shift3d.analysis.mlflow.client import patience
+from shift3d.analysis.mlflow.client import patience, shared_views
 from shift3d.errors import InputError
 
 HOST = "127.0.0.1"

@@ -11,8 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from shift3d.analysis.mlflow.auc_view import share_view
-from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, metric_name, open_client, rounded, runs_of
+from shift3d.analysis.mlflow.client import (
+    attempt,
+    experiment_of,
+    flat,
+    log,
+    metric_name,
+    open_client,
+    rounded,
+    runs_of,
+    share_view,
+)
 from shift3d.analysis.mlflow.sweep_groups import MOST_GROUPS, Recall, budget_points, groups, overall
 from shift3d.analysis.tables.patterns import pattern_groups
 from shift3d.analysis.tables.retrieval import retrieval_groups

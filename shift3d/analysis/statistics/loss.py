@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 
 import numpy as np
@@ -90,19 +91,12 @@ def objects_needed(loss: float, churn: float, power: float, level: float) -> int
         high *= 2
         if high > _MOST_OBJECTS:
             return None
-    low = high // 2
-    while high - low > 1:  # the power of a discrete test is a saw; where it first rises above does
-        middle = (low + high) // 2
-        low, high = (low, middle) if enough(middle) else (middle, high)
-    return high
+    # The power of a discrete test is a saw; where it first rises above does.
+    return bisect_left(range(high), True, lo=high // 2 + 1, key=enough)
 
 
 def detectable_loss(objects: int, churn: float, power: float, level: float) -> float | None:
     """The smallest loss of recall that so many objects show with a power, to 0.0005; None: not even a loss of all."""
-    steps = np.arange(1, round((1.0 - 2.0 * churn) / 0.0005))
-    low, high = 0, len(steps)
-    while low < high:
-        middle = (low + high) // 2
-        found = recall_power(objects, churn + 0.0005 * steps[middle], churn, level) >= power
-        low, high = (low, middle) if found else (middle + 1, high)
-    return float(0.0005 * steps[low]) if low < len(steps) else None
+    steps = range(1, round((1.0 - 2.0 * churn) / 0.0005))
+    found = bisect_left(steps, True, key=lambda n: recall_power(objects, churn + 0.0005 * n, churn, level) >= power)
+    return 0.0005 * steps[found] if found < len(steps) else None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from shift3d.analysis.tables.table import Table, number
@@ -11,14 +12,9 @@ from shift3d.evaluation.metrics import RANGES_M, Metric
 from shift3d.store.evaluation_tables import evaluation_table
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-    import pandas as pd
     import pyarrow as pa
 
-    from shift3d.evaluation.breakdown import BreakdownRow
-    from shift3d.evaluation.frames import DetectedFrame
-    from shift3d.evaluation.metrics import Metric
+    from shift3d.evaluation.frames import DetectedFrame, Found, Truth
     from shift3d.evaluation.vehicles import VehicleRows
     from shift3d.training.detector.detect_scenes import Answer
 
@@ -117,6 +113,7 @@ def _left_out(metric: Metric) -> bool:
 
 
 _WHICH = ("protocol", "view", "subset", "iou_threshold", "min_range_m", "max_range_m")
+_CURVE = ("score_threshold", "recall", "precision", "heading_precision")
 _BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
 
 
@@ -124,34 +121,26 @@ def evaluation_tables(
     detector: str, dataset: str, answers: Sequence[Answer], metrics: Sequence[Metric]
 ) -> dict[str, pa.Table]:
     """The tables of an evaluation by name, rows in the order of the scenes and of the metrics."""
-    import pandas as pd
-
     run = {"detector": detector, "dataset": dataset}
     frames = [answer.frame for answer in answers]
-    times = [(answer.frame.scene, answer.scene_ms, answer.detect_ms) for answer in answers]
-    found = [
-        _boxes(f.scene, f.found.boxes, score=f.found.scores, labelled=f.found.labelled,
-               image_height_px=f.found.image_height_px)
-        for f in frames
-    ]  # fmt: skip
-    truth = [
-        _boxes(f.scene, f.truth.boxes, name=f.truth.names, num_points=f.truth.num_points, counts=f.truth.counts,
-               difficulty=f.truth.difficulty,
-               kind=[kind or None for kind in f.truth.kinds or ("",) * len(f.truth.names)])
-        for f in frames
-    ]  # fmt: skip
-    tables = {
-        "metrics": pd.DataFrame([row for metric in metrics for row in _values(metric, len(frames))]).assign(**run),
-        "curves": pd.concat([_curve(metric) for metric in metrics]).assign(**run),
-        "detections": pd.concat(found).assign(**run),
-        "truth": pd.concat(truth).assign(dataset=dataset),
-        "timings": pd.DataFrame(times, columns=["scene", "scene_ms", "detect_ms"]).assign(**run),
+    found, truth = [frame.found for frame in frames], [frame.truth for frame in frames]
+    values = [row for metric in metrics for row in _values(metric, len(frames))]
+    curves = _joined([metric.curve for metric in metrics], *_CURVE)
+    curves |= {key: [getattr(metric, key) for metric in metrics for _ in metric.curve.recall] for key in _WHICH}
+    detections = _boxes(frames, found) | _joined(found, "labelled", "image_height_px")
+    detections["score"] = _joined(found, "scores")["scores"]
+    labels = _boxes(frames, truth) | _joined(truth, "num_points", "counts", "difficulty")
+    labels["difficulty"] = [grade if grade >= 0 else None for grade in labels["difficulty"].tolist()]
+    labels["name"] = [name for part in truth for name in part.names]
+    labels["kind"] = [kind or None for part in truth for kind in part.kinds or ("",) * len(part.names)]
+    times = {name: [getattr(answer, name) for answer in answers] for name in ("scene_ms", "detect_ms")}
+    return {
+        "metrics": _table("metrics", {key: [row[key] for row in values] for key in values[0]}, **run),
+        "curves": _table("curves", curves, **run),
+        "detections": _table("detections", detections, **run),
+        "truth": _table("truth", labels, dataset=dataset),
+        "timings": _table("timings", {"scene": [frame.scene for frame in frames], **times}, **run),
     }
-    known = tables["truth"]["difficulty"]
-    tables["truth"]["difficulty"] = known.astype("Int64").where(known >= 0)
-    texts = {"name": object, "kind": object}  # a column without a row has no type of its own
-    tables["truth"] = tables["truth"].astype(texts)
-    return {name: evaluation_table(name, {column: table[column] for column in table}) for name, table in tables.items()}
 
 
 def breakdown_tables(
@@ -168,18 +157,21 @@ def breakdown_tables(
 
     run = {"detector": detector, "dataset": dataset}
     matched = np.isfinite(vehicles.score).tolist()
-    columns: dict[str, Any] = {key: [value] * len(vehicles.row) for key, value in run.items()}
-    for name in ("row", "range_m", "num_points", "score", "iou_bev", "iou_3d"):
-        columns[name] = getattr(vehicles, name)
+    names = ("row", "range_m", "num_points", "score", "iou_bev", "iou_3d")
+    columns: dict[str, Any] = {name: getattr(vehicles, name) for name in names}
     columns["scene"] = [frames[index].scene for index in vehicles.frame.tolist()]
     columns["kind"] = [kind or None for kind in vehicles.kind]
     columns["aspect"] = list(vehicles.aspect)
     columns["flipped"] = [flip if has else None for flip, has in zip(vehicles.flipped.tolist(), matched)]
     columns |= {f"error_{name}": vehicles.errors[:, index] for index, name in enumerate(ERRORS)}
-    rows: dict[str, Any] = {key: [value] * len(groups) for key, value in run.items()}
-    for name in ("by", "group", "measure", "statistic", "value", "low", "high", "number"):
-        rows[name] = [getattr(group, name) for group in groups]
-    return {"vehicles": evaluation_table("vehicles", columns), "breakdown": evaluation_table("breakdown", rows)}
+    rows = {field.name: [getattr(group, field.name) for group in groups] for field in fields(BreakdownRow)}
+    return {"vehicles": _table("vehicles", columns, **run), "breakdown": _table("breakdown", rows, **run)}
+
+
+def _table(name: str, columns: Mapping[str, Any], **same: str) -> pa.Table:
+    """A table of columns, and of values that all rows share."""
+    rows = len(next(iter(columns.values())))
+    return evaluation_table(name, {**columns, **{key: [value] * rows for key, value in same.items()}})
 
 
 def _values(metric: Metric, num_scenes: int) -> list[dict[str, object]]:
@@ -191,19 +183,14 @@ def _values(metric: Metric, num_scenes: int) -> list[dict[str, object]]:
     return [{**same, "metric": name, "value": value} for name, value in named]
 
 
-def _curve(metric: Metric) -> pd.DataFrame:
-    import pandas as pd
+def _joined(parts: Sequence[object], *names: str) -> dict[str, Any]:
+    """Arrays of some parts end to end, by their names."""
+    import numpy as np
 
-    columns = ("score_threshold", "recall", "precision", "heading_precision")
-    points = pd.DataFrame({name: getattr(metric.curve, name) for name in columns})
-    return points.assign(**{key: getattr(metric, key) for key in _WHICH})
+    return {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
 
 
-def _boxes(scene: str, boxes: npt.NDArray[np.float64], **columns: Any) -> pd.DataFrame:
-    """Boxes (K, 7) of one scene, a row each, with what else is known of them."""
-    import pandas as pd
-
-    texts = {"scene": [scene] * len(boxes), **{name: columns.pop(name) for name in ("name",) if name in columns}}
-    frame = pd.DataFrame(boxes, columns=list(_BOX)).assign(**columns)
-    # Texts are objects, of no rows too.
-    return frame.assign(**{name: pd.Series(list(values), dtype=object) for name, values in texts.items()})
+def _boxes(frames: Sequence[DetectedFrame], parts: Sequence[Found | Truth]) -> dict[str, Any]:
+    """Scene and box of what was found, or was to be found, in each of some frames, a row each."""
+    scenes = [frame.scene for frame, part in zip(frames, parts, strict=True) for _ in part.boxes]
+    return {"scene": scenes, **dict(zip(_BOX, _joined(parts, "boxes")["boxes"].T, strict=True))}

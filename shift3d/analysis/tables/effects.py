@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from shift3d.analysis.results import PLACE, one_baseline, with_places
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
-from shift3d.analysis.tables.objects import PLACE, one_baseline, with_places
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
 from shift3d.errors import InputError
@@ -24,19 +24,8 @@ from shift3d.store.atomic import write_atomic
 LEAST_SCENES = 8
 """Fewer say too little for `auto` to go by (our choice: at 8 the intervals hold in 88 % of the cases, not in 95 %)."""
 
-_PAIR = [
-    "vehicle",
-    "dataset",
-    "scene",
-    "mode",
-    "lambda",
-    "alpha",
-    "detector",
-    "accuracy",
-    "search",
-    *PLACE,
-    "scored_by",
-]
+_PAIR = ["vehicle", "dataset", "scene", "mode", "lambda", "alpha", "detector", "accuracy", "search"]
+_PAIR += [*PLACE, "scored_by"]
 MEANINGS = {
     "|change|": "mean absolute change of the unchanged vehicle's score, with its 95 % interval (scenes resampled)",
     "AUC": "change of the mean score, baseline and adversarial (searched again under the effect), likewise",

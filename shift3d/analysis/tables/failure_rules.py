@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from shift3d.analysis.results import one_baseline
 from shift3d.analysis.statistics.intervals import Interval, difference_interval
-from shift3d.analysis.tables.objects import one_baseline
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.errors import InputError
 from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg, find_rules

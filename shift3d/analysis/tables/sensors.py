@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
+from shift3d.analysis.results import PLACE, with_places
 from shift3d.analysis.statistics.intervals import mean_interval, ratio_interval
-from shift3d.analysis.tables.objects import PLACE, with_places
 from shift3d.analysis.tables.table import Table, interval_text, number
 
 _TRANSFER_GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]

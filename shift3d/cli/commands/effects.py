@@ -49,7 +49,7 @@ def _measured(path: Path) -> dict[str, float]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from shift3d.analysis.figures.effects import effects_figure
+    from shift3d.analysis.figures.sweep import effects_figure
     from shift3d.analysis.html.pages import write_effects_page
     from shift3d.analysis.tables.effects import (
         LEAST_SCENES,

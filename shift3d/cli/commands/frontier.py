@@ -16,6 +16,7 @@ from shift3d.cli.outcomes import mirror
 from shift3d.cli.words import take_folders
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode
+from shift3d.progress_bar import progress_bar
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -212,22 +213,31 @@ def groups_of(config: FrontierSweep) -> list[SceneGroup]:
 
 def _measure(config: FrontierSweep, plan: FrontierPlan, folder: Path, again: bool) -> None:
     """Measure, write the table and its report, print them."""
-    from shift3d.accuracy_time.drive import expected_minutes, measure_frontier
+    from shift3d.accuracy_time.drive import measure_frontier
     from shift3d.accuracy_time.rows import frontier_rows
     from shift3d.accuracy_time.timing import machine
     from shift3d.analysis.html.pages import write_frontier_report
-    from shift3d.cli.progress import SecondsBar
     from shift3d.store.frontier_table import frontier_table
     from shift3d.store.tables import write_table
 
     groups = groups_of(config)
     cases = len(plan.cases) * len(groups)
-    minutes = expected_minutes(plan, len(groups))
+    expected_s = plan.expected_seconds(len(groups))
     what = f"{counted(len(plan.settings), 'setting')} on {counted(cases, 'case')}"
-    print(f"{what}, about {minutes} min on a quiet core without bfloat16")
+    print(f"{what}, about {round(expected_s / 60)} min on a quiet core without bfloat16")
     print(f"writing to {folder}", flush=True)
-    with SecondsBar(plan.expected_seconds(len(groups))) as bar:
-        measured = measure_frontier(groups, plan, folder, again, bar.tell)
+    # In seconds of expected work, as its pieces take from a second to minutes.
+    shown = "{percentage:3.0f} %|{bar}| {elapsed}<{remaining}{postfix}"
+    with progress_bar(slow_s=30.0, total=expected_s, bar_format=shown, smoothing=0.0) as bar:
+
+        def tell(name: str, seconds: float, known: bool) -> None:
+            """Name what is under way, and count what is done; what was known before takes no part in the speed."""
+            bar.set_postfix_str(name, refresh=sys.stderr.isatty() and not known)
+            if known:
+                bar.initial += seconds
+            bar.update(min(seconds, max(0.0, bar.total - bar.n)))
+
+        measured = measure_frontier(groups, plan, folder, again, tell)
     if undecided := sum(case.undecided for case in measured):
         print(f"warning: the reference could not decide {undecided} beams: what they hit is not known", file=sys.stderr)
     rows = frontier_rows(plan.settings, measured)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from shift3d.analysis.cases.measures import change_lines, in_words
 from shift3d.analysis.cases.rendered import simplified
+from shift3d.analysis.html.sections.cases import change_lines, in_words
 from shift3d.vehicles.mesh_measures import measure_mesh
 
 

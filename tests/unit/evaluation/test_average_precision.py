@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from frames_by_hand import cars, frame, shift_for
 
-from shift3d.evaluation.average_precision import FrameMatches, area_r40, greedy_curve, match_frame
+from shift3d.evaluation.average_precision import FrameMatches, PrecisionRecall, area_r40, greedy_curve, match_frame
 from shift3d.evaluation.frames import compare
-from shift3d.evaluation.precision_recall import PrecisionRecall
 
 
 def _match(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from frames_by_hand import cars, frame, shift_for
 
+from shift3d.evaluation.average_precision import PrecisionRecall
 from shift3d.evaluation.frames import DetectedFrame, compare
-from shift3d.evaluation.precision_recall import PrecisionRecall
 from shift3d.evaluation.waymo import SCORE_CUTOFFS, WaymoRules, area_with_gaps, assign, waymo_curve
 
 

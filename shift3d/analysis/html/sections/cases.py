@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from shift3d.analysis.cases.chosen import Case, hardest
-from shift3d.analysis.cases.measures import change_lines, in_words
 from shift3d.analysis.cases.rendered import Loaded, Rendered, render_again
 from shift3d.analysis.html.blocks import Article, Block, Command, Fold, Paragraph, Section, Terms
 from shift3d.analysis.html.scene_figures import from_above, turnable
-from shift3d.analysis.html.sections.paths import case_path
+from shift3d.analysis.html.sections.curves import case_path
 from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.patterns import NAMES
 from shift3d.analysis.tables.table import Table
 from shift3d.errors import InputError
 from shift3d.geometry.se3 import wrap_angle
-from shift3d.vehicles.mesh_measures import DEFINITIONS, measure_mesh
+from shift3d.vehicles.mesh_measures import DEFINITIONS, Measures, measure_mesh
 from shift3d.wording import counted
 
 if TYPE_CHECKING:
@@ -61,8 +61,7 @@ def _left_out(unnatural: set[str], chosen: list[Case]) -> str:
 
 def _case(sweep: Sweep, case: Case, number: int, loaded: Loaded) -> Article:
     (task,) = sweep.plan.tasks.starting_with(case.task_id)
-    rows = sweep.solutions[(sweep.solutions["task_id"] == case.task_id) & (sweep.solutions["replicate"] == 0)]
-    both = [rows[rows["method"] == method].iloc[0].to_dict() for method in ("baseline", "adversarial")]
+    both = [row.to_dict() for row in sweep.pair_of(case.task_id)]
     centre = np.mean([[row["x_m"], row["y_m"]] for row in both], axis=0)
     before, after = (render_again(task, row, centre, loaded) for row in both)
     key = f"case-{number}"
@@ -130,3 +129,52 @@ def _scored_again(case: Case, before: Rendered, after: Rendered) -> str:
     scores = f"Scored again for this page: {before.score:.4f} and {after.score:.4f}, off the sweep's by {off:.1e}."
     why = " The program is not the one that ran the sweep, or the machine rounds otherwise." if off > 1e-3 else ""
     return f"Task {case.task_id}. {scores}{why}"
+
+
+# Sentences for less and more, and from which change on a change is named: below it the mesh's own grid speaks.
+_WORDS = {
+    "length_cm": ("{} cm shorter", "{} cm longer", 1.0),
+    "height_cm": ("{} cm lower", "{} cm higher", 1.0),
+    "width_cm": ("{} cm narrower", "{} cm wider", 1.0),
+    "clearance_cm": ("underside {} cm nearer to the ground", "underside {} cm farther from the ground", 1.0),
+    "nose_cm": ("nose {} cm lower", "nose {} cm higher", 1.0),
+    "tail_cm": ("tail {} cm lower", "tail {} cm higher", 1.0),
+    "bonnet_cm": ("bonnet {} cm shorter", "bonnet {} cm longer", 1.0),
+    "windshield_deg": ("windshield {}° flatter", "windshield {}° steeper", 1.0),
+}
+
+
+def change_lines(before: Measures, after: Measures) -> list[list[str]]:
+    """Lines of a table: measure, baseline, adversarial, change."""
+    lines = []
+    for field, (name, unit, digits) in NAMES.items():
+        old, new = getattr(before, field), getattr(after, field)
+        change = "-" if old is None or new is None else f"{_signed(new - old, digits)} {unit}".strip()
+        lines.append([name, *(_with_unit(value, unit, digits) for value in (old, new)), change])
+    return lines
+
+
+def _signed(value: float, digits: int) -> str:
+    text = f"{value:+.{digits}f}"
+    return text if float(text) else f"{0:.{digits}f}"
+
+
+def _with_unit(value: float | None, unit: str, digits: int) -> str:
+    return "not measured" if value is None else f"{value:.{digits}f} {unit}".strip()
+
+
+def in_words(before: Measures, after: Measures) -> str:
+    """What changed, in a sentence."""
+    parts = []
+    for field, (less, more, least) in _WORDS.items():
+        old, new = getattr(before, field), getattr(after, field)
+        if old is None or new is None or abs(new - old) < least:
+            continue
+        parts.append((more if new > old else less).format(f"{abs(new - old):.0f}"))
+    if before.volume_m3 and after.volume_m3:
+        share = after.volume_m3 / before.volume_m3 - 1.0
+        if abs(share) >= 0.01:
+            parts.append(f"{abs(share):.0%} {'more' if share > 0 else 'less'} volume")
+    if after.pieces != before.pieces:
+        parts.append(f"{after.pieces} pieces in place of {before.pieces}")
+    return f"{', '.join(parts)}." if parts else "No measure changes by 1 cm, 1° or 1 % of the volume."

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 from shift3d.analysis.html.blocks import Block, Fold, Items, Paragraph, Section, Terms
 from shift3d.analysis.results import Sweep
@@ -12,7 +11,6 @@ from shift3d.analysis.tables.choices import choice_tables, reasons
 from shift3d.analysis.tables.coverage import coverage_lines, rows_by_status, stage_times
 from shift3d.analysis.tables.table import Table
 from shift3d.sweep.planning.plan_view import skipped_lines
-from shift3d.sweep.planning.tasks import TaskGroup
 from shift3d.sweep.results.hyperparameters import NEARLY_EQUAL
 from shift3d.wording import counted
 
@@ -62,6 +60,8 @@ def _facts(sweep: Sweep) -> dict[str, str]:
     specs = [group.template for group in groups]
     modes = _counts((group.tasks, (group.template.mode,)) for group in groups)
     requested = _counts((group.tasks, group.effects_requested) for group in groups)
+    ran = _counts((group.tasks, group.template.effects) for group in groups)
+    pairs = dict.fromkeys((spec.detector, spec.scored_by) for spec in specs)
     by_dataset = Counter(dataset for dataset, _ in sorted(plan.tasks.scenes()))
     attack = plan.settings.get("attack", {})
     return {
@@ -70,17 +70,13 @@ def _facts(sweep: Sweep) -> dict[str, str]:
         "Changed settings": ", ".join(plan.overrides) or "none",
         "Scenes": "; ".join(f"{count} of {name}" for name, count in by_dataset.items()),
         "Vehicles": ", ".join(dict.fromkeys(spec.vehicle.replace("_", " ") for spec in specs)),
-        "Detectors": "; ".join(_detectors(specs)),
+        "Detectors": "; ".join(f"{attacked} attacked, scored by {', '.join(by)}" for attacked, by in pairs),
         "Accuracy": ", ".join(dict.fromkeys(spec.accuracy for spec in specs)),
         "Effects requested, by tasks": ", ".join(f"{name} ({count})" for name, count in requested.items()),
-        "Effects that ran, by tasks": _ran(groups),
+        "Effects that ran, by tasks": ", ".join(f"{name} ({count})" for name, count in ran.items())
+        or "none: occlusion alone, as the paper",
         "Attack": ", ".join(f"{name} {attack[name]}" for name in _SETTINGS if name in attack),
     }
-
-
-def _detectors(specs: list[Any]) -> list[str]:
-    pairs = dict.fromkeys((spec.detector, spec.scored_by) for spec in specs)
-    return [f"{attacked} attacked, scored by {', '.join(by)}" for attacked, by in pairs]
 
 
 def _counts(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
@@ -90,11 +86,6 @@ def _counts(named: Iterable[tuple[int, Sequence[str]]]) -> Counter[str]:
         for name in names:
             counts[name] += tasks
     return counts
-
-
-def _ran(groups: list[TaskGroup]) -> str:
-    ran = _counts((group.tasks, group.template.effects) for group in groups)
-    return ", ".join(f"{name} ({count})" for name, count in ran.items()) or "none: occlusion alone, as the paper"
 
 
 def _axes(axes: dict[str, list[str]]) -> Block:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, key_values, whole_number, writable_folder
@@ -17,7 +19,6 @@ from shift3d.wording import counted
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from shift3d.analysis.mlflow.training import TrainingCurves
     from shift3d.training.command import TrainOptions
 
 _DESCRIPTION = """\
@@ -93,16 +94,14 @@ def _run(arguments: argparse.Namespace) -> int:
         if key in values:
             raise InputError(f"{key}= says something about vehicles=", where="train", remedy="Give vehicles=PATH too")
     model, options = values["model"], _options(values, _recipe_words(fields))
-    curves = _curves(values, model, options)
-    report = None if curves is None else _warning(curves)
-    began = time.monotonic()
-    if "finetune" in values:
-        weights = _fine_tune(values, options, report)
-    else:
-        from shift3d.training.command import train
+    with _curves(values, model, options) as report:
+        began = time.monotonic()
+        if "finetune" in values:
+            weights = _fine_tune(values, options, report)
+        else:
+            from shift3d.training.command import train
 
-        weights = train(model, options, report)
-    _finish(curves)
+            weights = train(model, options, report)
     print(f"{model}: done after {(time.monotonic() - began) / 60:.1f} min, weights and their JSON: {weights}")
     return 0
 
@@ -153,11 +152,13 @@ def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> Tr
     )
 
 
-def _curves(values: dict[str, str], model: str, options: TrainOptions) -> TrainingCurves | None:
-    """The MLflow run of this training, None where none is wanted."""
+@contextmanager
+def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Iterator[Callable[[Any], None] | None]:
+    """What reports a training to its MLflow run, and says once that MLflow is away; None where no run is wanted."""
     uri = values.get("mlflow", _STORE)
     if uri == "none":
-        return None
+        yield None
+        return
     from shift3d.analysis.mlflow.store_uri import check_store
 
     check_store(uri, "mlflow")
@@ -179,27 +180,20 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Traini
         params["recipe"] = asdict(SdfRecipe())
     # One run a folder and command: the same command again goes on with it.
     key = f"{options.out.resolve()} {sorted(words.items())}"
-    return TrainingCurves(uri, _EXPERIMENT, f"train-{model}", key.replace("'", ""), params)
-
-
-def _warning(curves: TrainingCurves) -> Any:
-    """The report of a training that says once that MLflow is away."""
-    warned: list[bool] = []
+    curves = TrainingCurves(uri, _EXPERIMENT, f"train-{model}", key.replace("'", ""), params)
+    warned = False
 
     def report(points: Any) -> None:
+        nonlocal warned
         curves(points)
         if curves.problem and not warned:
-            warned.append(True)
-            print(f"warning: no curves in MLflow ({curves.uri}): {curves.problem}", file=sys.stderr)
+            warned = True
+            print(f"warning: no curves in MLflow ({uri}): {curves.problem}", file=sys.stderr)
 
-    return report
-
-
-def _finish(curves: TrainingCurves | None) -> None:
-    if curves is not None:
-        curves.finish()
-        if curves.problem:
-            print(f"warning: the curves are not all in MLflow ({curves.uri}): {curves.problem}", file=sys.stderr)
+    yield report
+    curves.finish()
+    if curves.problem:
+        print(f"warning: the curves are not all in MLflow ({uri}): {curves.problem}", file=sys.stderr)
 
 
 def _train_on_meshes(values: dict[str, str]) -> int:
@@ -211,19 +205,17 @@ def _train_on_meshes(values: dict[str, str]) -> int:
     _check_mesh_words(values, wide)
     frame = None if wide else mesh_frame(values, "train")
     options = _options({**values, "out": values.get("out", "outputs/train-vehicles")})
-    curves = _curves(values, "sdf", options)
-    report = None if curves is None else _warning(curves)
-    if frame is None:
-        from shift3d.training.sdf.parametric import train_wide
+    with _curves(values, "sdf", options) as report:
+        if frame is None:
+            from shift3d.training.sdf.parametric import train_wide
 
-        chamfer_cm = sorted(train_wide(options.out, options.compute(), options.count, options.steps, report))
-    else:
-        from shift3d.training.sdf.on_meshes import STEPS, train_on_meshes
+            chamfer_cm = sorted(train_wide(options.out, options.compute(), options.count, options.steps, report))
+        else:
+            from shift3d.training.sdf.on_meshes import STEPS, train_on_meshes
 
-        steps = options.steps or STEPS
-        vehicles = train_on_meshes(values["vehicles"], frame, options.out, options.compute(), steps, report)
-        chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
-    _finish(curves)
+            steps = options.steps or STEPS
+            vehicles = train_on_meshes(values["vehicles"], frame, options.out, options.compute(), steps, report)
+            chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
     print(
         f"{counted(len(chamfer_cm), 'vehicle')}, decoder and codes in {options.out}/; symmetric Chamfer distance "
         f"to their meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"

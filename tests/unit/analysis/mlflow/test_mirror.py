@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from shift3d.analysis.mlflow import sweep_groups
-from shift3d.analysis.mlflow.auc_view import share_view, shared_views
+from shift3d.analysis.mlflow.client import share_view, shared_views
 from shift3d.analysis.mlflow.sweep import SweepRecord, mirror
 from shift3d.evaluation.recall_curve import recall_curve
 

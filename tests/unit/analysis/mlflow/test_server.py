@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import sync_playwright
 
-from shift3d.analysis.mlflow.auc_view import share_view
+from shift3d.analysis.mlflow.client import share_view
 from shift3d.analysis.mlflow.server import HOST, open_port
 from shift3d.cli.main import main
 from shift3d.errors import InputError
