@@ -163,7 +163,7 @@ class Effect(ABC):
     reads_incidence: bool = False
 
     @abstractmethod
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Why this scene calls for the effect, in a few words with figures; None where it does not.
 
         Asked only where the scene has what the effect needs (`effects.applicability.NEEDS`).

@@ -13,7 +13,6 @@ from shift3d.effects.chain import SCENE_ALBEDO
 from shift3d.effects.physics.materials import albedo_of
 from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
 from shift3d.render.beams import Beams
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.render.implicit import cosine_of_incidence
 from shift3d.render.render import render
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
@@ -50,7 +49,7 @@ class Divergence(Effect):
     name = "divergence"
     kind: Kind = "footprint"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the cone is wider than `LEAST_FOOTPRINT_M` at the farthest place."""
         width = PLACEMENT_LIMIT_M * (scene.sensor.divergence_rad or 0.0)
         if not width > LEAST_FOOTPRINT_M:

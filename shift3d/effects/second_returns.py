@@ -7,7 +7,6 @@ from torch import Tensor
 
 from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
 from shift3d.effects.physics.pairing import NO_NUMBER, BeamReturns
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
@@ -29,7 +28,7 @@ class SecondReturns(Effect):
     name = "second_returns"
     kind: Kind = "returns"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Where beams have more than one return that can be paired."""
         if scene.returns <= 1 or not scene.has_pixels:
             return None

@@ -23,7 +23,6 @@ from shift3d.effects.physics.power import (
     overlap,
     reach_m,
 )
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 PULSE_S = 20e-9
@@ -153,7 +152,7 @@ class Fog(WeatherEffect):
 
     name = "fog"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see, and that shows: in reflectance,
         at the sensor's limit, or because fog outshines surfaces."""
         visibility_m = scene.conditions.visibility_m

@@ -16,7 +16,6 @@ from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEff
 from shift3d.effects.physics import power as law
 from shift3d.effects.physics.pairing import BeamReturns
 from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.sensor import SensorModel
@@ -277,7 +276,7 @@ class Precipitation(WeatherEffect):
     def particles(self, rate_mm_h: float) -> Particles:
         """At a rate above 0."""
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see."""
         rate = self.rate_mm_h(scene.conditions)
         if rate == 0.0:

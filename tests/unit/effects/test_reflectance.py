@@ -102,7 +102,7 @@ def test_it_carries_no_gradient():
 def test_applies_where_a_detector_reads_what_the_scene_has():
     with_it, without = (SceneFacts.of(context_of(20, known).scene) for known in (True, False))
     reader, coordinates = DetectorFacts("sst", reads_reflectance=True), DetectorFacts("pointpillars")
-    reason = EFFECT.applicability(with_it, Frame(), reader)
+    reason = EFFECT.applicability(with_it, reader)
     assert reason is not None and "sst" in reason
-    assert EFFECT.applicability(with_it, Frame(), coordinates) is None
-    assert EFFECT.applicability(without, Frame(), reader) is None
+    assert EFFECT.applicability(with_it, coordinates) is None
+    assert EFFECT.applicability(without, reader) is None

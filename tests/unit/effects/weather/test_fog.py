@@ -198,7 +198,7 @@ def facts_of(visibility_m: float, **known: object) -> SceneFacts:
 
 
 def test_applies_with_figures():
-    reason = EFFECT.applicability(facts_of(50.0), Frame(), BLIND)
+    reason = EFFECT.applicability(facts_of(50.0), BLIND)
     # 1 - exp(-2 * 30 ln 20 / 50) = 0.973
     assert reason is not None
     assert "visibility 50 m: 97 % of the light is lost at 30 m and back" in reason
@@ -206,11 +206,11 @@ def test_applies_with_figures():
 
 def test_does_not_apply_where_it_cannot_matter():
     limited = SensorModel(limit_range_m=100.0)
-    assert EFFECT.applicability(facts_of(math.inf, sensor=limited), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(math.inf, sensor=limited), BLIND) is None
     # 2 * 50 ln 20 / MOR = 1 % at 30 km.
-    assert EFFECT.applicability(facts_of(31_000.0, sensor=limited), Frame(), BLIND) is None
-    assert EFFECT.applicability(facts_of(29_000.0, sensor=limited), Frame(), BLIND) is not None
+    assert EFFECT.applicability(facts_of(31_000.0, sensor=limited), BLIND) is None
+    assert EFFECT.applicability(facts_of(29_000.0, sensor=limited), BLIND) is not None
     # At 500 m no surface within 50 m is outshone: only what reads reflectance, or knows a limit, would notice.
-    assert EFFECT.applicability(facts_of(500.0), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(500.0), BLIND) is None
     reader = DetectorFacts("xyzi", reads_reflectance=True)
-    assert EFFECT.applicability(facts_of(500.0, has_reflectance=True), Frame(), reader) is not None
+    assert EFFECT.applicability(facts_of(500.0, has_reflectance=True), reader) is not None

@@ -270,16 +270,16 @@ def facts_of(rain_mm_h: float, in_points: bool = True) -> SceneFacts:
 
 
 def test_applies_with_figures():
-    reason = EFFECT.applicability(facts_of(10.0), Frame(), BLIND)
+    reason = EFFECT.applicability(facts_of(10.0), BLIND)
     # 1 - exp(-2 * 1.555e-3 * 30) = 0.089
     assert reason == "rain 10 mm/h: 8.9 % of the light is lost at 30 m and back"
 
 
 def test_does_not_apply_where_it_cannot_matter():
-    assert EFFECT.applicability(facts_of(0.0), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.0), BLIND) is None
     # 0.9 % of the light at 50 m, and 1.1 %.
-    assert EFFECT.applicability(facts_of(0.1), Frame(), BLIND) is None
-    assert EFFECT.applicability(facts_of(0.15), Frame(), BLIND) is not None
+    assert EFFECT.applicability(facts_of(0.1), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.15), BLIND) is not None
 
 
 def test_recordings_have_their_rain_already():

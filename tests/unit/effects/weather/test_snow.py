@@ -192,12 +192,12 @@ def facts_of(snow_mm_h: float) -> SceneFacts:
 
 
 def test_applies_with_figures():
-    reason = EFFECT.applicability(facts_of(1.0), Frame(), BLIND)
+    reason = EFFECT.applicability(facts_of(1.0), BLIND)
     # 1 - exp(-2 * 3.24e-3 * 30) = 0.177
     assert reason == "snow 1 mm/h: 18 % of the light is lost at 30 m and back"
-    assert EFFECT.applicability(facts_of(0.0), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.0), BLIND) is None
     # 2 * 50 m * 3.24e-3 Rr^0.57 = 1 % at 0.0023 mm/h.
-    assert EFFECT.applicability(facts_of(0.001), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.001), BLIND) is None
 
 
 def test_recordings_have_their_snow_already():

@@ -174,8 +174,8 @@ def facts_of(in_points: bool = False, **known: object) -> SceneFacts:
 
 def test_applies_in_rain_over_ground_in_view():
     detector = DetectorFacts("xyz")
-    reason = EFFECT.applicability(facts_of(), Frame(), detector)
+    reason = EFFECT.applicability(facts_of(), detector)
     share = float(wet_albedo(values(0.3), values(1.73 / 20.0))) / 0.3
     assert reason == f"rain 5 mm/h wets the ground: {100.0 * share:.0f} % of its echo is left at 20 m"
-    assert EFFECT.applicability(facts_of(ground_in_view=False), Frame(), detector) is None
-    assert EFFECT.applicability(facts_of(in_points=True), Frame(), detector) is None
+    assert EFFECT.applicability(facts_of(ground_in_view=False), detector) is None
+    assert EFFECT.applicability(facts_of(in_points=True), detector) is None
