@@ -17,7 +17,6 @@ from shift3d.effects.physics.power import (
     LEAST_LOSS,
     OVERLAP_FROM_M,
     PowerLimit,
-    at_ranges,
     echo_power,
     loss,
     overlap,
@@ -198,8 +197,7 @@ def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit, later: Tensor |
     left = left.index_copy(0, rows, torch.exp(log_soft[rows]) * nearness**2)
     albedo = returns.albedo.index_copy(0, rows, returns.albedo[rows] * returns.cosine[rows])
     changed = replace(
-        returns.without(lost),
-        points=at_ranges(returns, rows, soft_m[rows]),
+        returns.without(lost).moved_to(soft_m[rows], rows),
         on_object=returns.on_object & ~fog,
         albedo=(albedo * left).clamp(max=1.0),
         cosine=returns.cosine.index_fill(0, rows, 1.0),

@@ -49,7 +49,7 @@ def test_it_does_not_depend_on_range():
     """What is reported is corrected for range: the same surface twice as far reports the same."""
     context = context_of()
     before = returns_of(context)
-    farther = before.moved_to(2.0 * before.range_m, before.on_object)
+    farther = before.moved_to(2.0 * before.range_m[before.on_object], before.on_object.nonzero().squeeze(1))
     step = EFFECT.bind(context)
     near, far = step(before).reflectance, step(farther).reflectance
     assert near is not None and far is not None and torch.equal(near, far)
