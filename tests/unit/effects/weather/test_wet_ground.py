@@ -8,6 +8,7 @@ import pytest
 import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
+from weather_by_hand import assert_same
 
 from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.physics.power import survival
@@ -45,11 +46,6 @@ def returns_of(context: EffectContext, on_object: bool = False, albedo: float = 
     points = beams.points.double()
     shown = albedo * one
     return Returns(torch.arange(COUNT), points, beams.origins, beams.directions, there, yes, one, shown, shown)
-
-
-def assert_same(one: Returns, other: Returns) -> None:
-    for name, part in vars(one).items():
-        assert torch.equal(part, vars(other)[name]), name
 
 
 def test_fresnel_head_on_along_and_at_brewsters_angle():
