@@ -91,10 +91,6 @@ class NoPlacement:
     attempts: int
     rejected: dict[str, int]
 
-    def reason(self) -> str:
-        """One line for a log or a result row."""
-        return f"no valid placement in {self.attempts} attempts ({refusals(self.rejected)})"
-
 
 def refusals(rejected: Mapping[str, int]) -> str:
     """Reasons in words with their counts, most frequent first."""

@@ -7,7 +7,7 @@ Otherwise a new surface is wrapped around it (see `shift3d.vehicles.wrap`), and 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -45,10 +45,6 @@ class RepairReport:
     seal_m: float = 0.0
     departure_m: float = 0.0
     departure_p99_m: float = 0.0
-
-    def facts(self) -> dict[str, bool | int | float]:
-        """For a JSON file."""
-        return asdict(self)
 
     def __str__(self) -> str:
         done = [
