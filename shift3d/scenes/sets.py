@@ -83,8 +83,8 @@ class RecordedScenes(ABC):
 
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """See `SceneSet`: what is said about a scene's files, and where each lies in which version."""
-        said, files = self._made_of(name)
-        return (self.dataset, name, *said, *(f"{file.absolute()}: {file.version()}" for file in files))
+        settings, files = self._made_of(name)
+        return (self.dataset, name, *settings, *(f"{file.absolute()}: {file.version()}" for file in files))
 
     @abstractmethod
     def _made_of(self, name: str) -> tuple[Iterable[str | int | float | None], Iterable[Location]]:
