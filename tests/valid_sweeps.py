@@ -33,7 +33,6 @@ _BY_TYPE: dict[Any, Any] = {pa.string(): "text", pa.float64(): 0.5, pa.int32(): 
 def catalogue(config: Config) -> Catalogue:
     return Catalogue(
         scenes=tuple(SceneEntry(name, "street-hdl64", name[0], SceneFacts(name)) for name in SCENES),
-        frame_of=lambda _: None,  # no effect that asks for it
         scene_arguments={"kind": "street"},
         sector_rad=(0.5, 1.0),
         vehicles={"suv": "hash"},

@@ -15,7 +15,6 @@ from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 if TYPE_CHECKING:
     from shift3d.effects.base import Effect
-    from shift3d.render.field.object_field import VehicleFrame
 
 MEASURED_IMPACT = Path(__file__).resolve().parent / "measured" / "effects.json"
 """The impact of each effect as measured by `sweeps/effects.yaml`."""
@@ -111,9 +110,7 @@ class Choice:
     milliseconds: float | None = None
 
 
-def choose(
-    wanted: str | Sequence[str], scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts
-) -> list[Choice]:
+def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
     """Effects for a scene, in their order; those that the scene has no data for are not mentioned.
 
     Args:
@@ -122,7 +119,7 @@ def choose(
     Raises InputError: an unknown name; an effect that the scene has no data for.
     """
     if wanted == "auto":
-        return _applicable(scene, vehicle, detector)
+        return _applicable(scene, detector)
     if isinstance(wanted, str):
         wanted = () if wanted == "none" else (wanted,)
     for name in wanted:
@@ -140,12 +137,12 @@ def choose(
     ]
 
 
-def _applicable(scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> list[Choice]:
+def _applicable(scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
     choices = []
     for name, need in NEEDS.items():
         if not need.present(scene) or (need.by_reader and not detector.reads_reflectance):
             continue
-        reason = effect_named(name).applicability(scene, vehicle, detector)
+        reason = effect_named(name).applicability(scene, detector)
         if reason is None:
             continue
         impact = measured_impact().get(name)

@@ -10,6 +10,7 @@ returns     changes what comes back; on the beams that an insertion touched, and
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -50,6 +51,15 @@ class EffectContext:
     seed: int
     object_speed_m_s: float = 0.0
     heading_rad: float = 0.0
+
+    @functools.cached_property
+    def reflectance(self) -> Tensor | None:
+        """(N,) float64 of the scene's points, 0 of rows beyond them; None where the scene has none."""
+        values = self.scene.reflectance
+        if values is None:
+            return None
+        known = torch.from_numpy(values).double()
+        return torch.cat((known, known.new_zeros(len(self.beams) - len(known))))
 
     def draws(self, effect: str, what: str = "") -> np.random.Generator:
         """A fresh generator of one effect's randomness.
@@ -112,10 +122,10 @@ class Returns:
         offset = (self.points - self.origins) * self.directions
         return offset[:, 0] + offset[:, 1] + offset[:, 2]  # in a third of the time of a sum over rows of three
 
-    def moved_to(self, range_m: Tensor, rows: Tensor) -> Returns:
-        """With other ranges (K,) where rows (K,) bool says so; points elsewhere stay bit for bit."""
-        moved = self.origins + range_m[:, None] * self.directions
-        return replace(self, points=torch.where(rows[:, None], moved, self.points))
+    def moved_to(self, range_m: Tensor, places: Tensor) -> Returns:
+        """With other ranges (M,) at places (M,) int64 among the rows; points elsewhere stay bit for bit."""
+        moved = self.origins[places] + range_m[:, None] * self.directions[places]
+        return replace(self, points=self.points.index_copy(0, places, moved)) if len(places) else self
 
     def without(self, rows: Tensor) -> Returns:
         """Nothing comes back where rows (K,) bool says so."""
@@ -163,7 +173,7 @@ class Effect(ABC):
     reads_incidence: bool = False
 
     @abstractmethod
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Why this scene calls for the effect, in a few words with figures; None where it does not.
 
         Asked only where the scene has what the effect needs (`effects.applicability.NEEDS`).

@@ -147,7 +147,7 @@ class EffectChain:
         shift = self.cast.shift_m
         points = cast_points if shift is None else cast_points + shift[row]
         yes = torch.ones(len(row), dtype=torch.bool)
-        reflectance = self._scene_reflectance()
+        reflectance = self.context.reflectance
         return Returns(
             row,
             points,
@@ -160,20 +160,13 @@ class EffectChain:
             None if reflectance is None else reflectance[row],
         )
 
-    def _scene_reflectance(self) -> Tensor | None:
-        values = self.context.scene.reflectance
-        if values is None:
-            return None
-        known = torch.from_numpy(values).double()
-        return torch.cat((known, known.new_zeros(len(self.beams) - len(known))))
-
     def _scene_returns(self) -> Returns:
         """The scene's own points, and rows without a return without a return."""
         beams, no_return = self.beams, self.cast.no_return
         count = len(beams)
         none = torch.zeros(count, dtype=torch.bool)
         returned = beams.carries if no_return is None else beams.carries & ~no_return
-        reflectance = self._scene_reflectance()
+        reflectance = self.context.reflectance
         albedo = torch.full((count,), SCENE_ALBEDO, dtype=torch.float64) if reflectance is None else reflectance
         return Returns(
             torch.arange(count),
@@ -215,7 +208,7 @@ class EffectChain:
         hit_mask[returns.row] = returns.on_object & returns.returned
         reflectance = returns.reflectance
         if reflectance is not None:
-            base = self._scene_reflectance() if background is None else background.reflectance
+            base = self.context.reflectance if background is None else background.reflectance
             assert base is not None
             reflectance = base.index_copy(0, returns.row, reflectance.detach())
         return replace(

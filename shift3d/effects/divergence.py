@@ -13,7 +13,6 @@ from shift3d.effects.chain import SCENE_ALBEDO
 from shift3d.effects.physics.materials import albedo_of
 from shift3d.effects.physics.silhouettes import at_silhouettes, sub_rays
 from shift3d.render.beams import Beams
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.render.implicit import cosine_of_incidence
 from shift3d.render.render import render
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
@@ -50,7 +49,7 @@ class Divergence(Effect):
     name = "divergence"
     kind: Kind = "footprint"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the cone is wider than `LEAST_FOOTPRINT_M` at the farthest place."""
         width = PLACEMENT_LIMIT_M * (scene.sensor.divergence_rad or 0.0)
         if not width > LEAST_FOOTPRINT_M:
@@ -177,21 +176,16 @@ class _Footprint:
         origins = origins if shift is None else origins + shift[row]
         points = origins + verdict.range_m[gained, None] * directions
         yes = torch.ones(len(row), dtype=torch.bool)
-        reflectance = None if returns.reflectance is None else self._of_scene(row, 0.0)
+        known = self.context.reflectance
+        reflectance = None if known is None else known[row]
         cosine, albedo = verdict.cosine[gained], verdict.albedo[gained]
         return _together(returns, Returns(row, points, origins, directions, yes, yes, cosine, albedo, reflectance))
 
     def _scene_albedo(self, rows: Tensor) -> Tensor:
         """(C,) albedo of what beams met before; 0 of no-return beams."""
-        return torch.where(rows < len(self.context.scene.points), self._of_scene(rows, SCENE_ALBEDO), 0.0)
-
-    def _of_scene(self, rows: Tensor, unknown: float) -> Tensor:
-        """(C,) float64 reflectance of the scene's points, 0 beyond them; `unknown` where it has none."""
-        values, count = self.context.scene.reflectance, len(self.context.scene.points)
-        if values is None:
-            return torch.full((len(rows),), unknown, dtype=torch.float64)
-        known = torch.from_numpy(values[rows.clamp_max(count - 1).numpy()]).double()
-        return torch.where(rows < count, known, 0.0)
+        if (known := self.context.reflectance) is not None:
+            return known[rows]
+        return SCENE_ALBEDO * (rows < len(self.context.scene.points)).double()
 
 
 def _cast(starts: Tensor, around: Tensor, ends: Tensor, insertion: Insertion) -> tuple[Tensor, Tensor]:
@@ -219,10 +213,8 @@ def _moved(returns: Returns, rows: Tensor, moved: Tensor, verdict: _Verdict) -> 
     if not bool(moved.any()):
         return returns
     place = _places(returns, rows[moved])
-    range_m = returns.range_m.detach().index_copy(0, place, verdict.range_m[moved])
-    chosen = torch.zeros(len(returns), dtype=torch.bool).index_fill(0, place, True)
     return replace(
-        returns.moved_to(range_m, chosen),
+        returns.moved_to(verdict.range_m[moved], place),
         cosine=returns.cosine.index_copy(0, place, verdict.cosine[moved]),
         albedo=returns.albedo.index_copy(0, place, verdict.albedo[moved]),
     )

@@ -10,7 +10,6 @@ from torch import Tensor
 from shift3d.effects.base import Cast, CastStep, Effect, EffectContext, Kind
 from shift3d.effects.chain import NO_RETURN_M
 from shift3d.render.beams import Beams
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.sensor import NoReturnBeams
 
@@ -28,7 +27,7 @@ class NoReturnCast(Effect):
     name = "no_return_beams"
     kind: Kind = "cast"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """See `Effect`. The facts do not tell where the beams point, so any is a reason."""
         return f"{scene.no_return_beams} beams without a return may meet the object" if scene.no_return_beams else None
 

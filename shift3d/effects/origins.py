@@ -6,7 +6,6 @@ from dataclasses import replace
 
 from shift3d.effects.base import CastStep, Effect, EffectContext, Kind
 from shift3d.render.beams import Beams
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
@@ -21,7 +20,7 @@ class Origins(Effect):
     name = "origins"
     kind: Kind = "cast"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """See `Effect`. However small the distance between the places: the facts do not tell it."""
         return "its beams start in more than 1 place" if scene.origins > 1 else None
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import torch
 
 from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 LEAST_NOISE_M = 2e-6
@@ -31,7 +30,7 @@ class RangeNoise(Effect):
     name = "range_noise"
     kind: Kind = "returns"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Where the sensor states a noise that float32 can hold."""
         sigma_m = scene.sensor.range_noise_m
         if sigma_m is None or not sigma_m >= LEAST_NOISE_M:

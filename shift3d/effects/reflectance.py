@@ -7,7 +7,6 @@ from dataclasses import replace
 import torch
 
 from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
@@ -33,7 +32,7 @@ class Reflectance(Effect):
     kind: Kind = "returns"
     reads_incidence = True
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Where the detector reads it and the scene has it."""
         if not (detector.reads_reflectance and scene.has_reflectance):
             return None

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.effects.base import Cast, CastStep, Effect, EffectContext, Kind
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.labels import Conditions
 
@@ -36,7 +35,7 @@ class RollingShutter(Effect):
     name = "rolling_shutter"
     kind: Kind = "cast"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """See `Effect`: where the displacement over a scan exceeds the range noise.
 
         The heading is not known here: speeds of object and sensor are added, so the displacement is an upper bound.

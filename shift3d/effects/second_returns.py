@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
-
 from shift3d.effects.base import Effect, EffectContext, Kind, Returns, ReturnsStep, unchanged
-from shift3d.effects.physics.pairing import NO_NUMBER, BeamReturns
-from shift3d.render.field.object_field import VehicleFrame
+from shift3d.effects.physics.pairing import BeamReturns
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 
@@ -29,7 +25,7 @@ class SecondReturns(Effect):
     name = "second_returns"
     kind: Kind = "returns"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Where beams have more than one return that can be paired."""
         if scene.returns <= 1 or not scene.has_pixels:
             return None
@@ -42,18 +38,10 @@ class SecondReturns(Effect):
             return unchanged
 
         def step(returns: Returns) -> Returns:
-            later = returns.on_object & _behind(returns.row, returns.on_object, paired)
+            later = returns.on_object & paired.behind(returns.row, returns.on_object)
             return returns.without(later) if bool(later.any()) else returns
 
         return step
-
-
-def _behind(row: Tensor, on_object: Tensor, paired: BeamReturns) -> Tensor:
-    """(K,) bool: whether an earlier return of the same beam is on the object; row (K,) int64."""
-    beam, number = paired.beam[row], paired.number[row]
-    earliest = torch.full_like(paired.beam, NO_NUMBER)
-    earliest = earliest.scatter_reduce(0, beam[on_object], number[on_object], "amin")
-    return number > earliest[beam]
 
 
 EFFECT = SecondReturns()

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from trimesh.graph import connected_component_labels
 
 from shift3d.errors import InputError
 from shift3d.naturalness.calibration import NATURAL_PERCENTILE
@@ -104,7 +103,6 @@ def _largest_piece(mesh: trimesh.Trimesh) -> float:
     """Share of the area in the largest connected piece."""
     faces = np.asarray(mesh.faces)
     edges = np.concatenate((faces[:, :2], faces[:, 1:]))
-    graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(len(mesh.vertices),) * 2)
-    piece = connected_components(graph, directed=False)[1][faces[:, 0]]
+    piece = connected_component_labels(edges, node_count=len(mesh.vertices))[faces[:, 0]]
     areas = np.bincount(piece, weights=mesh.area_faces)
     return float(areas.max() / areas.sum())

@@ -17,7 +17,7 @@ SIZE_TOLERANCE_M, RATIO_TOLERANCE = 0.03, 0.03
 LIFT_M = 12 * INCH_M
 """The largest lift kit on sale (makers' data sheets)."""
 HIGHEST_FLOOR_M = 0.62
-"""Of a box trailer, as `family.wide_ranges` has it."""
+"""Of a box trailer, as `family.wide` has it."""
 ASYMMETRY_CM = 4.5
 """Our choice: no member of the wide family lies above it, ladders, dents and bicycles included."""
 _MIDDLE_LENGTH, _MIDDLE_WIDTH = 0.3, 0.25

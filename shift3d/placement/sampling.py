@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import Counter
 from collections.abc import Mapping
@@ -90,10 +91,6 @@ class NoPlacement:
     attempts: int
     rejected: dict[str, int]
 
-    def reason(self) -> str:
-        """One line for a log or a result row."""
-        return f"no valid placement in {self.attempts} attempts ({refusals(self.rejected)})"
-
 
 def refusals(rejected: Mapping[str, int]) -> str:
     """Reasons in words with their counts, most frequent first."""
@@ -132,7 +129,7 @@ def place(
     """
     metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
     size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
-    site = Site.of(beams, ground_z_m, others, ground_map, unlabelled)
+    site = Site(beams, ground_z_m, others, ground_map, unlabelled)
     rejected: Counter[str] = Counter()
 
     def stand(draw: tuple[float, float, float], thorough: bool) -> tuple[Tensor, ConstraintCheck, Rendering] | str:
@@ -176,26 +173,18 @@ def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int)
 
 @dataclass(frozen=True)
 class Site:
-    """What a place is judged by: beams, their returns (N, 3) float64, and the rest as `place` takes it."""
+    """What a place is judged by: beams, and the rest as `place` takes it."""
 
     beams: Beams
-    returns: np.ndarray
     ground_z_m: float
     others: Tensor | None
     ground_map: GroundMap | None
     unlabelled: np.ndarray | None
 
-    @staticmethod
-    def of(
-        beams: Beams,
-        ground_z_m: float,
-        others: Tensor | None,
-        ground_map: GroundMap | None,
-        unlabelled: np.ndarray | None = None,
-    ) -> Site:
-        """Of a scene's parts."""
-        returns = beams.points[beams.carries].double().numpy()
-        return Site(beams, returns, ground_z_m, others, ground_map, unlabelled)
+    @functools.cached_property
+    def returns(self) -> np.ndarray:
+        """(N, 3) float64, of the beams."""
+        return self.beams.points[self.beams.carries].double().numpy()
 
     def is_labelled(self, xy: tuple[float, float], clear_m: float) -> bool:
         """Whether at most half of the returns within clear_m lie where the data set labels nothing."""

@@ -54,7 +54,7 @@ def survey(
     than beams meet its box. Deterministic. Source: our choice.
     """
     size, whole = torch.tensor(CAR_SIZE_M, dtype=torch.float64), replace(limits, attempts=1)
-    site = Site.of(beams, ground_z_m, others, ground_map, unlabelled)
+    site = Site(beams, ground_z_m, others, ground_map, unlabelled)
     rng, places, outcomes = np.random.default_rng(0), [], []
     for _ in range(limits.attempts):
         draw = drawn_place(rng, whole, 1)

@@ -158,7 +158,3 @@ class SceneFacts:
             conditions=_weather(self.conditions, overrides, self.scene_id),
             object_speed_m_s=overrides.get("object_speed_m_s", self.object_speed_m_s),
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)

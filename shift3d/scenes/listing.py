@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Sequence
 from itertools import islice
 from typing import Any
@@ -16,26 +15,6 @@ from shift3d.wording import counted
 
 UNITS_REMEDY = "Convert the file: coordinates and ranges are metres, angles radians"
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
-
-
-class RecordedScenes(ABC):
-    """A `SceneSet` of files: nothing is known of a scene but by these. Objects are placed all around, if not said."""
-
-    dataset: str
-    placement_sector_rad: tuple[float, float] = (0.0, float(np.pi))
-
-    @property
-    @abstractmethod
-    def _listed(self) -> Sequence[str]:
-        """The names of the scenes."""
-
-    def names(self) -> list[str]:
-        """Names of the scenes. Raises InputError: files that list them are damaged, or an unknown one is wanted."""
-        return list(self._listed)
-
-    def configured(self, name: str) -> None:
-        """See `SceneSet`: a scene must be loaded."""
-        return
 
 
 def read_bytes(file: Location, kind: str) -> bytes:

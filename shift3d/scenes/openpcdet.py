@@ -13,7 +13,6 @@ from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.ground_map import search_ground_z
 from shift3d.scenes.listing import (
-    RecordedScenes,
     chosen,
     first_few,
     names_in,
@@ -24,6 +23,7 @@ from shift3d.scenes.listing import (
 )
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.scenes.scene import Labels, Scene
+from shift3d.scenes.sets import RecordedScenes, from_one_place
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
@@ -107,39 +107,30 @@ class OpenPcdetScenes(RecordedScenes):
             found = listed
         if names is not None and keep_bad:
             found = [*found, *names]
-        self._names = chosen(found, names, str(self.root / "points"))[:count]
+        self._listed = chosen(found, names, str(self.root / "points"))[:count]
 
-    @property
-    def _listed(self) -> list[str]:
-        return self._names
-
-    def load(self, name: str) -> Scene:
-        """One frame. Raises InputError: naming the file, the line or row, and the remedy."""
-        if name not in self._names:
-            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._names)}")
+    def _read(self, name: str) -> Scene:
+        if name not in self._listed:
+            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._listed)}")
         file = self.root / "points" / f"{name}.npy"
         values = _read_points(file)
         sensor = np.array(self.sensor_m, dtype=np.float64)
         points = (values[:, :3] - sensor).astype(np.float32)
         points[~values[:, :3].any(axis=1)] = 0.0  # of an organised cloud: beams without a return
         require_metres(np.linalg.norm(points.astype(np.float64), axis=1), str(file))
-        scene = Scene(
+        return Scene(
             scene_id=name,
             dataset=self.dataset,
             points=points,
-            origins=np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape),
+            origins=from_one_place(points),
             ground_z_m=self._ground(points, file),
             labels=self._labels(name, points, sensor),
             reflectance=self._reflectance(values, file),
         )
-        scene.validate()
-        return scene
 
-    def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """See `SceneSet`: the versions of the frame's files and what is said about them."""
+    def _made_of(self, name: str) -> tuple[Sequence[float | None], Sequence[Location]]:
         files = (self.root / "points" / f"{name}.npy", self.root / "labels" / f"{name}.txt")
-        settings = (*self.sensor_m, self.ground_z_m, self.reflectance_max, self._has_labels)
-        return ("openpcdet", name, *settings, *(f"{file.absolute()}: {file.version()}" for file in files))
+        return (*self.sensor_m, self.ground_z_m, self.reflectance_max, self._has_labels), files
 
     def _listed_in(self, split: str) -> list[str]:
         file = self.root / "ImageSets" / f"{split}.txt"

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.scenes.scene import Scene
@@ -15,6 +18,7 @@ from shift3d.scenes.street.options import PLAIN, StreetOptions, check_traffic
 if TYPE_CHECKING:
     from shift3d.scenes.facts import SceneFacts
     from shift3d.scenes.street.build.world import PlacedVehicle
+    from shift3d.store.location import Location
 
 STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
 STREET_SPLITS = ("train", "val", "test")
@@ -50,6 +54,46 @@ class SceneSet(Protocol):
     def source(self, name: str) -> tuple[str | int | float | None, ...]:
         """Plain values that change whenever the scene's content may: its configuration, or the state of its files."""
         ...
+
+
+class RecordedScenes(ABC):
+    """A `SceneSet` of files: nothing is known of a scene but by these. Objects are placed all around, if not said."""
+
+    dataset: str
+    placement_sector_rad: tuple[float, float] = (0.0, float(np.pi))
+    _listed: list[str]
+
+    def names(self) -> list[str]:
+        """Names of the scenes. Raises InputError: files that list them are damaged, or an unknown one is wanted."""
+        return list(self._listed)
+
+    def load(self, name: str) -> Scene:
+        """One scene. Raises InputError: naming the file, the line, row or key in it, and the remedy."""
+        scene = self._read(name)
+        scene.validate()
+        return scene
+
+    @abstractmethod
+    def _read(self, name: str) -> Scene:
+        """As `load`, not validated."""
+
+    def configured(self, name: str) -> None:
+        """See `SceneSet`: a scene must be loaded."""
+        return
+
+    def source(self, name: str) -> tuple[str | int | float | None, ...]:
+        """See `SceneSet`: what is said about a scene's files, and where each lies in which version."""
+        settings, files = self._made_of(name)
+        return (self.dataset, name, *settings, *(f"{file.absolute()}: {file.version()}" for file in files))
+
+    @abstractmethod
+    def _made_of(self, name: str) -> tuple[Iterable[str | int | float | None], Iterable[Location]]:
+        """What is said about a scene's files, and these."""
+
+
+def from_one_place(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N, 3) origins of the beams of points (N, 3) that all start in the scene's origin, a view of one row."""
+    return np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape)
 
 
 class StreetScenes:

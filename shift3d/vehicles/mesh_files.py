@@ -7,7 +7,7 @@ import io
 import itertools
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -158,7 +158,7 @@ class MeshVehicle:
             "file": str(self.file.path),
             "body_type": self.body_type,
             "size_m": list(self.size_m),
-            "repair": self.repair.facts(),
+            "repair": asdict(self.repair),
             "repair_text": str(self.repair),
             "seconds": round(self.seconds, 3),
         }

@@ -7,13 +7,11 @@ Otherwise a new surface is wrapped around it (see `shift3d.vehicles.wrap`), and 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from trimesh.graph import connected_component_labels
 
 from shift3d.errors import InputError
 from shift3d.sdf.samples import is_closed, winding_number
@@ -47,10 +45,6 @@ class RepairReport:
     seal_m: float = 0.0
     departure_m: float = 0.0
     departure_p99_m: float = 0.0
-
-    def facts(self) -> dict[str, bool | int | float]:
-        """For a JSON file."""
-        return asdict(self)
 
     def __str__(self) -> str:
         done = [
@@ -127,9 +121,7 @@ def _hole_widths_m(mesh: trimesh.Trimesh) -> dict[frozenset[int], float]:
     single = mesh.edges_unique[np.bincount(mesh.edges_unique_inverse) == 1]
     if not len(single):
         return {}
-    count = len(mesh.vertices)
-    graph = coo_matrix((np.ones(len(single)), single.T), shape=(count, count))
-    _, labels = connected_components(graph, directed=False)
+    labels = connected_component_labels(single, node_count=len(mesh.vertices))
     corners = np.unique(single)
     runs = [corners[labels[corners] == run] for run in np.unique(labels[corners])]
     return {
@@ -138,17 +130,9 @@ def _hole_widths_m(mesh: trimesh.Trimesh) -> dict[frozenset[int], float]:
     }
 
 
-def _pieces(mesh: trimesh.Trimesh) -> NDArray[np.int64]:
-    """The piece of every face, (F,): faces that share an edge are of one piece."""
-    count = len(mesh.faces)
-    pairs = mesh.face_adjacency
-    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
-
-
 def _turned(mesh: trimesh.Trimesh, report: RepairReport) -> tuple[trimesh.Trimesh, RepairReport]:
     """Pieces that are inside out turned, unless they are cavities: those lie within another piece."""
-    piece = _pieces(mesh)
+    piece = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     a, b, c = np.moveaxis(np.asarray(mesh.triangles, np.float64), 1, 0)
     volume = np.bincount(piece, weights=np.einsum("ij,ij->i", a, np.cross(b, c)))  # six times, about the origin
     faces = np.array(mesh.faces)

@@ -35,7 +35,6 @@ def catalogue(config: Config) -> Catalogue:
     names = [f"street_{number:06d}" for number in range(config.scenes.count)]
     return Catalogue(
         scenes=tuple(SceneEntry(name, "street-hdl64", f"{name:0>32}", SceneFacts(name)) for name in names),
-        frame_of=lambda _: None,  # no effect that asks for it
         scene_arguments=config.scenes.model_dump(mode="json", exclude={"count"}),
         sector_rad=(0.0, 3.14),
         vehicles={name: f"{name:0>32}" for name in VEHICLES},

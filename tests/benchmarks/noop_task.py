@@ -53,7 +53,6 @@ def catalogue(config: Config) -> Catalogue:
     names = [f"street_{index:07d}" for index in range(config.scenes.count)]
     return Catalogue(
         scenes=tuple(SceneEntry(name, "street-hdl64", f"hash-{name}", SceneFacts(name)) for name in names),
-        frame_of=lambda _: None,
         scene_arguments={"kind": "street"},
         sector_rad=(0.0, 3.14),
         vehicles={"coupe": "hash-coupe"},

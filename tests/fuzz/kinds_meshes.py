@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import struct
@@ -78,7 +79,7 @@ def load_vehicle(folder: Path) -> Any:
         vehicle = read_mesh_vehicle(MeshFile("car", file.path), FRAME)
     assert np.isfinite(vehicle.mesh.vertices).all() and is_closed(vehicle.mesh)
     assert vehicle.mesh.volume > 0.0 and min(vehicle.size_m) > 0.0
-    facts = json.loads(json.dumps(vehicle.repair.facts(), allow_nan=False))
+    facts = json.loads(json.dumps(dataclasses.asdict(vehicle.repair), allow_nan=False))
     assert facts["departure_m"] >= 0.0
     return [round(size, 3) for size in vehicle.size_m]
 

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from catalogue import hard_case
 from hard_echoes import (
-    BALL,
     READER,
     ahead,
     drawn,
@@ -61,7 +60,7 @@ def a_visibility_of_a_million_kilometres() -> None:
         thin = 60.0 * fog.extinction_per_m(visibility_m)
         assert abs(power.loss(thin / 60.0, 30.0) / (thin - 0.5 * thin**2) - 1.0) < 1e-12
         facts = SceneFacts.of(ahead(30.0, 4), EffectSettings(visibility_m=visibility_m, limit_range_m=50.0))
-        assert fog.EFFECT.applicability(facts, BALL, READER) is None
+        assert fog.EFFECT.applicability(facts, READER) is None
 
 
 @hard_case(
@@ -236,6 +235,6 @@ def a_limit_infinitely_far_away() -> None:
 def a_rain_of_a_trillionth_of_a_millimetre_an_hour() -> None:
     scene = ahead(30.0, 50)
     facts = SceneFacts.of(scene, EffectSettings(rain_mm_h=1e-12))
-    assert rain.EFFECT.applicability(facts, BALL, READER) is None
+    assert rain.EFFECT.applicability(facts, READER) is None
     rendering = drawn(scene, ["rain"], rain_mm_h=1e-12, limit_range_m=100.0)
     assert share_returned(rendering) == 1.0 and ((rendering.range_m - 30.0).abs() < 1e-5).all()

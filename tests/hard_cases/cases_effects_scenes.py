@@ -67,7 +67,7 @@ def weather_on_a_scene_that_carries_weather_already() -> None:
 def beams_that_all_start_in_one_place_that_is_not_the_origin() -> None:
     origins = np.broadcast_to(np.array([[1.5, -0.7, 0.2]], np.float32), (6, 3))
     scene = scene_of([[30.0, 0.1 * i, 0.0] for i in range(6)], origins=origins)
-    assert choose("auto", SceneFacts.of(scene), BALL, READER) == []
+    assert choose("auto", SceneFacts.of(scene), READER) == []
     chain = EffectChain.of([], scene, BALL, 1, EffectSettings())
     assert torch.equal(chain.beams.origins, Beams.from_scene(scene).origins)
 
@@ -81,7 +81,7 @@ def beams_that_all_start_in_one_place_that_is_not_the_origin() -> None:
 def firing_times_that_are_all_the_same() -> None:
     scene = ahead(30.0, 6, time_s=np.array([0.08], np.float32))
     facts = SceneFacts.of(scene, EffectSettings(object_speed_m_s=40.0))
-    assert facts.scan_s == 0.0 and choose("auto", facts, BALL, READER) == []
+    assert facts.scan_s == 0.0 and choose("auto", facts, READER) == []
 
 
 @hard_case(

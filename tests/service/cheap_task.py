@@ -127,7 +127,6 @@ def catalogue(config: Config) -> Catalogue:
     names = [f"street_{i:03d}" for i in range(config.scenes.count)]
     return Catalogue(
         scenes=tuple(SceneEntry(name, "street-hdl64", f"hash-{name}", SceneFacts(name)) for name in names),
-        frame_of=lambda _: None,  # no effect that asks for it
         scene_arguments={"kind": "street"},
         sector_rad=(0.0, 3.14),
         vehicles={name: f"hash-{name}" for name in ("coupe", "sports_car", "suv", "convertible", "beach_wagon")},

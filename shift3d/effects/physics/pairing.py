@@ -12,7 +12,7 @@ from torch import Tensor
 from shift3d.effects.base import EffectContext
 from shift3d.scenes.scene import Scene
 
-NO_NUMBER = 256
+_NO_NUMBER = 256
 """More than any return number, which is a uint8."""
 
 
@@ -39,8 +39,13 @@ class BeamReturns:
     @property
     def later(self) -> Tensor:
         """(N,) bool: whether a return of the same beam comes before."""
-        earliest = torch.full_like(self.beam, NO_NUMBER).scatter_reduce(0, self.beam, self.number, "amin")
-        return self.number > earliest[self.beam]
+        return self.behind(torch.arange(len(self.beam)), torch.ones(len(self.beam), dtype=torch.bool))
+
+    def behind(self, row: Tensor, some: Tensor) -> Tensor:
+        """(K,) bool: whether some (K,) bool of the rows (K,) int64 is an earlier return of the same beam."""
+        beam, number = self.beam[row], self.number[row]
+        earliest = torch.full_like(self.beam, _NO_NUMBER).scatter_reduce(0, beam[some], number[some], "amin")
+        return number > earliest[beam]
 
 
 def beam_numbers(scene: Scene, count: int) -> NDArray[np.int64]:

@@ -86,14 +86,6 @@ def reach_m(conditions: Conditions) -> float:
     return OBJECT_FAR_M if conditions.weather_in_points else SCENE_FAR_M
 
 
-def at_ranges(returns: Returns, rows: Tensor, range_m: Tensor) -> Tensor:
-    """(K, 3) points with rows (M,) moved to ranges (M,) along their beams, the others bit for bit."""
-    if not len(rows):
-        return returns.points
-    moved = returns.origins[rows] + range_m[:, None] * returns.directions[rows]
-    return returns.points.index_copy(0, rows, moved)
-
-
 @dataclass(frozen=True)
 class PowerLimit:
     """Losses of one effect that weakens echoes.

@@ -17,13 +17,11 @@ from shift3d.effects.physics.power import (
     LEAST_LOSS,
     OVERLAP_FROM_M,
     PowerLimit,
-    at_ranges,
     echo_power,
     loss,
     overlap,
     reach_m,
 )
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 PULSE_S = 20e-9
@@ -153,7 +151,7 @@ class Fog(WeatherEffect):
 
     name = "fog"
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see, and that shows: in reflectance,
         at the sensor's limit, or because fog outshines surfaces."""
         visibility_m = scene.conditions.visibility_m
@@ -199,8 +197,7 @@ def _in_fog(returns: Returns, soft: SoftEcho, limit: PowerLimit, later: Tensor |
     left = left.index_copy(0, rows, torch.exp(log_soft[rows]) * nearness**2)
     albedo = returns.albedo.index_copy(0, rows, returns.albedo[rows] * returns.cosine[rows])
     changed = replace(
-        returns.without(lost),
-        points=at_ranges(returns, rows, soft_m[rows]),
+        returns.without(lost).moved_to(soft_m[rows], rows),
         on_object=returns.on_object & ~fog,
         albedo=(albedo * left).clamp(max=1.0),
         cosine=returns.cosine.index_fill(0, rows, 1.0),

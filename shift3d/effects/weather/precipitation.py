@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,6 @@ from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEff
 from shift3d.effects.physics import power as law
 from shift3d.effects.physics.pairing import BeamReturns
 from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.labels import Conditions
 from shift3d.scenes.sensor import SensorModel
@@ -238,8 +237,7 @@ class ParticleEchoes:
         share = np.minimum(1e-3 * diameter / self.crossings.width_m(at_m), 1.0) ** 2
         sent = torch.from_numpy(kind.albedo * share * np.exp(-2.0 * kind.extinction_per_m * at_m))
         return replace(
-            returns,
-            points=law.at_ranges(returns, row, torch.from_numpy(at_m)),
+            returns.moved_to(torch.from_numpy(at_m), row),
             albedo=returns.albedo.index_copy(0, row, sent),
             reflectance=None if returns.reflectance is None else returns.reflectance.index_copy(0, row, sent),
         )
@@ -247,6 +245,8 @@ class ParticleEchoes:
 
 class Precipitation(WeatherEffect):
     """Rain or snow: `ParticleEchoes` of its particles.
+
+    name: "rain" or "snow", whose rate the conditions state. particles: at such a rate, mm/h of water, above 0.
 
     A particle counts if its centre is in the beam, a cone of `DIVERGENCE_RAD` or what the sensor states. It covers the
     share (D / width)^2 of the beam; particles that outdo the echo behind them are then a Poisson process along the beam
@@ -269,17 +269,16 @@ class Precipitation(WeatherEffect):
     Source: Kilic et al. 2021 (limit and noise); the rest: our choice.
     """
 
-    @abstractmethod
-    def rate_mm_h(self, conditions: Conditions) -> float:
-        """As water; 0 where it does not fall."""
+    def __init__(self, name: str, particles: Callable[[float], Particles]) -> None:
+        self.name, self.particles = name, particles
 
-    @abstractmethod
-    def particles(self, rate_mm_h: float) -> Particles:
-        """At a rate above 0."""
+    def _rate_mm_h(self, conditions: Conditions) -> float:
+        rate: float = getattr(conditions, f"{self.name}_mm_h")
+        return rate
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Where a hundredth of the light is lost as far as there is something to see."""
-        rate = self.rate_mm_h(scene.conditions)
+        rate = self._rate_mm_h(scene.conditions)
         if rate == 0.0:
             return None
         extinction = self.particles(rate).extinction_per_m
@@ -290,5 +289,5 @@ class Precipitation(WeatherEffect):
 
     def bind(self, context: EffectContext) -> ReturnsStep:
         """Three draws a beam, and two more where the sensor's limit is known."""
-        rate = self.rate_mm_h(context.scene.conditions)
+        rate = self._rate_mm_h(context.scene.conditions)
         return unchanged if rate == 0.0 else ParticleEchoes.of(context, self.name, self.particles(rate)).act

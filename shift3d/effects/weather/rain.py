@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from shift3d.effects.weather.precipitation import Particles, Precipitation
-from shift3d.scenes.labels import Conditions
 
 DROP_ALBEDO = 0.024
 """Of a diffuse disc as wide as a drop that sends as much straight back: a quarter of the backscatter efficiency
@@ -11,20 +10,8 @@ R (1 + ((1 - R) n / (2 - n))^2) of a large sphere of water, front and rear face,
 
 
 def drops(rain_mm_h: float) -> Particles:
-    """Drops of rain. Source: Marshall and Palmer 1948."""
+    """Drops of rain, each a disc across the beam. Source: Marshall and Palmer 1948."""
     return Particles(8000.0, 4.1 * rain_mm_h**-0.21, DROP_ALBEDO)
 
 
-class Rain(Precipitation):
-    """See `Precipitation`; a drop is a disc across the beam."""
-
-    name = "rain"
-
-    def rate_mm_h(self, conditions: Conditions) -> float:
-        return conditions.rain_mm_h
-
-    def particles(self, rate_mm_h: float) -> Particles:
-        return drops(rate_mm_h)
-
-
-EFFECT = Rain()
+EFFECT = Precipitation("rain", drops)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from shift3d.effects.weather.precipitation import Particles, Precipitation
-from shift3d.scenes.labels import Conditions
 
 FLAKE_WIDTH = 1.5
 """Of a flake over the drop that it melts to, as a disc without holes (our choice: 1 mm/h then gives a visibility of
@@ -14,23 +13,11 @@ some 25 sr (our choice)."""
 
 
 def flakes(snow_mm_h: float) -> Particles:
-    """Flakes of snow, by the width of the flake; the rate is of melted water.
+    """Flakes of snow, each a disc across the beam, by the width of the flake; the rate is of melted water.
 
     Source: Gunn and Marshall 1958, whose diameters are those of the melted drops.
     """
     return Particles(7600.0 * snow_mm_h**-0.87 / FLAKE_WIDTH, 2.55 * snow_mm_h**-0.48 / FLAKE_WIDTH, FLAKE_ALBEDO)
 
 
-class Snow(Precipitation):
-    """See `Precipitation`; a flake is a disc across the beam."""
-
-    name = "snow"
-
-    def rate_mm_h(self, conditions: Conditions) -> float:
-        return conditions.snow_mm_h
-
-    def particles(self, rate_mm_h: float) -> Particles:
-        return flakes(rate_mm_h)
-
-
-EFFECT = Snow()
+EFFECT = Precipitation("snow", flakes)

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
 from shift3d.effects.physics.power import PowerLimit, echo_power
-from shift3d.render.field.object_field import VehicleFrame
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 WATER_INDEX = 1.33
@@ -83,7 +82,7 @@ class WetGround(WeatherEffect):
     name = "wet_ground"
     reads_incidence = False
 
-    def applicability(self, scene: SceneFacts, vehicle: VehicleFrame, detector: DetectorFacts) -> str | None:
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Rain that is not in the points yet, ground in view, and a limit below which its echoes are lost."""
         conditions = scene.conditions
         known = scene.ground_in_view and scene.sensor.limit_range_m is not None

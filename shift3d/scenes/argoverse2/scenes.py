@@ -23,8 +23,9 @@ from shift3d.scenes.argoverse2.log import (
 from shift3d.scenes.argoverse2.map_files import map_files, read_ground_map
 from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions
-from shift3d.scenes.listing import RecordedScenes, chosen, first_few, names_in, require_metres
+from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.scene import Scene
+from shift3d.scenes.sets import RecordedScenes
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
@@ -71,8 +72,7 @@ class Argoverse2Scenes(RecordedScenes):
         if not self._logs:
             raise InputError("no logs", str(self.root), "Give a folder of logs, or a log, which holds sensors/lidar/")
 
-    def load(self, name: str) -> Scene:
-        """One sweep. Raises InputError: naming the file and the remedy."""
+    def _read(self, name: str) -> Scene:
         log, timestamp = self._split(name)
         sweep, (up, down) = read_sweep(log, timestamp), lidar_mounts(log)
         points = (sweep.points - up).astype(np.float32)
@@ -80,7 +80,7 @@ class Argoverse2Scenes(RecordedScenes):
         require_metres(np.linalg.norm(points - origins, axis=1), str(sweep_file(log, timestamp)))
         city_SE3_scene = city_SE3_ego(log, timestamp)[0]
         city_SE3_scene[:3, 3] += city_SE3_scene[:3, :3] @ up
-        scene = Scene(
+        return Scene(
             scene_id=name,
             dataset=self.dataset,
             points=points,
@@ -92,19 +92,15 @@ class Argoverse2Scenes(RecordedScenes):
             conditions=Conditions(ego_velocity_m_s=ego_velocity_m_s(log, timestamp)),
             ground_map=read_ground_map(log, city_SE3_scene),
         )
-        scene.validate()
-        return scene
 
-    def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """See `SceneSet`: the versions of the files."""
+    def _made_of(self, name: str) -> tuple[tuple[()], Sequence[Location]]:
         log, timestamp = self._split(name)
         shared = (log / "annotations.feather", log / "city_SE3_egovehicle.feather")
         mounts = log / "calibration" / "egovehicle_SE3_sensor.feather"
-        files = (sweep_file(log, timestamp), *shared, mounts, *map_files(log))
-        return ("argoverse2", name, *(f"{file.absolute()}: {file.version()}" for file in files))
+        return (), (sweep_file(log, timestamp), *shared, mounts, *map_files(log))
 
     @functools.cached_property
-    def _listed(self) -> list[str]:
+    def _listed(self) -> list[str]:  # type: ignore[override]
         if self._wanted is not None and self.keep_bad:
             return list(self._wanted)
         try:

@@ -20,8 +20,9 @@ from shift3d.scenes.kitti.files import (
     read_labels,
     read_points,
 )
-from shift3d.scenes.listing import RecordedScenes, first_few, names_in
+from shift3d.scenes.listing import first_few, names_in
 from shift3d.scenes.scene import Labels, Scene
+from shift3d.scenes.sets import RecordedScenes, from_one_place
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
@@ -77,39 +78,29 @@ class KittiScenes(RecordedScenes):
                 raise InputError(
                     f"no frame {name!r}", str(self.folder / "velodyne"), f"Choose from: {first_few(found)}."
                 )
-        self._names = sorted(found) if names is None else list(names)
-        if not self._names:
+        self._listed = sorted(found) if names is None else list(names)
+        if not self._listed:
             raise InputError("no frames (*.bin)", str(self.folder / "velodyne"), "Give a folder with KITTI frames.")
 
-    @property
-    def _listed(self) -> list[str]:
-        return self._names
-
-    def load(self, name: str) -> Scene:
-        """One frame. Raises InputError: naming the file, the line or row, and the remedy."""
-        if name not in self._names:
-            raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {first_few(self._names)}.")
+    def _read(self, name: str) -> Scene:
+        if name not in self._listed:
+            raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {first_few(self._listed)}.")
         points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin", self.reflectance_max)
         ground = self.folder / GROUND / f"{name}.txt"
-        scene = Scene(
+        return Scene(
             scene_id=name,
             dataset=self.dataset,
             points=points,
-            origins=np.broadcast_to(np.zeros((1, 3), dtype=np.float32), points.shape),
+            origins=from_one_place(points),
             ground_z_m=read_ground_z(ground) if ground.is_file() else _ground_z(points),
             labels=self._labels(name, points),
             reflectance=reflectance,
         )
-        scene.validate()
-        return scene
 
-    def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """See `SceneSet`: path and version of each of the frame's files."""
-        values: list[str | int | float | None] = ["kitti", name, self.reflectance_max, self._labels_in is not None]
-        for part, suffix in (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt"), (GROUND, "txt")):
-            file = self.folder / part / f"{name}.{suffix}"
-            values += [str(file.absolute()), file.version()]
-        return tuple(values)
+    def _made_of(self, name: str) -> tuple[Sequence[float | None], list[Location]]:
+        parts = (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt"), (GROUND, "txt"))
+        files = [self.folder / part / f"{name}.{suffix}" for part, suffix in parts]
+        return (self.reflectance_max, self._labels_in is not None), files
 
     def camera_view(self, name: str) -> Calibration:
         """What camera 2 sees of one frame."""

@@ -13,10 +13,11 @@ from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse, moved
 from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions
-from shift3d.scenes.listing import RecordedScenes, chosen, first_few, names_in, read_bytes, require_metres
+from shift3d.scenes.listing import chosen, first_few, names_in, read_bytes, require_metres
 from shift3d.scenes.nuscenes.annotations import boxes_of, read_annotations, read_weather
 from shift3d.scenes.nuscenes.tables import LidarFile, Poses, Release
 from shift3d.scenes.scene import Scene
+from shift3d.scenes.sets import RecordedScenes
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 
@@ -71,8 +72,7 @@ class NuScenesScenes(RecordedScenes):
                 f"neither tables v1.0-*/ nor *{_SUFFIX} files", str(self.root), "Give the folder that holds them"
             )
 
-    def load(self, name: str) -> Scene:
-        """One key frame. Raises InputError: naming the file and the remedy."""
+    def _read(self, name: str) -> Scene:
         if self._tables is None:
             return self._alone(name)
         release = self._release
@@ -92,35 +92,28 @@ class NuScenesScenes(RecordedScenes):
         points, origins, reflectance, time_s = (np.concatenate(part) for part in zip(*parts, strict=True))
         annotations = self._annotations[name]
         where = f"{self._tables / 'sample_annotation.json'}, sample {name}"
-        scene = _scene(name, points, origins, reflectance)
-        scene = replace(
-            scene,
+        return replace(
+            _scene(name, points, origins, reflectance),
             time_s=time_s if len(files) > 1 else None,
             labels=boxes_of(annotations, inverse(global_SE3_scene), points, where),
             conditions=Conditions(
                 weather=self._weather[name], ego_velocity_m_s=_velocity(release, poses, key, global_SE3_scene)
             ),
         )
-        scene.validate()
-        return scene
 
-    def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """See `SceneSet`: the versions of the LiDAR files and of the tables."""
+    def _made_of(self, name: str) -> tuple[Sequence[int], list[Location]]:
         if self._tables is None:
-            files = [_stem_file(self.root, name)]
-        else:
-            parts = self._files(name) if name in self._release.key_frames else []
-            files = [self.root / part.filename for part in parts] + [
-                self._tables / table for table in self._table_names
-            ]
-        return ("nuscenes", name, self.sweeps, *(f"{file.absolute()}: {file.version()}" for file in files))
+            return (self.sweeps,), [_stem_file(self.root, name)]
+        parts = self._files(name) if name in self._release.key_frames else []
+        tables = [self._tables / table for table in self._table_names]
+        return (self.sweeps,), [*(self.root / part.filename for part in parts), *tables]
 
     @functools.cached_property
     def _table_names(self) -> list[str]:
         return [] if self._tables is None else self._tables.names()
 
     @functools.cached_property
-    def _listed(self) -> list[str]:
+    def _listed(self) -> list[str]:  # type: ignore[override]
         found = list(self._stems if self._tables is None else self._release.key_frames)
         if self._wanted is not None and self.keep_bad:
             return list(self._wanted)
@@ -167,11 +160,9 @@ class NuScenesScenes(RecordedScenes):
     def _alone(self, name: str) -> Scene:
         if name not in self._listed:
             raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._listed)}")
-        values = _read(_stem_file(self.root, name))
+        values = _lidar_rows(_stem_file(self.root, name))
         points = moved(values[:, :3], _SIDEWAYS).astype(np.float32)
-        scene = _scene(name, points, np.zeros_like(points), _reflectance(values))
-        scene.validate()
-        return scene
+        return _scene(name, points, np.zeros_like(points), _reflectance(values))
 
 
 def _tables(root: Location, version: str | None) -> Location | None:
@@ -207,7 +198,7 @@ def _sweep(
     place = root
     for part in file.filename.split("/"):
         place = place / part
-    values = _read(place)
+    values = _lidar_rows(place)
     if file.time_us != key_time_us:
         values = values[(np.abs(values[:, :2]) >= OWN_VEHICLE_M).any(axis=1)]
     points = moved(values[:, :3], scene_SE3_lidar).astype(np.float32)
@@ -216,7 +207,7 @@ def _sweep(
     return points, origins, _reflectance(values), time_s
 
 
-def _read(file: Location) -> NDArray[np.float32]:
+def _lidar_rows(file: Location) -> NDArray[np.float32]:
     """(N, 5) x, y, z, intensity, ring of a LiDAR file. Raises InputError: it is missing, damaged, or in other units."""
     raw = read_bytes(file, "LiDAR file")
     if not raw or len(raw) % 20:

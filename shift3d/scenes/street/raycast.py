@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,7 +16,11 @@ from shift3d.scenes.street.shapes import Material
 
 Float32 = NDArray[np.float32]
 Float = NDArray[np.float64]
-LEAVES_COSINE = 0.7  # leaves face every way
+FirstHits = tuple[Float32, NDArray[np.uint8], Float32]
+"""Of N rays: range_m (N,), infinite where there is no hit, material and cosine (N,)."""
+Hit = Callable[[Float, NDArray[np.floating]], FirstHits]
+"""First hits of rays on one thing: starts (3,) or (N, 3), directions (N, 3) of unit length, scene frame."""
+_LEAVES_COSINE = 0.7  # leaves face every way
 
 
 class Intersector:
@@ -153,46 +158,13 @@ class Sweep(Hits):
         self.material.reshape(-1)[closer] = material[face[closer]]
         self.cosine.reshape(-1)[closer] = cosine[closer]
 
-    def cast_instance(
-        self,
-        mesh: Intersector,
-        scene_R_object: Float,
-        position: Float,
-        radius_m: float,
-        glass_band_m: tuple[float, float],
-        item: int,
-    ) -> None:
-        """Cast the beams near a vehicle at its mesh, in the object frame.
-
-        Args:
-            mesh: in the object frame, within radius_m of its origin.
-            scene_R_object: (3, 3); position: (3,) of the object's origin in the scene.
-            glass_band_m: what lies between these heights of the object frame counts as glass.
-        """
-        rows, columns = self.window(position, radius_m)
+    def cast_near(self, centre: Float, radius_m: float, hit: Hit, item: int) -> None:
+        """Cast the beams that can meet a sphere (scene frame) at what it holds."""
+        rows, columns = self.window(centre, radius_m)
         directions = self.directions[rows][:, columns].reshape(-1, 3)
-        if not len(directions):
-            return
-        starts = self.starts(rows.stop - rows.start, columns)
-        range_m, material, cosine = hit_instance(mesh, scene_R_object, position, glass_band_m, starts, directions)
-        self._merge(rows, columns, range_m, material, cosine, item)
-
-    def cast_foliage(
-        self, centre: Float, radii: Float, free_path_m: float, item: int, rng: np.random.Generator
-    ) -> None:
-        """Cast beams at an ellipsoid of leaves: each gets in to an exponentially distributed depth, or passes.
-
-        Source: our choice; a beam's survival in a medium of scattered leaves falls off exponentially.
-        """
-        rows, columns = self.window(centre, float(radii.max()))
-        directions = self.directions[rows][:, columns].reshape(-1, 3).astype(np.float64)
-        if not len(directions):
-            return
-        met, enter, leave = through_ellipsoid(self.starts(rows.stop - rows.start, columns), directions, centre, radii)
-        depth = np.maximum(enter, 0.0) + rng.exponential(free_path_m, len(directions))
-        range_m = np.where(met & (depth < leave), depth, np.inf).astype(np.float32)
-        material = np.full(len(range_m), Material.FOLIAGE, dtype=np.uint8)
-        self._merge(rows, columns, range_m, material, np.full(len(range_m), LEAVES_COSINE, np.float32), item)
+        if len(directions):
+            starts = self.starts(rows.stop - rows.start, columns)
+            self._merge(rows, columns, *hit(starts, directions), item)
 
     def _merge(
         self,
@@ -219,15 +191,16 @@ def hit_instance(
     position: Float,
     glass_band_m: tuple[float, float],
     starts: Float,
-    directions: Float32,
-) -> tuple[Float32, NDArray[np.uint8], Float32]:
+    directions: NDArray[np.floating],
+) -> FirstHits:
     """First hits of rays on a mesh given in its object frame.
 
     Args:
-        starts: (3,) or (N, 3), scene frame; directions: (N, 3). The others as of `Sweep.cast_instance`.
-
-    Returns: range_m (N,), infinite where there is no hit, material and cosine (N,).
+        scene_R_object: (3, 3); position: (3,) of the object's origin in the scene.
+        glass_band_m: what lies between these heights of the object frame counts as glass.
+        starts: (3,) or (N, 3), scene frame; directions: (N, 3).
     """
+    directions = directions.astype(np.float32, copy=False)
     local = np.ascontiguousarray(directions @ scene_R_object.astype(np.float32))
     origin = ((starts - position) @ scene_R_object).astype(np.float32)
     range_m, face, cosine = mesh.first_hit(_each(origin, local), local)
@@ -236,7 +209,29 @@ def hit_instance(
     return range_m, np.where(glass, Material.GLASS, Material.VEHICLE).astype(np.uint8), cosine
 
 
-def through_ellipsoid(
+def hit_leaves(
+    centre: Float,
+    radii: Float,
+    free_path_m: float,
+    rng: np.random.Generator,
+    starts: Float,
+    directions: NDArray[np.floating],
+) -> FirstHits:
+    """First hits of rays on an ellipsoid of leaves: each gets in to an exponentially distributed depth, or passes.
+
+    Args:
+        centre, radii: (3,). free_path_m: mean depth. starts: (3,) or (N, 3), scene frame; directions: (N, 3).
+
+    Source: our choice; a beam's survival in a medium of scattered leaves falls off exponentially.
+    """
+    met, enter, leave = _through_ellipsoid(starts, directions.astype(np.float64, copy=False), centre, radii)
+    depth = np.maximum(enter, 0.0) + rng.exponential(free_path_m, len(directions))
+    range_m = np.where(met & (depth < leave), depth, np.inf).astype(np.float32)
+    material = np.full(len(range_m), Material.FOLIAGE, dtype=np.uint8)
+    return range_m, material, np.full(len(range_m), _LEAVES_COSINE, np.float32)
+
+
+def _through_ellipsoid(
     starts: Float, directions: Float, centre: Float, radii: Float
 ) -> tuple[NDArray[np.bool_], Float, Float]:
     """Where rays enter and leave an ellipsoid.

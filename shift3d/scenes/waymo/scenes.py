@@ -12,9 +12,10 @@ from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse
 from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.labels import Conditions, Labels
-from shift3d.scenes.listing import RecordedScenes, chosen, first_few, names_in, require_metres
+from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sensor import NoReturnBeams
+from shift3d.scenes.sets import RecordedScenes
 from shift3d.scenes.waymo.frame import (
     LASERS,
     LaserFrame,
@@ -82,8 +83,7 @@ class WaymoScenes(RecordedScenes):
                 "no component lidar/", str(self.root), "Give the folder that holds lidar/, lidar_pose/, ..."
             )
 
-    def load(self, name: str) -> Scene:
-        """One frame. Raises InputError: naming the component's file, the row's keys, and the remedy."""
+    def _read(self, name: str) -> Scene:
         segment, timestamp = self._split(name)
         frames = read_frame(self.root, segment, timestamp, self.lasers)
         offset = self._origin(segment)
@@ -93,7 +93,7 @@ class WaymoScenes(RecordedScenes):
         require_metres(np.linalg.norm(points - origins, axis=1), where)
         if not np.isfinite(intensity).all():
             raise InputError("an intensity that is not finite", where, "Copy the component again")
-        scene = Scene(
+        return Scene(
             scene_id=name,
             dataset=self.dataset,
             points=points,
@@ -107,15 +107,13 @@ class WaymoScenes(RecordedScenes):
             no_return=_no_return(frames, offset),
             in_no_label_zone=zone,
         )
-        scene.validate()
-        return scene
 
-    def source(self, name: str) -> tuple[str | int | float | None, ...]:
-        """See `SceneSet`: the versions of the segment's files."""
-        return ("waymo", name, *self.lasers, *self._versions(name.rpartition("-")[0] or name))
+    def _made_of(self, name: str) -> tuple[Sequence[str], list[Location]]:
+        segment, parts = name.rpartition("-")[0] or name, (*COMPONENTS, *_OPTIONAL)
+        return self.lasers, [component_file(self.root, part, segment).file for part in parts]
 
     @functools.cached_property
-    def _listed(self) -> list[str]:
+    def _listed(self) -> list[str]:  # type: ignore[override]
         segments = self._segments()
         if self._wanted is not None:
             requested = {name.rpartition("-")[0] or name for name in self._wanted}
@@ -160,10 +158,6 @@ class WaymoScenes(RecordedScenes):
     @functools.cached_property
     def _folders(self) -> dict[str, list[str]]:
         return {}
-
-    def _versions(self, segment: str) -> list[str]:
-        files = [component_file(self.root, part, segment).file for part in (*COMPONENTS, *_OPTIONAL)]
-        return [f"{file}: {file.version()}" for file in files]
 
     def _has(self, component: str) -> bool:
         return component in self._names_in(self.root)

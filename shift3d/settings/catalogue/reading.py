@@ -28,7 +28,6 @@ from shift3d.settings.schema.config import (
 from shift3d.settings.schema.scenes import FramesConfig, scene_set
 
 if TYPE_CHECKING:
-    from shift3d.render.field.object_field import VehicleFrame
     from shift3d.scenes.sets import SceneSet
     from shift3d.vehicles.sources import VehicleSource
 
@@ -44,7 +43,6 @@ class Catalogue:
 
     scene_arguments: how the scenes were made or chosen. sector_rad: (centre, half width) of the azimuths in
     which the scene set lets vehicles be placed. vehicles: name to hash; a hash is worked out when it is asked for.
-    frame_of: a vehicle's frame and size by its name.
     detectors: name to hash of those that score, the attacked one first. Hashes are 128-bit BLAKE2b, hex.
     accuracy: every setting behind a preset's name. space_hash: (vehicle, config) to the hash of where its
     search may go. skipped: scenes that cannot be read and are left out, name to why.
@@ -55,7 +53,6 @@ class Catalogue:
     scene_arguments: dict[str, Any]
     sector_rad: tuple[float, float]
     vehicles: Mapping[str, str]
-    frame_of: Callable[[str], VehicleFrame]
     decoder_hash: str
     detectors: dict[str, str]
     accuracy: dict[str, Any]
@@ -154,7 +151,6 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
         scene_arguments=arguments,
         sector_rad=(float(sector[0]), float(sector[1])),
         vehicles=_VehicleHashes(source),
-        frame_of=source.vehicle,
         decoder_hash=source.decoder_hash(),
         detectors={
             name: detector_hash(name, path, config.detector.module, layouts.get(name))

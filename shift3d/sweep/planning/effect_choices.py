@@ -1,18 +1,14 @@
-"""Which effects the scenes of a plan call for, decided once for each scene, vehicle and detector."""
+"""Which effects the scenes of a plan call for, decided once for each scene and detector."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from shift3d.effects.applicability import NEEDS, Choice, choose
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.schema.config import Config
-
-if TYPE_CHECKING:
-    from shift3d.render.field.object_field import VehicleFrame
 
 _WEATHER = ("fog", "rain", "snow", "wet_ground")
 _USERS: Mapping[str, tuple[str, ...]] = {
@@ -44,14 +40,14 @@ class EffectLine:
 
 @dataclass
 class EffectChoices:
-    """Remembers what was decided: scenes that are alike, but for their names, are asked once for a vehicle."""
+    """Remembers what was decided: scenes that are alike, but for their names, are asked once."""
 
     _lines: dict[tuple[str, bool], tuple[Choice, dict[str, None]]] = field(default_factory=dict)
     _alike: dict[int, tuple[Catalogue, list[int], list[SceneFacts]]] = field(default_factory=dict)
     _settings: dict[str, None] = field(default_factory=dict)
 
-    def of(self, config: Config, catalogue: Catalogue, vehicle: str, scenes: Sequence[int]) -> list[tuple[str, ...]]:
-        """The names of the effects of tasks that attack a vehicle, in the order of the physics.
+    def of(self, config: Config, catalogue: Catalogue, scenes: Sequence[int]) -> list[tuple[str, ...]]:
+        """The names of the effects of tasks in these scenes, in the order of the physics.
 
         Args: scenes: positions in the catalogue.
 
@@ -59,13 +55,13 @@ class EffectChoices:
         """
         overrides = EffectSettings(**config.effects.overrides())
         self._settings |= dict.fromkeys(overrides.overrides())
-        frame, detector = catalogue.frame_of(vehicle), DetectorFacts(config.detector.name)
+        detector = DetectorFacts(config.detector.name)
         kind, facts = self._kinds(catalogue)
         found: dict[int, tuple[tuple[str, ...], list[dict[str, None]]]] = {}
         names = []
         for at in scenes:
             if kind[at] not in found:
-                choices = _choices(config, facts[kind[at]].described(overrides), frame, detector)
+                choices = _choices(config, facts[kind[at]].described(overrides), detector)
                 lines = [self._lines.setdefault((c.effect, c.used), (c, {}))[1] for c in choices.values()]
                 used = tuple(effect for effect in NEEDS if effect in choices and choices[effect].used)
                 found[kind[at]] = used, lines
@@ -110,10 +106,10 @@ class EffectChoices:
         )
 
 
-def _choices(config: Config, facts: SceneFacts, frame: VehicleFrame, detector: DetectorFacts) -> dict[str, Choice]:
+def _choices(config: Config, facts: SceneFacts, detector: DetectorFacts) -> dict[str, Choice]:
     """What is decided about each effect for a scene: what it calls for where that is asked, and what is forced."""
-    found = choose("auto", facts, frame, detector) if config.effects.auto else []
-    found += choose(config.effects.forced(), facts, frame, detector)
+    found = choose("auto", facts, detector) if config.effects.auto else []
+    found += choose(config.effects.forced(), facts, detector)
     return {choice.effect: choice for choice in found}
 
 

@@ -56,9 +56,9 @@ class Layouts:
         elsewhere = config.attack.search_scenes + config.attack.transfer_scenes
         transfers = elsewhere if config.mode == "shape" else 0
         # The catalogue lives as long as the plan is made, so its identity stands for its content.
-        key = (id(catalogue), config.scene, transfers, spec.vehicle, spec.detector, repr(config.effects))
+        key = (id(catalogue), config.scene, transfers, spec.detector, repr(config.effects))
         if key not in self._known:
-            self._known[key] = self._layout(config, catalogue, spec.vehicle, transfers)
+            self._known[key] = self._layout(config, catalogue, transfers)
         layout, overrides = self._known[key], config.effects.overrides()
         grounds = [
             self.builder.template(
@@ -68,11 +68,11 @@ class Layouts:
         ]
         return np.array(grounds, dtype=np.int32)[layout.kind], layout.place
 
-    def _layout(self, config: Config, catalogue: Catalogue, vehicle: str, transfers: int) -> _Layout:
+    def _layout(self, config: Config, catalogue: Catalogue, transfers: int) -> _Layout:
         own = self._own(config, catalogue)
         others = self._others(own, len(catalogue.scenes), transfers)
         all_scenes = own if not transfers else list(dict.fromkeys([*own, *(at for row in others for at in row)]))
-        effects = dict(zip(all_scenes, self.decided.of(config, catalogue, vehicle, all_scenes), strict=True))
+        effects = dict(zip(all_scenes, self.decided.of(config, catalogue, all_scenes), strict=True))
         scenes = catalogue.scenes
         elsewhere = {
             at: TransferScene(scenes[at].name, scenes[at].content_hash, effects[at]) for row in others for at in row

@@ -7,7 +7,6 @@ clearance and wheelbase in metres; the roof line as shares of length and height.
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,41 +18,23 @@ from shift3d.vehicles.family.spec import BODY_TYPES, CAB_TYPES, VehicleSpec
 Range = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class TypeRanges:
-    """Ranges of one body type: `_m` in metres, `_of_length` and `_of_height` as shares."""
-
-    length_m: Range
-    width_m: Range
-    height_m: Range
-    clearance_m: Range
-    wheelbase_m: Range
-    wheel_radius_m: Range
-    nose_of_height: Range
-    cowl_of_length: Range
-    cowl_of_height: Range
-    roof_front_of_length: Range
-    roof_rear_of_length: Range
-    roof_drop_m: Range
-    backlight_of_length: Range
-    deck_of_height: Range
-    tail_of_height: Range
-    tumblehome_m: Range
-    spoiler_m: Range = (0.0, 0.0)
+Ranges = dict[str, Range]
+"""Ranges of one body type by name: `_m` in metres, `_of_length` and `_of_height` as shares."""
 
 
-def read_ranges() -> dict[str, dict[str, Range]]:
-    """The ranges of ``ranges.csv`` by body type and name; of the wide family's own types, proportions alone."""
+def _read_ranges() -> dict[str, Ranges]:
     with (Path(__file__).parent / "ranges.csv").open(encoding="utf-8", newline="") as file:
         rows = {row.pop("body_type"): row for row in csv.DictReader(file)}
-    found: dict[str, dict[str, Range]] = {}
+    found: dict[str, Ranges] = {}
     for body_type, row in rows.items():
         spans = {name: cell.split() for name, cell in row.items() if cell}
         found[body_type] = {name: (float(low), float(high)) for name, (low, high) in spans.items()}
     return found
 
 
-RANGES = {body_type: TypeRanges(**spans) for body_type, spans in read_ranges().items() if body_type in BODY_TYPES}
+ALL_RANGES = _read_ranges()
+"""``ranges.csv`` by body type; of the wide family's own types it has proportions alone."""
+RANGES = {body_type: ALL_RANGES[body_type] for body_type in BODY_TYPES}
 
 
 def sample_spec(body_type: str, rng: np.random.Generator) -> VehicleSpec:
@@ -72,42 +53,42 @@ def sample_spec(body_type: str, rng: np.random.Generator) -> VehicleSpec:
     return draw_spec(body_type, RANGES[body_type], rng)
 
 
-def draw_spec(body_type: str, ranges: TypeRanges, rng: np.random.Generator) -> VehicleSpec:
+def draw_spec(body_type: str, ranges: Ranges, rng: np.random.Generator) -> VehicleSpec:
     """One vehicle drawn from the given ranges; see `sample_spec`."""
     size = rng.uniform()
 
     def draw(span: Range, tied: float = 0.0) -> float:
         return float(span[0] + (span[1] - span[0]) * (tied * size + (1.0 - tied) * rng.uniform()))
 
-    length, width, height = draw(ranges.length_m, 0.6), draw(ranges.width_m, 0.5), draw(ranges.height_m, 0.3)
-    wheelbase = draw(ranges.wheelbase_m, 0.7)
-    backlight = length * draw(ranges.backlight_of_length)
-    roof_rear = length * draw(ranges.roof_rear_of_length)
+    length, width, height = draw(ranges["length_m"], 0.6), draw(ranges["width_m"], 0.5), draw(ranges["height_m"], 0.3)
+    wheelbase = draw(ranges["wheelbase_m"], 0.7)
+    backlight = length * draw(ranges["backlight_of_length"])
+    roof_rear = length * draw(ranges["roof_rear_of_length"])
     if body_type in CAB_TYPES:
         backlight = roof_rear + rng.uniform(0.08, 0.16)
     return VehicleSpec(
         body_type=body_type, length_m=length, width_m=width, height_m=height, wheelbase_m=wheelbase,
-        clearance_m=draw(ranges.clearance_m),
+        clearance_m=draw(ranges["clearance_m"]),
         front_axle_s_m=(length - wheelbase) * rng.uniform(0.43, 0.49),
-        wheel_radius_m=draw(ranges.wheel_radius_m, 0.4),
-        tyre_width_m=0.62 * draw(ranges.wheel_radius_m) + rng.uniform(0.0, 0.04),
+        wheel_radius_m=draw(ranges["wheel_radius_m"], 0.4),
+        tyre_width_m=0.62 * draw(ranges["wheel_radius_m"]) + rng.uniform(0.0, 0.04),
         arch_gap_m=rng.uniform(0.045, 0.065),
-        nose_z_m=height * draw(ranges.nose_of_height),
-        cowl_s_m=length * draw(ranges.cowl_of_length),
-        cowl_z_m=height * draw(ranges.cowl_of_height),
-        roof_front_s_m=length * draw(ranges.roof_front_of_length),
+        nose_z_m=height * draw(ranges["nose_of_height"]),
+        cowl_s_m=length * draw(ranges["cowl_of_length"]),
+        cowl_z_m=height * draw(ranges["cowl_of_height"]),
+        roof_front_s_m=length * draw(ranges["roof_front_of_length"]),
         roof_rear_s_m=roof_rear,
-        roof_drop_m=draw(ranges.roof_drop_m),
+        roof_drop_m=draw(ranges["roof_drop_m"]),
         backlight_s_m=backlight,
-        deck_z_m=height * draw(ranges.deck_of_height),
-        tail_z_m=height * draw(ranges.tail_of_height),
+        deck_z_m=height * draw(ranges["deck_of_height"]),
+        tail_z_m=height * draw(ranges["tail_of_height"]),
         shoulder_m=rng.uniform(0.02, 0.06),
-        tumblehome_m=draw(ranges.tumblehome_m),
+        tumblehome_m=draw(ranges["tumblehome_m"]),
         front_bow_m=rng.uniform(0.10, 0.22),
         rear_bow_m=rng.uniform(0.05, 0.12),
         plan_taper_m=rng.uniform(0.06, 0.13),
         edge_radius_m=rng.uniform(0.10, 0.18),
-        spoiler_m=draw(ranges.spoiler_m),
+        spoiler_m=draw(ranges.get("spoiler_m", (0.0, 0.0))),
     )  # fmt: skip
 
 

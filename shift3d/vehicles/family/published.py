@@ -76,7 +76,11 @@ TRAILERS: tuple[tuple[str, float, float, float], ...] = (
 """Name, overall length with the drawbar, width and height of braked box trailers, metres."""
 
 
-def _values(body_type: str, quantity: str) -> list[float]:
+def published_range(body_type: str, quantity: str) -> tuple[float, float]:
+    """Least and largest published value of a quantity (one of QUANTITIES), metres, clearance with its tolerance.
+
+    Raises: InputError if unknown.
+    """
     if body_type not in PUBLISHED or quantity not in QUANTITIES:
         raise InputError(
             f"no published {quantity} of {body_type!r}",
@@ -84,14 +88,6 @@ def _values(body_type: str, quantity: str) -> list[float]:
             remedy=f"a body type of {', '.join(PUBLISHED)}; a quantity of {', '.join(QUANTITIES)}",
         )
     found = (getattr(model, quantity) for model in PUBLISHED[body_type])
-    return [float(value) for value in found if value is not None]
-
-
-def published_range(body_type: str, quantity: str) -> tuple[float, float]:
-    """Least and largest published value of a quantity (one of QUANTITIES), metres, clearance with its tolerance.
-
-    Raises: InputError if unknown.
-    """
-    values = _values(body_type, quantity)
+    values = [float(value) for value in found if value is not None]
     tolerance = CLEARANCE_TOLERANCE_M if quantity == "clearance_m" else 0.0
     return min(values) - tolerance, max(values) + tolerance

@@ -146,16 +146,6 @@ def _open_bed(grid: Grid, spec: VehicleSpec, body: Array) -> Array:
     return smooth_max(body, -smooth_max(bed, walls, 0.12), 0.04)
 
 
-def vehicle_field(spec: VehicleSpec, resolution_m: float) -> tuple[Grid, Array]:
-    """The whole vehicle on the half grid: (grid, field (A, B, C) float32, negative inside, about metres).
-
-    Source: our choice: the paper takes its vehicles from ShapeNet.
-    """
-    high = np.array([spec.length_m / 2, spec.width_m / 2, spec.height_m])
-    grid = half_grid(high * (-1.0, -1.0, 0.0), high, resolution_m)
-    return grid, car_field(grid, spec)
-
-
 def car_field(grid: Grid, spec: VehicleSpec) -> Array:
     """The whole vehicle on a half grid that holds it: (A, B, C) float32, negative inside, about metres."""
     field = body_field(grid, spec)
@@ -188,8 +178,9 @@ def build_mesh(spec: VehicleSpec, resolution_m: float = 0.025) -> trimesh.Trimes
     Differentiable w.r.t.: nothing. Source: our choice: the paper takes its vehicles from ShapeNet.
     """
     spec.validate()
-    grid, half = vehicle_field(spec, resolution_m)
-    return sized_mesh(mirrored(half), grid.step_m, (spec.length_m, spec.width_m, spec.height_m))
+    high = np.array([spec.length_m / 2, spec.width_m / 2, spec.height_m])
+    grid = half_grid(high * (-1.0, -1.0, 0.0), high, resolution_m)
+    return sized_mesh(mirrored(car_field(grid, spec)), resolution_m, (spec.length_m, spec.width_m, spec.height_m))
 
 
 def mirrored(half: Array) -> Array:

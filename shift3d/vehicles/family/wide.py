@@ -1,5 +1,10 @@
 """The wide family: vehicles of every body type and attribute, dense in their sizes, each a closed mesh of stated size.
 
+Length, width, height, wheelbase, ground clearance and tyres run from the least to the largest published value of a body
+type (makers' data sheets, `published`). Shares of length and height are our choice, read off side views: those of the
+embedded family, each range half as wide again, and of the other body types as ``ranges.csv`` has them (of a box van or
+a camper: of the cab's own height).
+
 It stands beside the embedded family, which keeps its bytes: the shipped decoder was trained on that one.
 """
 
@@ -17,13 +22,27 @@ from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.vehicles.family.attributes import ATTRIBUTES
 from shift3d.vehicles.family.bodies import Alcove, BoxBody, Trailer
-from shift3d.vehicles.family.embedded import draw_spec
+from shift3d.vehicles.family.embedded import ALL_RANGES, RANGES, Ranges, draw_spec
 from shift3d.vehicles.family.parts.part import Part
+from shift3d.vehicles.family.published import TRAILERS, published_range
 from shift3d.vehicles.family.solid import Grid, car_field, half_grid, mirrored, sized_mesh
 from shift3d.vehicles.family.spec import VehicleSpec
 from shift3d.vehicles.family.split import SPLIT, WIDE_BODY_TYPES
-from shift3d.vehicles.family.wide_ranges import BOXES, TRAILER, wide_ranges
 
+_PUBLISHED = ("length_m", "width_m", "height_m", "wheelbase_m", "clearance_m")
+_WIDENED = (
+    "nose_of_height", "cowl_of_length", "cowl_of_height", "roof_front_of_length", "roof_rear_of_length", "roof_drop_m",
+    "backlight_of_length", "deck_of_height", "tail_of_height", "tumblehome_m",
+)  # fmt: skip
+WIDENED = 0.25
+"""Of its width an embedded range of proportions is extended by at either end."""
+BOXES = ("box_van", "camper")
+_CAB_M: Ranges = {"width_m": (2.00, 2.05), "height_m": (2.12, 2.32)}  # of these, the body apart
+_TRAILER_M: Ranges = {
+    name: (min(values), max(values))
+    for name, values in zip(("length_m", "width_m", "height_m"), list(zip(*TRAILERS))[1:], strict=True)
+} | {"drawbar_m": (1.10, 1.45), "floor_m": (0.45, 0.62), "wheel_radius_m": (0.26, 0.32)}
+"""Outer length, width and height (makers' data sheets); drawbar, floor and wheels (ours)."""
 Side = Literal["seen", "held_out"]
 CYCLE = (
     "hatchback", "suv", "sedan", "beach_wagon", "city_car", "suv", "van", "coupe", "hatchback", "minivan", "sedan",
@@ -111,6 +130,20 @@ def _check(body_type: str, attributes: tuple[str, ...]) -> None:
         raise InputError(f"{', '.join(attributes)} at one place", "attributes", "Give one a place")
 
 
+def wide_ranges(body_type: str) -> Ranges:
+    """Ranges of a body type; those of a box van or a camper are of its cab, but for length and wheelbase."""
+    low, high = published_range(body_type, "tyre_diameter_m")
+    size = {name: published_range(body_type, name) for name in _PUBLISHED} | {"wheel_radius_m": (low / 2, high / 2)}
+    if body_type in BOXES:
+        size |= _CAB_M
+    proportions = dict(ALL_RANGES[body_type])
+    for name in _WIDENED if body_type in RANGES else ():
+        low, high = proportions[name]
+        more, most = WIDENED * (high - low), 0.993 if name.endswith("_of_length") else float("inf")
+        proportions[name] = (max(low - more, 0.0), min(high + more, most))
+    return proportions | size
+
+
 def _draw_car(body_type: str, rng: np.random.Generator) -> VehicleSpec:
     """Drawn again until wheels, hood and roof fit: ranges of different models do not fit in every combination."""
     ranges = wide_ranges(body_type)
@@ -138,8 +171,7 @@ def _fits(car: VehicleSpec) -> bool:
 
 
 def _draw_box(car: VehicleSpec, rng: np.random.Generator) -> tuple[Part, ...]:
-    ranges = BOXES[car.body_type]
-    width, top = rng.uniform(*ranges.width_m), rng.uniform(*ranges.height_m)
+    width, top = (rng.uniform(*published_range(car.body_type, name)) for name in ("width_m", "height_m"))
     gap = rng.uniform(0.04, 0.12) if car.body_type == "box_van" else -0.10
     floor = max(car.deck_z_m - 0.08, 2.0 * car.wheel_radius_m + 0.06) if car.body_type == "box_van" else 0.42
     edge = rng.uniform(0.02, 0.05) if car.body_type == "box_van" else rng.uniform(0.06, 0.12)
@@ -152,13 +184,14 @@ def _draw_box(car: VehicleSpec, rng: np.random.Generator) -> tuple[Part, ...]:
 def _draw_trailer(rng: np.random.Generator) -> Trailer:
     size = rng.uniform()
 
-    def draw(span: tuple[float, float], tied: float = 0.0) -> float:
+    def draw(name: str, tied: float = 0.0) -> float:
+        span = _TRAILER_M[name]
         return float(span[0] + (span[1] - span[0]) * (tied * size + (1.0 - tied) * rng.uniform()))
 
-    length = draw(TRAILER.length_m, 0.7)
+    length = draw("length_m", 0.7)
     return Trailer(
-        length_m=length, width_m=draw(TRAILER.width_m, 0.6), height_m=draw(TRAILER.height_m, 0.4),
-        drawbar_m=draw(TRAILER.drawbar_m), floor_m=draw(TRAILER.floor_m), wheel_radius_m=draw(TRAILER.wheel_radius_m),
+        length_m=length, width_m=draw("width_m", 0.6), height_m=draw("height_m", 0.4),
+        drawbar_m=draw("drawbar_m"), floor_m=draw("floor_m"), wheel_radius_m=draw("wheel_radius_m"),
         axles=2 if length > 4.8 else 1, edge_m=rng.uniform(0.02, 0.08),
     )  # fmt: skip
 

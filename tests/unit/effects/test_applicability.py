@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-from analytic_fields import Frame
 
 from shift3d.effects import applicability
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, Choice, choose
@@ -73,7 +72,7 @@ ALONE = [name for name in NEEDS if name != "wet_ground"]
 
 
 def called(scene: Scene, detector: DetectorFacts = COORDINATES, settings: EffectSettings | None = None) -> list[Choice]:
-    return choose("auto", SceneFacts.of(scene, settings or EffectSettings()), Frame(), detector)
+    return choose("auto", SceneFacts.of(scene, settings or EffectSettings()), detector)
 
 
 def names(choices: list[Choice]) -> list[str]:
@@ -102,19 +101,17 @@ def measured(file, **high: float) -> None:
 
 def test_a_dry_scene_calls_for_nothing():
     assert called(dry_scene()) == []
-    assert choose([], SceneFacts.of(dry_scene()), Frame(), COORDINATES) == []
+    assert choose([], SceneFacts.of(dry_scene()), COORDINATES) == []
 
 
 _FRESH = """
 import sys
-from types import SimpleNamespace
 from shift3d.effects.applicability import choose
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 from shift3d.scenes.sensor import SensorModel
-frame = SimpleNamespace(scale_m=1.0, sdf_R_object=None, sdf_t_object=None, size_m=(4.4, 1.8, 1.5))
 noise = float(sys.argv[1]) or None
 facts = SceneFacts("fresh", has_reflectance=True, sensor=SensorModel(range_noise_m=noise))
-print([choice.effect for choice in choose("auto", facts, frame, DetectorFacts("coordinates"))])
+print([choice.effect for choice in choose("auto", facts, DetectorFacts("coordinates"))])
 print(sorted(name for name in sys.modules if name.startswith("shift3d.effects")))
 """
 
@@ -165,7 +162,7 @@ def test_return_numbers_without_pixels_pair_nothing():
     scene = dataclasses.replace(with_data("second_returns"), range_image_index=None)
     assert called(scene) == []
     with pytest.raises(InputError, match="return numbers and pixels"):
-        choose(["second_returns"], SceneFacts.of(scene), Frame(), COORDINATES)
+        choose(["second_returns"], SceneFacts.of(scene), COORDINATES)
 
 
 def test_a_scene_with_everything_calls_for_all_in_the_order_of_the_physics():
@@ -175,8 +172,8 @@ def test_a_scene_with_everything_calls_for_all_in_the_order_of_the_physics():
 def test_the_order_of_a_list_does_not_matter():
     facts = SceneFacts.of(with_data(*ALONE))
     for wanted in (list(NEEDS), list(NEEDS)[::-1], [*NEEDS, *NEEDS]):
-        assert names(choose(wanted, facts, Frame(), COORDINATES)) == list(NEEDS)
-    assert names(choose(["range_noise", "origins"], facts, Frame(), COORDINATES)) == ["origins", "range_noise"]
+        assert names(choose(wanted, facts, COORDINATES)) == list(NEEDS)
+    assert names(choose(["range_noise", "origins"], facts, COORDINATES)) == ["origins", "range_noise"]
 
 
 @pytest.mark.parametrize("name", NEEDS)
@@ -184,7 +181,7 @@ def test_a_forced_effect_without_data_says_what_is_missing(name):
     others = [other for other in ALONE if other != name and (name, other) != ("wet_ground", "rain")]
     for scene in (dry_scene(), with_data(*others)):
         with pytest.raises(InputError) as caught:
-            choose([name], SceneFacts.of(scene), Frame(), READER)
+            choose([name], SceneFacts.of(scene), READER)
         message = str(caught.value)
         assert "dry street" in message and name in message
         assert NEEDS[name].lacking in message and NEEDS[name].remedy in message
@@ -199,7 +196,7 @@ def test_remedies_name_settings_that_exist():
 
 def test_unknown_names_are_refused_with_those_that_are_known():
     with pytest.raises(InputError, match="unknown effect 'frog'") as caught:
-        choose(["fog", "frog"], SceneFacts.of(with_data("fog")), Frame(), COORDINATES)
+        choose(["fog", "frog"], SceneFacts.of(with_data("fog")), COORDINATES)
     assert all(name in str(caught.value) for name in NEEDS)
 
 
@@ -207,7 +204,7 @@ def test_a_forced_effect_is_used_whether_it_applies_or_not():
     """A noise that float32 cannot hold is not called for; forced it is used."""
     scene = dataclasses.replace(dry_scene(), sensor=SensorModel(range_noise_m=1e-7))
     assert called(scene) == []
-    assert choose(["range_noise"], SceneFacts.of(scene), Frame(), COORDINATES) == [
+    assert choose(["range_noise"], SceneFacts.of(scene), COORDINATES) == [
         Choice("range_noise", True, "asked for", None)
     ]
 
@@ -228,7 +225,7 @@ def test_a_forced_effect_is_used_whether_it_applies_or_not():
 def test_settings_supply_what_a_scene_does_not_state(settings, expected):
     scene = dry_scene()
     assert names(called(scene, settings=settings)) == expected
-    assert names(choose(expected, SceneFacts.of(scene, settings), Frame(), COORDINATES)) == expected
+    assert names(choose(expected, SceneFacts.of(scene, settings), COORDINATES)) == expected
     assert SceneFacts.of(scene).described(settings) == SceneFacts.of(scene, settings)
 
 
@@ -241,9 +238,9 @@ def test_a_speed_of_the_object_calls_for_rolling_shutter_where_times_are_known()
 def test_points_that_follow_the_sensor_hold_no_motion_of_it():
     scene = with_data("rolling_shutter")
     compensated = dataclasses.replace(scene, conditions=dataclasses.replace(scene.conditions, motion_compensated=True))
-    assert names(choose(["rolling_shutter"], SceneFacts.of(scene), Frame(), COORDINATES)) == ["rolling_shutter"]
+    assert names(choose(["rolling_shutter"], SceneFacts.of(scene), COORDINATES)) == ["rolling_shutter"]
     with pytest.raises(InputError, match="object_speed_m_s"):
-        choose(["rolling_shutter"], SceneFacts.of(compensated), Frame(), COORDINATES)
+        choose(["rolling_shutter"], SceneFacts.of(compensated), COORDINATES)
 
 
 def test_an_effect_that_moves_no_score_is_left_out_with_the_reason(impact_file):
@@ -257,7 +254,7 @@ def test_an_effect_that_moves_no_score_is_left_out_with_the_reason(impact_file):
 def test_what_was_measured_does_not_overrule_a_list(impact_file):
     measured(impact_file, range_noise=0.0)
     facts = SceneFacts.of(with_data("range_noise"))
-    assert choose(["range_noise"], facts, Frame(), COORDINATES) == [Choice("range_noise", True, "asked for", 2.5)]
+    assert choose(["range_noise"], facts, COORDINATES) == [Choice("range_noise", True, "asked for", 2.5)]
 
 
 def test_what_was_measured_calls_for_nothing_by_itself(impact_file):

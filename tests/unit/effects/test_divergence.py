@@ -286,6 +286,6 @@ def test_applies_by_the_width_of_the_cone_at_the_farthest_place() -> None:
     widest = LEAST_FOOTPRINT_M / PLACEMENT_LIMIT_M
     for factor, expected in ((0.99, False), (1.01, True)):
         facts = SceneFacts.of(around_a_ball(4), EffectSettings(divergence_rad=factor * widest))
-        assert (EFFECT.applicability(facts, CUBE, detector) is not None) == expected
-    reason = EFFECT.applicability(SceneFacts.of(around_a_ball(4), EffectSettings(divergence_rad=0.003)), CUBE, detector)
+        assert (EFFECT.applicability(facts, detector) is not None) == expected
+    reason = EFFECT.applicability(SceneFacts.of(around_a_ball(4), EffectSettings(divergence_rad=0.003)), detector)
     assert reason is not None and "15 cm" in reason and "50 m" in reason

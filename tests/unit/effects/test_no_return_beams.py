@@ -122,6 +122,6 @@ def test_origins_no_return_rows_and_shutter_each_keep_what_the_former_did() -> N
 
 def test_applies_by_how_many_there_are() -> None:
     detector = DetectorFacts("any")
-    reason = EFFECT.applicability(SceneFacts.of(scene_of()), FRAME, detector)
+    reason = EFFECT.applicability(SceneFacts.of(scene_of()), detector)
     assert reason is not None and "60" in reason
-    assert EFFECT.applicability(SceneFacts.of(scene_of(no_return=0)), FRAME, detector) is None
+    assert EFFECT.applicability(SceneFacts.of(scene_of(no_return=0)), detector) is None

@@ -74,5 +74,5 @@ def test_places_that_agree_row_by_row_give_the_beams_of_one_place() -> None:
 
 def test_applies_where_places_differ() -> None:
     detector = DetectorFacts("any")
-    assert EFFECT.applicability(SceneFacts.of(scene_of(TWO[:1])), FRAME, detector) is None
-    assert EFFECT.applicability(SceneFacts.of(scene_of(TWO)), FRAME, detector) is not None
+    assert EFFECT.applicability(SceneFacts.of(scene_of(TWO[:1])), detector) is None
+    assert EFFECT.applicability(SceneFacts.of(scene_of(TWO)), detector) is not None

@@ -121,5 +121,5 @@ def test_applies_where_the_sensor_states_a_noise_that_points_can_hold():
     scene = context_of(None, 50).scene
     for sigma_m, reason in ((None, None), (1e-7, None), (0.015, "15 mm"), (1.5, "1.5 m")):
         facts = SceneFacts.of(scene, EffectSettings(range_noise_m=sigma_m))
-        message = EFFECT.applicability(facts, Frame(), DetectorFacts("reader"))
+        message = EFFECT.applicability(facts, DetectorFacts("reader"))
         assert message is None if reason is None else message is not None and reason in message

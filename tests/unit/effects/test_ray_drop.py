@@ -97,7 +97,7 @@ def test_without_a_limit_nothing_is_changed_bit_for_bit(limit_m, spread):
     context = context_of(limit_m, spread, 100)
     before = returns_of(context, 0.0)
     assert EFFECT.bind(context)(before) is before
-    assert EFFECT.applicability(SceneFacts.of(context.scene), Frame(), DETECTOR) is None
+    assert EFFECT.applicability(SceneFacts.of(context.scene), DETECTOR) is None
 
 
 def test_only_rows_of_the_object_that_return_are_lost():
@@ -162,7 +162,7 @@ def test_applies_where_the_weakest_echo_comes_near_the_limit():
     def message(limit_m: float | None, spread: float = 0.0) -> str | None:
         soft = dataclasses.replace(scene, sensor=SensorModel(power_spread=spread))
         facts = SceneFacts.of(soft, EffectSettings(limit_range_m=limit_m))
-        return EFFECT.applicability(facts, Frame(), DETECTOR)
+        return EFFECT.applicability(facts, DETECTOR)
 
     assert message(None) is None
     assert message(1.01 * limit_m) is None

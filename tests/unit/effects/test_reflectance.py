@@ -49,7 +49,7 @@ def test_it_does_not_depend_on_range():
     """What is reported is corrected for range: the same surface twice as far reports the same."""
     context = context_of()
     before = returns_of(context)
-    farther = before.moved_to(2.0 * before.range_m, before.on_object)
+    farther = before.moved_to(2.0 * before.range_m[before.on_object], before.on_object.nonzero().squeeze(1))
     step = EFFECT.bind(context)
     near, far = step(before).reflectance, step(farther).reflectance
     assert near is not None and far is not None and torch.equal(near, far)
@@ -102,7 +102,7 @@ def test_it_carries_no_gradient():
 def test_applies_where_a_detector_reads_what_the_scene_has():
     with_it, without = (SceneFacts.of(context_of(20, known).scene) for known in (True, False))
     reader, coordinates = DetectorFacts("sst", reads_reflectance=True), DetectorFacts("pointpillars")
-    reason = EFFECT.applicability(with_it, Frame(), reader)
+    reason = EFFECT.applicability(with_it, reader)
     assert reason is not None and "sst" in reason
-    assert EFFECT.applicability(with_it, Frame(), coordinates) is None
-    assert EFFECT.applicability(without, Frame(), reader) is None
+    assert EFFECT.applicability(with_it, coordinates) is None
+    assert EFFECT.applicability(without, reader) is None

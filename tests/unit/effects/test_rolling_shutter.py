@@ -133,16 +133,16 @@ def test_applies_where_the_displacement_exceeds_the_range_noise() -> None:
     scene = dataclasses.replace(scene_of(), sensor=SensorModel(range_noise_m=0.5))
     for speed, expected in ((4.9, False), (5.1, True), (-5.1, True)):
         facts = SceneFacts.of(scene, EffectSettings(object_speed_m_s=speed))
-        assert (EFFECT.applicability(facts, FRAME, DETECTOR) is not None) == expected
+        assert (EFFECT.applicability(facts, DETECTOR) is not None) == expected
     unknown = ASSUMED_NOISE_M / SCAN_S
     for factor, expected in ((0.9, False), (1.1, True)):
         facts = SceneFacts.of(scene_of(), EffectSettings(object_speed_m_s=factor * unknown))
-        assert (EFFECT.applicability(facts, FRAME, DETECTOR) is not None) == expected
+        assert (EFFECT.applicability(facts, DETECTOR) is not None) == expected
 
 
 def test_applies_by_a_moving_sensor_only_where_points_do_not_contain_its_motion() -> None:
     for compensated in (True, False):
         conditions = Conditions(ego_velocity_m_s=(10.0, 0.0, 0.0), motion_compensated=compensated)
-        reason = EFFECT.applicability(SceneFacts.of(scene_of(conditions)), FRAME, DETECTOR)
+        reason = EFFECT.applicability(SceneFacts.of(scene_of(conditions)), DETECTOR)
         assert (reason is None) == compensated
         assert reason is None or ("10.0 m/s" in reason and "1.00 m" in reason)

@@ -170,7 +170,7 @@ def test_one_return_a_beam_from_an_inserted_box():
 def test_applies_where_beams_have_more_than_one_return():
     two = scene_of([0, 1], [SAME, SAME])
     detector = DetectorFacts("reader")
-    assert "2 returns" in (EFFECT.applicability(SceneFacts.of(two), Frame(), detector) or "")
+    assert "2 returns" in (EFFECT.applicability(SceneFacts.of(two), detector) or "")
     one = dataclasses.replace(two, return_number=np.zeros(2, np.uint8))
     for scene in (one, dataclasses.replace(two, return_number=None), dataclasses.replace(two, range_image_index=None)):
-        assert EFFECT.applicability(SceneFacts.of(scene), Frame(), detector) is None
+        assert EFFECT.applicability(SceneFacts.of(scene), detector) is None

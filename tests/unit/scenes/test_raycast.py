@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
-from shift3d.scenes.street.raycast import Intersector, Sweep, beam_directions
+from shift3d.scenes.street.raycast import Intersector, Sweep, beam_directions, hit_instance, hit_leaves
 from shift3d.scenes.street.sensors import HDL64, SENSORS, Sensor
 from shift3d.scenes.street.shapes import Material, Part, box, ellipsoid, prism
 
@@ -70,7 +72,9 @@ def test_an_instance_is_hit_as_the_same_mesh_in_the_scene_frame_is(
     cos, sin = np.cos(heading_rad), np.sin(heading_rad)
     scene_R_object = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     fast = Sweep.empty(HDL64)
-    fast.cast_instance(Intersector(part.vertices, part.faces), scene_R_object, np.array(position), 2.01, (9.0, 9.0), 0)
+    mesh = Intersector(part.vertices, part.faces)
+    hit = functools.partial(hit_instance, mesh, scene_R_object, np.array(position), (9.0, 9.0))
+    fast.cast_near(np.array(position), 2.01, hit, 0)
     both = np.isfinite(plain.range_m) & np.isfinite(fast.range_m)
     assert both.sum() > 50
     assert (np.isfinite(plain.range_m) != np.isfinite(fast.range_m)).sum() <= 2  # float32 at the silhouette
@@ -80,7 +84,8 @@ def test_an_instance_is_hit_as_the_same_mesh_in_the_scene_frame_is(
 def test_leaves_stop_beams_exponentially() -> None:
     """Through the middle of a ball of radius r with mean free path m, a share 1 - exp(-2 r / m) is stopped."""
     sweep = Sweep.empty(HDL64)
-    sweep.cast_foliage(np.array([20.0, 0.0, 0.0]), np.full(3, 3.0), 2.0, 5, np.random.default_rng(1))
+    centre, radii = np.array([20.0, 0.0, 0.0]), np.full(3, 3.0)
+    sweep.cast_near(centre, 3.0, functools.partial(hit_leaves, centre, radii, 2.0, np.random.default_rng(1)), 5)
     directions = beam_directions("hdl64").reshape(-1, 3)
     central = directions @ np.array([1.0, 0.0, 0.0]) > np.cos(0.01)
     stopped = np.isfinite(sweep.range_m.reshape(-1)[central])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from shift3d.scenes.street.build.item import Item, stand_on
 from shift3d.scenes.street.build.things import Leaves
 from shift3d.scenes.street.build.world import World
 from shift3d.scenes.street.echoes import Echoes
-from shift3d.scenes.street.raycast import Hits, Intersector, Sweep
+from shift3d.scenes.street.raycast import Hits, Intersector, Sweep, hit_instance, hit_leaves
 from shift3d.scenes.street.returns import Paint, finish, sensor_model
 from shift3d.scenes.street.sensors import AT_ORIGIN, HDL64, SHORT32, WAYMO_TOP, Mount, Sensor
 from shift3d.scenes.street.shapes import ALBEDO, Material, Part, box, ellipsoid
@@ -81,7 +82,8 @@ def test_windows_of_mounted_and_moving_sensors_miss_nothing(
     cos, sin = np.cos(0.6), np.sin(0.6)
     scene_R_object = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     fast, mesh = Sweep.empty(sensor, mount), Intersector(part.vertices, part.faces)
-    fast.cast_instance(mesh, scene_R_object, np.array(position), 2.01, (9.0, 9.0), 0)
+    hit = functools.partial(hit_instance, mesh, scene_R_object, np.array(position), (9.0, 9.0))
+    fast.cast_near(np.array(position), 2.01, hit, 0)
     both = np.isfinite(plain.range_m) & np.isfinite(fast.range_m)
     assert (np.isfinite(plain.range_m) != np.isfinite(fast.range_m)).sum() <= 2  # float32 at the silhouette
     np.testing.assert_allclose(fast.range_m[both], plain.range_m[both], atol=5e-4)
@@ -91,7 +93,7 @@ def test_windows_of_mounted_and_moving_sensors_miss_nothing(
 def test_leaves_are_met_where_they_stand_by_a_moving_sensor() -> None:
     centre, radii = np.array([15.0, 4.0, 0.0]), np.array([3.0, 2.0, 2.5])
     sweep = Sweep.empty(HDL64, Mount(speed_m_s=SPEED))
-    sweep.cast_foliage(centre, radii, 0.5, 3, np.random.default_rng(0))
+    sweep.cast_near(centre, 3.0, functools.partial(hit_leaves, centre, radii, 0.5, np.random.default_rng(0)), 3)
     points = echoes(sweep, compensated=True).points
     inside = (((points - centre) / radii) ** 2).sum(axis=1)
     assert len(points) > 500 and inside.max() < 1.0 + 1e-5

@@ -31,12 +31,8 @@ OPTIONS: tuple[dict[str, Any], ...] = (
 )
 
 
-class AnyVehicle:
-    """Effects ask nothing of it."""
-
-
 def decided(facts: SceneFacts, overrides: EffectSettings) -> list[tuple[str, bool]]:
-    choices = choose("auto", facts.described(overrides), AnyVehicle(), READER)  # type: ignore[arg-type]
+    choices = choose("auto", facts.described(overrides), READER)
     return [(choice.effect, choice.used) for choice in choices]
 
 

@@ -14,7 +14,7 @@ from shift3d.scenes.labels import Labels
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.assemble import street_scene
-from shift3d.scenes.street.build.fleet import WideFleet
+from shift3d.scenes.street.build.fleet import fleet_of
 from shift3d.scenes.street.options import StreetOptions
 from shift3d.vehicles.family.split import SPLIT
 
@@ -55,7 +55,7 @@ def test_boxes_stand_apart_and_hold_their_vehicles(held_out: list[Scene]) -> Non
 
 @pytest.mark.parametrize("held_out", [False, True])
 def test_vehicles_are_of_the_size_that_their_slot_has_and_no_larger(held_out: bool) -> None:
-    fleet = WideFleet("val", held_out)
+    fleet = fleet_of("held_out" if held_out else "wide", "val")
     for variant in range(24):
         vehicle, size = fleet.vehicle(variant), np.array(fleet.slot_m(variant))
         assert vehicle.size_m == pytest.approx(size)
@@ -71,9 +71,9 @@ def test_vehicles_are_of_the_size_that_their_slot_has_and_no_larger(held_out: bo
 
 
 def test_no_two_vehicles_of_training_are_alike() -> None:
-    sizes = {WideFleet("train").slot_m(variant) for variant in range(1000)}
+    sizes = {fleet_of("wide", "train").slot_m(variant) for variant in range(1000)}
     assert len(sizes) == 1000
-    assert not sizes & {WideFleet("test").slot_m(variant) for variant in range(200)}
+    assert not sizes & {fleet_of("wide", "test").slot_m(variant) for variant in range(200)}
 
 
 def test_the_same_name_gives_the_same_bytes_and_kinds_are_part_of_them(held_out: list[Scene]) -> None:

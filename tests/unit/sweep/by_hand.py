@@ -17,7 +17,6 @@ def catalogue(config: Config) -> Catalogue:
     """Two scenes and the five vehicles."""
     return Catalogue(
         scenes=tuple(SceneEntry(name, "street-hdl64", name[0], SceneFacts(name)) for name in ("north", "south")),
-        frame_of=lambda _: None,  # no effect that asks for it
         scene_arguments={"kind": "street"},
         sector_rad=(0.5, 1.0),
         vehicles={name: f"{name}-hash" for name in VEHICLES},

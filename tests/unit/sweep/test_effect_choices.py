@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import pytest
 from by_hand import catalogue
 
-from shift3d.effects.applicability import NEEDS
+from shift3d.effects.applicability import NEEDS, Choice, choose
 from shift3d.errors import InputError
-from shift3d.scenes.facts import EffectSettings, SceneFacts
+from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
 from shift3d.scenes.labels import Conditions
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
@@ -92,14 +93,16 @@ def test_settings_of_effects_as_an_axis_and_a_task_that_two_of_them_share() -> N
     )
 
 
-def test_scenes_are_asked_once_a_vehicle() -> None:
+def test_scenes_are_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
     requested: list[str] = []
 
-    def counting(config: Config) -> Catalogue:
-        return dataclasses.replace(one_foggy(config), frame_of=lambda name: requested.append(name))
+    def counting(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFacts) -> list[Choice]:
+        requested.append(scene.scene_id)
+        return choose(wanted, scene, detector)
 
-    plan_of("attack.lambda=1,10", "attack.alpha=0.01,0.02", of=counting)
-    assert len(requested) == 1  # neither a scene each nor a combination of settings each
+    monkeypatch.setattr(effect_choices, "choose", counting)
+    plan_of("attack.lambda=1,10", "attack.alpha=0.01,0.02", of=one_foggy)
+    assert requested == ["north", "north", "south", "south"]  # what they call for, and what is forced
 
 
 def test_a_misspelt_effect_is_told_the_nearest_and_nothing_internal() -> None:

@@ -32,7 +32,7 @@ def test_dimensions_lie_in_the_published_ranges(body_type: str) -> None:
         spec = sample_spec(body_type, generator("test ranges", body_type, draw))
         spec.validate()
         for name in ("length_m", "width_m", "height_m", "clearance_m", "wheelbase_m", "wheel_radius_m"):
-            low, high = getattr(ranges, name)
+            low, high = ranges[name]
             assert low <= getattr(spec, name) <= high, name
         rear_axle = spec.front_axle_s_m + spec.wheelbase_m
         assert spec.wheel_radius_m < spec.front_axle_s_m < rear_axle < spec.length_m - spec.wheel_radius_m

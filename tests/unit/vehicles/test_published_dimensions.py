@@ -69,8 +69,8 @@ def test_every_vehicle_that_can_be_drawn_is_within_published_dimensions(body_typ
     assert len({model.name for model in PUBLISHED[body_type]}) >= 11
     ranges = RANGES[body_type]
     for quantity in QUANTITIES:
-        radius = ranges.wheel_radius_m
-        low, high = (2 * radius[0], 2 * radius[1]) if quantity == "tyre_diameter_m" else getattr(ranges, quantity)
+        radius = ranges["wheel_radius_m"]
+        low, high = (2 * radius[0], 2 * radius[1]) if quantity == "tyre_diameter_m" else ranges[quantity]
         least, most = published_range(body_type, quantity)
         assert least - ROUNDING_M <= low <= high <= most + ROUNDING_M, quantity
 

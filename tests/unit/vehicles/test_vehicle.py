@@ -46,8 +46,7 @@ def test_baseline_decodes_to_one_body_of_the_stated_realistic_size(name: str, de
     assert sum(volumes[1:]) < 1e-3 * volumes[0]
     assert mesh.extents == pytest.approx(vehicle.size_m, abs=0.03)
     assert np.abs(mesh.bounds.mean(axis=0)).max() < 0.02
-    ranges = RANGES[name]
-    for size, (low, high) in zip(vehicle.size_m, (ranges.length_m, ranges.width_m, ranges.height_m)):
+    for size, (low, high) in zip(vehicle.size_m, (RANGES[name][size] for size in ("length_m", "width_m", "height_m"))):
         assert low - 0.06 <= size <= high + 0.06
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,59 +22,35 @@ if TYPE_CHECKING:
 WIDE_RESOLUTION_M = 0.06
 _WITHOUT_GLASS = ("trailer", "box_van", "camper")
 """Boxes: at the height of a car's windows they have sheet metal."""
-
-
-class Fleet(Protocol):
-    """The vehicles of a street, by the variants that items carry."""
-
-    def slot_m(self, variant: int) -> Size:
-        """Floor space to keep for a vehicle, and its height, metres; no mesh is built for it."""
-        ...
-
-    def vehicle(self, variant: int) -> PoolVehicle:
-        """The vehicle itself."""
-        ...
+_FAMILY_SLOT_M = (5.7, 2.1, 1.8)
+"""As long and wide as nearly any vehicle of the embedded family, to 0.15 m; vans are up to 0.3 m higher."""
 
 
 @dataclass(frozen=True)
-class EmbeddedFleet:
-    """A pool of vehicles of the embedded family, see `pool`. Every slot is as long and wide as nearly any of them, to
-    0.15 m; vans are up to 0.3 m higher."""
+class Fleet:
+    """The vehicles of a street, by the variants that items carry.
 
-    split: str
-
-    def slot_m(self, variant: int) -> Size:
-        """See `Fleet`."""
-        return (5.7, 2.1, 1.8)
-
-    def vehicle(self, variant: int) -> PoolVehicle:
-        """See `Fleet`."""
-        return pool_vehicle(self.split, variant)
-
-
-@dataclass(frozen=True)
-class WideFleet:
-    """Vehicles of the wide family, each variant another one; the splits share none.
-
-    held_out: every second vehicle is of a kind that training never sees, the others of kinds that it does.
+    slot_m: floor space to keep for a vehicle, and its height, metres; no mesh is built for it. vehicle: itself.
     """
 
-    split: str
-    held_out: bool = False
-
-    def slot_m(self, variant: int) -> Size:
-        """See `Fleet`."""
-        return _wide_spec(self.split, self.held_out, variant).size_m
-
-    def vehicle(self, variant: int) -> PoolVehicle:
-        """See `Fleet`."""
-        return _wide_vehicle(self.split, self.held_out, variant)
+    slot_m: Callable[[int], Size]
+    vehicle: Callable[[int], PoolVehicle]
 
 
 def fleet_of(traffic: str, split: str) -> Fleet:
-    """The fleet of a street's option `traffic`. Raises InputError for held-out traffic on split train."""
+    """The fleet of a street's option `traffic`. Raises InputError for held-out traffic on split train.
+
+    family: a pool of vehicles of the embedded family, see `pool`. wide, held_out: vehicles of the wide family, each
+    variant another one; the splits share none. Held out: every second vehicle is of a kind that training never sees,
+    the others of kinds that it does.
+    """
     check_traffic(traffic, split)
-    return EmbeddedFleet(split) if traffic == "family" else WideFleet(split, traffic == "held_out")
+    if traffic == "family":
+        return Fleet(lambda variant: _FAMILY_SLOT_M, functools.partial(pool_vehicle, split))
+    held_out = traffic == "held_out"
+    return Fleet(
+        lambda variant: _wide_spec(split, held_out, variant).size_m, functools.partial(_wide_vehicle, split, held_out)
+    )
 
 
 @lru_cache(maxsize=4096)

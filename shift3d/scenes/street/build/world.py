@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,17 +16,17 @@ from shift3d.scenes.street.build.layout import Layout
 from shift3d.scenes.street.build.pool import PoolVehicle
 from shift3d.scenes.street.build.things import LOOKS, Leaves
 from shift3d.scenes.street.raycast import (
-    LEAVES_COSINE,
     Float,
     Float32,
+    Hit,
     Hits,
     Intersector,
     Sweep,
     hit_instance,
-    through_ellipsoid,
+    hit_leaves,
 )
 from shift3d.scenes.street.sensors import Sensor
-from shift3d.scenes.street.shapes import Material, Mesh, Part, merge
+from shift3d.scenes.street.shapes import Mesh, Part, merge
 from shift3d.seeding import generator
 
 
@@ -88,14 +90,18 @@ class World:
     def cast(self, sweep: Sweep, rng: np.random.Generator) -> None:
         """First hits of every beam of a sweep."""
         sweep.cast_static(self.mesh, self.material, self.item)
-        for placed_vehicle in self.vehicles:
-            vehicle, radius_m = placed_vehicle.vehicle, placed_vehicle.vehicle.radius_m
-            pose = (placed_vehicle.scene_R_object, placed_vehicle.position)
-            sweep.cast_instance(
-                vehicle.intersector, *pose, radius_m, placed_vehicle.vehicle.glass_band_m, placed_vehicle.number
-            )
+        for number, centre, radius_m, hit in self._things(rng):
+            sweep.cast_near(centre, radius_m, hit, number)
+
+    def _things(self, rng: np.random.Generator) -> Iterator[tuple[int, Float, float, Hit]]:
+        """Vehicles, then leaves: item number, centre and radius of a sphere that holds it, and how it is hit."""
+        for placed in self.vehicles:
+            vehicle, pose = placed.vehicle, (placed.scene_R_object, placed.position)
+            on_mesh = functools.partial(hit_instance, vehicle.intersector, *pose, vehicle.glass_band_m)
+            yield placed.number, placed.position, vehicle.radius_m, on_mesh
         for number, leaf in self.foliage:
-            sweep.cast_foliage(leaf.centre, leaf.radii, leaf.free_path_m, number, rng)
+            in_leaves = functools.partial(hit_leaves, leaf.centre, leaf.radii, leaf.free_path_m, rng)
+            yield number, leaf.centre, float(leaf.radii.max()), in_leaves
 
     def hits_from(
         self, sensor: Sensor, starts: Float, directions: Float, from_m: Float, rng: np.random.Generator
@@ -107,8 +113,8 @@ class World:
 
         Returns: Hits of shape (N,), ranges from the starts.
         """
-        aims, begins = directions.astype(np.float32), starts + from_m[:, None] * directions
-        range_m, face, cosine = self.mesh.first_hit(begins.astype(np.float32), aims)
+        begins = starts + from_m[:, None] * directions
+        range_m, face, cosine = self.mesh.first_hit(begins.astype(np.float32), directions.astype(np.float32))
         met = face >= 0
         hits = Hits(
             sensor,
@@ -117,21 +123,10 @@ class World:
             np.where(met, self.material[face], 0).astype(np.uint8),
             cosine,
         )
-        for placed_vehicle in self.vehicles:
-            near = _near(begins, directions, placed_vehicle.position, placed_vehicle.vehicle.radius_m)
-            if not len(near):
-                continue
-            pose = (placed_vehicle.scene_R_object, placed_vehicle.position)
-            mesh = placed_vehicle.vehicle.intersector
-            on_mesh = hit_instance(mesh, *pose, placed_vehicle.vehicle.glass_band_m, begins[near], aims[near])
-            _nearer(hits, near, *on_mesh, placed_vehicle.number)
-        for number, leaf in self.foliage:
-            near = _near(begins, directions, leaf.centre, float(leaf.radii.max()))
-            crossed, enter, leave = through_ellipsoid(begins[near], directions[near], leaf.centre, leaf.radii)
-            depth = np.maximum(enter, 0.0) + rng.exponential(leaf.free_path_m, len(near))
-            range_m = np.where(crossed & (depth < leave), depth, np.inf).astype(np.float32)
-            leaves = np.full(len(near), Material.FOLIAGE, dtype=np.uint8)
-            _nearer(hits, near, range_m, leaves, np.full(len(near), LEAVES_COSINE, np.float32), number)
+        for number, centre, radius_m, hit in self._things(rng):
+            near = _near(begins, directions, centre, radius_m)
+            if len(near):
+                _nearer(hits, near, *hit(begins[near], directions[near]), number)
         hits.range_m = (hits.range_m + from_m).astype(np.float32)
         return hits
 

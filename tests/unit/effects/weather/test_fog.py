@@ -6,49 +6,19 @@ import math
 import numpy as np
 import pytest
 import torch
-from analytic_fields import Frame
+from weather_by_hand import COUNT, context_of, returns_of
 
-from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.base import EffectContext
 from shift3d.effects.weather.fog import EFFECT, PULSE_S, backscatter_per_m, extinction_per_m, soft_echo
-from shift3d.render.beams import Beams
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
-from shift3d.scenes.scene import Conditions, Scene
+from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
 
-COUNT = 20_000
 BLIND = DetectorFacts("xyz")
 
 
-def context_of(
-    visibility_m: float, sensor: SensorModel | None = None, in_points: bool = False, seed: int = 4
-) -> EffectContext:
-    """Beams that end 1.5 to 100 m away, in all directions."""
-    rng = np.random.default_rng(1)
-    directions = rng.standard_normal((COUNT, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = (rng.uniform(1.5, 100.0, (COUNT, 1)) * directions).astype(np.float32)
-    conditions = Conditions("fog", visibility_m=visibility_m, weather_in_points=in_points)
-    scene = Scene("foggy", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, conditions=conditions, sensor=sensor)
-    return EffectContext(scene, Beams.from_scene(scene), Frame(), seed)
-
-
-def returns_of(context: EffectContext, range_m: float | None = None, albedo: torch.Tensor | None = None) -> Returns:
-    """Every beam on the object, at one range or where the beams end."""
-    beams, half = context.beams, torch.full((COUNT,), 0.5, dtype=torch.float64)
-    yes = torch.ones(COUNT, dtype=torch.bool)
-    reach = beams.ranges_m if range_m is None else torch.full_like(beams.ranges_m, range_m)
-    points = beams.origins + reach[:, None] * beams.directions
-    shown = half if albedo is None else albedo
-    return Returns(torch.arange(COUNT), points, beams.origins, beams.directions, yes, yes, 2 * half, shown, half)
-
-
-def rows_of(returns: Returns, rows: torch.Tensor) -> Returns:
-    return Returns(**{name: None if part is None else part[rows] for name, part in vars(returns).items()})
-
-
-def assert_same(one: Returns, other: Returns) -> None:
-    for name, part in vars(one).items():
-        assert torch.equal(part, vars(other)[name]), name
+def foggy(visibility_m: float, sensor: SensorModel | None = None) -> EffectContext:
+    return context_of(Conditions("fog", visibility_m=visibility_m, weather_in_points=False), sensor)
 
 
 def echo_by_integration(visibility_m: float, range_m: float) -> tuple[float, float]:
@@ -85,7 +55,7 @@ def test_echo_of_fog_is_the_integral(visibility_m, range_m):
 
 def test_one_table_serves_a_process():
     first = soft_echo(extinction_per_m(70.0), backscatter_per_m(70.0))
-    EFFECT.bind(context_of(70.0))
+    EFFECT.bind(foggy(70.0))
     assert soft_echo(extinction_per_m(70.0), backscatter_per_m(70.0)) is first
 
 
@@ -97,14 +67,8 @@ def test_the_echo_of_fog_never_lies_behind_the_surface():
         assert (reported <= range_m * (1.0 + 1e-3)).all()
 
 
-def test_no_fog_is_the_identity():
-    context = context_of(math.inf, SensorModel(limit_range_m=20.0))
-    before = returns_of(context)
-    assert_same(before, EFFECT.bind(context)(before))
-
-
 def test_thinner_and_thinner_fog_comes_to_the_identity():
-    context = context_of(1e9)
+    context = foggy(1e9)
     before = returns_of(context)
     after = EFFECT.bind(context)(before)
     assert torch.equal(after.points, before.points)
@@ -114,7 +78,7 @@ def test_thinner_and_thinner_fog_comes_to_the_identity():
 
 @pytest.mark.parametrize("visibility_m", [0.5, 0.1, 1e-3, 1e-6])
 def test_dense_fog_is_seen_close_to_the_sensor(visibility_m):
-    context = context_of(visibility_m, SensorModel(limit_range_m=120.0, power_spread=0.4))
+    context = foggy(visibility_m, SensorModel(limit_range_m=120.0, power_spread=0.4))
     before = returns_of(context)
     after = EFFECT.bind(context)(before)
     far = before.range_m > 2.5
@@ -125,20 +89,8 @@ def test_dense_fog_is_seen_close_to_the_sensor(visibility_m):
         assert bool(torch.isfinite(part).all())
 
 
-def test_fog_moves_points_along_the_beam_only():
-    context = context_of(40.0)
-    before = returns_of(context)
-    after = EFFECT.bind(context)(before)
-    fog = ~after.on_object
-    assert 0 < int(fog.sum()) < COUNT
-    offset = after.points[fog] - before.origins[fog]
-    across = offset - (offset * before.directions[fog]).sum(-1, keepdim=True) * before.directions[fog]
-    assert float(across.norm(dim=-1).max()) < 1e-12
-    assert torch.equal(after.points[~fog], before.points[~fog])
-
-
 def test_beer_and_lambert_in_what_surfaces_report():
-    context = context_of(200.0)
+    context = foggy(200.0)
     before = returns_of(context)
     after = EFFECT.bind(context)(before)
     surface = after.on_object
@@ -150,7 +102,7 @@ def test_beer_and_lambert_in_what_surfaces_report():
 @pytest.mark.parametrize("range_m", [10.0, 20.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
     """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
-    context = context_of(100.0, SensorModel(limit_range_m=100.0))
+    context = foggy(100.0, SensorModel(limit_range_m=100.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     expected = 1.0 - 9e-5 * range_m**2 * math.exp(2.0 * math.log(20.0) / 100.0 * range_m)
@@ -159,38 +111,11 @@ def test_beer_and_lambert_in_what_survives(range_m):
 
 
 def test_which_echo_wins_does_not_depend_on_the_scale_of_reflectance():
-    context = context_of(40.0)
+    context = foggy(40.0)
     bright = returns_of(context)
     dark = dataclasses.replace(bright, albedo=bright.albedo / 255.0, reflectance=bright.reflectance / 255.0)
     step = EFFECT.bind(context)
     assert torch.equal(step(bright).points, step(dark).points)
-
-
-def test_a_beam_gets_the_same_in_any_batch():
-    context = context_of(60.0, SensorModel(limit_range_m=80.0, power_spread=0.4))
-    before, rows = returns_of(context), torch.arange(3, COUNT, 7)
-    assert_same(rows_of(EFFECT.bind(context)(before), rows), EFFECT.bind(context)(rows_of(before, rows)))
-
-
-def test_rows_without_a_return_stay_as_they_are():
-    context = context_of(30.0, SensorModel(limit_range_m=80.0))
-    before = dataclasses.replace(returns_of(context), returned=torch.zeros(COUNT, dtype=torch.bool))
-    assert_same(before, EFFECT.bind(context)(before))
-
-
-def test_gradients_pass_where_the_surface_stays_and_nowhere_else():
-    context = context_of(40.0)
-    before = returns_of(context)
-    points = before.points.clone().requires_grad_()
-    after = EFFECT.bind(context)(dataclasses.replace(before, points=points))
-    weight = torch.rand(COUNT, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
-    (after.points * weight).sum().backward()
-    assert torch.equal(points.grad, torch.where(after.on_object[:, None], weight, 0.0))
-
-
-def test_recordings_have_their_fog_already():
-    assert not EFFECT.on_scene(context_of(50.0, in_points=True))
-    assert EFFECT.on_scene(context_of(50.0, in_points=False))
 
 
 def facts_of(visibility_m: float, **known: object) -> SceneFacts:
@@ -198,7 +123,7 @@ def facts_of(visibility_m: float, **known: object) -> SceneFacts:
 
 
 def test_applies_with_figures():
-    reason = EFFECT.applicability(facts_of(50.0), Frame(), BLIND)
+    reason = EFFECT.applicability(facts_of(50.0), BLIND)
     # 1 - exp(-2 * 30 ln 20 / 50) = 0.973
     assert reason is not None
     assert "visibility 50 m: 97 % of the light is lost at 30 m and back" in reason
@@ -206,11 +131,11 @@ def test_applies_with_figures():
 
 def test_does_not_apply_where_it_cannot_matter():
     limited = SensorModel(limit_range_m=100.0)
-    assert EFFECT.applicability(facts_of(math.inf, sensor=limited), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(math.inf, sensor=limited), BLIND) is None
     # 2 * 50 ln 20 / MOR = 1 % at 30 km.
-    assert EFFECT.applicability(facts_of(31_000.0, sensor=limited), Frame(), BLIND) is None
-    assert EFFECT.applicability(facts_of(29_000.0, sensor=limited), Frame(), BLIND) is not None
+    assert EFFECT.applicability(facts_of(31_000.0, sensor=limited), BLIND) is None
+    assert EFFECT.applicability(facts_of(29_000.0, sensor=limited), BLIND) is not None
     # At 500 m no surface within 50 m is outshone: only what reads reflectance, or knows a limit, would notice.
-    assert EFFECT.applicability(facts_of(500.0), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(500.0), BLIND) is None
     reader = DetectorFacts("xyzi", reads_reflectance=True)
-    assert EFFECT.applicability(facts_of(500.0, has_reflectance=True), Frame(), reader) is not None
+    assert EFFECT.applicability(facts_of(500.0, has_reflectance=True), reader) is not None

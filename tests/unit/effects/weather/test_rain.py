@@ -6,50 +6,21 @@ import math
 import numpy as np
 import pytest
 import torch
-from analytic_fields import Frame
 from scipy.integrate import quad
+from weather_by_hand import COUNT, context_of, returns_of, rows_of
 
-from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.base import EffectContext
 from shift3d.effects.weather.precipitation import DIVERGENCE_RAD, EXIT_M, crossings, extra_noise_m
 from shift3d.effects.weather.rain import DROP_ALBEDO, EFFECT, drops
-from shift3d.render.beams import Beams
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
-from shift3d.scenes.scene import Conditions, Scene
+from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
 
-COUNT = 40_000
 BLIND = DetectorFacts("xyz")
 
 
-def context_of(
-    rain_mm_h: float, sensor: SensorModel | None = None, in_points: bool = False, seed: int = 4
-) -> EffectContext:
-    directions = np.random.default_rng(1).standard_normal((COUNT, 3))
-    points = (60.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
-    conditions = Conditions("rain", rain_mm_h=rain_mm_h, weather_in_points=in_points)
-    scene = Scene("wet", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, conditions=conditions, sensor=sensor)
-    return EffectContext(scene, Beams.from_scene(scene), Frame(), seed)
-
-
-def returns_of(
-    context: EffectContext, range_m: float, albedo: float | torch.Tensor = 0.5, cosine: float = 1.0
-) -> Returns:
-    """Every beam on the object, at one range."""
-    beams, one = context.beams, torch.ones(COUNT, dtype=torch.float64)
-    yes = torch.ones(COUNT, dtype=torch.bool)
-    points = beams.origins + range_m * beams.directions
-    return Returns(
-        torch.arange(COUNT), points, beams.origins, beams.directions, yes, yes, cosine * one, albedo * one, 0.5 * one
-    )
-
-
-def rows_of(returns: Returns, rows: torch.Tensor) -> Returns:
-    return Returns(**{name: None if part is None else part[rows] for name, part in vars(returns).items()})
-
-
-def assert_same(one: Returns, other: Returns) -> None:
-    for name, part in vars(one).items():
-        assert torch.equal(part, vars(other)[name]), name
+def raining(rain_mm_h: float, sensor: SensorModel | None = None) -> EffectContext:
+    return context_of(Conditions("rain", rain_mm_h=rain_mm_h, weather_in_points=False), sensor)
 
 
 def expected_drops(rain_mm_h: float, power: float, range_m: float, divergence_rad: float = DIVERGENCE_RAD) -> float:
@@ -105,7 +76,7 @@ def test_the_beam_widens_by_its_angle_in_radians():
 @pytest.mark.parametrize("range_m", [1.5, 2.5, 4.0])
 def test_in_front_of_nothing_every_drop_counts(range_m):
     """Met with 1 - exp(-n V), V the beam's volume from 0.9 m on, n = N0 / slope."""
-    context = context_of(10.0)
+    context = raining(10.0)
     after = EFFECT.bind(context)(returns_of(context, range_m, cosine=0.0))
     width = [EXIT_M + DIVERGENCE_RAD * r for r in (0.9, range_m)]
     volume = math.pi / 12.0 * (width[1] ** 3 - width[0] ** 3) / DIVERGENCE_RAD
@@ -117,7 +88,7 @@ def test_in_front_of_nothing_every_drop_counts(range_m):
 @pytest.mark.parametrize("divergence_rad", [1e-3, 4e-3])
 @pytest.mark.parametrize(("rain_mm_h", "range_m", "albedo"), [(10.0, 60.0, 0.2), (50.0, 30.0, 0.05)])
 def test_drops_that_outdo_the_surface(rain_mm_h, range_m, albedo, divergence_rad):
-    context = context_of(rain_mm_h, SensorModel(divergence_rad=divergence_rad))
+    context = raining(rain_mm_h, SensorModel(divergence_rad=divergence_rad))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     power = albedo / range_m**2 * math.exp(-2.0 * drops(rain_mm_h).extinction_per_m * range_m)
     expected = -math.expm1(-expected_drops(rain_mm_h, power, range_m, divergence_rad))
@@ -135,7 +106,7 @@ def test_drops_that_outdo_the_surface(rain_mm_h, range_m, albedo, divergence_rad
 def test_a_drop_below_the_least_power_is_not_noticed():
     """Behind lies nothing that is noticed; the limit alone says which drops are."""
     sensor = SensorModel(limit_range_m=300.0)
-    context = context_of(10.0, sensor)
+    context = raining(10.0, sensor)
     after = EFFECT.bind(context)(returns_of(context, 60.0, cosine=0.0))
     expected = -math.expm1(-expected_drops(10.0, 0.9 / 300.0**2, 60.0))
     share = float(after.returned.double().mean())
@@ -144,7 +115,7 @@ def test_a_drop_below_the_least_power_is_not_noticed():
 
 
 def test_a_drop_is_wider_than_it_has_to_be_by_one_mean_width():
-    context = context_of(20.0)
+    context = raining(20.0)
     after = EFFECT.bind(context)(returns_of(context, 60.0, 0.2))
     rain, drop = drops(20.0), ~after.on_object
     at_m = after.range_m[drop].numpy()
@@ -160,7 +131,7 @@ def test_a_drop_is_wider_than_it_has_to_be_by_one_mean_width():
 def test_weaker_echoes_scatter_more_along_the_beam_alone():
     """Albedo 0.9 at half of the limit range: four times the least power, before the rain."""
     sensor = SensorModel(limit_range_m=100.0)
-    context = context_of(50.0, sensor)
+    context = raining(50.0, sensor)
     before = returns_of(context, 50.0, 0.9)
     after = EFFECT.bind(context)(before)
     surface = after.on_object & after.returned
@@ -186,7 +157,7 @@ def test_noise_that_is_added_is_bounded_and_none_where_nothing_is_lost():
 @pytest.mark.parametrize("range_m", [15.0, 30.0])
 def test_beer_and_lambert_in_what_survives(range_m):
     """Albedo uniform in [0, 1]: those above P_min R^2 exp(2 alpha R) survive a sharp limit."""
-    context = context_of(30.0, SensorModel(limit_range_m=40.0))
+    context = raining(30.0, SensorModel(limit_range_m=40.0))
     albedo = torch.rand(COUNT, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     after = EFFECT.bind(context)(returns_of(context, range_m, albedo))
     alpha = 1e-6 * math.pi * 8000.0 / (4.1 * 30.0**-0.21) ** 3
@@ -195,14 +166,8 @@ def test_beer_and_lambert_in_what_survives(range_m):
     assert abs(share - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
 
 
-def test_no_rain_is_the_identity():
-    context = context_of(0.0, SensorModel(limit_range_m=20.0))
-    before = returns_of(context, 60.0)
-    assert_same(before, EFFECT.bind(context)(before))
-
-
 def test_less_and_less_rain_comes_to_the_identity():
-    context = context_of(1e-9)
+    context = raining(1e-9)
     before = returns_of(context, 30.0)
     after = EFFECT.bind(context)(before)
     assert bool(after.on_object.all())
@@ -210,23 +175,10 @@ def test_less_and_less_rain_comes_to_the_identity():
     torch.testing.assert_close(after.reflectance, before.reflectance, rtol=1e-4, atol=0)
 
 
-def test_a_beam_gets_the_same_in_any_batch():
-    context = context_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
-    before, rows = returns_of(context, 50.0, 0.3), torch.arange(3, COUNT, 7)
-    assert_same(rows_of(EFFECT.bind(context)(before), rows), EFFECT.bind(context)(rows_of(before, rows)))
-
-
-def test_rows_without_a_return_stay_as_they_are():
-    context = context_of(20.0, SensorModel(limit_range_m=90.0))
-    before = returns_of(context, 50.0)
-    before = dataclasses.replace(before, returned=torch.zeros_like(before.returned))
-    assert_same(before, EFFECT.bind(context)(before))
-
-
 def test_degenerate_rows_bring_no_nan():
     """No albedo, no range, a beam without a direction, a surface along the beam."""
-    context = context_of(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
-    for known in (context, context_of(20.0)):
+    context = raining(20.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
+    for known in (context, raining(20.0)):
         rows = rows_of(returns_of(known, 50.0), torch.arange(4))
         scale = torch.tensor([1.0, 0.0, 1.0, 1.0], dtype=torch.float64)
         after = EFFECT.bind(known)(
@@ -244,7 +196,7 @@ def test_degenerate_rows_bring_no_nan():
 
 def test_gradients_of_surfaces_and_drops():
     """A pose that moves points along their beams: the gradient is that of finite differences while nothing flips."""
-    context = context_of(20.0)
+    context = raining(20.0)
     step, before = EFFECT.bind(context), rows_of(returns_of(context, 50.0, 0.2), torch.arange(0, COUNT, 80))
     weight = torch.rand(before.points.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
 
@@ -270,18 +222,13 @@ def facts_of(rain_mm_h: float, in_points: bool = True) -> SceneFacts:
 
 
 def test_applies_with_figures():
-    reason = EFFECT.applicability(facts_of(10.0), Frame(), BLIND)
+    reason = EFFECT.applicability(facts_of(10.0), BLIND)
     # 1 - exp(-2 * 1.555e-3 * 30) = 0.089
     assert reason == "rain 10 mm/h: 8.9 % of the light is lost at 30 m and back"
 
 
 def test_does_not_apply_where_it_cannot_matter():
-    assert EFFECT.applicability(facts_of(0.0), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.0), BLIND) is None
     # 0.9 % of the light at 50 m, and 1.1 %.
-    assert EFFECT.applicability(facts_of(0.1), Frame(), BLIND) is None
-    assert EFFECT.applicability(facts_of(0.15), Frame(), BLIND) is not None
-
-
-def test_recordings_have_their_rain_already():
-    assert not EFFECT.on_scene(context_of(10.0, in_points=True))
-    assert EFFECT.on_scene(context_of(10.0, in_points=False))
+    assert EFFECT.applicability(facts_of(0.1), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.15), BLIND) is not None

@@ -1,59 +1,27 @@
 """Snow: extinction and flakes in the beam against closed forms, and all weather together."""
 
-import dataclasses
 import math
 
-import numpy as np
 import pytest
 import torch
-from analytic_fields import Frame
 from scipy.integrate import quad
+from weather_by_hand import COUNT, context_of, returns_of
 
 from shift3d.effects.applicability import NEEDS, effect_named
-from shift3d.effects.base import EffectContext, Returns
+from shift3d.effects.base import EffectContext
 from shift3d.effects.weather.fog import extinction_per_m
 from shift3d.effects.weather.precipitation import DIVERGENCE_RAD, EXIT_M
 from shift3d.effects.weather.rain import drops
 from shift3d.effects.weather.snow import EFFECT, FLAKE_ALBEDO, FLAKE_WIDTH, flakes
-from shift3d.render.beams import Beams
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
-from shift3d.scenes.scene import Conditions, Scene
+from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
 
-COUNT = 40_000
 BLIND = DetectorFacts("xyz")
 
 
-def context_of(conditions: Conditions, sensor: SensorModel | None = None, seed: int = 4) -> EffectContext:
-    directions = np.random.default_rng(1).standard_normal((COUNT, 3))
-    points = (60.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
-    scene = Scene("white", "made", points, np.zeros((COUNT, 3), np.float32), -1.7, conditions=conditions, sensor=sensor)
-    return EffectContext(scene, Beams.from_scene(scene), Frame(), seed)
-
-
-def snowing(snow_mm_h: float, sensor: SensorModel | None = None, in_points: bool = False) -> EffectContext:
-    return context_of(Conditions("snow", snow_mm_h=snow_mm_h, weather_in_points=in_points), sensor)
-
-
-def returns_of(
-    context: EffectContext, range_m: float, albedo: float | torch.Tensor = 0.5, cosine: float = 1.0
-) -> Returns:
-    """Every beam on the object, at one range."""
-    beams, one = context.beams, torch.ones(COUNT, dtype=torch.float64)
-    yes = torch.ones(COUNT, dtype=torch.bool)
-    points = beams.origins + range_m * beams.directions
-    return Returns(
-        torch.arange(COUNT), points, beams.origins, beams.directions, yes, yes, cosine * one, albedo * one, 0.5 * one
-    )
-
-
-def rows_of(returns: Returns, rows: torch.Tensor) -> Returns:
-    return Returns(**{name: None if part is None else part[rows] for name, part in vars(returns).items()})
-
-
-def assert_same(one: Returns, other: Returns) -> None:
-    for name, part in vars(one).items():
-        assert torch.equal(part, vars(other)[name]), name
+def snowing(snow_mm_h: float, sensor: SensorModel | None = None) -> EffectContext:
+    return context_of(Conditions("snow", snow_mm_h=snow_mm_h, weather_in_points=False), sensor)
 
 
 def extinction(snow_mm_h: float) -> float:
@@ -125,37 +93,6 @@ def test_beer_and_lambert_in_what_survives(range_m):
     assert abs(float(noticed.double().mean()) - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
 
 
-def test_no_snow_is_the_identity():
-    context = snowing(0.0, SensorModel(limit_range_m=20.0))
-    before = returns_of(context, 60.0)
-    assert_same(before, EFFECT.bind(context)(before))
-
-
-def test_a_beam_gets_the_same_in_any_batch():
-    context = snowing(1.0, SensorModel(limit_range_m=90.0, power_spread=0.4))
-    before, rows = returns_of(context, 50.0, 0.3), torch.arange(3, COUNT, 7)
-    assert_same(rows_of(EFFECT.bind(context)(before), rows), EFFECT.bind(context)(rows_of(before, rows)))
-
-
-def test_flakes_lie_on_their_beams():
-    context = snowing(2.0)
-    before = returns_of(context, 50.0)
-    after = EFFECT.bind(context)(before)
-    across = after.points - (after.points * before.directions).sum(-1, keepdim=True) * before.directions
-    assert float(across.norm(dim=-1).max()) < 1e-12
-    assert bool((after.range_m[~after.on_object] > 0.9).all())
-
-
-def test_gradients_pass_where_the_surface_stays_and_nowhere_else():
-    context = snowing(2.0)
-    before = returns_of(context, 50.0)
-    points = before.points.clone().requires_grad_()
-    after = EFFECT.bind(context)(dataclasses.replace(before, points=points))
-    weight = torch.rand(COUNT, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
-    (after.points * weight).sum().backward()
-    assert torch.equal(points.grad, torch.where(after.on_object[:, None], weight, 0.0))
-
-
 def test_extinctions_of_all_weather_add_up():
     """Fog, rain and snow in turn: what is left of a surface's echo is exp(-2 (sum of alphas) R)."""
     conditions = Conditions("fog", rain_mm_h=5.0, snow_mm_h=0.3, visibility_m=300.0, weather_in_points=False)
@@ -192,14 +129,9 @@ def facts_of(snow_mm_h: float) -> SceneFacts:
 
 
 def test_applies_with_figures():
-    reason = EFFECT.applicability(facts_of(1.0), Frame(), BLIND)
+    reason = EFFECT.applicability(facts_of(1.0), BLIND)
     # 1 - exp(-2 * 3.24e-3 * 30) = 0.177
     assert reason == "snow 1 mm/h: 18 % of the light is lost at 30 m and back"
-    assert EFFECT.applicability(facts_of(0.0), Frame(), BLIND) is None
+    assert EFFECT.applicability(facts_of(0.0), BLIND) is None
     # 2 * 50 m * 3.24e-3 Rr^0.57 = 1 % at 0.0023 mm/h.
-    assert EFFECT.applicability(facts_of(0.001), Frame(), BLIND) is None
-
-
-def test_recordings_have_their_snow_already():
-    assert not EFFECT.on_scene(snowing(1.0, in_points=True))
-    assert EFFECT.on_scene(snowing(1.0))
+    assert EFFECT.applicability(facts_of(0.001), BLIND) is None

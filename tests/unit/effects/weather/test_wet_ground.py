@@ -8,6 +8,7 @@ import pytest
 import torch
 from analytic_fields import Frame
 from scipy.integrate import quad
+from weather_by_hand import assert_same
 
 from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.physics.power import survival
@@ -45,11 +46,6 @@ def returns_of(context: EffectContext, on_object: bool = False, albedo: float = 
     points = beams.points.double()
     shown = albedo * one
     return Returns(torch.arange(COUNT), points, beams.origins, beams.directions, there, yes, one, shown, shown)
-
-
-def assert_same(one: Returns, other: Returns) -> None:
-    for name, part in vars(one).items():
-        assert torch.equal(part, vars(other)[name]), name
 
 
 def test_fresnel_head_on_along_and_at_brewsters_angle():
@@ -174,8 +170,8 @@ def facts_of(in_points: bool = False, **known: object) -> SceneFacts:
 
 def test_applies_in_rain_over_ground_in_view():
     detector = DetectorFacts("xyz")
-    reason = EFFECT.applicability(facts_of(), Frame(), detector)
+    reason = EFFECT.applicability(facts_of(), detector)
     share = float(wet_albedo(values(0.3), values(1.73 / 20.0))) / 0.3
     assert reason == f"rain 5 mm/h wets the ground: {100.0 * share:.0f} % of its echo is left at 20 m"
-    assert EFFECT.applicability(facts_of(ground_in_view=False), Frame(), detector) is None
-    assert EFFECT.applicability(facts_of(in_points=True), Frame(), detector) is None
+    assert EFFECT.applicability(facts_of(ground_in_view=False), detector) is None
+    assert EFFECT.applicability(facts_of(in_points=True), detector) is None
