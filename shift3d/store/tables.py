@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
 from shift3d.store.location import LocalLocation
-from shift3d.store.migrations import steps
+from shift3d.store.migrations import current_table
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 
@@ -89,9 +89,7 @@ def read_table(
     if found != name:
         raise InputError(f"is not a {name} table", where=str(path), remedy=_RESTORE)
     if version != str(SCHEMA_VERSION):
-        for step in steps(int(version) if version.isdecimal() else version, str(path)):
-            table = step.table(name, table)
-        table = table.replace_schema_metadata(SCHEMAS[name].metadata)
+        table = current_table(name, table, version, str(path)).replace_schema_metadata(SCHEMAS[name].metadata)
     check_table(table, SCHEMAS[name], path)
     return table
 

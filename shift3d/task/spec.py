@@ -223,11 +223,6 @@ class TaskSpec:
         return hashlib.blake2b(self.canonical_json().encode(), digest_size=16).hexdigest()
 
     @property
-    def seed(self) -> int:
-        """64-bit seed of everything random that is this task's alone (random codes, noise)."""
-        return derive_seed("task", self.task_id)
-
-    @property
     def search(self) -> str:
         """How its search goes, see `AttackSpec.label`; a pose has no space."""
         return self.attack.search if self.mode == "pose" else self.attack.label
