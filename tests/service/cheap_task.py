@@ -16,7 +16,7 @@ from pathlib import Path
 from shift3d.scenes.facts import SceneFacts
 from shift3d.seeding import derive_seed, generator
 from shift3d.settings.catalogue.reading import Catalogue
-from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.schema.config import Config
 from shift3d.settings.schema.scenes import StreetConfig
 from shift3d.sweep.planning.kind import TaskKind
