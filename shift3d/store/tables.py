@@ -66,11 +66,15 @@ def write_table(path: LocationLike, table: pa.Table) -> None:
 
 def table_bytes(table: pa.Table) -> bytes:
     """The Parquet file of a table: its bytes follow from the table's content alone."""
-    sink = pa.BufferOutputStream()
     # One chunk, fixed row groups and no threads' choice in them.
-    # With checksums: a flipped bit in compressed numbers would else be read as other numbers.
-    options = {"compression": "zstd", "row_group_size": _ROW_GROUP, "write_page_checksum": True}
-    pq.write_table(table.combine_chunks(), sink, **options)
+    return parquet_bytes(table.combine_chunks(), row_group_size=_ROW_GROUP)
+
+
+def parquet_bytes(table: pa.Table, **options: Any) -> bytes:
+    """A table as Parquet, compressed, with checksums: a flipped bit in compressed numbers would else be read as other
+    numbers. options: of pyarrow's `write_table`."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd", write_page_checksum=True, **options)
     content: bytes = sink.getvalue().to_pybytes()
     return content
 
