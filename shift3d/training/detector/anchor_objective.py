@@ -31,10 +31,6 @@ class AnchorTargets:
     codes: Tensor
     directions: Tensor
 
-    def to(self, device: torch.device) -> AnchorTargets:
-        """The same targets on a device."""
-        return AnchorTargets(*(part.to(device) for part in (self.labels, self.positives, self.codes, self.directions)))
-
 
 def _axis_aligned(boxes: Tensor) -> Tensor:
     """Boxes snapped to the nearest axis: (N, 4) x0, y0, x1, y1."""
