@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from shift3d.scenes.facts import SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
-from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.schema.config import Config
 from shift3d.store.frontier_table import FRONTIER_SCHEMA, frontier_table

@@ -35,7 +35,6 @@ def joint_search(problem: AttackProblem, lambda_: float, space: CodeSpace, limit
         return projected(torch.cat([space.draw(rng, distance).double(), drawn_pose(problem.theta0, rng, limits)]))
 
     return Search(
-        mode="shape_pose",
         start=torch.cat([space.start.double(), problem.theta0.double()]),
         parameters=parts,
         penalty=lambda v: lambda_ * latent_penalty(parts(v)[0], problem.code0) if lambda_ else v.new_zeros(()),

@@ -47,7 +47,6 @@ def pose_search(problem: AttackProblem, limits: PoseLimits = PAPER_LIMITS) -> Se
     """
     metric = problem.metric(problem.code0.detach())
     return Search(
-        mode="pose",
         start=problem.theta0.double(),
         parameters=lambda theta: (problem.code0.detach(), theta),
         penalty=lambda theta: theta.new_zeros(()),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
 
 from torch import Tensor
 
@@ -53,13 +52,12 @@ class StepRecord:
 class AttackResult:
     """The best valid step, or the start where no step was valid.
 
-    mode: shape, pose or both. vehicle: whose frame the code is drawn in. latent_code: (d,). theta: (6,) float64.
+    vehicle: whose frame the code is drawn in. latent_code: (d,). theta: (6,) float64.
     best_step: 1..steps, or 0 where no step was valid and the baseline is kept. status: "ok"; "no_valid_step";
     "diverged" where a step left the finite numbers (the search ended there, earlier steps count). trace: one record
     per rendering, step 0 first.
     """
 
-    mode: Literal["shape", "pose", "shape_pose"]
     vehicle: VehicleFrame
     latent_code: Tensor
     theta: Tensor

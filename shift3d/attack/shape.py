@@ -47,7 +47,6 @@ def shape_search(
         return code, on_ground(code, problem, snap_m)
 
     return Search(
-        mode="shape",
         start=space.start,
         parameters=parameters,
         # Without lambda there is none, be it infinite: 0 times infinity is NaN.

@@ -7,7 +7,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import torch
@@ -44,7 +43,6 @@ class Search:
     is asked only of what would be kept: a valid step with a loss below all others.
     """
 
-    mode: Literal["shape", "pose", "shape_pose"]
     start: Tensor
     parameters: Parameters
     penalty: Callable[[Tensor], Tensor]
@@ -147,7 +145,7 @@ class Trials:
     def result(self, kept: int, diverged: bool = False) -> AttackResult:
         """The search's answer. kept: the step that is kept, 0 where no step was valid."""
         status = "diverged" if diverged else "ok" if kept else "no_valid_step"
-        return AttackResult(self._search.mode, *self._tried[kept], kept, status, tuple(self.trace))
+        return AttackResult(*self._tried[kept], kept, status, tuple(self.trace))
 
     def _with_budget(self, record: StepRecord, code: Tensor, variable: Tensor) -> StepRecord:
         """The record, with what the budget says of it where that matters."""

@@ -8,12 +8,13 @@ that settings name is run.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.machinery
 import importlib.util
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ class OwnDetector(SuppressedProposals):
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
         """See `Detector`. Raises InputError: the answer is no boxes and logits, or has NaN."""
-        with _ClearErrors(self._where):
+        with _clear_errors(self._where):
             answer = self._model(points.to(self._dtype))
         boxes, logits = _checked(answer, self._where)
         return Proposals(boxes.detach().float(), logits, torch.arange(len(logits)))
@@ -72,7 +73,7 @@ def load_own(module: Path, weights: Path | None, precision: Precision = "float32
     """
     if not module.is_file():
         raise InputError("no such file", str(module), "Give detector.module=FILE.py")
-    with torch.random.fork_rng(devices=[]), _ClearErrors(str(module)):
+    with torch.random.fork_rng(devices=[]), _clear_errors(str(module)):
         torch.manual_seed(0)
         load = getattr(_imported(module), "load", None)
         if not callable(load):
@@ -124,7 +125,7 @@ def _try(detector: OwnDetector, where: str) -> None:
         raise InputError("its logits do not depend on the points differentiably", where, _GUIDE)
     if not torch.equal(first.logits, second.logits) or not torch.equal(first.boxes, second.boxes):
         raise InputError("two calls with the same points differ", where, "Draw nothing at random in the model")
-    with _ClearErrors(where):
+    with _clear_errors(where):
         (gradient,) = torch.autograd.grad(first.logits.sum(), points, allow_unused=True)
     if gradient is None or not bool(torch.isfinite(gradient).all()):
         raise InputError("no finite gradient reaches the points", where, _GUIDE)
@@ -145,20 +146,16 @@ def _checked(answer: Any, where: str) -> tuple[Tensor, Tensor]:
     return boxes, logits
 
 
-class _ClearErrors:
+@contextlib.contextmanager
+def _clear_errors(where: str) -> Iterator[None]:
     """What the user's code raises as an InputError that names the line of the file."""
-
-    def __init__(self, where: str) -> None:
-        self._where = where
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: Any) -> None:
-        if error is None or isinstance(error, InputError) or not isinstance(error, Exception):
-            return
-        name = Path(self._where).name
-        lines = [frame.lineno for frame in traceback.extract_tb(tb) if Path(frame.filename).name == name]
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if Path(frame.filename).name == Path(where).name]
         line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else lines[-1] if lines else None
-        where = f"{self._where}, line {line}" if line else self._where
-        raise InputError(f"{type(error).__name__}: {str(error)[:200]}", where, "Repair the file") from error
+        what = f"{type(error).__name__}: {str(error)[:200]}"
+        raise InputError(what, f"{where}, line {line}" if line else where, "Repair the file") from error

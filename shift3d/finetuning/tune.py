@@ -33,9 +33,9 @@ from shift3d.training.detector.drawn_crops import EpochCrops, epoch_steps
 from shift3d.training.detector.loop import CHECKPOINT, train_on_scenes
 from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector.recipes import RECIPES, changed
-from shift3d.training.detector.train import CURVE_POINTS, export_weights
+from shift3d.training.detector.train import export_weights
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene
-from shift3d.training.progress import Report, averaged
+from shift3d.training.progress import Report, curve_facts
 from shift3d.training.provenance import read_provenance, write_provenance
 
 
@@ -230,8 +230,5 @@ def _facts(
         },
         "compute": compute.facts(recipe.bfloat16),
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
-        "curve": [
-            {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}}
-            for step, values in averaged(state.get("curve", []), CURVE_POINTS)
-        ],
+        "curve": curve_facts(state.get("curve", [])),
     }

@@ -43,7 +43,6 @@ class Fit:
     residual_m: float
     outliers: float
     uncertainty: Array
-    iterations: int
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def fit_shape(
             at = moved
         if done > 4 and 0.0 < gain < _ENOUGH * (1.0 + problem.objective(at, clamp)):
             break
-    return _fit(problem, at, done)
+    return _fit(problem, at)
 
 
 def _step(problem: _Problem, at: _Point, damping: float, clamp: float) -> tuple[_Point, float]:
@@ -158,7 +157,7 @@ def _step(problem: _Problem, at: _Point, damping: float, clamp: float) -> tuple[
     return moved, problem.objective(at, clamp) - problem.objective(moved, clamp)
 
 
-def _fit(problem: _Problem, at: _Point, iterations: int) -> Fit:
+def _fit(problem: _Problem, at: _Point) -> Fit:
     k = problem.subspace.components
     covariance = np.linalg.inv(problem.normal_equations(at, CLAMP_M[1])[0])
     away = np.abs(at.distance[: len(problem.surface)])
@@ -170,7 +169,6 @@ def _fit(problem: _Problem, at: _Point, iterations: int) -> Fit:
         residual_m=float(np.median(away)),
         outliers=float((away > _OUTLIER_M).mean()),
         uncertainty=np.sqrt(np.diag(covariance)[:k]),
-        iterations=iterations,
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location
-from shift3d.store.migrations import steps
+from shift3d.store.migrations import current_entry
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SEGMENTS
 
@@ -88,10 +88,7 @@ def read_entry(path: Location) -> Commit:
     Raises: FileNotFoundError: it is not there. InputError: it is torn, or of a version that this program cannot read.
     """
     try:
-        values = json.loads(path.read_bytes())
-        for step in steps(values["schema_version"], str(path)):
-            values = step.entry(values)
-        return entry_of(values, _number(path.name))
+        return entry_of(current_entry(json.loads(path.read_bytes()), str(path)), _number(path.name))
     except FileNotFoundError:
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:

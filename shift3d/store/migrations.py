@@ -9,7 +9,6 @@ Source: our choice.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import pyarrow as pa
@@ -18,27 +17,6 @@ from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
 
 Values = dict[str, Any]
-
-
-def _same(values: Values) -> Values:
-    return values
-
-
-def _same_table(name: str, table: pa.Table) -> pa.Table:
-    return table
-
-
-@dataclass(frozen=True)
-class Step:
-    """From one version to the next: each function takes what the older program wrote.
-
-    spec: values of spec.yaml. entry: of a log entry. table: a table by its name; its metadata is seen to elsewhere.
-    They raise ValueError, KeyError or TypeError for what no program wrote.
-    """
-
-    spec: Callable[[Values], Values] = _same
-    entry: Callable[[Values], Values] = _same
-    table: Callable[[str, pa.Table], pa.Table] = _same_table
 
 
 def _ids_as_text(values: Values) -> Values:
@@ -102,28 +80,42 @@ def _drawn_as_their_own(name: str, table: pa.Table) -> pa.Table:
     return _with_nulls(table, "replicate", {"drawn_as": pa.string()}) if name == "solutions" else table
 
 
-# Version 7 added columns to one table, all of which version 9 drops again.
-STEPS: Mapping[int, Step] = {
-    5: Step(entry=_ids_as_text),
-    6: Step(),
-    7: Step(table=_searched_by_descent),
-    8: Step(table=_judged_by_sides),
-    9: Step(table=_drawn_as_their_own),
+OLDEST_VERSION = 5
+# By the version that wrote them, what makes the next one's of them. Version 7 added columns to one table, all of which
+# version 9 drops again.
+_ENTRIES: Mapping[int, Callable[[Values], Values]] = {5: _ids_as_text}
+_TABLES: Mapping[int, Callable[[str, pa.Table], pa.Table]] = {
+    7: _searched_by_descent,
+    8: _judged_by_sides,
+    9: _drawn_as_their_own,
 }
-"""By the version that a step starts from."""
 
 
-def steps(version: object, where: str) -> list[Step]:
-    """The steps from a version that was found to this one; none for this one.
+def current_entry(values: Values, where: str) -> Values:
+    """A log entry as this program writes it. Raises as `older_versions`, ValueError or KeyError for what none wrote."""
+    for version in older_versions(values["schema_version"], where):
+        values = _ENTRIES[version](values) if version in _ENTRIES else values
+    return values
 
-    Raises: InputError: the version is newer than this program, or older than the oldest that there is a step for.
+
+def current_table(name: str, table: pa.Table, version: str, where: str) -> pa.Table:
+    """A table, by its name, as this program writes it; its metadata is seen to elsewhere. Raises as `older_versions`,
+    ValueError or KeyError for what no program wrote."""
+    for number in older_versions(int(version) if version.isdecimal() else version, where):
+        table = _TABLES[number](name, table) if number in _TABLES else table
+    return table
+
+
+def older_versions(version: object, where: str) -> range:
+    """The versions from one that was found up to the one before this program's; none for its own.
+
+    Raises: InputError: the version is newer than this program, or older than the oldest that it reads.
     """
-    oldest = min(STEPS)
-    if isinstance(version, int) and oldest <= version <= SCHEMA_VERSION:
-        return [STEPS[number] for number in range(version, SCHEMA_VERSION)]
+    if isinstance(version, int) and OLDEST_VERSION <= version <= SCHEMA_VERSION:
+        return range(version, SCHEMA_VERSION)
     newer = isinstance(version, int) and version > SCHEMA_VERSION
     raise InputError(
-        f"has schema version {str(version)[:20]}, this program reads {oldest} to {SCHEMA_VERSION}",
+        f"has schema version {str(version)[:20]}, this program reads {OLDEST_VERSION} to {SCHEMA_VERSION}",
         where=where,
         remedy="Use a newer shift3d" if newer else "Use the version of shift3d that wrote it",
     )

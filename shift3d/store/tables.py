@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
 from shift3d.store.location import LocalLocation
-from shift3d.store.migrations import steps
+from shift3d.store.migrations import current_table
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION, SCHEMAS
 
@@ -66,11 +66,15 @@ def write_table(path: LocationLike, table: pa.Table) -> None:
 
 def table_bytes(table: pa.Table) -> bytes:
     """The Parquet file of a table: its bytes follow from the table's content alone."""
-    sink = pa.BufferOutputStream()
     # One chunk, fixed row groups and no threads' choice in them.
-    # With checksums: a flipped bit in compressed numbers would else be read as other numbers.
-    options = {"compression": "zstd", "row_group_size": _ROW_GROUP, "write_page_checksum": True}
-    pq.write_table(table.combine_chunks(), sink, **options)
+    return parquet_bytes(table.combine_chunks(), row_group_size=_ROW_GROUP)
+
+
+def parquet_bytes(table: pa.Table, **options: Any) -> bytes:
+    """A table as Parquet, compressed, with checksums: a flipped bit in compressed numbers would else be read as other
+    numbers. options: of pyarrow's `write_table`."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd", write_page_checksum=True, **options)
     content: bytes = sink.getvalue().to_pybytes()
     return content
 
@@ -89,9 +93,7 @@ def read_table(
     if found != name:
         raise InputError(f"is not a {name} table", where=str(path), remedy=_RESTORE)
     if version != str(SCHEMA_VERSION):
-        for step in steps(int(version) if version.isdecimal() else version, str(path)):
-            table = step.table(name, table)
-        table = table.replace_schema_metadata(SCHEMAS[name].metadata)
+        table = current_table(name, table, version, str(path)).replace_schema_metadata(SCHEMAS[name].metadata)
     check_table(table, SCHEMAS[name], path)
     return table
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import pandas as pd
@@ -18,6 +17,7 @@ from shift3d.store.location import Location
 from shift3d.suite.frozen import FrozenSuite, box_of
 from shift3d.suite.tables import read_suite_table, suite_table, suite_table_bytes
 from shift3d.task.scoring import score_box
+from shift3d.training.processes import each
 
 
 @dataclass
@@ -33,6 +33,10 @@ class Scorer:
     module: str | None = None
     layout: Mapping[str, Any] | None = None
     _opened: dict[str, Detector] = field(default_factory=dict)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What goes to another process: nothing that was opened here."""
+        return {**vars(self), "_opened": {}}
 
     @property
     def digest(self) -> str:
@@ -65,47 +69,19 @@ def score_suite(suite: FrozenSuite, scorer: Scorer, folder: Location, workers: i
         torn.delete()
     present = set(folder.names())
     missing = [name for name in names if files[name].name not in present]
-    coming = _scored(suite, scorer, missing, workers)
+    coming = each(_answers, missing, workers, partial(_both, suite, scorer))
     for name in names:
         if name in missing:
             files[name].write_atomic(suite_table_bytes(suite_table("answers", next(coming))))
         yield read_suite_table(files[name], "answers", remedy="Remove it: it is scored again").to_pandas()
 
 
-def _scored(
-    suite: FrozenSuite, scorer: Scorer, names: list[str], workers: int
-) -> Iterator[list[dict[str, str | float]]]:
-    if min(workers, len(names)) <= 1:
-        for name in names:
-            yield _answers(suite, scorer, name)
-        return
-    # Spawned, not forked: a fork would copy the locks of this process's threads.
-    context = multiprocessing.get_context("spawn")
-    arguments = (suite, Scorer(scorer.name, scorer.weights, scorer.module, scorer.layout))
-    with ProcessPoolExecutor(min(workers, len(names)), context, _open, arguments) as pool:
-        try:
-            yield from pool.map(_background_answers, names)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+def _both(suite: FrozenSuite, scorer: Scorer) -> tuple[FrozenSuite, Scorer]:
+    return suite, scorer
 
 
-_opened: tuple[FrozenSuite, Scorer] | None = None
-
-
-def _open(suite: FrozenSuite, scorer: Scorer) -> None:
-    global _opened
-    torch.set_num_threads(1)
-    _opened = (suite, scorer)
-
-
-def _background_answers(name: str) -> list[dict[str, str | float]]:
-    assert _opened is not None
-    return _answers(*_opened, name)
-
-
-def _answers(suite: FrozenSuite, scorer: Scorer, name: str) -> list[dict[str, str | float]]:
-    background = suite.background(name)
+def _answers(opened: tuple[FrozenSuite, Scorer], name: str) -> list[dict[str, str | float]]:
+    (suite, scorer), background = opened, opened[0].background(name)
     found: list[dict[str, str | float]] = []
     for row in suite.objects[suite.objects["background"] == name].to_dict("records"):
         points, detectors = (

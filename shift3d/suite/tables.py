@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
 from shift3d.store.resolve import LocationLike
 from shift3d.store.schemas import schema_of_columns
-from shift3d.store.tables import check_table, read_parquet
+from shift3d.store.tables import check_table, parquet_bytes, read_parquet
 
 SUITE_VERSION = 1
 """Of the suite's files. A suite of another version is refused."""
@@ -53,18 +52,13 @@ def suite_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
 
 def suite_table_bytes(table: pa.Table) -> bytes:
     """The Parquet file of a table: coordinates with their bytes apart, which compresses them to two thirds."""
-    sink = pa.BufferOutputStream()
     floats = [field.name for field in table.schema if pa.types.is_float32(field.type)]
     split = dict.fromkeys(floats, "BYTE_STREAM_SPLIT")
     if "points" in table.column_names:
         split["points.list.element"] = "BYTE_STREAM_SPLIT"
-    options: dict[str, Any] = {"compression": "zstd", "compression_level": 9, "write_page_checksum": True}
-    if split:
-        # Coordinates repeat too seldom for a dictionary.
-        options |= {"column_encoding": split, "use_dictionary": False}
-    pq.write_table(table.combine_chunks(), sink, **options)
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
+    # Coordinates repeat too seldom for a dictionary.
+    options: dict[str, Any] = {"column_encoding": split, "use_dictionary": False} if split else {}
+    return parquet_bytes(table.combine_chunks(), compression_level=9, **options)
 
 
 def read_suite_table(

@@ -23,7 +23,6 @@ from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.execution.abort import AbortRule
 from shift3d.sweep.execution.progress import Progress
 from shift3d.sweep.execution.runner import Runner, make_runner
-from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
@@ -115,9 +114,8 @@ def run_sweep(
             Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress,
         ):
             rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
-            watchers = _Watchers(progress, status, rule)
             committer = Committer(log, runner_config.commit_seconds)
-            came = _run(runner, cheapest_first(plan.tasks, left), committer, watchers)
+            came = _run(runner, cheapest_first(plan.tasks, left), committer, progress, status, rule)
     done, quarantined = log.done(), log.quarantined()
     # A task that was to be tried again and was not is still quarantined by the earlier run.
     complete = len(done) + len(quarantined) == len(plan.tasks) and (came >= len(left) or not again)
@@ -153,79 +151,60 @@ def _tried(log: CommitLog, plan: Plan, again: set[str]) -> dict[int, int]:
     return {position: last.get(task, 0) for task, position in zip(sorted(again), found) if position is not None}
 
 
-@dataclass(frozen=True)
-class _Watchers:
-    """Whoever looks at outcomes as they come."""
-
-    progress: Progress
-    status: StatusWriter
-    rule: AbortRule
-
-    def see(self, outcome: BatchOutcome, runner: Runner) -> None:
-        """Raises AbortedError where too much failed."""
-        running = runner.running()
-        self.progress.update(len(outcome.done), len(outcome.quarantined), running, runner.workers)
-        self.status.finished(len(outcome.done) + len(outcome.quarantined), outcome.peak_mb)
-        self.status.write(running, runner.workers)
-        if outcome.fatal:
-            raise outcome.fatal
-        if aborted := self.rule.seen(outcome):
-            raise aborted
-
-
-def _run(runner: Runner, left: np.ndarray, committer: Committer, watchers: _Watchers) -> int:
-    """Run tasks until all came back or somebody asks to stop; how many came back."""
+def _run(
+    runner: Runner, left: np.ndarray, committer: Committer, progress: Progress, status: StatusWriter, rule: AbortRule
+) -> int:
+    """Run tasks until all came back or somebody asks to stop; how many came back. Raises AbortedError where too much
+    failed."""
     state: State = "stopped"
     came = 0
-    with _stop_on_signals(committer, watchers.progress) as stop:
+    with _stop_on_signals(committer, progress) as (first, second):
         try:
-            for outcome in runner.run(left, stop.first):
+            for outcome in runner.run(left, first):
                 committer.add(outcome)
-                came += len(outcome.done) + len(outcome.quarantined)
-                watchers.see(outcome, runner)
-                if stop.second.is_set():
+                ended, running = len(outcome.done) + len(outcome.quarantined), runner.running()
+                came += ended
+                progress.update(len(outcome.done), len(outcome.quarantined), running, runner.workers)
+                status.finished(ended, outcome.peak_mb)
+                status.write(running, runner.workers)
+                if error := outcome.fatal or rule.seen(outcome):
+                    raise error
+                if second.is_set():
                     break
-            state = "interrupted" if stop.first.is_set() else "finished"
+            state = "interrupted" if first.is_set() else "finished"
         except KeyboardInterrupt:
             state = "interrupted"
         except TakenOverError:
             raise  # this driver has no say any more, in the status neither
         except InputError:
             committer.flush()
-            watchers.status.write([], runner.workers, state)
+            status.write([], runner.workers, state)
             raise
-        if stop.second.is_set():
-            watchers.progress.say("dropping the tasks in flight")
+        if second.is_set():
+            progress.say("dropping the tasks in flight")
         committer.flush()
-        watchers.status.write([], runner.workers, state)
+        status.write([], runner.workers, state)
     return came
 
 
-@dataclass(frozen=True)
-class _Stop:
-    """first: give out no more tasks. second: do not wait for those in flight."""
-
-    first: threading.Event
-    second: threading.Event
-
-
 @contextlib.contextmanager
-def _stop_on_signals(committer: Committer, progress: Progress) -> Iterator[_Stop]:
-    """Events that the first and the second SIGINT or SIGTERM set.
+def _stop_on_signals(committer: Committer, progress: Progress) -> Iterator[tuple[threading.Event, threading.Event]]:
+    """Events that the first and the second SIGINT or SIGTERM set: give out no more tasks; do not wait for those in
+    flight.
 
     The second one also raises KeyboardInterrupt, wherever that is: a task may take long. Only a commit is never
     cut short, since nobody could say afterwards whether it took place.
     """
-    stop = _Stop(threading.Event(), threading.Event())
+    first, second = threading.Event(), threading.Event()
 
     def handle(number: int, frame: FrameType | None) -> None:
-        if not stop.first.is_set():
-            stop.first.set()
+        if not first.is_set():
+            first.set()
             progress.say("finishing the tasks in flight; again to drop them")
-        elif not stop.second.is_set():
-            stop.second.set()
+        elif not second.is_set():
+            second.set()
             if not committer.busy:
                 raise KeyboardInterrupt
 
     with stop_signals(handle):
-        yield stop
+        yield first, second

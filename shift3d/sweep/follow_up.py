@@ -20,8 +20,7 @@ from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.spec_file import read_spec
-from shift3d.sweep.results.final import FinalTables, check_segments, segments_in_plan_order, write_final
-from shift3d.sweep.results.verified_scores import FOLDER
+from shift3d.sweep.results.final import VERIFICATION, FinalTables, check_segments, segments_in_plan_order, write_final
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.spec import TaskSpec
 
@@ -102,14 +101,14 @@ def verify_sweep(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> Swee
     from shift3d.task.follow_ups.verify import load_verify_assets, verify_task
 
     folder = as_location(folder)
-    _check_begun_with(folder / FOLDER, plan)
+    _check_begun_with(folder / VERIFICATION, plan)
     check_segments(folder, read_log(folder))
 
     def finish(own: Location, verified: Plan, entries: Sequence[Commit]) -> FinalTables:
         follow_up_tables("verification")(own, verified, entries)
         return write_final(folder, read_plan(folder), read_log(folder))
 
-    return run_sweep(plan, runner, follow_up_kind(verify_task, load_verify_assets), folder / FOLDER, finish)
+    return run_sweep(plan, runner, follow_up_kind(verify_task, load_verify_assets), folder / VERIFICATION, finish)
 
 
 def measure_patterns(folder: LocationLike, runner: RunnerConfig) -> SweepResult:

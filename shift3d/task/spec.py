@@ -133,6 +133,11 @@ class TransferScene:
     scene_hash: str
     effects: tuple[str, ...] = ()
 
+    @staticmethod
+    def of(values: Mapping[str, Any]) -> TransferScene:
+        """Of plain values by these names."""
+        return TransferScene(values["scene"], values["scene_hash"], tuple(values["effects"]))
+
 
 @dataclass(frozen=True)
 class TaskSpec:
@@ -181,16 +186,7 @@ class TaskSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain nested dictionaries, ready for JSON."""
-        values = {name: getattr(self, name) for name in _FIELD_NAMES}
-        values["effects"], values["scored_by"] = list(self.effects), list(self.scored_by)
-        values["detector_hashes"] = dict(self.detector_hashes)
-        values["accuracy_settings"] = dict(self.accuracy_settings)
-        values["effect_settings"] = dict(self.effect_settings)
-        values["scene_arguments"] = dict(self.scene_arguments)
-        values["attack"] = self.attack.to_dict()
-        values["placement"] = dict(vars(self.placement))
-        values["transfer_scenes"] = [{**vars(other), "effects": list(other.effects)} for other in self.transfer_scenes]
-        values["spec_version"] = SPEC_VERSION
+        values = dataclasses.asdict(self) | {"attack": self.attack.to_dict(), "spec_version": SPEC_VERSION}
         if not self.reference_hash:  # the id of a task that measures none is that of a program that could not
             del values["reference_hash"]
         return values
@@ -207,10 +203,7 @@ class TaskSpec:
         values["effects"], values["scored_by"] = tuple(values["effects"]), tuple(values["scored_by"])
         values["attack"] = AttackSpec(**values["attack"])
         values["placement"] = PlacementSpec(**values["placement"])
-        values["transfer_scenes"] = tuple(
-            TransferScene(other["scene"], other["scene_hash"], tuple(other["effects"]))
-            for other in values.get("transfer_scenes", ())
-        )
+        values["transfer_scenes"] = tuple(map(TransferScene.of, values.get("transfer_scenes", ())))
         return TaskSpec(**values)
 
     def canonical_json(self) -> str:
@@ -221,11 +214,6 @@ class TaskSpec:
     def task_id(self) -> str:
         """128-bit BLAKE2b of :meth:`canonical_json`, hex. Source: our choice (design section 9)."""
         return hashlib.blake2b(self.canonical_json().encode(), digest_size=16).hexdigest()
-
-    @property
-    def seed(self) -> int:
-        """64-bit seed of everything random that is this task's alone (random codes, noise)."""
-        return derive_seed("task", self.task_id)
 
     @property
     def search(self) -> str:
@@ -271,6 +259,3 @@ def _current(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _renamed(effects: Sequence[str]) -> list[str]:
     return [_FORMER_EFFECTS.get(name, name) for name in effects]
-
-
-_FIELD_NAMES = tuple(f.name for f in dataclasses.fields(TaskSpec))

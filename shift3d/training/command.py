@@ -118,7 +118,17 @@ def evaluate(model: str) -> int:
     if model != "sdf":
         remedy = f"Give model=sdf, or detector={model} scenes=street" if model in MODELS else "Give model=sdf"
         raise InputError(f"model={model} is no shape model", "evaluate", remedy)
-    _evaluate_sdf()
+    from shift3d.sdf.decoder import load_decoder
+    from shift3d.vehicles.fidelity import training_chamfer_m, unseen_chamfer_m
+
+    decoder = load_decoder()
+    for name, measure in (("training vehicles", training_chamfer_m), ("unseen, auto-decoded", unseen_chamfer_m)):
+        metres = measure(decoder, 27)  # three of each body type
+        print(
+            f"sdf, {name}: Chamfer distance (mean of both directions), median {100 * np.median(metres):.2f} cm, "
+            f"worst {100 * metres.max():.2f} cm, {len(metres)} vehicles",
+            flush=True,
+        )
     return 0
 
 
@@ -168,17 +178,3 @@ def _scene_set(options: TrainOptions) -> SceneSet | None:
     root = Path(options.root).expanduser()
     everything = KittiScenes(root)
     return everything if options.count is None else KittiScenes(root, everything.names()[: options.count])
-
-
-def _evaluate_sdf() -> None:
-    from shift3d.sdf.decoder import load_decoder
-    from shift3d.vehicles.fidelity import training_chamfer_m, unseen_chamfer_m
-
-    decoder = load_decoder()
-    for name, measure in (("training vehicles", training_chamfer_m), ("unseen, auto-decoded", unseen_chamfer_m)):
-        metres = measure(decoder, 27)  # three of each body type
-        print(
-            f"sdf, {name}: Chamfer distance (mean of both directions), median {100 * np.median(metres):.2f} cm, "
-            f"worst {100 * metres.max():.2f} cm, {len(metres)} vehicles",
-            flush=True,
-        )

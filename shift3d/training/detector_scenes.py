@@ -14,7 +14,7 @@ from tqdm import tqdm
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.scenes.scene import Scene
 from shift3d.store.arrays import write_arrays
-from shift3d.training.processes import mapping
+from shift3d.training.processes import each
 
 KEPT_RADIUS_M = 80.0
 EVERYWHERE_RAD = (0.0, float(np.pi))
@@ -100,13 +100,14 @@ def cache_scenes(
     files = {name: folder / f"{name.replace('/', '_')}.npz" for name in names}
     missing = {name: file for name, file in files.items() if not file.exists()}
     bar = tqdm(total=len(missing), desc=title, mininterval=5.0, disable=title is None or not missing)
-    with bar, mapping(min(workers, len(missing))) as mapped:
-        for _ in mapped(partial(_cache, build), missing.keys(), missing.values()):
+    with bar:
+        for _ in each(partial(_cache, build), list(missing.items()), workers):
             bar.update()
     return list(files.values())
 
 
-def _cache(build: Callable[[str], TrainingScene], name: str, file: Path) -> None:
+def _cache(build: Callable[[str], TrainingScene], missing: tuple[str, Path]) -> None:
+    name, file = missing
     scene = build(name)
     write_arrays(file, points=scene.points, boxes=scene.boxes, height=scene.sensor_height_m)
 

@@ -3,23 +3,45 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import torch
 
+Result = TypeVar("Result")
 
-@contextmanager
-def mapping(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
-    """`map`, over processes if there are several, each with one thread; what has not begun is left out on an error."""
+
+def each(
+    work: Callable[..., Result], items: Sequence[Any], workers: int, hold: Callable[[], Any] | None = None
+) -> Iterator[Result]:
+    """work(item) of each item, in order, over processes if there are several, each with one thread.
+
+    hold: called once in every process; work is then work(held, item). What goes to another process must be picklable.
+    What has not begun is left out on an error.
+    """
+    workers = min(workers, len(items))
     if workers <= 1:
-        yield map
+        held = (hold(),) if hold else ()
+        yield from (work(*held, item) for item in items)
         return
     # Spawned, not forked: a fork would copy CUDA's state and the locks of this process's threads.
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), torch.set_num_threads, (1,))
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin, (hold,))
     try:
-        yield pool.map
+        yield from pool.map(partial(_with_held, work), items)
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+_held: tuple[Any, ...] = ()
+
+
+def _begin(hold: Callable[[], Any] | None) -> None:
+    global _held
+    torch.set_num_threads(1)
+    _held = (hold(),) if hold else ()
+
+
+def _with_held(work: Callable[..., Result], item: Any) -> Result:
+    return work(*_held, item)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import time
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import FrameType
 
 from shift3d.signals import stop_signals
 
+CURVE_POINTS = 30
+"""About how many points of a curve stand in a provenance."""
 CurvePoint = tuple[int, Mapping[str, float]]
 """A step (1 for the first), and values by name: parts of the loss, the learning rate."""
 Report = Callable[[Sequence[CurvePoint]], None]
@@ -26,38 +28,27 @@ def averaged(curve: Sequence[CurvePoint], points: int) -> list[CurvePoint]:
     return found
 
 
-class StopRequest:
-    """Whether a training has been asked to end. Asked twice, it ends at once, without a last checkpoint."""
-
-    def __init__(self) -> None:
-        self.requested = False
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        """A signal handler."""
-        if self.requested:
-            raise KeyboardInterrupt
-        self.requested = True
+def curve_facts(curve: Sequence[CurvePoint]) -> list[dict[str, float]]:
+    """The curve for a provenance: at most about `CURVE_POINTS`, values to four digits."""
+    return [
+        {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}}
+        for step, values in averaged(curve, CURVE_POINTS)
+    ]
 
 
 @contextlib.contextmanager
-def stop_on_signal() -> Iterator[StopRequest]:
-    """SIGINT and SIGTERM only set a flag while this is open, so that a training can finish its step and save.
+def stop_on_signal() -> Iterator[threading.Event]:
+    """SIGINT and SIGTERM only set an event while this is open, so that a training can finish its step and save. Asked
+    twice, it ends at once, without a last checkpoint.
 
     In a thread other than the main one signals stay as they are, and nothing is ever asked.
     """
-    request = StopRequest()
-    with stop_signals(request):
-        yield request
+    requested = threading.Event()
 
+    def handle(number: int, frame: FrameType | None) -> None:
+        if requested.is_set():
+            raise KeyboardInterrupt
+        requested.set()
 
-class Stopwatch:
-    """Seconds of a training over all its interruptions."""
-
-    def __init__(self, before_s: float = 0.0) -> None:
-        self._before_s = before_s
-        self._start = time.monotonic()
-
-    @property
-    def seconds(self) -> float:
-        """So far."""
-        return self._before_s + time.monotonic() - self._start
+    with stop_signals(handle):
+        yield requested

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -29,16 +30,18 @@ class ShapeSamples:
     source: str = "family"
 
 
-def training_specs(shapes: int, seed: int) -> list[VehicleSpec]:
-    """The vehicles that are trained on."""
-    return family(shapes, seed)
+def in_random_order(
+    mesh: trimesh.Trimesh, samples: int, name: str, *key: str | int
+) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
+    """Points, distances and scale of a mesh's samples, in random order. name, key: of the generators."""
+    result = sample_sdf(mesh, samples, generator(f"{name} samples", *key))
+    order = generator(f"{name} sample order", *key).permutation(len(result.points))
+    return result.points[order], result.distances[order], result.scale_m
 
 
 def _sampled(task: tuple[VehicleSpec, int, int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     spec, samples, seed, index = task
-    result = sample_sdf(build_mesh(spec), samples, generator("sdf samples", seed, index))
-    order = generator("sdf sample order", seed, index).permutation(len(result.points))
-    return result.points[order], result.distances[order], result.scale_m
+    return in_random_order(build_mesh(spec), samples, "sdf", seed, index)
 
 
 def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: int) -> ShapeSamples:
@@ -48,8 +51,7 @@ def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: 
     """
     file = cache / f"shapes-{shapes}-{samples}-{seed}.npz"
     if not file.is_file():
-        specs = training_specs(shapes, seed)
-        tasks = [(spec, samples, seed, index) for index, spec in enumerate(specs)]
+        tasks = [(spec, samples, seed, index) for index, spec in enumerate(family(shapes, seed))]
         with ProcessPoolExecutor(processes) as pool:
             parts = list(tqdm(pool.map(_sampled, tasks), total=shapes, desc="sampling shapes", mininterval=5.0))
         points, distances, scale_m = (np.array(values) for values in zip(*parts, strict=True))
@@ -63,4 +65,4 @@ def shape_scales(shapes: int, seed: int, cache: Path) -> NDArray[np.float64]:
     for file in sorted(cache.glob(f"shapes-{shapes}-*-{seed}.npz")):
         with np.load(file, allow_pickle=False) as data:
             return np.asarray(data["scale_m"], np.float64)
-    return np.array([bounding_scale(build_mesh(spec)) for spec in training_specs(shapes, seed)])
+    return np.array([bounding_scale(build_mesh(spec)) for spec in family(shapes, seed)])

@@ -12,7 +12,7 @@ from typing import Any
 
 from shift3d.scenes.facts import SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue, read_catalogue
-from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.schema.config import Config
 from shift3d.settings.schema.scenes import StreetConfig
 from shift3d.sweep.planning.kind import TaskKind

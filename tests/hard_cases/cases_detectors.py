@@ -12,8 +12,13 @@ from catalogue import hard_case
 
 from shift3d.detectors.base import Proposals
 from shift3d.detectors.grid import WAYMO_GRID
-from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, anchor_boxes
-from shift3d.detectors.models.box_coding import decode_boxes, direction_bins, encode_boxes
+from shift3d.detectors.models.anchor_heads import (
+    WAYMO_ANCHORS,
+    anchor_boxes,
+    decode_boxes,
+    direction_bins,
+    encode_boxes,
+)
 from shift3d.detectors.models.token_windows import Tokens, group_by_window
 from shift3d.detectors.models.window_transformer import EncoderLayer, TransformerSpec
 from shift3d.detectors.nms import rotated_nms, suppress

@@ -8,7 +8,7 @@ import torch
 import trimesh
 from rounding import EMPTY, U32, gamma
 
-from shift3d.detectors.models.box_coding import decode_boxes, direction_bins, encode_boxes
+from shift3d.detectors.models.anchor_heads import decode_boxes, direction_bins, encode_boxes
 from shift3d.geometry.boxes import corners_3d, corners_bev, points_in_boxes
 from shift3d.geometry.iou import iou_3d, iou_bev
 from shift3d.geometry.se3 import object_from_scene, scene_from_object, scene_R_object

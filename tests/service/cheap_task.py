@@ -14,9 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from shift3d.scenes.facts import SceneFacts
-from shift3d.seeding import generator
+from shift3d.seeding import derive_seed, generator
 from shift3d.settings.catalogue.reading import Catalogue
-from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.schema.config import Config
 from shift3d.settings.schema.scenes import StreetConfig
 from shift3d.sweep.planning.kind import TaskKind
@@ -35,7 +35,7 @@ def load(spec: AssetsSpec) -> dict[str, float]:
 
 def run(spec: TaskSpec, assets: dict[str, float]) -> TaskResult:
     _misbehave(spec)
-    rng = generator(spec.seed)
+    rng = generator(derive_seed("task", spec.task_id))
     where = generator(spec.placement_seed).uniform(15, 50, size=6)
     methods = [("baseline", 0), ("random", 0), ("adversarial", 0)]
     if spec.mode == "shape":

@@ -175,7 +175,7 @@ def _preset(name: Any, crop_m: float) -> Setting:
 def groups_of(config: FrontierSweep) -> list[SceneGroup]:
     """The sweep's scenes, and KITTI's where they are asked for. Raises InputError for a folder without frames."""
     from shift3d.accuracy_time.drive import SceneGroup
-    from shift3d.settings.catalogue.foreign import detector_layouts
+    from shift3d.settings.catalogue.detector_files import detector_layouts
     from shift3d.settings.schema.scenes import KittiConfig, scene_set
     from shift3d.task.exchange import AssetsSpec
     from shift3d.task.spec import AttackSpec, PlacementSpec, TaskSpec

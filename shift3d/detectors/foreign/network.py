@@ -1,4 +1,7 @@
-"""A foreign model's network, of the parts that the shipped pillar detectors have where these compute the same."""
+"""A foreign model's network, of the parts that the shipped pillar detectors have where these compute the same.
+
+Pillar network and heads are as OpenPCDet and mmdetection3d compute them.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,184 @@ from collections.abc import Sequence
 from math import ceil
 from typing import Self
 
+import torch
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.foreign.encoder import ForeignEncoder, foreign_inputs
-from shift3d.detectors.foreign.heads import CentreTower, ForeignAnchorHeads, MapHeads
-from shift3d.detectors.foreign.layout import Anchor, AnchorHead, Layout
-from shift3d.detectors.grid import Grid, Pillars
+from shift3d.detectors.foreign.layout import Anchor, AnchorHead, Branch, CentreHead, Layout, PillarInputs
+from shift3d.detectors.grid import Grid, Pillars, core_cells
+from shift3d.detectors.models.anchor_heads import AnchorConvolutions
+from shift3d.detectors.models.centre_heads import decode_centres
+from shift3d.detectors.models.folding import folded_linear, folded_sequence
+from shift3d.detectors.models.heads import BoxHeads, map_rows
 from shift3d.detectors.models.network import Precision, arithmetic
 from shift3d.detectors.models.pillar_backbone import PillarBackboneNet, core_in_window, to_dense
+from shift3d.detectors.models.pillar_net import decorate
+
+
+def foreign_inputs(points: Tensor, pillars: Pillars, grid: Grid, inputs: PillarInputs) -> Tensor:
+    """Place, constants, offset to the pillar's mean, offset to its centre in x, y, z: (K, columns), by pillar.
+
+    points: (N, 3), the model's frame, metres. Differentiable w.r.t. points.
+    Source: OpenPCDet's PillarVFE; mmdetection3d's PillarFeatureNet, whose `legacy` writes the offset to the centre over
+    the coordinates.
+    """
+    decorated = decorate(points, pillars, grid)
+    xyz, to_mean = decorated[:, :3], decorated[:, 3:6]
+    to_centre = torch.cat((decorated[:, 6:], xyz[:, 2:] - inputs.middle_m), dim=1)
+    place = {"coordinates": xyz, "offset": to_centre, "none": xyz[:, :0]}[inputs.position]
+    constants = xyz.new_tensor(inputs.constants).expand(len(xyz), -1)
+    return torch.cat((place, constants, to_mean, to_centre), dim=1)
+
+
+class ForeignEncoder(nn.Module):
+    """Layers of linear, norm and ReLU; each but the last joins a point with its pillar's maximum.
+
+    Both codebases fill a pillar up to its slots with zeros after decoration and take the maximum over these, too: in a
+    pillar with fewer points, one of zeros stands for all of them. A pillar that is full keeps every point (our choice:
+    the sources keep as many as it has slots, which ones depends on the order of the points).
+    """
+
+    def __init__(self, inputs: PillarInputs) -> None:
+        super().__init__()
+        self.slots = inputs.slots
+        halves = [*(width // 2 for width in inputs.filters[:-1]), inputs.filters[-1]]
+        sources = [inputs.columns, *inputs.filters[:-1]]
+        self.linears = nn.ModuleList(
+            nn.Linear(source, width, bias=False) for source, width in zip(sources, halves, strict=True)
+        )
+        self.norms = nn.ModuleList(nn.BatchNorm1d(width, eps=inputs.eps) for width in halves)
+
+    def forward(self, decorated: Tensor, pillars: Pillars) -> Tensor:
+        """(K, columns), sorted by pillar -> (P, channels). Differentiable w.r.t. decorated.
+
+        Of points that tie for a maximum, the first one in order of coordinates gets the gradient.
+        """
+        features, owner, counts = decorated, pillars.pillar, pillars.counts
+        if self.slots is not None:
+            short = torch.nonzero(counts < self.slots).flatten()
+            owner = torch.cat((owner, short))
+            order = torch.argsort(owner, stable=True)
+            features = torch.cat((features, features.new_zeros(len(short), features.shape[1]))).index_select(0, order)
+            owner, counts = owner.index_select(0, order), counts + (counts < self.slots)
+        for index, (linear, norm) in enumerate(zip(self.linears, self.norms, strict=True)):
+            features = torch.relu(norm(linear(features)))
+            highest = _highest(features, owner, counts)
+            if index + 1 < len(self.linears):
+                features = torch.cat((features, highest.index_select(0, owner)), dim=1)
+        return highest
+
+    def folded(self) -> Self:
+        """The same function in evaluation mode, norms folded into the layers, in place."""
+        for index, (linear, norm) in enumerate(zip(self.linears, self.norms, strict=True)):
+            assert isinstance(linear, nn.Linear)
+            self.linears[index], self.norms[index] = folded_linear(linear, norm), nn.Identity()
+        return self
+
+
+def _highest(features: Tensor, owner: Tensor, counts: Tensor) -> Tensor:
+    """(P, C) maximum over each pillar's rows (K, C).
+
+    Rows tie as soon as the layers before left nothing of them but their pillar's maximum. torch.segment_reduce shares
+    a gradient between them only where it is positive (2.13: a negative one is given to each in full).
+    """
+    with torch.no_grad():
+        highest = torch.segment_reduce(features, "max", lengths=counts, axis=0, unsafe=True)
+        rows = torch.arange(len(features))[:, None].expand_as(features)
+        rows = torch.where(features == highest.index_select(0, owner), rows, len(features))
+        first = rows.new_full(highest.shape, len(features) - 1)
+        first = first.scatter_reduce(0, owner[:, None].expand_as(features), rows, "amin")
+    return features.gather(0, first)
+
+
+class ForeignAnchorHeads(AnchorConvolutions):
+    """1x1 convolutions for the vehicle's logit, the box and the direction of every anchor, those of all classes."""
+
+    def __init__(self, channels: int, head: AnchorHead) -> None:
+        super().__init__(channels, len(head.anchors))
+        self.head, self.direction_offset_rad = head, head.direction_offset_rad
+
+    def anchor_rows(self, grid: Grid, window: BevWindow) -> Tensor:
+        """(A, 7) float64, the model's frame, of the window's core: over y, then x, then the anchors of a cell."""
+        lines, columns = core_cells(window)
+        boxes = []
+        for anchor in self.head.anchors:
+            y = _spaced(anchor.y_m, grid.num_y)[lines][:, None].expand(-1, len(columns))
+            x = _spaced(anchor.x_m, grid.num_x)[columns].expand(len(lines), -1)
+            rest = torch.tensor((anchor.z_m, *anchor.size_m, anchor.heading_rad), dtype=torch.float64)
+            boxes.append(torch.cat((torch.stack((x, y), dim=-1), rest.expand(*x.shape, 5)), dim=-1))
+        return torch.stack(boxes, dim=2).reshape(-1, 7)
+
+
+def _spaced(ends: tuple[float, float], count: int) -> Tensor:
+    return torch.linspace(*ends, count, dtype=torch.float64)
+
+
+def _stack(channels: int, hidden: int, branch: Branch, head: CentreHead) -> nn.Sequential:
+    modules: list[nn.Module] = []
+    for _ in range(branch.layers - 1):
+        modules += _convolution(channels, hidden, head)
+        channels = hidden
+    return nn.Sequential(*modules, nn.Conv2d(channels, branch.outputs, 3, padding=1))
+
+
+def _convolution(channels: int, outputs: int, head: CentreHead) -> list[nn.Module]:
+    layer = nn.Conv2d(channels, outputs, 3, padding=1, bias=head.biased)
+    return [layer, nn.BatchNorm2d(outputs, eps=head.eps), nn.ReLU()]
+
+
+class CentreTower(nn.Module):
+    """The shared convolution and the branches of the vehicle's task: features (B, C, h, w) -> (B, 1 + 8, h, w).
+
+    Channels: the vehicle's logit, then offset x and y (cells), z, log of the sizes, and the turn in the source's order.
+    Differentiable w.r.t. features through the logit alone: boxes are detached.
+    """
+
+    def __init__(self, channels: int, head: CentreHead) -> None:
+        super().__init__()
+        self.reach = 1 + max(branch.layers for branch in (head.heat, *head.branches[:4]))  # cells to either side
+        self.shared = nn.Sequential(*_convolution(channels, head.shared, head))
+        self.classes = _stack(head.shared, head.hidden, head.heat, head)
+        self.boxes = nn.ModuleList(_stack(head.shared, head.hidden, branch, head) for branch in head.branches[:4])
+
+    def forward(self, features: Tensor) -> Tensor:
+        shared = self.shared(features)
+        logits = self.classes(shared)
+        with torch.no_grad():
+            boxes = [branch(shared) for branch in self.boxes]
+        return torch.cat((logits, *boxes), dim=1)
+
+    def folded(self) -> Self:
+        """The same function in evaluation mode, norms folded into the convolutions, in place."""
+        self.shared, self.classes = folded_sequence(self.shared), folded_sequence(self.classes)
+        for index, branch in enumerate(self.boxes):
+            assert isinstance(branch, nn.Sequential)
+            self.boxes[index] = folded_sequence(branch)
+        return self
+
+
+class MapHeads(BoxHeads):
+    """Reads what a `CentreTower` gave: a cell's logit and box code. The sources ask for no peaks."""
+
+    per_cell = 1
+    box_layers = ()
+    layers = ()
+
+    def logits(self, features: Tensor) -> Tensor:
+        return map_rows(features[:, :1]).flatten(1)
+
+    def box_rows(self, features: Tensor) -> Tensor:
+        return map_rows(features[:, 1:])
+
+    def decode(self, rows: Tensor, grid: Grid, window: BevWindow) -> Tensor:
+        """See `BoxHeads.decode`. The sources count the offset from the cell's corner.
+
+        Source: OpenPCDet's centernet_utils, mmdetection3d's CenterPointBBoxCoder.
+        """
+        lines, columns = core_cells(window)
+        y, x = torch.meshgrid(lines, columns, indexing="ij")
+        codes = torch.cat((rows[:, :2] - 0.5, rows[:, 2:]), dim=1)
+        return decode_centres(codes, torch.stack((x.reshape(-1), y.reshape(-1)), dim=1), grid)
 
 
 class ForeignNet(PillarBackboneNet):

@@ -9,7 +9,8 @@ of floating-point sums.
 from __future__ import annotations
 
 import copy
-from typing import Any, Protocol, Self, TypeVar, runtime_checkable
+from collections.abc import Callable
+from typing import Any, Protocol, Self, TypeVar
 
 from torch import Tensor
 
@@ -37,14 +38,10 @@ class IncrementalInference(Protocol):
         ...
 
 
-@runtime_checkable
-class _Incremental(Protocol):
-    def incremental(self, window: BevWindow) -> IncrementalInference: ...
-
-
 def incremental_inference(detector: Detector, window: BevWindow) -> IncrementalInference:
     """A detector's own incremental inference, or one that computes the whole window in every frame."""
-    return detector.incremental(window) if isinstance(detector, _Incremental) else WholeWindow(detector, window)
+    own: Callable[[BevWindow], IncrementalInference] | None = getattr(detector, "incremental", None)
+    return WholeWindow(detector, window) if own is None else own(window)
 
 
 class WholeWindow:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from shift3d.detectors.names import ONNX
 from shift3d.errors import InputError
-from shift3d.settings.catalogue.foreign import detector_layouts
+from shift3d.settings.catalogue.detector_files import detector_layouts
 from shift3d.settings.schema.config import Config, DetectorConfig
 from shift3d.wording import counted
 

@@ -1,16 +1,16 @@
-"""Which detectors score a sweep, their files of weights, and the hashes of what they are made of."""
+"""Which detectors score a sweep, their files of weights and configs, and the hashes of what they are made of."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from shift3d.detectors.names import DETECTOR_NAMES, GRID_REACH_M, ONNX, OWN
+from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, GRID_REACH_M, ONNX, OWN
 from shift3d.errors import InputError
-from shift3d.settings.catalogue.foreign import detector_layouts, layout_hash
 from shift3d.settings.schema.config import DetectorConfig
 
 
@@ -54,6 +54,21 @@ def scoring_detectors(config: DetectorConfig) -> dict[str, str | None]:
     return {name: weights.get(name) for name in names}
 
 
+def detector_layouts(config: DetectorConfig) -> dict[str, dict[str, Any]]:
+    """What the config of a foreign detector says, by the detector's name, as plain values; nothing where none is asked.
+
+    Raises: InputError naming the config, and the value that is missing or not covered.
+    """
+    if config.config is None:
+        return {}
+    from shift3d.detectors.foreign.detector import foreign_layout
+    from shift3d.detectors.foreign.parts import Choices
+
+    choices = Choices(config.vehicle_class, config.sensor_height_m, config.intensity)
+    names = [name for name in FOREIGN if name in config.named()]
+    return {name: foreign_layout(name, Path(config.config).expanduser(), choices) for name in names}
+
+
 def require_used(configs: Sequence[DetectorConfig], scoring: Sequence[str]) -> None:
     """Refuse weights of a detector that scores nowhere in a sweep.
 
@@ -80,7 +95,11 @@ def detector_hash(name: str, weights: str | None, module: str | None, layout: Ma
         return file_hash(_existing_file(weights or "", "Check detector.file"))
     if name != OWN:
         weights_hash = file_hash(weights_file(name, weights))
-        return weights_hash if layout is None else layout_hash(layout, weights_hash)
+        if layout is None:
+            return weights_hash
+        # The same however its config is written.
+        text = json.dumps(layout, sort_keys=True, separators=(",", ":")) + weights_hash
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
     remedy = "Check detector.module and detector.weights"
     parts = [_existing_file(part, remedy) for part in (module, weights) if part]
     return hashlib.blake2b("".join(map(file_hash, parts)).encode(), digest_size=16).hexdigest()
@@ -108,11 +127,33 @@ def require_in_grid(names: Sequence[str], sector_rad: tuple[float, float], range
     Raises: InputError naming the settings.
     """
     shipped = [name for name in names if name in DETECTOR_NAMES]
-    centre, half_width = sector_rad
-    azimuths = [centre + half_width * step / 32 for step in range(-32, 33)]
-    ahead = max(max(abs(math.cos(azimuth)), abs(math.sin(azimuth))) for azimuth in azimuths)
+    ahead = max(max(abs(math.cos(azimuth)), abs(math.sin(azimuth))) for azimuth in _azimuths(sector_rad))
     if shipped and range_m * ahead + shift_m > GRID_REACH_M:
         moved = f", and moved by {shift_m:g} m" if shift_m else ""
         what = f"vehicles may be put {range_m:g} m away{moved}: {shipped[0]} sees {GRID_REACH_M:.0f} m in x and y"
         remedy = f"Give a smaller attack.placement.max_range_m{' or attack.max_shift_m' if shift_m else ''}"
         raise InputError(what, "attack.placement", remedy)
+
+
+def require_in_range(layouts: Mapping[str, Mapping[str, Any]], sector_rad: tuple[float, float], range_m: float) -> None:
+    """Refuse foreign detectors whose grid leaves out places where vehicles are put: there they could only miss.
+
+    sector_rad: (centre, half width) of the azimuths of places. range_m: how far away they lie at most.
+
+    Raises: InputError naming a place.
+    """
+    for name, layout in layouts.items():
+        grid, turned = layout["grid"], layout["frame"]["turned"]
+        high = {axis: grid[f"{axis}_min_m"] + grid["cell_m"] * grid[f"num_{axis}"] for axis in "xy"}
+        for azimuth in _azimuths(sector_rad):
+            x, y = range_m * math.cos(azimuth), range_m * math.sin(azimuth)
+            there = {"x": -y, "y": x} if turned else {"x": x, "y": y}
+            if any(not grid[f"{axis}_min_m"] <= there[axis] <= high[axis] for axis in "xy"):
+                what = f"vehicles are put at x {x:.0f} m, y {y:.0f} m, which {name}'s range leaves out"
+                remedy = "Give scenes that it was trained on, as scenes=kitti, or attack.placement.max_range_m="
+                raise InputError(what, "detector.config", remedy)
+
+
+def _azimuths(sector_rad: tuple[float, float]) -> list[float]:
+    centre, half_width = sector_rad
+    return [centre + half_width * step / 32 for step in range(-32, 33)]

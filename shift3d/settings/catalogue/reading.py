@@ -12,10 +12,13 @@ from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
 from shift3d.settings import messages
 from shift3d.settings.catalogue.compiled import compare_with_original, require_score_only
-from shift3d.settings.catalogue.detector_files import detector_hash, scoring_detectors
-from shift3d.settings.catalogue.foreign import detector_layouts, require_in_range
-from shift3d.settings.catalogue.scene_cache import SceneEntry
-from shift3d.settings.catalogue.scene_entries import scene_entries
+from shift3d.settings.catalogue.detector_files import (
+    detector_hash,
+    detector_layouts,
+    require_in_range,
+    scoring_detectors,
+)
+from shift3d.settings.catalogue.scene_entries import SceneEntry, scene_entries
 from shift3d.settings.renamed import renamed_error
 from shift3d.settings.schema.attack import AttackConfig
 from shift3d.settings.schema.config import (

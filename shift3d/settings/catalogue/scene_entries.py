@@ -1,23 +1,53 @@
-"""What a plan has to know of each scene: from its configuration, from the cache, or by looking at it."""
+"""What a plan has to know of each scene: from its configuration, from the cache, or by looking at it.
+
+What was found out by looking is kept in the user's cache folder: a file a scene, under a name that changes with
+everything its content depends on: its configuration or the state of its files, the source of this program that makes
+scenes, the libraries under it and the machine. A cache that cannot be written is done without.
+
+Source: our choice.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
 import os
+import platform
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from pydantic import TypeAdapter, ValidationError
 
 from shift3d.errors import InputError
 from shift3d.progress_bar import progress_bar
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue.scene_cache import SceneEntry, keep_entry, kept_entry
+from shift3d.store.atomic import write_atomic
+from shift3d.store.user_cache import program_digest, user_cache
 
 if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
+# Layers that scenes are made by.
+_SOURCES = ("scenes", "vehicles", "sdf", "geometry", "seeding.py")
 _FEW = 8
 """So many scenes are made for a preview, too: it takes seconds, and then the preview is exact."""
+
+
+@dataclass(frozen=True)
+class SceneEntry:
+    """One scene: its name in the set, its data set, the hash of its content, and what it may call for.
+
+    content_hash: empty where the scene has not been made yet and its configuration says the rest.
+    """
+
+    name: str
+    dataset: str
+    content_hash: str
+    facts: SceneFacts
 
 
 def scene_entries(
@@ -49,7 +79,7 @@ def scene_entries(
 def _known(scenes: SceneSet, name: str) -> SceneEntry | None:
     """What is known of a scene without looking at it. The configuration goes first: it decides the same everywhere,
     whatever is in a cache."""
-    kept, configured = kept_entry(scenes.source(name)), scenes.configured(name)
+    kept, configured = _kept(scenes.source(name)), scenes.configured(name)
     if configured is None:
         return kept
     dataset, facts = configured
@@ -83,6 +113,30 @@ def _look_at(scenes: SceneSet, name: str, skip_bad: bool | None) -> SceneEntry |
         remedy = f"{error.remedy.rstrip('.')}; or leave such frames out: scenes.skip_bad=true"
         raise InputError(error.what, error.where, remedy) from error
     entry = SceneEntry(name, scene.dataset, scene.content_hash(), SceneFacts.of(scene))
-    keep_entry(source, entry)
+    _keep(source, entry)
     configured = scenes.configured(name)
     return entry if configured is None else replace(entry, facts=configured[1])
+
+
+def _kept(source: Sequence[object]) -> SceneEntry | None:
+    """The entry that was kept for a scene, None where there is none. source: as `SceneSet.source` has it."""
+    try:
+        return TypeAdapter(SceneEntry).validate_python(json.loads(_file(source).read_bytes()))
+    except (OSError, ValueError, ValidationError, RecursionError):
+        return None
+
+
+def _keep(source: Sequence[object], entry: SceneEntry) -> None:
+    """Keep an entry for `_kept`."""
+    with contextlib.suppress(InputError, OSError):
+        write_atomic(_file(source), json.dumps(asdict(entry)).encode())
+
+
+def _file(source: Sequence[object]) -> Path:
+    key = hashlib.blake2b(json.dumps([_program(), *source]).encode(), digest_size=16).hexdigest()
+    return user_cache() / "scenes" / f"{key}.json"
+
+
+def _program() -> str:
+    """A hash of what makes scenes on this machine."""
+    return f"{platform.node()}\n{program_digest(*_SOURCES)}"

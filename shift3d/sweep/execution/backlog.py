@@ -15,6 +15,8 @@ import numpy as np
 _CHARGES = 2
 # A lost machine is not counted against the task, but so many lost machines are.
 _LOSSES = 6
+# Of a call.
+_MOST_TASKS = 4096
 
 
 class Backlog:
@@ -95,12 +97,11 @@ class Backlog:
 class BatchSizer:
     """Grows from one task towards ``seconds`` of work a call, by what calls have taken so far.
 
-    Args: seconds: aim for one call. most: largest batch.
+    Args: seconds: aim for one call.
     """
 
-    def __init__(self, seconds: float, most: int = 4096) -> None:
+    def __init__(self, seconds: float) -> None:
         self._seconds = seconds
-        self._most = most
         self._per_task_s: float | None = None
         self._last = 1
 
@@ -111,7 +112,7 @@ class BatchSizer:
             return 1
         wanted = int(self._seconds / max(self._per_task_s, 1e-7))
         # At most eight times the last size, so that one lucky task does not fix the size for all.
-        self._last = max(1, min(wanted, 8 * self._last, self._most))
+        self._last = max(1, min(wanted, 8 * self._last, _MOST_TASKS))
         return max(1, min(self._last, fair))
 
     def finished(self, tasks: int, seconds: float) -> None:

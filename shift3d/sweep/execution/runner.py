@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from shift3d.settings.schema.config import LocalRunnerConfig, RunnerConfig
-from shift3d.sweep.execution.backlog import BatchSizer
+from shift3d.sweep.execution.backlog import Backlog, BatchSizer
 from shift3d.sweep.execution.worker import BatchOutcome, Running, Worker
 from shift3d.sweep.planning.kind import TaskKind, reproduce_command
 from shift3d.sweep.planning.plan import Plan
@@ -55,18 +55,14 @@ class LocalRunner:
 
     def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
         """See :class:`Runner`."""
-        start = 0
-        while start < len(positions) and not stop.is_set():
-            size = self._sizer.size(len(positions) - start, 1)
-            batch = positions[start : start + size].tolist()
+        backlog = Backlog(positions, self._tried)
+        while len(backlog) and not stop.is_set():
+            batch = backlog.take(self._sizer.size(len(backlog), 1))
             tasks = [self._plan.tasks[position] for position in batch]
             self._running = [Running(tasks[0], len(tasks), 0.0, "this process")]
             yield BatchOutcome()
-            first = 1 + max(self._tried.get(position, 0) for position in batch) if self._tried else 1
-            outcome = self._worker.run_batch(tasks, stop.is_set, first)
-            ran = len(outcome.done) + len(outcome.quarantined)
-            self._sizer.finished(ran, outcome.seconds)
-            start += ran
+            outcome = self._worker.run_batch(tasks, stop.is_set, backlog.first_attempt(batch))
+            self._sizer.finished(len(outcome.done) + len(outcome.quarantined), outcome.seconds)
             yield outcome
             if outcome.fatal:
                 return

@@ -12,8 +12,7 @@ from typing import Any
 from shift3d.detectors.names import FOREIGN, ONNX
 from shift3d.errors import InputError
 from shift3d.settings import messages
-from shift3d.settings.catalogue.detector_files import require_in_grid, require_used
-from shift3d.settings.catalogue.foreign import detector_layouts
+from shift3d.settings.catalogue.detector_files import detector_layouts, require_in_grid, require_used
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import Composed
 from shift3d.settings.expand import expand

@@ -16,9 +16,11 @@ from dataclasses import replace
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
+from shift3d.store.tables import parquet_bytes
 from shift3d.sweep.planning.task_ids import read_task_scene, read_template, task_ids, template_json
 from shift3d.sweep.planning.tasks import PlannedTask, Tasks
 from shift3d.sweep.planning.tasks_builder import tasks_of
@@ -57,22 +59,13 @@ _DAMAGE = (OSError, pa.ArrowException, KeyError, ValueError, TypeError, Attribut
 
 def plan_bytes(tasks: Tasks) -> bytes:
     """Tasks as a Parquet file; the same tasks give the same bytes."""
-    import pyarrow.parquet as pq
-
     columns = _columns(tasks)
-    table = pa.Table.from_arrays([columns[name] for name in _SCHEMA.names], schema=_SCHEMA)
-    sink = pa.BufferOutputStream()
-    pq.write_table(
-        table,
-        sink,
-        compression="zstd",
+    return parquet_bytes(
+        pa.Table.from_arrays([columns[name] for name in _SCHEMA.names], schema=_SCHEMA),
         row_group_size=_ROW_GROUP,
         use_dictionary=[name for name in _SCHEMA.names if _SCHEMA.field(name).type == _SHARED],
         dictionary_pagesize_limit=_DICTIONARY_BYTES,
-        write_page_checksum=True,
     )
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
 
 
 def _columns(tasks: Tasks) -> dict[str, pa.Array]:
@@ -123,8 +116,6 @@ def read_tasks(content: bytes, where: str) -> Tasks:
 
     Raises: InputError: it is no plan, damaged, or an id in it is not its task's.
     """
-    import pyarrow.parquet as pq
-
     try:
         source = pa.BufferReader(content)
         names = pq.read_schema(source).names

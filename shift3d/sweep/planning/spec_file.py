@@ -7,7 +7,7 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from shift3d.errors import InputError
-from shift3d.store.migrations import steps
+from shift3d.store.migrations import older_versions
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 
@@ -20,8 +20,7 @@ def read_spec(folder: LocationLike) -> dict[str, Any]:
     path = as_location(folder) / "spec.yaml"
     try:
         values = yaml.safe_load(path.read_text())
-        for step in steps(values["schema_version"], str(path)):
-            values = step.spec(values)
+        older_versions(values["schema_version"], str(path))
         return {**values, "schema_version": SCHEMA_VERSION}
     except FileNotFoundError as error:
         raise InputError(

@@ -24,7 +24,8 @@ _DIGEST = 16
 
 
 def _json(value: Any) -> str:
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    """Canonical JSON, of other scenes by their fields."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=vars)
 
 
 def template_of(spec: TaskSpec) -> TaskSpec:
@@ -53,19 +54,13 @@ def read_template(text: str) -> TaskSpec:
 
 def task_scene_json(task_scene: TaskScene) -> str:
     """The one spelling of a task scene."""
-    scene, scene_hash, others = task_scene
-    listed = [{**vars(other), "effects": list(other.effects)} for other in others]
-    return _json({"scene": scene, "scene_hash": scene_hash, "transfer_scenes": listed})
+    return _json(dict(zip(_VARYING, task_scene, strict=True)))
 
 
 def read_task_scene(text: str) -> TaskScene:
     """The inverse of :func:`task_scene_json`. Raises ValueError, KeyError or TypeError for another text."""
     values = json.loads(text)
-    others = tuple(
-        TransferScene(other["scene"], other["scene_hash"], tuple(other["effects"]))
-        for other in values.get("transfer_scenes", ())
-    )
-    return values["scene"], values["scene_hash"], others
+    return values["scene"], values["scene_hash"], tuple(map(TransferScene.of, values.get("transfer_scenes", ())))
 
 
 def task_ids(
@@ -75,7 +70,7 @@ def task_ids(
 
     Args: template, task_scene: int32, of each task: indices into ``templates`` and ``task_scenes``.
     """
-    texts = [_task_scene_parts(found) for found in task_scenes]
+    texts = [(_json(scene), _json(scene_hash), _json(others)) for scene, scene_hash, others in task_scenes]
     order = np.argsort(template, kind="stable")
     found = np.empty((len(template), 2 * _DIGEST), dtype=np.uint8)
     for positions in np.split(order, np.flatnonzero(np.diff(template[order])) + 1):
@@ -86,27 +81,20 @@ def task_ids(
     return pa.StringArray.from_buffers(len(template), pa.py_buffer(offsets), pa.py_buffer(found))
 
 
-def _task_scene_parts(task_scene: TaskScene) -> tuple[bytes, bytes, bytes]:
-    scene, scene_hash, others = task_scene
-    listed = [{**vars(other), "effects": list(other.effects)} for other in others]
-    transfers = f',"transfer_scenes":{_json(listed)}'
-    return _json(scene).encode(), _json(scene_hash).encode(), transfers.encode()
-
-
-def _digests(template: TaskSpec, texts: Sequence[tuple[bytes, bytes, bytes]], task_scenes: Sequence[int]) -> bytes:
+def _digests(template: TaskSpec, texts: Sequence[tuple[str, str, str]], task_scenes: Sequence[int]) -> bytes:
     """The digests of one template's tasks, one after the other: all up to the scene is hashed once."""
     start, between, before_transfers, end = _template_parts(template)
-    shared = hashlib.blake2b(start, digest_size=_DIGEST)
+    shared = hashlib.blake2b(start.encode(), digest_size=_DIGEST)
     found = []
     for task_scene in task_scenes:
         scene, scene_hash, transfers = texts[task_scene]
         state = shared.copy()
-        state.update(scene + between + scene_hash + before_transfers + transfers + end)
+        state.update(f"{scene}{between}{scene_hash}{before_transfers}{transfers}{end}".encode())
         found.append(state.digest())
     return b"".join(found)
 
 
-def _template_parts(template: TaskSpec) -> tuple[bytes, bytes, bytes, bytes]:
+def _template_parts(template: TaskSpec) -> tuple[str, str, str, str]:
     """The canonical JSON of a spec, cut where the scene, its hash and the scenes of transfers stand."""
     values = {name: value for name, value in template.to_dict().items() if name not in _VARYING}
     first, second, third = _VARYING
@@ -114,10 +102,4 @@ def _template_parts(template: TaskSpec) -> tuple[bytes, bytes, bytes, bytes]:
     for name in sorted(values):
         cuts[(name > first) + (name > second) + (name > third)].append(f"{_json(name)}:{_json(values[name])}")
     before, between, after, end = (",".join(part) for part in cuts)
-    parts = (
-        f'{{{before},"{first}":',
-        f',{between},"{second}":',
-        f",{after}",
-        f",{end}}}",
-    )
-    return tuple(part.encode() for part in parts)  # type: ignore[return-value]
+    return f'{{{before},"{first}":', f',{between},"{second}":', f',{after},"{third}":', f",{end}}}"

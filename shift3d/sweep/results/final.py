@@ -26,12 +26,15 @@ from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import TaskGroup
 from shift3d.sweep.results.bev_grids import bev_rows, groups, transfer_rows
 from shift3d.sweep.results.hyperparameters import RULE_KEYS, choice_rows, choose_lambdas
-from shift3d.sweep.results.verified_scores import read_verification, with_verification
 
 if TYPE_CHECKING:
     import pandas as pd
 
+VERIFICATION = "verification"
+"""Where a verification lies in its sweep's folder: a sweep's folder itself, with a log and final tables."""
 _PLAN_GROUP = GROUP_COLUMNS[:11]  # what a task alone determines, and the detector that scores it
+_VERIFIED_KEY = ["task_id", "scored_by", "method", "replicate"]
+_VERIFIED = ("score_reference", "stable")
 
 
 @dataclass(frozen=True)
@@ -49,13 +52,14 @@ class FinalTables:
 def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> FinalTables:
     """Write every table of ``final/`` from the commit log.
 
-    Raises: InputError: a segment is missing, torn or of another length than was committed; the disk is full.
+    Raises: InputError: a segment is missing, torn or of another length than was committed; a verification that is
+    damaged or of another version; the disk is full.
     """
     folder = as_location(folder)
     tables = {name: segments_in_plan_order(folder, entries, name, plan) for name in SWEPT}
-    if (verification := read_verification(folder)) is not None:
-        tables["scores"] = with_verification(tables["scores"], verification)
-        tables["verification"] = verification
+    if (path := folder / VERIFICATION / "final" / "verification.parquet").is_file():
+        tables["verification"] = read_table(path, "verification")
+        tables["scores"] = with_verification(tables["scores"], tables["verification"])
     scores = tables["scores"].to_pandas()
     scored = scores[scores["score"].notna()]
     if scored[["x_m", "y_m"]].isna().to_numpy().any():
@@ -79,6 +83,18 @@ def write_final(folder: LocationLike, plan: Plan, entries: Sequence[Commit]) -> 
         if (made := folder / "final" / f"{name}.parquet").is_file():
             tables[name] = read_table(made, name)
     return FinalTables(tables)
+
+
+def with_verification(scores: pa.Table, verification: pa.Table) -> pa.Table:
+    """The scores with ``score_reference`` and ``stable`` of every row that was verified; order and the rest as is."""
+    rows = verification.select([*_VERIFIED_KEY, *_VERIFIED]).to_pylist()
+    known = {tuple(row[name] for name in _VERIFIED_KEY): row for row in rows}
+    keys = zip(*(scores[name].to_pylist() for name in _VERIFIED_KEY), strict=True)
+    found = [known.get(key, {}) for key in keys]
+    for name in _VERIFIED:
+        place, field = scores.schema.get_field_index(name), scores.schema.field(name)
+        scores = scores.set_column(place, field, pa.array([row.get(name) for row in found], type=field.type))
+    return scores
 
 
 def check_segments(folder: LocationLike, entries: Sequence[Commit]) -> None:

@@ -10,8 +10,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from shift3d.detectors.grid import Grid
-from shift3d.detectors.models.anchor_heads import AnchorHeads, anchor_boxes
-from shift3d.detectors.models.box_coding import direction_bins, encode_boxes
+from shift3d.detectors.models.anchor_heads import AnchorHeads, anchor_boxes, direction_bins, encode_boxes
 from shift3d.detectors.models.heads import BoxHeads
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.recipe import Recipe
@@ -31,10 +30,6 @@ class AnchorTargets:
     positives: Tensor
     codes: Tensor
     directions: Tensor
-
-    def to(self, device: torch.device) -> AnchorTargets:
-        """The same targets on a device."""
-        return AnchorTargets(*(part.to(device) for part in (self.labels, self.positives, self.codes, self.directions)))
 
 
 def _axis_aligned(boxes: Tensor) -> Tensor:

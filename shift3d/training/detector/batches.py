@@ -11,7 +11,6 @@ import signal
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import fields, replace
 from typing import Any
 
 import torch
@@ -19,7 +18,7 @@ import torch
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.drawn_crops import RandomCrops
-from shift3d.training.detector.objective import Objective
+from shift3d.training.detector.objective import Objective, each_field
 
 Batch = tuple[int, list[Crop], list[Any]]
 """A step, its crops, and their targets on the CPU."""
@@ -46,7 +45,7 @@ def batches(maker: BatchMaker, steps: range, workers: int) -> Iterator[Batch]:
         context = multiprocessing.get_context("spawn")  # a fork would copy CUDA's state and the locks of threads
         pool = ProcessPoolExecutor(workers, context, _open, (maker,))
         for step, crops, targets in _in_order(pool, _made_arrays, steps, AHEAD * workers):
-            yield step, crops, [_each(target, torch.from_numpy) for target in targets]
+            yield step, crops, [each_field(target, torch.from_numpy) for target in targets]
     else:
         yield from _in_order(ThreadPoolExecutor(1), maker.of, steps, 1)
 
@@ -78,9 +77,4 @@ def _made_arrays(step: int) -> Batch:
     """Targets as arrays: a tensor that is sent to another process holds a file open."""
     assert _maker is not None
     step, crops, targets = _maker.of(step)
-    return step, crops, [_each(target, torch.Tensor.numpy) for target in targets]
-
-
-def _each(target: Any, change: Callable[[Any], Any]) -> Any:
-    """A dataclass whose fields are changed alike."""
-    return replace(target, **{item.name: change(getattr(target, item.name)) for item in fields(target)})
+    return step, crops, [each_field(target, torch.Tensor.numpy) for target in targets]

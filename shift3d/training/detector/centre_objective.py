@@ -30,10 +30,6 @@ class CentreTargets:
     positives: Tensor
     codes: Tensor
 
-    def to(self, device: torch.device) -> CentreTargets:
-        """The same targets on a device."""
-        return CentreTargets(*(part.to(device) for part in (self.heat, self.trained, self.positives, self.codes)))
-
 
 def gaussian_radius(length: float, width: float) -> int:
     """Cells by which a footprint (cells) may be displaced in x and y and still overlap itself by LEAST_OVERLAP.

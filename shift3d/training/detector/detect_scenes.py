@@ -5,12 +5,11 @@ Answers are kept on disk, a small file a scene, so that an interrupted evaluatio
 
 from __future__ import annotations
 
-import multiprocessing
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -26,6 +25,7 @@ from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.store.arrays import write_arrays
 from shift3d.training.detector_scenes import network_points
+from shift3d.training.processes import each
 
 # Waymo's second score cut-off. The detectors keep the best 4096 boxes before suppression whatever their score, and
 # where that many lie above 0.1 a lower floor costs nothing and brings nothing.
@@ -101,37 +101,19 @@ def detect_scenes(
     names = open_scenes().names() if names is None else names
     if not names:
         return
-    if min(workers, len(names)) <= 1:
-        with _one_thread():
-            detector, scenes = open_detector(), open_scenes()
-            for name in names:
-                yield detect_frame(detector, scenes, name, score_threshold)
-        return
-    open_detector()  # what is wrong with it is said here: a worker that cannot start says nothing
-    arguments = (open_detector, open_scenes, score_threshold)
-    # Spawned, not forked: a fork would copy the locks of this process's threads.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(names)), context, _open, arguments) as pool:
-        try:
-            yield from pool.map(_detect, names)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    if min(workers, len(names)) > 1:
+        open_detector()  # what is wrong with it is said here: a worker that cannot start says nothing
+    with _one_thread():
+        hold = partial(_opened, open_detector, open_scenes)
+        yield from each(partial(_detect, score_threshold), names, workers, hold)
 
 
-_opened: tuple[Detector, SceneSet, float] | None = None
+def _opened(open_detector: Callable[[], Detector], open_scenes: Callable[[], SceneSet]) -> tuple[Detector, SceneSet]:
+    return open_detector(), open_scenes()
 
 
-def _open(open_detector: Callable[[], Detector], open_scenes: Callable[[], SceneSet], score_threshold: float) -> None:
-    global _opened
-    torch.set_num_threads(1)
-    _opened = (open_detector(), open_scenes(), score_threshold)
-
-
-def _detect(name: str) -> Answer:
-    assert _opened is not None
-    detector, scenes, score_threshold = _opened
-    return detect_frame(detector, scenes, name, score_threshold)
+def _detect(score_threshold: float, opened: tuple[Detector, SceneSet], name: str) -> Answer:
+    return detect_frame(*opened, name, score_threshold)
 
 
 @contextmanager

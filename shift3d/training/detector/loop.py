@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
@@ -19,11 +20,11 @@ from shift3d.training.compute import Compute, choose_compute
 from shift3d.training.detector.batches import BatchMaker, batches
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.drawn_crops import RandomCrops
-from shift3d.training.detector.objective import batch_loss, objective_of
+from shift3d.training.detector.objective import batch_loss, each_field, objective_of
 from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle
-from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
+from shift3d.training.progress import CurvePoint, Report, stop_on_signal
 
 
 def recompute_statistics(net: DetectorNet, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> None:
@@ -73,8 +74,8 @@ class _Run:
         self.curve: list[CurvePoint] = []
         self.reported = 0
         self.steps_by_device: dict[str, int] = {}
-        seconds = self._resume()
-        self.watch = Stopwatch(seconds)
+        # As if it had begun without an interruption.
+        self.began_s = time.monotonic() - self._resume()
 
     def _resume(self) -> float:
         state = read_checkpoint(self.file)
@@ -103,7 +104,7 @@ class _Run:
             "net": self.net.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "curve": [[step, dict(values)] for step, values in self.curve],
-            "seconds": self.watch.seconds,
+            "seconds": time.monotonic() - self.began_s,
             "steps_by_device": self.steps_by_device,
         }
         write_checkpoint(self.file, state)
@@ -168,13 +169,13 @@ def train_on_scenes(
             if run.done % CURVE_STEPS == 0 or run.done == end:
                 run.curve.append((run.done, _mean(recent)))
                 recent = []
-            if run.done % checkpoint_every == 0 or run.done == end or stop.requested:
+            if run.done % checkpoint_every == 0 or run.done == end or stop.is_set():
                 run.save(report)
                 shown = "  ".join(
                     f"{name} {value:.3g}" for name, value in (run.curve[-1][1] if run.curve else {}).items()
                 )
                 tqdm.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
-            if stop.requested and run.done < recipe.all_steps:
+            if stop.is_set() and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
     if run.done == recipe.steps == recipe.all_steps:  # no steps for the heads: only the statistics are taken
         _settle(run, crops.of_statistics())
@@ -206,7 +207,7 @@ def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Any]) -> 
     clouds, windows = [torch.from_numpy(crop.points).to(device) for crop in crops], [crop.window for crop in crops]
     with run.compute.autocast(recipe.bfloat16):
         features = run.net.features(clouds, windows)
-        on_device = [target.to(device) for target in targets]
+        on_device = [each_field(target, lambda part: part.to(device)) for target in targets]
         loss, parts = batch_loss(run.objective, run.net.heads, features, on_device)
     run.optimiser.zero_grad(set_to_none=True)
     loss.backward()

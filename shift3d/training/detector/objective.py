@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from typing import Any, Protocol
 
 import torch
@@ -35,6 +36,11 @@ class Objective(Protocol):
 def objective_of(recipe: Recipe) -> Objective:
     """The objective of a recipe's heads."""
     return CentreObjective(recipe) if recipe.heads == "centres" else AnchorObjective(recipe)
+
+
+def each_field(target: Any, change: Callable[[Any], Any]) -> Any:
+    """Targets whose fields are changed alike: put on a device, or made arrays."""
+    return replace(target, **{item.name: change(getattr(target, item.name)) for item in fields(target)})
 
 
 def batch_loss(

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.training.detector.recipe import Augmentation
 from shift3d.training.detector_scenes import TrainingScene, load_cached
-from shift3d.training.processes import mapping
+from shift3d.training.processes import each
 
 Floats = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
@@ -44,11 +44,11 @@ class VehicleDatabase:
     @classmethod
     def of(cls, files: Sequence[Path], min_points: int, workers: int = 1) -> VehicleDatabase:
         """Of cached scenes: every vehicle with enough points. Kept in memory: some 40 MB for 600 scenes."""
-        boxes, points = [], []
-        with mapping(workers) as mapped:
-            for own, theirs in mapped(partial(_vehicles_of, min_points=min_points), files):
-                boxes += own
-                points += theirs
+        boxes: list[Floats] = []
+        points: list[Floats] = []
+        for own, theirs in each(partial(_vehicles_of, min_points=min_points), files, workers):
+            boxes += own
+            points += theirs
         stacked = np.asarray(boxes, dtype=np.float32).reshape(-1, 7)
         range_m = np.hypot(stacked[:, 0], stacked[:, 1]).astype(np.float64)
         order = np.argsort(range_m, kind="stable")

@@ -24,12 +24,10 @@ from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.warm_start import start_file, start_state
 from shift3d.training.detector_scenes import TrainingScene, cache_scenes, from_scene, load_cached
 from shift3d.training.inserted_vehicles import with_inserted_vehicles
-from shift3d.training.progress import Report, averaged
+from shift3d.training.progress import Report, curve_facts
 from shift3d.training.provenance import read_provenance, write_provenance
 from shift3d.vehicles.family.split import SPLIT
 
-CURVE_POINTS = 30
-"""About how many points of the curve stand in the provenance."""
 TRAFFIC = "wide"
 """Whose vehicles training streets and insertions have: the wide family's seen kinds."""
 
@@ -102,7 +100,6 @@ def _digest(scenes: SceneSet) -> str:
 def _facts(recipe: Recipe, scenes: SceneSet | None, compute: Compute, state: Mapping[str, Any]) -> dict[str, Any]:
     """The provenance of finished weights, beside what they started from."""
     names = [] if scenes is None else scenes.names()
-    curve = averaged(state.get("curve", []), CURVE_POINTS)
     street = {"dataset": f"street-mixed-{TRAFFIC}", "split": "train", "count": recipe.mesh_scenes}
     return {
         "model": recipe.detector,
@@ -112,9 +109,7 @@ def _facts(recipe: Recipe, scenes: SceneSet | None, compute: Compute, state: Map
         "vehicles": {"made_by": "meshes of the wide family, none by the decoder", **SPLIT.to_dict()},
         "compute": compute.facts(recipe.bfloat16) | {"steps_by_device": dict(state.get("steps_by_device", {}))},
         "training_seconds": round(float(state.get("seconds", 0.0)), 1),
-        "curve": [
-            {"step": step, **{name: float(f"{value:.4g}") for name, value in values.items()}} for step, values in curve
-        ],
+        "curve": curve_facts(state.get("curve", [])),
     }
 
 

@@ -66,7 +66,7 @@ def with_anchor_size(state: Mapping[str, Tensor], size_m: tuple[float, float, fl
     """The state dict of an anchor detector that draws the same boxes against anchors of another size.
 
     Codes are linear in the features, and codes against one anchor are linear in those against another: see
-    `box_coding`. In float64, to the rounding of float32.
+    `anchor_heads`. In float64, to the rounding of float32.
     """
     old, new = state[ANCHOR_SIZE].double(), torch.tensor(size_m, dtype=torch.float64)
     across = torch.hypot(old[0], old[1]) / torch.hypot(new[0], new[1])

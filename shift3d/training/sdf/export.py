@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,8 @@ from shift3d.store.arrays import write_safetensors
 from shift3d.store.atomic import write_atomic
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.provenance import versions
-from shift3d.training.sdf_shapes import shape_scales, training_specs
-from shift3d.vehicles.family import VehicleSpec
+from shift3d.training.sdf_shapes import shape_scales
+from shift3d.vehicles.family import VehicleSpec, family
 from shift3d.vehicles.vehicle import BASELINES
 
 BASELINE_RESOLUTION = 129
@@ -72,6 +73,16 @@ def _baseline(
     return min(tried, key=lambda facts: int(facts["pieces"]))
 
 
+def scaled_decoder(state: Mapping[str, Any]) -> tuple[Decoder, NDArray[np.float32], float]:
+    """The folded decoder and the codes of a checkpoint, these as long as CODE_NORM says, and by how much longer."""
+    decoder = Decoder()
+    decoder.load_state_dict(state["decoder"])
+    codes: NDArray[np.float32] = state["codes"].numpy().astype(np.float32)
+    factor = CODE_NORM / float(np.linalg.norm(codes, axis=1).mean())
+    decoder = decoder.folded().eval().requires_grad_(False).with_code_scale(factor)
+    return decoder, (codes * np.float32(factor)).astype(np.float32), factor
+
+
 def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any]:
     """Write sdf.safetensors, vehicles.safetensors and sdf.json (provenance) to `weights_dir`, each atomically.
 
@@ -84,14 +95,8 @@ def export_sdf(checkpoint: Path | str, weights_dir: Path | str) -> dict[str, Any
     if state is None:
         raise InputError("no such checkpoint", where=str(checkpoint), remedy='make train ARGS="model=sdf"')
     recipe = state["recipe"]
-    decoder = Decoder()
-    decoder.load_state_dict(state["decoder"])
-    decoder = decoder.folded().eval().requires_grad_(False)
-    specs = training_specs(int(recipe["shapes"]), int(recipe["seed"]))
-    trained: NDArray[np.float32] = state["codes"].numpy().astype(np.float32)
-    factor = CODE_NORM / float(np.linalg.norm(trained, axis=1).mean())
-    codes = (trained * np.float32(factor)).astype(np.float32)
-    decoder.with_code_scale(factor)
+    decoder, codes, factor = scaled_decoder(state)
+    specs = family(int(recipe["shapes"]), int(recipe["seed"]))
     scales = shape_scales(len(specs), int(recipe["seed"]), Path(checkpoint).parent / "shapes")
     baselines, tensors = {}, {}
     for name in BASELINES:

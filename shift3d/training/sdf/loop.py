@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -19,7 +20,7 @@ from shift3d.errors import InputError
 from shift3d.sdf.decoder import Decoder
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute
-from shift3d.training.progress import CurvePoint, Report, Stopwatch, stop_on_signal
+from shift3d.training.progress import CurvePoint, Report, stop_on_signal
 
 CURVE_STEPS = 100
 WARM_STEPS = 200
@@ -44,7 +45,7 @@ class DecoderRun(ABC):
         self.optimizer = torch.optim.Adam(groups, fused=True)
         self.step = 0
         self.losses: list[float] = []
-        self.watch = Stopwatch()
+        self.began_s = time.monotonic()  # as if there had been no interruption
 
     @abstractmethod
     def batch(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -84,7 +85,7 @@ class DecoderRun(ABC):
             self.table_name: self.table.detach(),
             "optimizer": self.optimizer.state_dict(),
             "losses": self.losses,
-            "seconds": self.watch.seconds,
+            "seconds": time.monotonic() - self.began_s,
             "compute": self.compute.facts(self.mixed),
         }
 
@@ -97,7 +98,7 @@ class DecoderRun(ABC):
             self.table.copy_(state[self.table_name])
         self.optimizer.load_state_dict(state["optimizer"])
         self.step, self.losses = int(state["step"]), list(state["losses"])
-        self.watch = Stopwatch(float(state.get("seconds", 0.0)))
+        self.began_s = time.monotonic() - float(state.get("seconds", 0.0))
 
 
 def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -> None:
@@ -122,7 +123,7 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
                 curve.append((run.step, {"loss": run.losses[-1], "learning_rate": rate}))
                 bar.set_postfix(loss=f"{run.losses[-1]:.5f}", refresh=False)
                 recent = []
-            if run.step % every == 0 or run.step == steps or stop.requested:
+            if run.step % every == 0 or run.step == steps or stop.is_set():
                 write_checkpoint(file, run.state())
                 loss = run.losses[-1] if run.losses else None
                 (file.parent / "progress.json").write_text(json.dumps({"step": run.step, "of": steps, "loss": loss}))
@@ -130,5 +131,5 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
                 if report is not None and curve:
                     report(curve)
                 curve = []
-            if stop.requested and run.step < steps:
+            if stop.is_set() and run.step < steps:
                 raise KeyboardInterrupt

@@ -1,9 +1,15 @@
-"""A decoder trained on vehicles from mesh files, and the vehicle set that comes of it."""
+"""A decoder trained on vehicles from mesh files, and the vehicle set that comes of it.
+
+Meshes are read, repaired and sampled once, and kept in a file.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
-from dataclasses import asdict
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +20,15 @@ from tqdm import tqdm
 
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
-from shift3d.sdf.decoder import Decoder
+from shift3d.store.arrays import write_arrays
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute
 from shift3d.training.progress import Report
-from shift3d.training.sdf.export import CODE_NORM
-from shift3d.training.sdf.meshes import MeshShapes, mesh_shapes
+from shift3d.training.sdf.export import scaled_decoder
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
+from shift3d.training.sdf_shapes import ShapeSamples, in_random_order
 from shift3d.vehicles.fit import PICTURES
-from shift3d.vehicles.mesh_files import MeshFile, read_mesh_vehicle
+from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.picture import write_side_by_side
 from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
@@ -32,6 +38,76 @@ POINTS_A_STEP = 2_750
 NETWORK_RATE, CODE_RATE = 8e-4, 2e-3
 SAMPLES_A_SHAPE = 100_000
 SEED = 7
+_VERSION = 2
+"""Raised when the file of samples comes to hold something else."""
+
+
+@dataclass(frozen=True)
+class MeshShapes:
+    """Samples of S meshes, and by the same index what is known of each.
+
+    facts: per shape, as JSON values: name, file, sha256, repair, size_m, seconds. refused: what could not be used,
+    and why, by file.
+    """
+
+    samples: ShapeSamples
+    facts: list[dict[str, Any]]
+    refused: dict[str, str]
+
+
+def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cache: Path, processes: int) -> MeshShapes:
+    """Sample the meshes at a path, or read them back from `cache` (a folder) when it holds just these.
+
+    A mesh that cannot be used is left out and said so, once; the samples of a shape are in random order, so that
+    consecutive slices are fair batches.
+    Raises: InputError when there are no meshes at the path, or none that can be used.
+    """
+    files = find_meshes(path)
+    hashes = [file.sha256() for file in files]
+    request = json.dumps(
+        [_VERSION, asdict(frame), samples, seed, [[f.name, h] for f, h in zip(files, hashes)]], sort_keys=True
+    )
+    source = "meshes-" + hashlib.blake2b(request.encode(), digest_size=8).hexdigest()
+    kept = cache / f"{source}.npz"
+    if not kept.is_file():
+        tasks = [(file, frame, samples, seed) for file in files]
+        with ProcessPoolExecutor(min(processes, len(files))) as pool:
+            parts = list(tqdm(pool.map(_sampled, tasks), total=len(tasks), desc="sampling meshes", mininterval=5.0))
+        _keep(kept, parts, files, hashes)
+    with np.load(kept, allow_pickle=False) as data:
+        facts = json.loads(str(data["facts"]))
+        arrays = ShapeSamples(data["points"], data["distances"], data["scale_m"], source)
+    places = {file.name: str(file.path) for file in files}  # the folder may have moved since
+    shapes = [{**shape, "file": places[shape["name"]]} for shape in facts["shapes"]]
+    refused = {places[name]: f"{places[name]}: {why}" for name, why in facts["refused"].items()}
+    return MeshShapes(arrays, shapes, refused)
+
+
+_Part = tuple[NDArray[np.float32], NDArray[np.float32], float, dict[str, Any]]
+
+
+def _sampled(task: tuple[MeshFile, MeshFrame, int, int]) -> _Part | str:
+    file, frame, samples, seed = task
+    try:
+        vehicle = read_mesh_vehicle(file, frame)
+    except InputError as error:
+        return str(error)
+    return (*in_random_order(vehicle.mesh, samples, "mesh", seed, vehicle.name), vehicle.facts())
+
+
+def _keep(kept: Path, parts: list[_Part | str], files: list[MeshFile], hashes: list[str]) -> None:
+    left_out = [(file, part) for file, part in zip(files, parts) if isinstance(part, str)]
+    for _, reason in left_out:
+        print(f"left out: {reason}")
+    refused = {file.name: reason.removeprefix(f"{file.path}: ") for file, reason in left_out}
+    used = [(part, digest) for part, digest in zip(parts, hashes) if not isinstance(part, str)]
+    if not used:
+        what = f"none of {len(files)} meshes can be used, the first: {left_out[0][1]}"
+        raise InputError(what, where=str(kept.parent))
+    shapes = [{**part[3], "sha256": digest} for part, digest in used]
+    points, distances, scale_m = (np.array(values) for values in zip(*(part[:3] for part, _ in used), strict=True))
+    facts = np.array(json.dumps({"shapes": shapes, "refused": refused}))
+    write_arrays(kept, points=points, distances=distances, scale_m=scale_m, facts=facts)
 
 
 def mesh_recipe(shapes: MeshShapes, steps: int) -> SdfRecipe:
@@ -85,7 +161,7 @@ def export_mesh_training(
     """
     state = read_checkpoint(checkpoint)
     assert state is not None
-    decoder, codes = _scaled(state)
+    decoder, codes, _ = scaled_decoder(state)
     vehicles, known, refused = [], [], dict(shapes.refused)
     rows = zip(shapes.facts, codes, shapes.samples.scale_m, strict=True)
     for facts, code, scale_m in tqdm(rows, total=len(codes), desc="measuring vehicles", mininterval=5.0):
@@ -120,13 +196,3 @@ def export_mesh_training(
     }
     write_vehicle_set(out, decoder, vehicles, provenance)
     return vehicles
-
-
-def _scaled(state: dict[str, Any]) -> tuple[Decoder, NDArray[np.float32]]:
-    """Decoder and codes of a checkpoint, the codes as long as the shipped ones are: see CODE_NORM."""
-    decoder = Decoder()
-    decoder.load_state_dict(state["decoder"])
-    codes: NDArray[np.float32] = state["codes"].numpy().astype(np.float32)
-    factor = CODE_NORM / float(np.linalg.norm(codes, axis=1).mean())
-    decoder = decoder.folded().eval().requires_grad_(False).with_code_scale(factor)
-    return decoder, (codes * np.float32(factor)).astype(np.float32)

@@ -11,7 +11,7 @@ import pytest
 
 from shift3d.cli.main import main
 from shift3d.scenes.sets import StreetScenes
-from shift3d.settings.catalogue import scene_cache
+from shift3d.settings.catalogue import scene_entries
 
 ONE = ["vehicle=suv", "mode=shape", "attack.lambda=1"]
 
@@ -51,7 +51,7 @@ def test_places_of_each_scene_are_counted(capsys: pytest.CaptureFixture[str]) ->
 def test_a_plan_of_many_streets_makes_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(scene_cache, "user_cache", lambda: tmp_path / "cache")
+    monkeypatch.setattr(scene_entries, "user_cache", lambda: tmp_path / "cache")
     monkeypatch.setattr(StreetScenes, "load", lambda self, name: pytest.fail(f"{name} was made"))
     words = ["scenes.count=500", "scenes.sensor_model=true", "effects.rain_mm_h=10", *ONE]
     assert main(["sweep", "plan", "default", *words]) == 0

@@ -7,8 +7,13 @@ import torch
 
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID, full_window
-from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, anchor_boxes
-from shift3d.detectors.models.box_coding import decode_boxes, direction_bins, encode_boxes
+from shift3d.detectors.models.anchor_heads import (
+    WAYMO_ANCHORS,
+    anchor_boxes,
+    decode_boxes,
+    direction_bins,
+    encode_boxes,
+)
 from shift3d.detectors.models.heads import proposal_indices
 
 SMALL = BevWindow(20, 40, 8, 12, 24, 44, 4, 4)

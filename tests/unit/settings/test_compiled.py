@@ -15,7 +15,7 @@ from shift3d.settings.catalogue.compiled import compare_with_original, require_s
 from shift3d.settings.catalogue.detector_files import detector_hash, scoring_detectors
 from shift3d.settings.compose import validate
 from shift3d.settings.schema.config import Config, DetectorConfig
-from shift3d.task.asset_files import named_files
+from shift3d.sweep.execution.ray.shipped_files import named_files
 from shift3d.task.exchange import AssetsSpec
 
 

@@ -10,8 +10,12 @@ from foreign_cases import CASES, far
 from pydantic import ValidationError
 
 from shift3d.errors import InputError
-from shift3d.settings.catalogue.detector_files import detector_hash, scoring_detectors
-from shift3d.settings.catalogue.foreign import detector_layouts, require_in_range
+from shift3d.settings.catalogue.detector_files import (
+    detector_hash,
+    detector_layouts,
+    require_in_range,
+    scoring_detectors,
+)
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.expand import expand
 from shift3d.settings.schema.config import DetectorConfig

@@ -11,15 +11,15 @@ import pytest
 from shift3d.errors import InputError
 from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
-from shift3d.settings.catalogue import scene_cache
-from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue import scene_entries as module
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.catalogue.scene_entries import scene_entries as entries_and_skipped
 
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "cache"
-    monkeypatch.setattr(scene_cache, "user_cache", lambda: folder)
+    monkeypatch.setattr(module, "user_cache", lambda: folder)
     return folder
 
 
@@ -56,7 +56,7 @@ def test_few_streets_are_made_for_a_preview_too() -> None:
 def test_another_program_looks_again(monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = StreetScenes(count=1)
     scene_entries(scenes)
-    monkeypatch.setattr(scene_cache, "_program", lambda: "another")
+    monkeypatch.setattr(module, "_program", lambda: "another")
     monkeypatch.setattr(StreetScenes, "load", unreadable)
     with pytest.raises(AssertionError, match="looked at"):
         scene_entries(scenes)

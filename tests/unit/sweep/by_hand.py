@@ -6,7 +6,7 @@ from typing import Any
 
 from shift3d.scenes.facts import SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
-from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.schema.config import Config
 
 BOTH_LAMBDAS = ("attack.lambda=1,10",)

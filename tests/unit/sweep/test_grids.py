@@ -12,7 +12,7 @@ from by_hand import catalogue
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
-from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.schema.config import Config
 from shift3d.store.tables import table_from_rows

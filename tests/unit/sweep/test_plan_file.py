@@ -14,7 +14,7 @@ from by_hand import BOTH_LAMBDAS, catalogue
 
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
-from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.plan import Plan, make_plan

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.detector_files import file_hash, weights_file
-from shift3d.sweep.execution.ray.shipped_files import loaded, unloaded
-from shift3d.task.asset_files import NamedFiles, named_files, with_files_in
+from shift3d.sweep.execution.ray.shipped_files import NamedFiles, loaded, named_files, unloaded, with_files_in
 from shift3d.task.assets import load_assets
 from shift3d.task.exchange import AssetsSpec
 from shift3d.vehicles.sources import VehicleSet

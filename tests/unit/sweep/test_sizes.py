@@ -12,7 +12,7 @@ from shift3d.cli.completion import overrides
 from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.settings.catalogue.reading import Catalogue
-from shift3d.settings.catalogue.scene_cache import SceneEntry
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.compose import compose_sweep, sweep_names
 from shift3d.settings.expand import expand
 from shift3d.settings.folders import shipped

@@ -16,7 +16,7 @@ from shift3d.errors import InputError
 from shift3d.settings.catalogue.detector_files import detector_hash
 from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.schema.config import AccuracyConfig
-from shift3d.task.asset_files import NamedFiles, named_files
+from shift3d.sweep.execution.ray.shipped_files import NamedFiles, named_files
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.run import run_task

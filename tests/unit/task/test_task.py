@@ -218,9 +218,7 @@ def test_a_step_that_is_not_finite_has_no_number_and_still_has_its_row() -> None
     check = ConstraintCheck(0.0, 0.0, 400, True, True, True)
     record = StepRecord(3, (1.0,) * 6, 0.5, math.inf, math.nan, 0.4, check, 0, 0.0, 10)
     rows = Rows(make_spec())
-    rows.attack(
-        AttackResult("shape", baseline_vehicles()["suv"], torch.zeros(4), torch.zeros(6), 0, "diverged", (record,))
-    )
+    rows.attack(AttackResult(baseline_vehicles()["suv"], torch.zeros(4), torch.zeros(6), 0, "diverged", (record,)))
     (row,) = rows.result().trajectories
     assert (row["loss"], row["adversarial_loss"], row["proposal_score"]) == (None, None, 0.4)
     assert not row["kept"]

@@ -13,7 +13,7 @@ from shift3d.errors import InputError
 from shift3d.store.resolve import as_location
 from shift3d.store.tables import table_from_rows, write_table
 from shift3d.sweep.execution.worker import completed_rows
-from shift3d.sweep.results.verified_scores import with_verification
+from shift3d.sweep.results.final import with_verification
 from shift3d.task.assets import Assets
 from shift3d.task.differences import Differences
 from shift3d.task.exchange import TaskResult

@@ -10,8 +10,7 @@ import torch
 
 from shift3d.detectors.grid import WAYMO_GRID, cells_of
 from shift3d.geometry.boxes import points_in_boxes
-from shift3d.training.detector.augmentation import moved, thinned, vehicles_varied
-from shift3d.training.detector.crops import random_crop, vehicle_centre
+from shift3d.training.detector.crops import moved, random_crop, thinned, vehicle_centre, vehicles_varied
 from shift3d.training.detector.recipe import Augmentation, Recipe
 from shift3d.training.detector_scenes import TrainingScene
 

@@ -10,9 +10,8 @@ import torch
 
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID
-from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, anchor_boxes
+from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, anchor_boxes, decode_boxes
 from shift3d.detectors.models.backbone import BackboneSpec
-from shift3d.detectors.models.box_coding import decode_boxes
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.training.detector.anchor_objective import (

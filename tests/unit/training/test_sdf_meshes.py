@@ -15,8 +15,7 @@ import trimesh
 
 from shift3d.errors import InputError
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.sdf.meshes import MeshShapes, mesh_shapes
-from shift3d.training.sdf.on_meshes import export_mesh_training, mesh_recipe
+from shift3d.training.sdf.on_meshes import MeshShapes, export_mesh_training, mesh_recipe, mesh_shapes
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
 from shift3d.vehicles.mesh_frame import MeshFrame
 

@@ -46,9 +46,6 @@ class Calls:
     def __len__(self) -> int:
         return len(self._by_reference) - len(self._superseded)
 
-    def __iter__(self) -> Any:
-        return iter(self.live())
-
     def live(self) -> list[Call]:
         """Calls whose result is waited for, the oldest first."""
         return [call for call in self._by_reference.values() if call.reference not in self._superseded]

@@ -102,11 +102,6 @@ class WorkerPool:
             )
 
     @property
-    def size(self) -> int:
-        """Workers that are there."""
-        return len(self._workers)
-
-    @property
     def starting(self) -> list[Any]:
         """References that are ready when a worker is."""
         return list(self._starting)
