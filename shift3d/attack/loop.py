@@ -24,10 +24,10 @@ def descend(
     """Plain gradient descent: v <- Proj[v - alpha dL/dv], `steps` times.
 
     Of steps 1..steps the valid one with the lowest loss is kept; the start does not count unless none is
-    valid, and is then returned as best_step 0. A step found beyond the budget is followed by one half way back to the
-    best so far. selection_window: see `best_step`.
+    valid, and is then returned as best_step 0. A step found beyond the budget, or one without a gradient, as where no
+    beam meets the object, is followed by one half way back to the best so far. selection_window: see `best_step`.
 
-    Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01).
+    Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01); the way back is our choice.
     """
     trials = Trials(problem, search, on_step, every_step=selection_window > 0)
     variable, diverged = search.start.detach(), False
@@ -35,7 +35,7 @@ def descend(
         gradient = trials.evaluate(variable, step < steps)
         if gradient is None:
             break
-        if trials.trace[-1].within_budget:
+        if trials.trace[-1].within_budget and bool(gradient.any()):
             variable = search.project(variable - alpha * gradient)
         else:
             variable = search.project(trials.back())

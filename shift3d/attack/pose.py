@@ -104,9 +104,9 @@ def project(theta: Tensor, theta0: Tensor, limits: PoseLimits) -> Tensor:
 def snapped(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: PoseLimits) -> Tensor:
     """The pose with its height on the ground under its new place.
 
-    First the height of the ground plane there, then up or down until it touches a return, or the ground between them
-    (`AttackProblem.below_ground_m`). Unchanged where no ground is seen or in reach: the step is then invalid for want
-    of contact.
+    First the height of the ground plane there (where no ground is seen, the start's height), then up or down until it
+    touches a return, or the ground between them (`AttackProblem.below_ground_m`). Where nothing in reach carries it, as
+    on top of a wall, it stays at that first height, and the step breaks a constraint.
     """
     if limits.snap_m == 0 or not bool(torch.isfinite(theta).all()):
         return theta
@@ -115,4 +115,4 @@ def snapped(theta: Tensor, problem: AttackProblem, metric: ObjectField, limits: 
     plane = problem.ground_at(theta)
     on_ground[2] = problem.theta0[2] if plane is None else plane.height_m + size[2] / 2
     found = snap_to_ground(metric, problem.obstacles_at(theta), on_ground, size, limits.snap_m)
-    return theta if found is None else found
+    return on_ground if found is None else found

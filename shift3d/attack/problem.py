@@ -130,7 +130,7 @@ class AttackProblem:
 
     def ground_at(self, theta: Tensor) -> GroundPlane | None:
         """The plane of the ground under a pose (6,); None where too little of it is seen."""
-        place = (float(theta[0]), float(theta[1]))
+        place = _place(theta)
         if place not in self._planes:
             level = float(self.theta0[2] - self.size_m[2] / 2)
             self._planes.clear()  # a search asks again for the place where it is
@@ -142,13 +142,17 @@ class AttackProblem:
         plane = self.ground_at(theta) if self.below_ground_m and bool(torch.isfinite(theta).all()) else None
         if plane is None:
             return self.points_near()
-        place = (float(theta[0]), float(theta[1]))
-        ground = plane.lowered(place, self._footprint_m, self.below_ground_m)
+        ground = plane.lowered(_place(theta), self._footprint_m, self.below_ground_m)
         return torch.cat((self.points_near(), torch.from_numpy(ground)))
 
     @property
     def _footprint_m(self) -> float:
         return float(self.size_m[:2].norm()) / 2 + 0.5
+
+
+def _place(theta: Tensor) -> tuple[float, float]:
+    x, y = theta[:2].detach().tolist()
+    return x, y
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ class Trials:
     """The evaluations of one search, in their order.
 
     Renderings start from the last one's hits, and the detector computes again only what a move has changed.
-    held: where a step beyond the budget goes back to: the best variable so far, or the search's start. differentiable:
+    held: where a step that leads nowhere goes back to: the best variable so far, or the search's start. differentiable:
     False for searches that never ask for a gradient; nothing is then kept for one. every_step: whether
     every valid step is asked for its naturalness, for a search that may keep another than the lowest.
     """
@@ -139,7 +139,7 @@ class Trials:
         return gradient
 
     def back(self) -> Tensor:
-        """Half way from the last variable, which lies beyond the budget, to the one that is held."""
+        """Half way from the last variable to the one that is held."""
         return torch.lerp(self.held, self.variables[-1], 0.5)
 
     def result(self, kept: int, diverged: bool = False) -> AttackResult:

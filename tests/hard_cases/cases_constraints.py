@@ -228,6 +228,28 @@ def the_road_between_two_scan_lines() -> None:
 
 @hard_case(
     area=AREA,
+    why="a post stands where a vehicle moves to: nothing within 30 cm carries it, and the step has changed its height",
+    must="it stands on the ground there, in the post, and overlaps the scene; it is neither buried nor in the air",
+    guard="without a rest in reach the height is the ground plane's, not the step's",
+)
+def a_pose_with_no_rest_in_reach() -> None:
+    points, origin = ground_scan(rings=48, columns=900)
+    post = np.array([(12.6, 0.0, z) for z in np.linspace(-1.7, 0.6, 24)], dtype=np.float32)
+    start = torch.tensor([12.6, 4.0, -1.73 + 0.7, 0.0, 0.0, 0.0], dtype=torch.float64)
+    beams = Beams.from_arrays(np.concatenate((points, post)), origin)
+    problem = AttackProblem(
+        beams, -1.73, lambda code: in_frame(soft_car(code), LOW), LOW, WaveDetector(), start, CODE, settings=SETTINGS
+    )
+    metric = problem.metric(CODE)
+    for height_m in (-1.5, 0.0, 2.0):
+        moved = start + torch.tensor([0.0, -4.0, height_m, 0.3, 0.0, 0.0])
+        rests = snapped(moved, problem, metric, PoseLimits())
+        assert abs(float(rests[2] - start[2])) < 0.1 and torch.equal(rests[[0, 1, 3, 4, 5]], moved[[0, 1, 3, 4, 5]])
+        assert not check(metric, problem.obstacles_at(rests), rests, problem.size_m, 300, problem.limits).overlap_ok
+
+
+@hard_case(
+    area=AREA,
     why="a scene may have no ground at all, and a quantile of no heights has no value",
     must="no placement, and the reason why",
     guard="a place with too few returns near the ground's height is turned down first",

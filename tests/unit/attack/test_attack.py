@@ -1,6 +1,7 @@
 """Placement, both attacks and their baselines, against a small real detector."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from torch import Tensor
 from toy_detector import WaveDetector
 
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
-from shift3d.attack.pose import PoseLimits, attack_pose, project
+from shift3d.attack.loop import descend
+from shift3d.attack.pose import PoseLimits, attack_pose, pose_search, project
 from shift3d.attack.problem import AttackProblem, measure
 from shift3d.attack.shape import attack_shape, on_ground
 from shift3d.placement.constraints import Constraints
@@ -126,6 +128,15 @@ def test_the_pose_attack_lowers_the_loss_within_its_limits(problem: AttackProble
     assert torch.equal(result.latent_code, CODE)
 
 
+def test_a_step_that_no_beam_meets_is_followed_by_one_half_way_back(problem: AttackProblem) -> None:
+    buried = problem.theta0 - torch.tensor([0.0, 0.0, 5.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    first = iter([buried])
+    search = replace(pose_search(problem), project=lambda theta: next(first, theta))
+    trace = descend(problem, search, steps=2, alpha=0.01).trace
+    assert trace[1].theta == tuple(buried.tolist()) and trace[1].check.object_points == 0
+    assert trace[2].theta == pytest.approx(((problem.theta0 + buried) / 2).tolist())
+
+
 def test_attacks_repeat_to_the_bit(problem: AttackProblem) -> None:
     first, second = (attack_shape(problem, 0.1, alpha=0.05, steps=3) for _ in range(2))
     assert torch.equal(first.latent_code, second.latent_code)
@@ -133,8 +144,6 @@ def test_attacks_repeat_to_the_bit(problem: AttackProblem) -> None:
 
 
 def test_no_valid_step_keeps_the_baseline(problem: AttackProblem) -> None:
-    from dataclasses import replace
-
     strict = replace(problem, constraints=Constraints(min_object_points=10**6))
     result = attack_shape(strict, 0.1, alpha=0.05, steps=2)
     assert (result.best_step, result.status) == (0, "no_valid_step")
@@ -184,8 +193,6 @@ def test_random_pose_is_feasible(problem: AttackProblem) -> None:
 
 
 def test_no_random_pose_is_a_result_not_an_error(problem: AttackProblem) -> None:
-    from dataclasses import replace
-
     strict = replace(problem, constraints=Constraints(min_object_points=10**6))
     assert random_pose(strict, np.random.default_rng(0)) is None
 
