@@ -29,7 +29,7 @@ from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
 from shift3d.wording import counted
 
-_IN_SIGHT = 3  # sentences; the others unfold
+_SENTENCES = 3  # shown; the others unfold
 
 
 def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str | None = None) -> Section:
@@ -41,7 +41,7 @@ def in_short(found: Sequence[Variant], caveat: str | None = None, unplaced: str 
     if not known:
         return Section("short", "In short", [Paragraph(unplaced or "No task has a score.", "missing")])
     own = [variant for variant in known if variant.is_own] or known
-    first, rest = own[:_IN_SIGHT], [variant for variant in known if variant not in own[:_IN_SIGHT]]
+    first, rest = own[:_SENTENCES], [variant for variant in known if variant not in own[:_SENTENCES]]
     blocks: list[Block] = [Paragraph(caveat, "caveat")] if caveat else []
     blocks += [Paragraph(headline(variant), "headline") for variant in first]
     if rest:
