@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from shift3d.analysis.cases.rendered import Loaded
+from shift3d.analysis.html.blocks import Section
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
 from shift3d.analysis.html.sections.auc import auc, budgets, differences, in_short, sensors
@@ -16,6 +19,7 @@ from shift3d.analysis.html.sections.stability import accuracy, effects, stabilit
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.coverage import nothing_placed, trial_caveat
 from shift3d.analysis.variants import variants
+from shift3d.progress_bar import progress_bar
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.planning.plan_view import merged_lines
@@ -27,33 +31,34 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     plan = sweep.plan
     found, loaded = variants(sweep.auc, sweep.scored), Loaded(plan)
     caveat = " ".join([trial_caveat(plan.tasks) or "", *merged_lines(plan.tasks)]).strip()
-    sections = [
-        in_short(found, caveat, nothing_placed(sweep.scores, plan.settings)),
-        hard_cases(sweep, loaded, cases),
-        gallery(sweep, loaded),
-        budgets(found),
-        sensors(sweep),
-        auc(sweep, found),
-        curves(found),
-        bev(sweep, found),
-        transfer_grid(sweep, found),
-        paths(sweep, found),
-        patterns(sweep),
-        rules(sweep),
-        retrieval(sweep, loaded),
-        differences(found),
-        choices(sweep),
-        stability(sweep),
-        accuracy(sweep),
-        effects(sweep),
-        overview(sweep),
-        coverage(sweep),
+    sections: list[Callable[[], Section | None]] = [
+        lambda: in_short(found, caveat, nothing_placed(sweep.scores, plan.settings)),
+        lambda: hard_cases(sweep, loaded, cases),
+        lambda: gallery(sweep, loaded),
+        lambda: budgets(found),
+        lambda: sensors(sweep),
+        lambda: auc(sweep, found),
+        lambda: curves(found),
+        lambda: bev(sweep, found),
+        lambda: transfer_grid(sweep, found),
+        lambda: paths(sweep, found),
+        lambda: patterns(sweep),
+        lambda: rules(sweep),
+        lambda: retrieval(sweep, loaded),
+        lambda: differences(found),
+        lambda: choices(sweep),
+        lambda: stability(sweep),
+        lambda: accuracy(sweep),
+        lambda: effects(sweep),
+        lambda: overview(sweep),
+        lambda: coverage(sweep),
     ]
     lead = (
         f"{counted(len(plan.tasks), 'attack')} on a LiDAR vehicle detector: a vehicle is inserted into a scene, "
         "and its shape or pose is changed, by the detector's gradient, until the detector misses it."
     )
-    shown = [section for section in sections if section is not None]
+    bar = progress_bar(sections, desc="parts of the page", leave=False)
+    shown = [section for make in bar if (section := make()) is not None]
     return document(f"shift3d: {plan.sweep}", shown, lead, plotly_library())
 
 

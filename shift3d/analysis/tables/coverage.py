@@ -48,10 +48,10 @@ _LEAST_STEPS, _LEAST_SCENES = 10, 4
 def trial_caveat(tasks: Tasks) -> str | None:
     """What to know before reading a sweep's AUCs, with the command for AUCs that mean something, or None.
 
-    tasks: of the whole plan; of several numbers of steps the largest counts. Random draws and edits have no steps.
+    tasks: of the whole plan; of several numbers of steps the largest counts. Random draws have none, and edits alone.
     """
     attacks = [group.template.attack for group in tasks.groups()]
-    steps = max((a.steps for a in attacks if a.search != "random" and not a.edit), default=PAPER_STEPS)
+    steps = max((a.steps for a in attacks if a.search != "random" and (a.steps or not a.edit)), default=PAPER_STEPS)
     scenes = tasks.scenes()
     reasons = []
     if steps < _LEAST_STEPS:

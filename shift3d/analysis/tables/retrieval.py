@@ -8,6 +8,7 @@ import pandas as pd
 
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
+from shift3d.wording import counted
 
 _POINTS = ((10, 30), (30, 100), (100, 300), (300, 1000), (1000, None))
 _GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
@@ -30,8 +31,8 @@ def pool_table(pool: pd.DataFrame) -> Table:
         lines.append(_pool_line(f"flagged {flag}", fitted[[flag in flags for flags in fitted["flags"]]]))
     refused = pool["status"][pool["status"] != "fitted"].value_counts().sort_index()
     left_out = ", ".join(f"{name} {count}" for name, count in refused.items()) or "none"
-    title = f"Labelled vehicles of {pool['scene'].nunique()} scenes: {len(fitted)} fitted, {len(pool) - len(fitted)} "
-    title += f"refused ({left_out})"
+    title = f"Labelled vehicles of {counted(pool['scene'].nunique(), 'scene')}: {len(fitted)} fitted, "
+    title += f"{len(pool) - len(fitted)} refused ({left_out})"
     header = ["", "fitted", "usable", "residual, cm", "shape error, cm", "90 %", "mean vehicle's, cm", "score"]
     return Table(title, header, lines)
 

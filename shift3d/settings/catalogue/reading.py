@@ -168,10 +168,14 @@ def read_catalogue(config: Config, preview: bool = False) -> Catalogue:
 
 
 def _notes(config: Config, scenes: SceneSet, names: Sequence[str], preview: bool) -> tuple[str, ...]:
-    """What is said of an ONNX file that scores; a preview looks at no scene."""
-    if config.detector.file is None or preview:
-        return ()
-    return (compare_with_original(config.detector, scenes, names),)
+    """Named scenes that scenes.count leaves out, and what is said of an ONNX file; a preview looks at no scene."""
+    notes = []
+    wanted = config.scenes.names if isinstance(config.scenes, FramesConfig) else None
+    if wanted and config.scenes.count is not None and config.scenes.count < len(wanted):
+        notes.append(f"{config.scenes.count} of {len(wanted)} named scenes: scenes.count={config.scenes.count}")
+    if config.detector.file is not None and not preview:
+        notes.append(compare_with_original(config.detector, scenes, names))
+    return tuple(notes)
 
 
 def _reference_hash(config: NaturalnessConfig) -> str:

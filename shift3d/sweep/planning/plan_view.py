@@ -30,9 +30,11 @@ def plan_summary(plan: Plan) -> str:
 
 
 def merged_lines(tasks: Tasks) -> list[str]:
-    """Over which settings AUCs are means, in a line; none where columns tell all tasks apart."""
-    merged = merged_settings(tasks)
-    return [f"AUCs are means over {' and '.join(merged)}: no column tells their values apart"] if merged else []
+    """Over which settings the printed AUCs are means, and whether a column of the tables tells their values apart."""
+    mixed = merged_settings(tasks, of_a_data_set=True)
+    by_dataset = [name for name in merged_settings(tasks) if name not in mixed]
+    lines = [(mixed, "no column tells"), (by_dataset, "the column dataset tells")]
+    return [f"AUCs are means over {' and '.join(names)}: {which} their values apart" for names, which in lines if names]
 
 
 def skipped_lines(plan: Plan) -> list[str]:

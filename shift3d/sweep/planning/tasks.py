@@ -155,16 +155,18 @@ class Tasks(Sequence[PlannedTask]):
         return [[] if at is None else list(self.requested_values[self.requested[at]]) for at in found]
 
 
-def merged_settings(tasks: Tasks) -> list[str]:
-    """Settings with several values that no column of the tables tells apart: an AUC is the mean over them.
+def merged_settings(tasks: Tasks, of_a_data_set: bool = False) -> list[str]:
+    """Settings with several values that an AUC is the mean over.
 
-    Replicates and seeds are meant to be averaged and are not among them.
+    of_a_data_set: those alone that no column of the tables tells apart, the name of the data set included. Replicates
+    and seeds are meant to be averaged and are not among them.
     """
     seen: dict[tuple[object, ...], dict[str, list[Any]]] = {}
     for group in tasks.groups():
         spec = group.template
         scenes = tuple(spec.scene_arguments.get(name) for name in _OF_A_DATA_SET)
-        key = (spec.vehicle, *scenes, spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
+        dataset = spec.dataset if of_a_data_set else None
+        key = (spec.vehicle, dataset, *scenes, spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy)
         for requested in group.effects_requested:
             values = seen.setdefault((*key, spec.search, requested), {})
             for name, value in _without_column(spec).items():

@@ -6,7 +6,8 @@ object, and a little off its pose. All of it is done to the baseline too, with t
 the solution is still below its baseline by the same margin.
 
 stable: its score and its margin are those of the reference to within `SCORE_TOLERANCE`. A property of our arithmetic.
-robust: under every draw of noise and pose at least half of the margin is left. A property of the blind spot.
+robust: under every draw of noise and pose at least half of the margin is left, or at most 0.02 is lost. A property of
+the blind spot.
 """
 
 from __future__ import annotations

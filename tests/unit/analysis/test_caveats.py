@@ -31,6 +31,9 @@ def test_too_few_scenes_are_said_whatever_the_search() -> None:
 def test_random_draws_and_edits_have_no_steps_to_be_short_of(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(valid_sweeps, "SCENES", ("north", "south", "east", "west"))
     assert caveat("default", "attack.search=random", "attack.steps=1", "mode=shape", "attack.space=pca") is None
+    edit = ("vehicle=wide", "vehicle.name=suv", "mode=shape", "attack.edit=chassis.height_m:1")
+    assert caveat("default", *edit, "attack.steps=0") is None
+    assert "a search of 2 steps" in (caveat("default", *edit, "attack.steps=2") or "")
 
 
 def test_where_shapes_may_go_makes_no_further_task_of_a_pose() -> None:

@@ -122,7 +122,7 @@ def test_a_folder_that_is_no_finished_sweep_is_refused(tmp_path: Path, capsys: p
 
 def test_what_people_look_for_comes_first(text: str) -> None:
     titles = re.findall(r"<h2[^>]*>([^<]*)</h2>", text)
-    assert titles[:4] == ["In short", "The hard cases", "Random solutions", "Area under the curve"]
+    assert titles[:4] == ["In short", "The hard cases", "Gallery", "Area under the curve"]
     # Long statistics are folded.
     section = text[text.index('<h2 id="differences"') :]
     assert section.index("<details>") < section.index("<table>")

@@ -72,13 +72,14 @@ def test_vehicles_that_the_paper_has_not_are_named() -> None:
 
 def test_the_gallery_draws_over_all_tasks_whatever_became_of_them(finished: Path) -> None:
     sweep = read_sweep(finished)
-    lost, _ = (task.spec.task_id for task in sweep.plan.tasks)
+    lost, stayed = (task.spec.task_id for task in sweep.plan.tasks)
     scores = sweep.scores.copy()
     own = scores["task_id"] == lost
     scores.loc[own, "score"], scores.loc[own, "status"] = np.nan, "no_placement"
+    scores.loc[(scores["task_id"] == stayed) & (scores["method"] == "adversarial"), "status"] = "no_valid_step"
     section = gallery(dataclasses.replace(sweep, scores=scores), Loaded(sweep.plan))
     shown = blocks_html(section.blocks)
-    assert shown.count("<figure>") == 2 and "no placement" in shown
+    assert shown.count("<figure>") == 2 and "no placement" in shown and ", no valid step<" in shown
     assert "All 2 tasks" in shown and "0.90 → 0.30" in shown
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,24 @@ def test_places_of_each_scene_are_counted(capsys: pytest.CaptureFixture[str]) ->
     for name in StreetScenes("mixed", count=2).names():
         assert f"  {name}: " in printed
     assert printed.count(" of 20 free; ") == 2
+
+
+def test_weathers_that_are_printed_together_have_data_sets_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["vehicle=suv", "mode=pose", "scenes.count=2", "scenes.sensor=hdl64"]
+    assert main(["plan", "default", *words, "scenes.weather=rain,fog", "attack.steps=5,10"]) == 0
+    printed = capsys.readouterr().out
+    assert "AUCs are means over attack.steps: no column tells their values apart" in printed
+    assert "AUCs are means over scenes.weather: the column dataset tells their values apart" in printed
+
+
+def test_named_frames_that_the_count_leaves_out_are_said(
+    real_data: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [*ONE, "scenes=kitti", f"scenes.root={real_data('kitti')}", "scenes.names=['000134','001481']"]
+    assert main(["plan", "default", *words, "scenes.count=1"]) == 0
+    assert "1 of 2 named scenes: scenes.count=1" in capsys.readouterr().out
+    assert main(["plan", "default", *words, "scenes.count=2"]) == 0
+    assert "named scenes" not in capsys.readouterr().out
 
 
 def test_a_plan_of_many_streets_makes_none(

@@ -84,7 +84,7 @@ def _naturalness(variant: Variant) -> str:
     text = f", but {unnatural} of {counted(len(measured), 'shape')} {'is' if unnatural == 1 else 'are'} unnatural"
     left = len(measured) - unnatural
     if not unnatural:
-        return f", and all {counted(len(measured), 'shape')} are natural"
+        return ", and the one shape is natural" if left == 1 else f", and all {left} shapes are natural"
     ratio = aucs_of_scores(natural_rows(variant)).of_baseline("adversarial", variant.vehicles) if left else None
     return text + (f" (ratio over the {left} natural: {ratio:.2f})" if ratio is not None else "")
 

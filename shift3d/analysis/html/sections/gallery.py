@@ -19,6 +19,7 @@ from shift3d.analysis.tables.retrieval import kept, pool_table, retrieval_table
 from shift3d.errors import InputError
 from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.sweep.planning.tasks import PlannedTask
+from shift3d.wording import counted
 
 _COUNT, _KIN_COUNT = 50, 9  # tiles
 _RESOLUTION = 72  # of the meshes: 7 cm
@@ -44,7 +45,7 @@ def gallery(sweep: Sweep, loaded: Loaded) -> Section:
         f"{which}{how}. To the left the baseline, to the right what the attack found, as the sensor sees them; below, "
         "the scores of both before the attacked detector."
     )
-    return Section("gallery", "Random solutions", [Paragraph(lead), Panels(tiles, "tiles")])
+    return Section("gallery", "Gallery", [Paragraph(lead), Panels(tiles, "tiles")])
 
 
 def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loaded: Loaded) -> Picture:
@@ -55,7 +56,9 @@ def _tile(sweep: Sweep, task: PlannedTask, case: Case | None, rating: str, loade
         rows = sweep.scores[sweep.scores["task_id"] == spec.task_id]
         status = str(rows["status"].iloc[0]).replace("_", " ") if len(rows) else "no result"
         return Picture(None, status, name)
-    caption = f"{name}: {case.before:.2f} → {case.after:.2f}" + (f", {rating}" if rating else "")
+    own = sweep.scores[(sweep.scores["task_id"] == spec.task_id) & (sweep.scores["method"] == "adversarial")]
+    failed = "" if own["status"].iloc[0] == "ok" else str(own["status"].iloc[0]).replace("_", " ")
+    caption = ", ".join(filter(None, (f"{name}: {case.before:.2f} → {case.after:.2f}", rating, failed)))
     alt = f"{name} in scene {spec.scene}, baseline and adversarial"
     return _drawn(lambda: _pair(sweep, task, loaded), alt, caption)
 
@@ -119,7 +122,7 @@ def _curves(rows: pd.DataFrame) -> Plot:
     for column, (name, colour, dash) in _KIN_CURVES.items():
         scored = rows[rows[column].notna()]
         found.append(RecallCurve(name, scored[column], scored["place"], colour, dash))
-    caption = f"Threshold-recall of {len(rows)} solutions with natural kin, in the same place"
+    caption = f"Threshold-recall of {counted(len(rows), 'solution')} with natural kin, in the same place"
     return recall_plot("curve-retrieval", found, caption, caption)
 
 

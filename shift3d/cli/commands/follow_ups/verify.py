@@ -24,7 +24,7 @@ examples:
   shift3d verify outputs/default-1a2b3c4d5e6f7a8b runner.workers=2 runner.address=auto
 
 stable: score and margin to the baseline are those of the reference to within 0.02.
-robust: under every draw of noise and pose at least half of the margin is left.
+robust: under every draw of noise and pose at least half of the margin is left, or at most 0.02 is lost.
 A solution takes about as long as twenty steps of its attack, more than half of it for the reference rendering."""
 
 
