@@ -95,7 +95,9 @@ def _write(
     views = {key: view_of(suite, by_id.loc[key].to_dict(), scorer) for key in worst}
     page = GatePage(found, sentence, caution, views, simulated_rates(found), facts)
     (out / "gate.html").write_atomic(gate_html(page).encode())
-    return [str(measures_table(found)), str(worst_table(found, 10)), sentence, caution, f"{out / 'gate.html'} written"]
+    worse = worst_table(found, 10)
+    below = str(worse) if worse else "No score fell."
+    return [str(measures_table(found)), below, sentence, caution, f"{out / 'gate.html'} written"]
 
 
 def _check(suite: FrozenSuite, scorer: Scorer, rule: Rule) -> None:

@@ -58,7 +58,7 @@ def gate_html(page: GatePage) -> str:
     ]
     sections = [
         Section("verdict", "Verdict", verdict),
-        Section("worst", "What got worse, worst first", [*_articles(page), worst_table(page.found)]),
+        Section("worst", "What got worse, worst first", [*_articles(page), *filter(None, [worst_table(page.found)])]),
         Section("scores", "Every object before and after", [_scatter(page.found)]),
         Section("power", "What this suite can show", sure),
         Section("compared", "What was compared", [Terms(page.facts), Terms(_MEANING)]),

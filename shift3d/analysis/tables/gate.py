@@ -152,9 +152,11 @@ def measures_table(found: Comparison) -> Table:
     return Table(title, header, lines, ["worst" if line[-1] else "" for line in lines])
 
 
-def worst_table(found: Comparison, most: int = 40) -> Table:
-    """The objects that got worse, worst first."""
+def worst_table(found: Comparison, most: int = 40) -> Table | None:
+    """The objects that got worse, worst first; None where none did."""
     rows = found.rows[found.rows["change"] < 0]
+    if rows.empty:
+        return None
     lines = [
         [
             str(rank),

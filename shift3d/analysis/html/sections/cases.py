@@ -145,9 +145,10 @@ _WORDS = {
 
 
 def change_lines(before: Measures, after: Measures) -> list[list[str]]:
-    """Lines of a table: measure, baseline, adversarial, change."""
+    """Lines of a table: measure, baseline, adversarial, change; to a tenth at least, so that a small change shows."""
     lines = []
-    for field, (name, unit, digits) in NAMES.items():
+    for field, (name, unit, least_digits) in NAMES.items():
+        digits = max(1, least_digits) if unit else least_digits
         old, new = getattr(before, field), getattr(after, field)
         change = "-" if old is None or new is None else f"{_signed(new - old, digits)} {unit}".strip()
         lines.append([name, *(_with_unit(value, unit, digits) for value in (old, new)), change])
