@@ -125,7 +125,7 @@ def test_what_needs_bfloat16_is_left_out_and_named_where_it_would_be_slow(monkey
         wanted = {"detector in bfloat16", "standard, nothing in bfloat16"}
         assert (wanted <= names and not left_out) if fast else (set(left_out) == wanted and not wanted & names)
         if not fast:
-            assert all(setting.precision != "bfloat16" for setting in plan.settings)
+            assert all(setting.accuracy["detector"] != "bfloat16" for setting in plan.settings)
             with pytest.raises(InputError, match="no instructions for bfloat16"):
                 plan_of(frontier(), "nothing in bfloat16", quick=False)
 
