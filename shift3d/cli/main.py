@@ -17,13 +17,9 @@ from shift3d.cli.commands.follow_ups import export, patterns, retrieve, rules, v
 from shift3d.errors import InputError
 from shift3d.exit_codes import ExitCode, exit_codes
 
-COMMANDS: tuple[Command, ...] = tuple(
-    module.COMMAND
-    for module in (
-        *(sweep, plan, verify, report, rules, patterns, retrieve, scenes, effects, export, suite, gate, gc, compact),
-        *(fit, train, finetune, evaluate, compile, frontier, ui, jobs),
-    )
-)
+_MODULES = (sweep, plan, verify, report, rules, patterns, retrieve, scenes, effects, export, suite, gate, gc, compact,
+            fit, train, finetune, evaluate, compile, frontier, ui, jobs)  # fmt: skip
+COMMANDS: tuple[Command, ...] = tuple(module.COMMAND for module in _MODULES)
 
 _DESCRIPTION = """\
 Finds the blind spots of a LiDAR 3D detector: inserts a vehicle into a LiDAR scene and follows the

@@ -86,5 +86,6 @@ def points_in_boxes(
 
 
 def count_in_boxes(points: NDArray[np.floating], boxes: NDArray[np.floating]) -> NDArray[np.int32]:
-    """How many points (N, 3) lie in each of the boxes (M, 7), (M,) int32; looks at the points near each box alone."""
-    return np.array([points_in_boxes(points, box[None]).sum() for box in boxes], dtype=np.int32)
+    """How many points (N, 3) lie in each of the boxes (M, 7), (M,) int32."""
+    counts: NDArray[np.int32] = points_in_boxes(points, boxes).sum(axis=1, dtype=np.int32)
+    return counts

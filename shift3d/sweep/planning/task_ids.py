@@ -24,8 +24,14 @@ _DIGEST = 16
 
 
 def _json(value: Any) -> str:
-    """Canonical JSON, of other scenes by their fields."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=vars)
+    """Canonical JSON, of other scenes by their fields. Raises TypeError for what is no plain value."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_fields)
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    if isinstance(value, TransferScene):
+        return vars(value)
+    raise TypeError(f"{value!r} has no place in a task's id")
 
 
 def template_of(spec: TaskSpec) -> TaskSpec:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import valid_frames
 
 from shift3d.cli.main import main
 from shift3d.scenes.sets import StreetScenes
@@ -57,10 +58,11 @@ def test_weathers_that_are_printed_together_have_data_sets_of_their_own(capsys: 
     assert "AUCs are means over scenes.weather: the column dataset tells their values apart" in printed
 
 
-def test_named_frames_that_the_count_leaves_out_are_said(
-    real_data: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = [*ONE, "scenes=kitti", f"scenes.root={real_data('kitti')}", "scenes.names=['000134','001481']"]
+def test_named_frames_that_the_count_leaves_out_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    valid_frames.write_frame(tmp_path)
+    for path in [*tmp_path.glob("training/*/000007.*")]:
+        shutil.copy(path, path.with_stem("000008"))
+    words = [*ONE, "scenes=kitti", f"scenes.root={tmp_path}", "scenes.names=['000007','000008']"]
     assert main(["plan", "default", *words, "scenes.count=1"]) == 0
     assert "1 of 2 named scenes: scenes.count=1" in capsys.readouterr().out
     assert main(["plan", "default", *words, "scenes.count=2"]) == 0
