@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from shift3d.analysis.html.sections.bev import pooled_cells
-from shift3d.analysis.html.sections.curves import mean_path, searched
+from shift3d.analysis.html.sections.paths import mean_path, searched
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import Interval, mean_interval, ratio_interval, vehicle_mean_interval
 from shift3d.analysis.statistics.paired import paired

@@ -12,7 +12,8 @@ from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.work_precision import work_precision_figure
 from shift3d.analysis.html.blocks import Block, Paragraph, Picture, Section, Terms
 from shift3d.analysis.html.document import document
-from shift3d.analysis.html.sections.stability import impact_blocks, stability_blocks
+from shift3d.analysis.html.sections.effects import impact_blocks
+from shift3d.analysis.html.sections.stability import stability_blocks
 from shift3d.analysis.tables.accuracy.advice import advice
 from shift3d.analysis.tables.accuracy.cost import diagnostics
 from shift3d.analysis.tables.accuracy.frontier import RULE, frontier_lines, meanings, settings_tables

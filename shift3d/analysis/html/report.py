@@ -8,14 +8,19 @@ from shift3d.analysis.cases.rendered import Loaded
 from shift3d.analysis.html.blocks import Section
 from shift3d.analysis.html.document import document
 from shift3d.analysis.html.figure import plotly_library
-from shift3d.analysis.html.sections.auc import auc, budgets, differences, in_short, sensors
+from shift3d.analysis.html.sections.auc import auc, differences, sensors
 from shift3d.analysis.html.sections.bev import bev, transfer_grid
+from shift3d.analysis.html.sections.budgets import budgets
 from shift3d.analysis.html.sections.cases import hard_cases
-from shift3d.analysis.html.sections.curves import curves, paths
-from shift3d.analysis.html.sections.gallery import gallery, retrieval
+from shift3d.analysis.html.sections.curves import curves
+from shift3d.analysis.html.sections.effects import effects
+from shift3d.analysis.html.sections.gallery import gallery
+from shift3d.analysis.html.sections.in_short import in_short
 from shift3d.analysis.html.sections.overview import choices, coverage, overview
+from shift3d.analysis.html.sections.paths import paths
 from shift3d.analysis.html.sections.patterns import patterns, rules
-from shift3d.analysis.html.sections.stability import accuracy, effects, stability
+from shift3d.analysis.html.sections.retrieval import retrieval
+from shift3d.analysis.html.sections.stability import accuracy, stability
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.tables.coverage import nothing_placed, trial_caveat
 from shift3d.analysis.variants import variants

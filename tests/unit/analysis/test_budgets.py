@@ -8,7 +8,7 @@ import pytest
 from analysed import variant
 
 from shift3d.analysis.html.document import blocks_html
-from shift3d.analysis.html.sections.auc import budgets
+from shift3d.analysis.html.sections.budgets import budgets
 from shift3d.analysis.mlflow.sweep_groups import budget_points
 from shift3d.analysis.tables.budgets import ANY_SHAPE, budget_curves, budget_table
 from shift3d.analysis.variants import Variant

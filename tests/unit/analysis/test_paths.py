@@ -11,7 +11,7 @@ import pytest
 import valid_sweeps
 
 from shift3d.analysis.html.document import blocks_html
-from shift3d.analysis.html.sections.curves import case_path, mean_path, paths
+from shift3d.analysis.html.sections.paths import case_path, mean_path, paths
 from shift3d.analysis.results import read_sweep
 from shift3d.analysis.variants import variants
 from shift3d.store.log import CommitLog

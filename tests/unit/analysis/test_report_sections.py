@@ -15,11 +15,12 @@ from analysed import two_vehicles, variant
 from shift3d.analysis.cases.chosen import Case, hardest, random_positions
 from shift3d.analysis.cases.rendered import Loaded, Rendered
 from shift3d.analysis.html.document import blocks_html
-from shift3d.analysis.html.sections.auc import auc_blocks, differences, headline
+from shift3d.analysis.html.sections.auc import auc_blocks, differences
 from shift3d.analysis.html.sections.bev import bev, pooled_cells
 from shift3d.analysis.html.sections.cases import what_changed
 from shift3d.analysis.html.sections.curves import curves
 from shift3d.analysis.html.sections.gallery import gallery
+from shift3d.analysis.html.sections.in_short import headline
 from shift3d.analysis.html.sections.overview import coverage
 from shift3d.analysis.html.sections.stability import stability
 from shift3d.analysis.results import Sweep, read_sweep

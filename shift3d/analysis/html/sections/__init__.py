@@ -1,1 +1,1 @@
-"""The sections of the report, those on one matter in one file."""
+"""The sections of the report, one a file."""

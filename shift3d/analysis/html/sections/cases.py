@@ -11,7 +11,7 @@ from shift3d.analysis.cases.chosen import Case, hardest
 from shift3d.analysis.cases.rendered import Loaded, Rendered, render_again
 from shift3d.analysis.html.blocks import Article, Block, Command, Fold, Paragraph, Section, Terms
 from shift3d.analysis.html.scene_figures import from_above, turnable
-from shift3d.analysis.html.sections.curves import case_path
+from shift3d.analysis.html.sections.paths import case_path
 from shift3d.analysis.results import Sweep
 from shift3d.analysis.tables.patterns import NAMES
 from shift3d.analysis.tables.table import Table

@@ -1,4 +1,4 @@
-"""Curves: recall over the threshold, and the score along the steps of a search, of one case and on average."""
+"""Threshold-recall curves with bands."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import numpy as np
 import pandas as pd
 
 from shift3d.analysis.figures.picture import COLOURS
-from shift3d.analysis.html.blocks import Block, Panels, Paragraph, Plot, Section, folded
-from shift3d.analysis.html.figure import DASHES, LEGEND_BELOW, axis, band, line, plot, short
-from shift3d.analysis.results import Sweep
-from shift3d.analysis.statistics.intervals import recall_band, resampled_band
+from shift3d.analysis.html.blocks import Panels, Paragraph, Plot, Section, folded
+from shift3d.analysis.html.figure import DASHES, LEGEND_BELOW, axis, band, line, plot
+from shift3d.analysis.statistics.intervals import recall_band
 from shift3d.analysis.variants import Variant
 from shift3d.methods import METHODS
 from shift3d.wording import counted
@@ -91,80 +90,3 @@ def recall_plot(key: str, curves: Iterable[RecallCurve], label: str, caption: st
         "hovermode": "x unified",
     }
     return plot(key, traces, layout, f"{label}. Areas: {', '.join(areas)}", caption, 340)
-
-
-_PATHS_TITLE = "The score along the steps"
-_NO_PATH = Paragraph("This sweep kept no scores along the steps.", "missing")
-_VEHICLES = ("#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a8a8a")
-_PATHS_LEAD = (
-    "What the search sees at every step, step 0 being the unchanged vehicle: the score of the best box within 5 m "
-    "before non-maximum suppression, at the search's own precision; so it may differ a little from the scores in the "
-    "tables. Mean over tasks; band: 95 %, pointwise, scenes redrawn. Steps that break a constraint count here too; the "
-    "solution is the best valid step, not the last."
-)
-
-
-def paths(sweep: Sweep, found: Sequence[Variant]) -> Section:
-    """The section: the mean path of each search, with a band. Searches are those of the attacked detector."""
-    own = [(variant, searched(sweep, variant)) for variant in found if variant.is_own]
-    parts = [(f"Steps: {variant.label}", [_path_plot(variant, rows)]) for variant, rows in own if len(rows)]
-    if not parts:
-        return Section("paths", _PATHS_TITLE, [_NO_PATH])
-    return Section("paths", _PATHS_TITLE, [Paragraph(_PATHS_LEAD), *folded(parts, shown=2)])
-
-
-def searched(sweep: Sweep, variant: Variant) -> pd.DataFrame:
-    """Rows of ``trajectories.parquet`` of a variant's tasks, with `place`: their scene."""
-    rows = sweep.trajectories[sweep.trajectories["task_id"].isin(set(variant.rows["task_id"]))]
-    return rows.assign(place=rows["dataset"] + "/" + rows["scene"])
-
-
-def mean_path(rows: pd.DataFrame) -> tuple[Any, Any, Any, Any]:
-    """Step (S,), mean score, and its band's low and high, None for a single scene.
-
-    rows: columns task_id, place, step, proposal_score. A search that ended early stays at its last score.
-    """
-    table = rows.pivot_table(index=["place", "task_id"], columns="step", values="proposal_score").sort_index(axis=1)
-    table = table.ffill(axis=1)
-    places = list(table.index.get_level_values("place"))
-    return table.columns.to_numpy(), *resampled_band(table.to_numpy(), places, "path band")
-
-
-def _path_plot(variant: Variant, rows: pd.DataFrame) -> Plot:
-    steps, mean, low, high = mean_path(rows)
-    colour = COLOURS["adversarial"]
-    traces = band(steps, low, high, colour)
-    vehicles = [name for name in variant.vehicles if rows["vehicle"].eq(name).any()]
-    for number, vehicle in enumerate(vehicles if len(vehicles) > 1 else []):
-        at, own, *_ = mean_path(rows[rows["vehicle"] == vehicle])
-        style = {"color": _VEHICLES[number % len(_VEHICLES)], "width": 1.5, "dash": "dot"}
-        traces.append(line(at, own, vehicle.replace("_", " "), style))
-    traces.append(line(steps, mean, "mean", {"color": colour, "width": 3}))
-    counts = f"{counted(rows['task_id'].nunique(), 'task')}, {counted(rows['place'].nunique(), 'scene')}"
-    last = rows.sort_values("step").groupby("task_id")["valid"].last()
-    counts += f"; the last step is valid in {int(last.sum())} of them"
-    text = f"{variant.title}: mean score {mean[0]:.3f} → {mean[-1]:.3f} in {steps[-1]} steps; {counts}"
-    return plot(f"path-{variant.key}", traces, _path_layout(int(steps[-1])), f"Score by step. {text}", text, 360)
-
-
-def case_path(key: str, rows: pd.DataFrame) -> Block:
-    """The figure of one task's steps, the best one marked; a sentence where the sweep kept none."""
-    rows = rows[rows["proposal_score"].notna()]
-    if rows.empty:
-        return _NO_PATH
-    steps, scores = rows["step"].to_numpy(), rows["proposal_score"].to_numpy()
-    best, broken = rows[rows["kept"]], rows[~rows["valid"]]
-    traces = [line(steps, scores, "score", {"color": COLOURS["adversarial"], "width": 2})]
-    marks = ((broken, "breaks a constraint", "x", "#8a8a8a"), (best, "best step", "circle", "#9b5de5"))
-    for part, name, symbol, colour in marks:
-        at = {"x": part["step"].to_numpy(), "y": short(part["proposal_score"])}
-        marker = {"size": 10, "symbol": symbol, "color": colour}
-        traces += [{"type": "scatter", "mode": "markers", **at, "marker": marker, "name": name}] if len(part) else []
-    at_best = int(best["step"].iloc[0]) if len(best) else 0
-    caption = f"Score along the steps, as the search sees it: {scores[0]:.2f} at the start, step {at_best} is the best"
-    return plot(f"{key}-path", traces, _path_layout(int(steps[-1])), caption, caption, 260)
-
-
-def _path_layout(last: int) -> dict[str, Any]:
-    sides = {"xaxis": axis("step", range=[0, max(last, 1)]), "yaxis": axis("score", range=[0, 1.02])}
-    return {**sides, "legend": LEGEND_BELOW, "hovermode": "x unified"}

@@ -1,0 +1,62 @@
+"""The AUC against the budget of naturalness, beside the best of as many random draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from shift3d.analysis.html.blocks import Paragraph, Section
+from shift3d.analysis.html.figure import DASHES, LEGEND_BELOW, axis, plot, short
+from shift3d.analysis.statistics.intervals import Interval
+from shift3d.analysis.tables.budgets import ANY_SHAPE, BudgetCurve, budget_curves, budget_table
+from shift3d.analysis.variants import Variant
+from shift3d.methods import METHODS
+
+_TITLE = "How hard vehicles get that stay vehicles"
+_LEAD = (
+    "AUC over the baseline's, against the percentile of the reference set that a searched shape may not pass: at 95, "
+    "95 of 100 known vehicles lie nearer to the others than the shape does. Bars: 95 %, scenes redrawn. Random draws "
+    "have the same budget and as many evaluations; the distance to them is what the search is worth."
+)
+_MARKED = ("#d55e00", "#2f8fc9", "#2c9668", "#9467bd", "#b97a00", "#7d7d7d")
+
+
+def budgets(found: Sequence[Variant]) -> Section | None:
+    """The section; None where no search ran under two budgets."""
+    curves, table = budget_curves(found), budget_table(found)
+    if table is None:
+        return None
+    traces = [trace for number, curve in enumerate(curves) for trace in _traces(curve, _MARKED[number % len(_MARKED)])]
+    layout: dict[str, Any] = {
+        "xaxis": axis("percentile of the reference set", type="category"),
+        "yaxis": axis("AUC, of baseline", rangemode="tozero"),
+        "legend": LEGEND_BELOW,
+    }
+    caption = "AUC over the baseline's against the budget of naturalness"
+    return Section("budgets", _TITLE, [Paragraph(_LEAD), plot("budgets", traces, layout, caption, caption, 380), table])
+
+
+def _traces(curve: BudgetCurve, colour: str) -> list[dict[str, Any]]:
+    """A line a method, with bars. The solution's is solid, that of the random draws dashed."""
+    traces = []
+    for method in ("random_search", "adversarial"):
+        known = {budget: found for budget in curve.variants if (found := curve.ratio(budget, method)) is not None}
+        if not known:
+            continue
+        name = f"{curve.title}: {METHODS[method]}"
+        x = ["any shape" if budget == ANY_SHAPE else f"{budget:g}" for budget in known]
+        y = short([found.mean for found in known.values()])
+        traces.append(
+            {"type": "scatter", "mode": "lines+markers", "x": x, "y": y, "error_y": _bars(list(known.values())),
+             "line": {"color": colour, "dash": DASHES[method], "width": 3 if method == "adversarial" else 2},
+             "name": name, "hovertemplate": f"{name} %{{y:.3f}}<extra></extra>"}
+        )  # fmt: skip
+    return traces
+
+
+def _bars(found: Sequence[Interval]) -> dict[str, Any]:
+    """Bars of an interval's ends; none of a single scene, which has no interval."""
+    if any(one.high == float("inf") for one in found):
+        return {"visible": False}
+    up, down = ([one.high - one.mean for one in found], [one.mean - one.low for one in found])
+    return {"type": "data", "symmetric": False, "array": short(up), "arrayminus": short(down), "thickness": 1}

@@ -1,0 +1,37 @@
+"""The measured impact of effects, where the sweep ran with and without them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from shift3d.analysis.figures.picture import png
+from shift3d.analysis.figures.sweep import effects_figure
+from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Picture, Section, Terms
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.effects import MEANINGS, EffectImpact, effect_impacts, effect_milliseconds, effect_table
+from shift3d.errors import InputError
+
+
+def effects(sweep: Sweep) -> Section:
+    """The section; one line where the sweep has no pairs with and without one effect."""
+    try:
+        impacts = effect_impacts(sweep.scores, effect_milliseconds(sweep.scores, sweep.timings))
+    except InputError as error:
+        text = f"Not measured by this sweep: {error.what}. {error.remedy}."
+        return Section("effects", "Effects", [Paragraph(text, "missing")])
+    return Section("effects", "Effects", impact_blocks(impacts))
+
+
+def impact_blocks(impacts: Sequence[EffectImpact]) -> list[Block]:
+    """The figure, the table and what its columns mean."""
+    alt = "; ".join(f"{each.effect}: {each.score_change.mean:.3f} for {each.milliseconds:.0f} ms" for each in impacts)
+    return [
+        Paragraph("The same vehicles at the same places, without effects and with one at a time."),
+        Picture(
+            png(effects_figure(impacts)),
+            alt,
+            "An effect whose whole bar lies below the dashed line is left out by effects=auto.",
+        ),
+        effect_table(impacts),
+        Fold("What the columns mean", [Terms(MEANINGS)]),
+    ]

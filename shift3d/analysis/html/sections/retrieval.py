@@ -1,0 +1,86 @@
+"""Vehicles in scenes that are like what was found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from shift3d.analysis.cases.chosen import random_positions
+from shift3d.analysis.cases.rendered import Loaded
+from shift3d.analysis.figures.picture import COLOURS
+from shift3d.analysis.html.blocks import Block, Command, Heading, Panels, Paragraph, Picture, Plot, Section
+from shift3d.analysis.html.scene_figures import side_by_side
+from shift3d.analysis.html.sections.curves import RecallCurve, recall_plot
+from shift3d.analysis.html.sections.gallery import THREE_RGB, drawn
+from shift3d.analysis.results import Sweep
+from shift3d.analysis.tables.retrieval import kept, pool_table, retrieval_table
+from shift3d.wording import counted
+
+_COUNT = 9  # tiles
+_TITLE = "Natural kin"
+_LEAD = (
+    "Labelled vehicles of other scenes were cropped, and their shapes fitted to their points. The vehicle whose latent "
+    "code is nearest to that of an adversarial shape is put in its place. By the paper's rule, a shape without a near "
+    "one (nearer than its own code is long) is left out. Controls are vehicles of the same scenes that were seen from "
+    "as far and by as many points, in the same place. In the log: before the attacked detector where they stand."
+)
+_CURVES = {
+    "score_baseline": ("baseline", COLOURS["baseline"], "solid"),
+    "score_solution": ("adversarial", COLOURS["adversarial"], "solid"),
+    "score": ("retrieved", COLOURS["random"], "solid"),
+    "control": ("controls", COLOURS["random_search"], "dash"),
+}
+
+
+def retrieval(sweep: Sweep, loaded: Loaded) -> Section:
+    """The section; it says how kin are found where nobody has looked."""
+    if sweep.retrieved.empty:
+        lead = Paragraph("Nobody has looked for natural vehicles that are like these shapes.", "missing")
+        return Section(
+            "retrieval", _TITLE, [lead, Command("A vehicle of the set takes some seconds:", "shift3d retrieve OUT")]
+        )
+    table = retrieval_table(sweep.retrieved)
+    own = kept(sweep.retrieved)
+    own = own[own["scored_by"] == own["detector"]]
+    blocks: list[Block] = [Paragraph(_LEAD), *([table] if table else []), pool_table(sweep.vehicle_pool)]
+    if len(own):
+        shown = own.iloc[random_positions(len(own), _COUNT, sweep.plan.spec_hash)].to_dict("records")
+        tiles = [_kin_tile(sweep, row, loaded) for row in shown]
+        heading = "Baseline, adversarial and retrieved vehicle, of solutions drawn at random"
+        blocks += [Panels([_curves(own)]), Heading(heading), Panels(tiles, "tiles")]
+    return Section("retrieval", _TITLE, blocks)
+
+
+def _curves(rows: pd.DataFrame) -> Plot:
+    found = []
+    for column, (name, colour, dash) in _CURVES.items():
+        scored = rows[rows[column].notna()]
+        found.append(RecallCurve(name, scored[column], scored["place"], colour, dash))
+    caption = f"Threshold-recall of {counted(len(rows), 'solution')} with natural kin, in the same place"
+    return recall_plot("curve-retrieval", found, caption, caption)
+
+
+def _kin_tile(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> Picture:
+    scores = " → ".join(f"{row[name]:.2f}" for name in ("score_baseline", "score_solution", "score"))
+    caption = f"{row['vehicle'].replace('_', ' ')}: {scores}"
+    alt = f"{row['vehicle']} in scene {row['scene']}: baseline, adversarial, and the vehicle of {row['pool_scene']}"
+    return drawn(lambda: _three(sweep, row, loaded), alt, caption)
+
+
+def _three(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> bytes:
+    """Three vehicles side by side from the front left, a little from above, to one scale."""
+    from shift3d.naturalness.decoded import decoded_mesh
+
+    (task,) = sweep.plan.tasks.starting_with(row["task_id"])
+    assets, pool = loaded.assets(task), sweep.vehicle_pool
+    kin = pool[(pool["scene"] == row["pool_scene"]) & (pool["label"] == row["pool_label"])].iloc[0]
+    meshes = [
+        decoded_mesh(assets.drawn_vehicle(task.spec, own), assets.decoder, np.array(own["latent_code"]))
+        for own in sweep.pair_of(row["task_id"])
+    ]
+    own = assets.vehicle(task.spec)
+    meshes.append(decoded_mesh(own, assets.decoder, np.array(kin["latent_code"])))
+    meshes[2].vertices = meshes[2].vertices * (kin["scale_m"] / own.scale_m)
+    return side_by_side(meshes, [0.7] * 3, THREE_RGB)
