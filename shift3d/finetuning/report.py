@@ -1,7 +1,4 @@
-"""A fine-tuning's folder: a sweep's objects scored by tuned weights, and what comes of scores and evaluations.
-
-finetune.parquet, report.html and a run of MLflow.
-"""
+"""A fine-tuning's folder: from scores and evaluations to finetune.parquet, report.html and MLflow."""
 
 from __future__ import annotations
 
@@ -11,77 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-import pyarrow as pa
 import pyarrow.parquet as pq
-from tqdm import tqdm
 
 from shift3d.analysis.mlflow.measured import mirror_measured
-from shift3d.detectors.base import Detector
-from shift3d.detectors.loading import detector_of
 from shift3d.evaluation.breakdown import Area, overall_areas
-from shift3d.finetuning.objects import SweepObject, scored_objects
 from shift3d.finetuning.page import finetune_page, gains_table
+from shift3d.finetuning.rescoring import METHODS, object_scores, rescored
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA, finetune_table, natural_rows
 from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.atomic import write_atomic
-from shift3d.store.resolve import LocationLike
-from shift3d.store.schemas import schema_of_columns
 from shift3d.store.tables import write_table
-from shift3d.task.assets import score_precision
-from shift3d.task.follow_ups.rendered import render_solution
-from shift3d.task.scoring import score_points
 from shift3d.training.detector.detect_scenes import read_answer
-from shift3d.training.provenance import refuse_tuned_scenes
 
 HELD_OUT = ("held_out", "other_vehicles")
 """Folders of the sweeps over held-out streets: of vanilla in the fine-tuning's folder, of a tuned model in its own."""
 NATURAL = "natural"
 _TABLE, _PAGE = "finetune.parquet", "report.html"
-METHODS = ("baseline", "adversarial")
-"""Methods whose objects are scored."""
-RESCORED = schema_of_columns("rescored", 1, "task_id vehicle place settings method score:float64")
-"""A row an object. place: data set and scene. settings: what else tells objects of a sweep apart."""
-
-
-def object_scores(folder: LocationLike, detector: str) -> pa.Table:
-    """What the attacked detector scored a sweep's objects, as `RESCORED`. Raises: InputError as `scored_objects`."""
-    return _table([(row, row.score) for row in scored_objects(folder, detector, METHODS).objects])
-
-
-def rescored(folder: LocationLike, detector: str, weights: Path) -> pa.Table:
-    """What other weights of the attacked detector score a sweep's objects, rendered again, as `RESCORED`.
-
-    The sweep's own weights give its own scores, bit for bit, on one machine.
-    Raises:
-        InputError: as `scored_objects`; weights that cannot be loaded, or that were fine-tuned on a scene of the sweep.
-    """
-    found = scored_objects(folder, detector, METHODS)
-    refuse_tuned_scenes(weights, found.scenes)
-    scores = []
-    judges: dict[str, Detector] = {}
-    for row in tqdm(found.objects, desc=f"objects scored by {weights.parent.name}", mininterval=5.0):
-        assets, precision = found.assets_of(row), score_precision(row.spec)
-        if precision not in judges:
-            judges[precision] = detector_of(detector, weights, None, precision)  # type: ignore[arg-type]
-        rendered = render_solution(row.spec, row.solution, assets)
-        place = rendered.problem, rendered.rendering.points, rendered.theta, row.spec.attack.detection_radius_m
-        scores.append((row, score_points(*place, {detector: judges[precision]})[detector].score))
-    return _table(scores)
-
-
-def _table(scores: Sequence[tuple[SweepObject, float]]) -> pa.Table:
-    rows = [
-        {
-            "task_id": row.spec.task_id,
-            "vehicle": row.spec.vehicle,
-            "place": row.place,
-            "settings": row.settings,
-            "method": row.solution["method"],
-            "score": score,
-        }
-        for row, score in scores
-    ]
-    return pa.Table.from_pylist(rows, schema=RESCORED)
 
 
 @dataclass(frozen=True)

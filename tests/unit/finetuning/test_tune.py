@@ -19,7 +19,7 @@ from shift3d.cli.commands.detectors import evaluate, train
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER, load_network
 from shift3d.errors import InputError
 from shift3d.finetuning.objects import stable_objects
-from shift3d.finetuning.report import object_scores, rescored
+from shift3d.finetuning.rescoring import object_scores, rescored
 from shift3d.finetuning.tune import RATE, object_scenes, tuning_recipe
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.settings.catalogue.detector_files import file_hash
