@@ -10,6 +10,7 @@ import json
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,11 @@ from tqdm import tqdm
 
 from shift3d.errors import InputError
 from shift3d.processor import has_fast_bfloat16
+from shift3d.sdf.decoder import Decoder
 from shift3d.store.arrays import write_arrays
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute
+from shift3d.training.processes import each
 from shift3d.training.progress import Report
 from shift3d.training.sdf.export import scaled_decoder
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
@@ -148,33 +151,31 @@ def train_on_meshes(
     recipe = mesh_recipe(shapes, steps)
     checkpoint = train_sdf(out, recipe, 250, shapes.samples, compute, report)
     seconds = time.monotonic() - start
-    return export_mesh_training(checkpoint, shapes, frame, out, seconds)
+    return export_mesh_training(checkpoint, shapes, frame, out, seconds, compute.threads)
 
 
 def export_mesh_training(
-    checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, seconds: float
+    checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, seconds: float, processes: int = 1
 ) -> list[FittedVehicle]:
     """Decode every training shape, measure it against its mesh, picture both, and write the vehicle set.
 
-    A code that draws no surface, as after a few steps, is left out and said so.
+    A code that draws no surface, as after a few steps, is left out and said so. Shapes are shared among processes.
     Raises: InputError when none draws one.
     """
     state = read_checkpoint(checkpoint)
     assert state is not None
     decoder, codes, _ = scaled_decoder(state)
     vehicles, known, refused = [], [], dict(shapes.refused)
-    rows = zip(shapes.facts, codes, shapes.samples.scale_m, strict=True)
-    for facts, code, scale_m in tqdm(rows, total=len(codes), desc="measuring vehicles", mininterval=5.0):
-        try:
-            vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)
-            done = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
-        except InputError as error:
-            refused[facts["file"]] = str(error)
-            tqdm.write(f"left out: {facts['name']}: {error}")
-            continue
-        write_side_by_side(out / PICTURES / f"{vehicle.name}.png", vehicle.mesh, done.decoded)
-        vehicles.append(done)
-        known.append({**facts, "chamfer_cm": round(100.0 * done.chamfer_m, 3)})
+    rows = list(zip(shapes.facts, codes, shapes.samples.scale_m, strict=True))
+    measured = each(partial(_measured, frame, out / PICTURES), rows, processes, partial(_decoder, checkpoint))
+    with tqdm(measured, total=len(rows), desc="measuring vehicles", mininterval=5.0) as bar:
+        for (facts, _, _), done in zip(rows, bar, strict=True):
+            if isinstance(done, str):
+                refused[facts["file"]] = done
+                tqdm.write(f"left out: {facts['name']}: {done}")
+                continue
+            vehicles.append(done)
+            known.append({**facts, "chamfer_cm": round(100.0 * done.chamfer_m, 3)})
     if not vehicles:
         first = next(iter(refused.values()))
         what = f"after {state['step']} steps no vehicle has a surface, the first because {first}"
@@ -196,3 +197,24 @@ def export_mesh_training(
     }
     write_vehicle_set(out, decoder, vehicles, provenance)
     return vehicles
+
+
+def _decoder(checkpoint: Path) -> Decoder:
+    state = read_checkpoint(checkpoint)
+    assert state is not None
+    return scaled_decoder(state)[0]
+
+
+_Row = tuple[dict[str, Any], NDArray[np.float32], float]
+
+
+def _measured(frame: MeshFrame, pictures: Path, decoder: Decoder, row: _Row) -> FittedVehicle | str:
+    """The vehicle of a code, pictured beside its mesh, or why the code draws none."""
+    facts, code, scale_m = row
+    try:
+        vehicle = read_mesh_vehicle(MeshFile(facts["name"], Path(facts["file"])), frame)
+        done = fitted(vehicle.name, vehicle.body_type, decoder, code, float(scale_m), vehicle.mesh)
+    except InputError as error:
+        return str(error)
+    write_side_by_side(pictures / f"{vehicle.name}.png", vehicle.mesh, done.decoded)
+    return done
