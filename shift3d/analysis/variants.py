@@ -12,6 +12,7 @@ import pandas as pd
 
 from shift3d.methods import METHODS, METHODS_OF_MODE
 from shift3d.store.schemas import GROUP_COLUMNS
+from shift3d.task.spec import label_words
 
 SETTINGS = ("alpha", "detector", "scored_by", "accuracy", "search", "effects")
 """What variants of one mode differ in."""
@@ -81,7 +82,7 @@ class Variant:
     def label(self) -> str:
         """What tells it from the sweep's other variants."""
         names = {"detector": "attacked", "scored_by": "scored by"}
-        parts = [f"{names.get(name, name)} {text.replace('_', ' ')}" for name, text in self.differing.items()]
+        parts = [f"{names.get(name, name)} {label_words(text)}" for name, text in self.differing.items()]
         return ", ".join([f"adversarial {self.mode.replace('_', ' and ')}", *parts]).replace(
             "effects none", "no effects"
         )

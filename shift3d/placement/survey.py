@@ -32,6 +32,11 @@ class Survey:
         """(N,) where a vehicle could stand."""
         return np.array([outcome == FREE for outcome in self.outcomes])
 
+    @property
+    def lacks_ground(self) -> bool:
+        """Whether most places are refused since no ground is seen there."""
+        return 2 * self.outcomes.count("ground") > len(self.outcomes)
+
     def line(self) -> str:
         """How many are free, and how often each reason refused one."""
         counts = Counter(self.outcomes)

@@ -23,6 +23,7 @@ from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.execution.abort import AbortRule
 from shift3d.sweep.execution.progress import Progress
 from shift3d.sweep.execution.runner import Runner, make_runner
+from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
@@ -158,9 +159,10 @@ def _run(
     failed."""
     state: State = "stopped"
     came = 0
-    with _stop_on_signals(committer, progress) as (first, second):
+    failure: InputError | None = None
+    with _stop_on_signals(progress) as stop:
         try:
-            for outcome in runner.run(left, first):
+            for outcome in stop.waited(runner.run(left, stop.first)):
                 committer.add(outcome)
                 ended, running = len(outcome.done) + len(outcome.quarantined), runner.running()
                 came += ended
@@ -169,42 +171,66 @@ def _run(
                 status.write(running, runner.workers)
                 if error := outcome.fatal or rule.seen(outcome):
                     raise error
-                if second.is_set():
+                if stop.second.is_set():
                     break
-            state = "interrupted" if first.is_set() else "finished"
+            state = "interrupted" if stop.first.is_set() else "finished"
         except KeyboardInterrupt:
             state = "interrupted"
         except TakenOverError:
             raise  # this driver has no say any more, in the status neither
-        except InputError:
-            committer.flush()
-            status.write([], runner.workers, state)
-            raise
-        if second.is_set():
+        except InputError as error:
+            failure = error
+        if stop.second.is_set() and failure is None:
             progress.say("dropping the tasks in flight")
-        committer.flush()
+        try:
+            committer.flush()
+        except TakenOverError:
+            raise
+        except InputError:
+            status.write([], runner.workers, "stopped")
+            raise
         status.write([], runner.workers, state)
+    if failure is not None:
+        raise failure
     return came
 
 
-@contextlib.contextmanager
-def _stop_on_signals(committer: Committer, progress: Progress) -> Iterator[tuple[threading.Event, threading.Event]]:
-    """Events that the first and the second SIGINT or SIGTERM set: give out no more tasks; do not wait for those in
-    flight.
+class _Stop:
+    """What SIGINT and SIGTERM ask for. first: give out no more tasks. second: do not wait for those in flight."""
 
-    The second one also raises KeyboardInterrupt, wherever that is: a task may take long. Only a commit is never
-    cut short, since nobody could say afterwards whether it took place.
-    """
-    first, second = threading.Event(), threading.Event()
+    def __init__(self, progress: Progress) -> None:
+        self.first, self.second = threading.Event(), threading.Event()
+        self._progress = progress
+        self._waits = False
 
-    def handle(number: int, frame: FrameType | None) -> None:
-        if not first.is_set():
-            first.set()
-            progress.say("finishing the tasks in flight; again to drop them")
-        elif not second.is_set():
-            second.set()
-            if not committer.busy:
+    def handle(self, number: int, frame: FrameType | None) -> None:
+        """The second one raises KeyboardInterrupt as well, but only while a runner is waited for: a task may take long.
+
+        A commit is never cut short, since nobody could say afterwards whether it took place.
+        """
+        if not self.first.is_set():
+            self.first.set()
+            self._progress.say("finishing the tasks in flight; again to drop them")
+        elif not self.second.is_set():
+            self.second.set()
+            if self._waits:
                 raise KeyboardInterrupt
 
-    with stop_signals(handle):
-        yield first, second
+    def waited(self, outcomes: Iterator[BatchOutcome]) -> Iterator[BatchOutcome]:
+        """The same outcomes. Raises KeyboardInterrupt while the next one is waited for."""
+        while True:
+            self._waits = True
+            try:
+                outcome = next(outcomes, None)
+            finally:
+                self._waits = False
+            if outcome is None:
+                return
+            yield outcome
+
+
+@contextlib.contextmanager
+def _stop_on_signals(progress: Progress) -> Iterator[_Stop]:
+    stop = _Stop(progress)
+    with stop_signals(stop.handle):
+        yield stop

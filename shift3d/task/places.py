@@ -52,12 +52,24 @@ def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
     return survey(beams, scene.ground_z_m, limits, constraints, others, scene.ground_map, zone)
 
 
+NO_GROUND = (
+    "where no ground is seen, lower attack.placement.max_range_m: returns lie closer there; with scenes=openpcdet give "
+    "the ground's height, scenes.ground_z_m"
+)
+"""What to do where `Survey.lacks_ground`."""
+
+
 def place_lines(scenes: SceneSet, names: Sequence[str], where: PlacementSpec, most: int = 20) -> Iterator[str]:
-    """A line a scene, of the first so many: how many places are free, and what refuses the others.
+    """A line a scene, of the first so many: how many places are free, what refuses the others, and `NO_GROUND`.
 
     Raises: InputError: a scene cannot be read.
     """
+    lacks_ground = False
     for name in names[:most]:
-        yield f"  {name}: {survey_scene(scenes, name, where).line()}"
+        found = survey_scene(scenes, name, where)
+        lacks_ground |= found.lacks_ground
+        yield f"  {name}: {found.line()}"
     if len(names) > most:
         yield f"  and {len(names) - most} more"
+    if lacks_ground:
+        yield f"  {NO_GROUND}"

@@ -117,6 +117,14 @@ def split_label(label: str) -> tuple[str, float | None]:
     return (label, None) if found is None else (label.replace(found.group(), "", 1), float(found.group(1)))
 
 
+def label_words(label: str) -> str:
+    """An `AttackSpec.label` in words, its edit as it is written: "descent family chassis.height_m:-1"."""
+    found = _EDITED.fullmatch(label)
+    head, edit = (label, "") if found is None else found.groups()
+    return f"{head.replace('_', ' ')} {edit}".rstrip()
+
+
+_EDITED = re.compile(r"([a-z]+(?:_(?:pca\d+|parameters|family))?(?:_within[^_]+)?(?:_universal\d+)?)_(.+:.+)")
 BUDGET_RULE = 2
 """Raised when a search within a budget of naturalness comes to another shape under the same settings."""
 _LATER = {"search": "descent", "space": "free", "components": 10, "rate": 0.1, "placements": 2, "starts": 1,

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
-from tqdm import tqdm
 
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar, write_line
 from shift3d.sdf.autodecode import autodecode
 from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
 from shift3d.sdf.samples import SdfSamples, sample_sdf
@@ -22,6 +24,7 @@ from shift3d.vehicles.orientation import better_frame, turned
 from shift3d.vehicles.picture import write_side_by_side
 from shift3d.vehicles.vehicle import CODE_LENGTH
 from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
+from shift3d.wording import counted
 
 SAMPLES, STEPS, POINTS_A_STEP = 50_000, 300, 1_024
 PICTURES = "pictures"
@@ -63,7 +66,7 @@ def fit_meshes(
         out: folder of the vehicle set, whose sdf.json says what was repaired and how far each code is off.
         decoder_file: default the shipped one. It draws what it was trained on, and nothing far from that well.
         steps: of the search for a code.
-    Returns: the fits, sorted by name.
+    Returns: the fits, sorted by name. On stderr it says how far it is.
     Raises: InputError for a mesh that cannot be used; among several, such a mesh is left out and said so.
     """
     source = Path(decoder_file).expanduser() if decoder_file is not None else DEFAULT_WEIGHTS
@@ -75,14 +78,23 @@ def fit_meshes(
     fits: list[MeshFit] = []
     facts: list[dict[str, Any]] = []
     refused: dict[str, str] = {}
-    for file in tqdm(files, desc="fitting meshes", disable=len(files) == 1):
+    bar = progress_bar(files, desc="fitting meshes", unit="mesh", disable=len(files) == 1)
+
+    def say(text: str) -> None:
+        """Beside the bar, or in a line of its own."""
+        if bar.disable:
+            write_line(text)
+        else:
+            bar.set_postfix_str(text, refresh=sys.stderr.isatty())
+
+    for file in bar:
         try:
-            fit, known = _fit(file, frame, decoder, steps, Path(out))
+            fit, known = _fit(file, frame, decoder, steps, Path(out), say)
         except InputError as error:
             if len(files) == 1:
                 raise
             refused[str(file.path)] = str(error)
-            tqdm.write(f"left out: {error}")
+            bar.write(f"left out: {error}")
             continue
         fits.append(fit)
         facts.append(known)
@@ -106,16 +118,23 @@ def fit_meshes(
     return fits
 
 
-def _fit(file: MeshFile, frame: MeshFrame, decoder: Decoder, steps: int, out: Path) -> tuple[MeshFit, dict[str, Any]]:
+def _fit(
+    file: MeshFile, frame: MeshFrame, decoder: Decoder, steps: int, out: Path, say: Callable[[str], None]
+) -> tuple[MeshFit, dict[str, Any]]:
+    """One mesh. say: told each stage from when the file is read."""
     start = time.monotonic()
     vehicle = read_mesh_vehicle(file, frame)
+    say(f"{vehicle.name}: measuring distances to its surface")
     samples = sample_sdf(vehicle.mesh, SAMPLES, generator("mesh fit", vehicle.name))
+    say(f"{vehicle.name}: searching its code, {counted(steps, 'step')}")
     code = autodecode(decoder, samples, steps=steps, batch=POINTS_A_STEP).numpy()
+    say(f"{vehicle.name}: drawing the code")
     try:
         done = fitted(vehicle.name, vehicle.body_type, decoder, code, samples.scale_m, vehicle.mesh)
     except InputError as error:
         remedy = "Give more steps=, or another decoder="
         raise InputError("the decoder draws no surface for it", str(file.path), remedy) from error
+    say(f"{vehicle.name}: trying other orientations")
     better = _better(done, vehicle, frame, decoder, samples, steps)
     picture = out / PICTURES / f"{vehicle.name}.png"
     write_side_by_side(picture, vehicle.mesh, done.decoded)

@@ -16,7 +16,7 @@ from shift3d.analysis.html.sections.effects import impact_blocks
 from shift3d.analysis.html.sections.stability import stability_blocks
 from shift3d.analysis.tables.accuracy.advice import advice
 from shift3d.analysis.tables.accuracy.cost import diagnostics
-from shift3d.analysis.tables.accuracy.frontier import RULE, frontier_lines, meanings, settings_tables
+from shift3d.analysis.tables.accuracy.frontier import RULE, frontier_lines, meanings, printed_legend, settings_tables
 from shift3d.analysis.tables.effects import EffectImpact
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
@@ -48,7 +48,7 @@ def write_frontier_report(folder: Path) -> str:
 
     The same table gives the same bytes. The report can be written again from the table alone.
 
-    Returns: What is printed: the table and the advice.
+    Returns: What is printed: the table, what its columns mean, and the advice.
 
     Raises: InputError: no frontier there, or one of another schema version; a disk that is full or not writable.
     """
@@ -60,7 +60,7 @@ def write_frontier_report(folder: Path) -> str:
     write_atomic(folder / "advice.txt", f"{text}\n".encode())
     write_atomic(folder / "frontier.png", png(work_precision_figure(frame)))
     write_atomic(folder / "report.html", frontier_html(frame, machine_of(table)).encode())
-    return f"{frontier_lines(frame)}\n\n{text}"
+    return f"{frontier_lines(frame)}\n\n{printed_legend(frame)}\n\n{text}"
 
 
 def write_effects_page(path: LocationLike, sweep: str, impacts: Sequence[EffectImpact]) -> Location:

@@ -14,6 +14,7 @@ from shift3d.analysis.tables.table import Cell, Table, number
 from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores
 from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
+from shift3d.task.spec import label_words
 from shift3d.wording import counted
 
 
@@ -50,7 +51,7 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
 
 def _words(value: str | Sequence[str]) -> str:
     """A setting's value as a line tells it; effects are a list of names."""
-    return value.replace("_", " ") if isinstance(value, str) else "+".join(value) or "no effects"
+    return label_words(value) if isinstance(value, str) else "+".join(value) or "no effects"
 
 
 def auc_table(variant: Variant, in_full: bool = False) -> Table:

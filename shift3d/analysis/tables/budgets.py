@@ -13,7 +13,7 @@ from shift3d.analysis.statistics.paired import paired
 from shift3d.analysis.tables.auc import with_baseline
 from shift3d.analysis.tables.table import Table, interval_text, number
 from shift3d.analysis.variants import Variant
-from shift3d.task.spec import split_label
+from shift3d.task.spec import label_words, split_label
 
 ANY_SHAPE = math.inf
 """The budget of a search without one; one of percentile 100 still bounds sizes."""
@@ -43,7 +43,7 @@ def budget_curves(found: Sequence[Variant]) -> list[BudgetCurve]:
     differing = [len(set(values)) > 1 for values in zip(*several)]
     differing[:2] = [True] * len(differing[:2])  # what is searched, and how, is always said
     return [
-        BudgetCurve(", ".join(text.replace("_", " ") for text, differs in zip(key, differing) if differs), group)
+        BudgetCurve(", ".join(label_words(text) for text, differs in zip(key, differing) if differs), group)
         for key, group in several.items()
     ]
 

@@ -8,7 +8,8 @@ from typing import Any
 import pandas as pd
 
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_table
+from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_meanings, preset_table
+from shift3d.analysis.tables.accuracy.frontier import legend
 from shift3d.analysis.tables.auc import auc_table, natural_table
 from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import choice_tables, reasons
@@ -35,7 +36,7 @@ def sweep_report(sweep: Sweep) -> str:
             "\n".join(coverage_lines(sweep.scores, sweep.attempts, len(sweep.plan.tasks))),
             str(stage_times(sweep.timings, sweep.scores)) if len(sweep.timings) else "no timings",
             "\n".join(["What accuracy cost", *accuracy_cost(sweep.scores, sweep.timings)]),
-            str(preset_table()),
+            f"{preset_table()}\n{legend(preset_meanings())}",
             diagnostics(sweep.scores),
         ]
     )

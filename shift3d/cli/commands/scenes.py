@@ -89,7 +89,7 @@ def _show(config: Config, out: str | None) -> int:
     from shift3d.scenes.description import scene_lines
     from shift3d.settings.schema.scenes import scene_set
     from shift3d.store.atomic import check_writable
-    from shift3d.task.places import survey_scene
+    from shift3d.task.places import NO_GROUND, survey_scene
     from shift3d.task.spec import PlacementSpec
 
     path = None if out is None else Path(out).expanduser()
@@ -106,6 +106,8 @@ def _show(config: Config, out: str | None) -> int:
     where = PlacementSpec(**settings, sector_centre_rad=centre, sector_half_width_rad=half_width)
     places = survey_scene(scenes, name, where)
     print(f"{'places for a car:':<22}{places.line()}")
+    if places.lacks_ground:
+        print(f"{'':<22}{NO_GROUND}")
     if scene.conditions.weather != "dry" and not scene.conditions.weather_in_points:
         print(f"{'weather:':<22}a sweep simulates it; places and picture are those of a clear day")
     if path is not None:

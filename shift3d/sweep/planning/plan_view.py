@@ -7,10 +7,11 @@ from collections.abc import Iterator
 
 from shift3d.sweep.planning.effect_choices import effect_table
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.planning.tasks import Tasks, merged_settings
+from shift3d.sweep.planning.tasks import Tasks, merged_settings, setting_values
 from shift3d.wording import counted
 
 _SHOWN = 20
+_READABLE = ("attack.", "accuracy.", "effects.", "scenes.")
 
 
 def plan_summary(plan: Plan) -> str:
@@ -51,11 +52,15 @@ def plan_lines(plan: Plan) -> Iterator[str]:
     """One line a task: id, vehicle, scene, mode and what varies."""
     width = max(len(group.template.vehicle) for group in plan.tasks.groups())
     scene_width = max(len(scene) for _, scene in plan.tasks.scenes())
+    searches = len({group.template.search for group in plan.tasks.groups()}) > 1
+    # Hashes of vehicles and weights would tell nobody anything.
+    names = [name for name in merged_settings(plan.tasks) if name.startswith(_READABLE)]
     for task in plan.tasks:
         spec = task.spec
         weight = "" if spec.lambda_ is None else f"lambda {spec.lambda_:g}"
         effects = ", ".join(spec.effects) or "no effects"
+        further = [spec.search] * searches + [f"{name}={value}" for name, value in setting_values(spec, names).items()]
         yield (
             f"{spec.task_id}  {spec.vehicle:<{width}}  {spec.scene:<{scene_width}}  {spec.mode:<5}  "
-            f"{weight:<10}  alpha {spec.alpha:g}  {spec.accuracy}  {effects}"
+            f"{weight:<10}  alpha {spec.alpha:g}  {spec.accuracy}  {'  '.join([effects, *further])}"
         )

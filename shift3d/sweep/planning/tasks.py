@@ -175,6 +175,11 @@ def merged_settings(tasks: Tasks, of_a_data_set: bool = False) -> list[str]:
     return list(dict.fromkeys(name for values in seen.values() for name in values if len(values[name]) > 1))
 
 
+def setting_values(spec: TaskSpec, names: Collection[str]) -> dict[str, Any]:
+    """Values of some of the settings that `merged_settings` names, of those that the task has."""
+    return {name: value for name, value in _without_column(spec).items() if name in names}
+
+
 _OF_A_DATA_SET = ("kind", "sensor", "beams")
 _OF_EVERY_SCENE = (*_OF_A_DATA_SET, "seed", "count", "start", "root", "names", "split")
 """Settings that say which scenes there are, not what they are like; the columns hold data set and scene."""

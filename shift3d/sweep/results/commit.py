@@ -18,16 +18,12 @@ class Committer:
     """Collects outcomes and commits them.
 
     Args: log: the sweep's log. every_s: a commit takes place when this long has passed since the last one.
-
-    Attributes:
-        busy: an outcome is being taken in or committed; whoever interrupts then cannot know which.
     """
 
     def __init__(self, log: CommitLog, every_s: float) -> None:
         self._log = log
         self._every_s = every_s
         self._last = time.monotonic()
-        self.busy = False
         self._clear()
 
     def _clear(self) -> None:
@@ -41,14 +37,12 @@ class Committer:
 
         Raises: TakenOverError, InputError: see ``CommitLog.commit``.
         """
-        self.busy = True
         self._done += outcome.done
         self._quarantined += outcome.quarantined
         for name, table in outcome.tables.items():
             if table.num_rows:
                 self._tables[name].append(table)
                 self._bytes += table.nbytes
-        self.busy = False
         if time.monotonic() - self._last >= self._every_s or self._bytes > _MOST_BYTES:
             self.flush()
 
@@ -58,7 +52,5 @@ class Committer:
             return  # and the first result that comes later waits for no clock
         self._last = time.monotonic()
         tables = {name: pa.concat_tables(parts) for name, parts in self._tables.items() if parts}
-        self.busy = True
         self._log.commit(tuple(self._done), tuple(self._quarantined), tables)
         self._clear()
-        self.busy = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from shift3d.vehicles.vehicle import vehicle_mesh
 FRAME = "000000"
 """Name of the exported frame in its KITTI folder."""
 _BOX = ("x", "y", "z", "dx", "dy", "dz", "heading")
-_UNITS = "metres, radians; geometric centre; heading counter-clockwise from +x"
+_UNITS = "metres, radians; geometric centre; heading counter-clockwise from +x, -pi to pi"
 _OBJECT_RGBA, _SCENE_RGBA = (213, 94, 0, 255), (140, 140, 140, 255)
 
 
@@ -123,12 +124,15 @@ def _mesh_box(mesh: trimesh.Trimesh, theta: torch.Tensor) -> NDArray[np.float64]
     return np.array([*centre, *(high - low), float(theta[3])])
 
 
+def _named(box: NDArray[np.float64]) -> dict[str, float]:
+    """A box's values by name. A pose's heading goes from 0 up and is searched without bounds: it is wrapped."""
+    x, y, z, dx, dy, dz, heading = map(float, box)
+    return dict(zip(_BOX, (x, y, z, dx, dy, dz, math.remainder(heading, 2.0 * math.pi)), strict=True))
+
+
 def _boxes_json(boxes: NDArray[np.float64], classes: list[str], ground_z_m: float) -> bytes:
     """Every labelled object and, last, the inserted one."""
-    rows = [
-        {"class": kind, "box": dict(zip(_BOX, (float(value) for value in box), strict=True)), "inserted": False}
-        for kind, box in zip(classes, boxes, strict=True)
-    ]
+    rows = [{"class": kind, "box": _named(box), "inserted": False} for kind, box in zip(classes, boxes, strict=True)]
     rows[-1]["inserted"] = True
     what = {"frame": "lidar", "ground_z_m": float(ground_z_m), "units": _UNITS, "objects": rows}
     return (json.dumps(what, indent=2, sort_keys=True) + "\n").encode()
@@ -142,8 +146,8 @@ def _box_json(
     object_points: int,
 ) -> bytes:
     what = {
-        "box": dict(zip(_BOX, box.tolist(), strict=True)),
-        "own_box": dict(zip(_BOX, own_box.tolist(), strict=True)),
+        "box": _named(box),
+        "own_box": _named(own_box),
         "frame": "lidar",
         "units": _UNITS,
         "class": "vehicle",

@@ -6,7 +6,15 @@ from typing import Any
 import pandas as pd
 from frontier_by_hand import flagged, frontier_row
 
-from shift3d.analysis.tables.accuracy.cost import MEASURED, accuracy_cost, diagnostics, measured_presets, preset_table
+from shift3d.analysis.tables.accuracy.cost import (
+    MEASURED,
+    accuracy_cost,
+    diagnostics,
+    measured_presets,
+    preset_meanings,
+    preset_table,
+)
+from shift3d.analysis.tables.accuracy.frontier import legend
 from shift3d.store.frontier_table import frontier_table
 from shift3d.store.tables import write_table
 
@@ -63,6 +71,13 @@ def test_other_presets_stand_in_a_table_with_what_they_lose(tmp_path: Path) -> N
     rows = {str(line[0]): dict(zip(table.header, line)) for line in table.lines}
     assert rows["standard"]["time"] == "2 ms" and rows["standard"]["missed"] == "0.1 %"
     assert rows["standard"]["x paper"] == "400" and rows["paper"]["missed"] == "0"
+
+
+def test_every_column_of_the_presets_is_explained_by_itself(tmp_path: Path) -> None:
+    explained = preset_meanings()
+    assert list(explained) == list(preset_table(tmp_path).header[1:])
+    assert not any("the same" in meaning or "below" in meaning for meaning in explained.values())
+    assert "time: of one rendering, median; x paper: " in legend(explained)
 
 
 def test_a_frontier_of_other_scenes_or_one_that_is_torn_counts_as_none(tmp_path: Path) -> None:

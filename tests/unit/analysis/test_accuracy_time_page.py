@@ -230,6 +230,7 @@ def test_a_report_is_written_from_the_table_alone_with_the_same_bytes(tmp_path: 
         write_table(tmp_path / name / "frontier.parquet", table)
     printed = write_frontier_report(tmp_path / "a")
     assert printed == write_frontier_report(tmp_path / "b")
+    assert "missed: hits that were not found" in " ".join(printed.split())
     a, b = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b"))
     assert a == b and set(a) == {"frontier.parquet", "report.html", "frontier.png", "advice.txt"}
     assert a["frontier.png"].startswith(b"\x89PNG")

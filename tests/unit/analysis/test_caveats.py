@@ -8,7 +8,7 @@ import valid_sweeps
 from shift3d.analysis.tables.coverage import trial_caveat
 from shift3d.settings.compose import compose_sweep
 from shift3d.sweep.planning.plan import make_plan
-from shift3d.sweep.planning.plan_view import plan_summary
+from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
 from shift3d.sweep.planning.tasks import merged_settings
 
 
@@ -55,6 +55,20 @@ def test_settings_that_no_column_tells_apart_are_named() -> None:
     assert merged_settings(make_plan(compose_sweep("default", either), valid_sweeps.catalogue)[0].tasks) == []
     words = ["vehicle=suv", "attack.lambda=1,10", "attack.alpha=0.01,0.02", "replicate=0,1", "seed=0,1"]
     assert merged_settings(make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0].tasks) == []
+
+
+def test_the_list_of_tasks_says_what_no_column_tells() -> None:
+    words = ["vehicle=suv", "mode=shape", "attack.selection_window=0,1", "attack.search=descent,random"]
+    plan = make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0]
+    assert len(set(plan.tasks.ids.to_pylist())) == len(plan.tasks) == 4 * len(valid_sweeps.SCENES)
+    assert "AUCs are means over attack.selection_window: no column tells" in plan_summary(plan)
+    lines = [line.split("  ", 1)[1] for line in plan_lines(plan)]
+    assert len(set(lines)) == len(lines), "each line differs in more than its id"
+    assert lines[0].endswith("descent  attack.selection_window=0") and lines[-1].endswith(
+        "random  attack.selection_window=1"
+    )
+    one = make_plan(compose_sweep("default", words[:2]), valid_sweeps.catalogue)[0]
+    assert not any("attack." in line or "descent" in line for line in plan_lines(one))
 
 
 def test_a_sweep_with_scenes_and_steps_has_none(monkeypatch: pytest.MonkeyPatch) -> None:

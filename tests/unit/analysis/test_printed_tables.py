@@ -9,6 +9,7 @@ import pandas as pd
 from shift3d.analysis.tables.auc import auc_table
 from shift3d.analysis.tables.coverage import coverage_lines, stage_times
 from shift3d.analysis.variants import variants
+from shift3d.task.spec import AttackSpec
 
 
 def auc_row(vehicle: str, method: str, auc: float | None, scores: int = 4, **more: Any) -> dict[str, Any]:
@@ -46,6 +47,14 @@ def test_rows_columns_mean_and_ratio() -> None:
     assert cells(table, "adversarial") == ["0.400", "0.300", "0.350", "0.50"]
     assert cells(table, "lambda") == ["1", "1"]
     assert "random" not in table
+
+
+def test_titles_name_an_edit_as_it_is_written() -> None:
+    spec = AttackSpec(space="family", naturalness=95.0, search_scenes=3, edit="chassis.height_m:-1")
+    rows = [auc_row("suv", "baseline", 0.5), auc_row("suv", "baseline", 0.5, search=spec.label)]
+    _, edited = auc_tables(pd.DataFrame(rows))
+    title = edited.splitlines()[0]
+    assert title == "AUC, adversarial shape, search descent family within95 universal4 chassis.height_m:-1"
 
 
 def test_data_sets_are_pooled_by_their_scores() -> None:

@@ -181,6 +181,17 @@ def test_failures_are_counted_and_named(finished: Path) -> None:
     assert f"{lost}  ValueError: &lt;no&gt;" in shown and "Nothing failed" not in shown
 
 
+def test_a_call_that_was_lost_counts_once_however_many_tasks_it_held(finished: Path) -> None:
+    sweep = read_sweep(finished)
+    lost = sweep.attempts.drop_duplicates("task_id").assign(
+        outcome="node_lost", quarantined=False, worker="a:1", started_unix_s=1e9, seconds=60.0
+    )
+    again = lost.head(1).assign(attempt=2, started_unix_s=2e9)
+    assert len(lost) == 2
+    shown = blocks_html(coverage(dataclasses.replace(sweep, attempts=pd.concat([lost, again]))).blocks)
+    assert "2 attempts failed, in 120 s" in shown
+
+
 @pytest.mark.parametrize("mode", ["shape", "pose", "shape_pose"])
 def test_a_case_says_of_its_shape_and_its_place_what_its_mode_changes(mode: str) -> None:
     def rendered(length_m: float, x_m: float) -> Rendered:

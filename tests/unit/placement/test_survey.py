@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+import pytest
 import torch
 from analytic_fields import ground_scan
 from hills import slope_scan
@@ -13,6 +14,8 @@ from shift3d.placement.constraints import Constraints
 from shift3d.placement.sampling import REFUSALS, PlacementLimits
 from shift3d.placement.survey import Survey, survey
 from shift3d.render import Beams
+from shift3d.task import places
+from shift3d.task.spec import PlacementSpec
 
 LIMITS = PlacementLimits(9.0, 12.0, sector=(0.0, 0.4), attempts=25)
 
@@ -67,3 +70,11 @@ def test_a_survey_is_repeated_and_counted_in_words() -> None:
     assert found.line() == f"{free} of 25 free; {REFUSALS['occupied']} {25 - free}"
     reach = np.hypot(*found.xy_m.T)
     assert ((reach >= 9.0) & (reach <= 12.0)).all()
+
+
+def test_a_scene_in_which_no_ground_is_seen_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {"plain": tried(plain()), "bare": tried(plain()[plain()[:, 2] > -1.7])}
+    monkeypatch.setattr(places, "survey_scene", lambda scenes, name, where: found[name])
+    lines = {name: list(places.place_lines(None, [name], PlacementSpec())) for name in found}  # type: ignore[arg-type]
+    assert len(lines["plain"]) == 1 and "no ground seen 25" in lines["bare"][0]
+    assert lines["bare"][1].strip() == places.NO_GROUND and "attack.placement.max_range_m" in places.NO_GROUND

@@ -80,6 +80,26 @@ def test_a_cluster_without_room_may_grow_and_says_once_that_nothing_starts(
     assert capsys.readouterr().err == ""
 
 
+NODE_DIED = "The actor died because its node has died. Node Id: 0a1b."
+
+
+@pytest.mark.parametrize(("text", "fatal"), [(NODE_DIED, False), ("The actor died: no module named shift3d", True)])
+def test_starts_fail_by_a_defect_or_because_their_machine_went_away(text: str, fatal: bool) -> None:
+    """All three workers of a machine are starting as it goes away."""
+    from ray import exceptions
+    from ray.core.generated.common_pb2 import ActorDiedErrorContext
+
+    def get(reference: object) -> object:
+        raise exceptions.ActorDiedError(ActorDiedErrorContext(error_message=text, actor_id=b"0" * 16))
+
+    found = pool([node(4, 16)], "runner.workers=3", "runner.address=auto")
+    found._ray = SimpleNamespace(get=get, exceptions=exceptions, nodes=lambda: [node(4, 16)])
+    found.grow(100)
+    ends = [found.started(reference) for reference in found.starting]
+    assert len(ends) == 3 and ends[:2] == [None, None]
+    assert (ends[2] is not None) == fatal
+
+
 def test_no_cpus_no_worker() -> None:
     assert room_for([node(0, 64), node(0.5, 64)], cpus=1, memory_mb=1024) == 0
 

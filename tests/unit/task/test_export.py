@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from functools import partial
 from pathlib import Path
 
@@ -37,6 +38,10 @@ from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
 BOX = ("x", "y", "z", "dx", "dy", "dz", "heading")
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 SPEC = make_spec()
+
+
+def wrapped(yaw_rad: torch.Tensor) -> float:
+    return math.remainder(float(yaw_rad), 2.0 * math.pi)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +82,7 @@ def test_export_renders_the_solution_again(exported: tuple[Path, Row, Row], asse
     theta = torch.tensor([box["pose"][name] for name in POSE], dtype=torch.float64)
     vertices = object_from_scene(torch.from_numpy(np.array(mesh.vertices, dtype=np.float64)), theta).numpy()
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    assert own[3:6] == pytest.approx(high - low, abs=1e-4) and own[6] == float(theta[3])
+    assert own[3:6] == pytest.approx(high - low, abs=1e-4) and own[6] == wrapped(theta[3])
     middle = scene_from_object(torch.from_numpy((low + high)[None] / 2.0), theta).numpy()[0]
     assert own[:3] == pytest.approx(middle, abs=1e-4)
     assert np.abs(own[3:6] - values[0, 3:6]).max() > 0.01
@@ -103,7 +108,8 @@ def test_the_frame_has_every_box_and_the_inserted_one_last(exported: tuple[Path,
     theta = torch.tensor([solution[name] for name in POSE], dtype=torch.float64)
     stated = json.loads((folder / "box.json").read_text())
     box, own = (np.array([stated[which][name] for name in BOX]) for which in ("box", "own_box"))
-    assert box == pytest.approx(object_box(theta, assets.vehicle(SPEC).size_m, 0.0))
+    wanted = object_box(theta, assets.vehicle(SPEC).size_m, 0.0)
+    assert box == pytest.approx(np.array([*wanted[:6], wrapped(theta[3])]))
     expected = np.concatenate((original.labels.boxes, own[None]))
     found = scene.labels.boxes
     assert found[:, :6] == pytest.approx(expected[:, :6], abs=1e-6)
@@ -115,6 +121,18 @@ def test_the_frame_has_every_box_and_the_inserted_one_last(exported: tuple[Path,
     assert [row["inserted"] for row in stated["objects"]] == [False] * len(original.labels.boxes) + [True]
     assert stated["objects"][-1]["box"] == json.loads((folder / "box.json").read_text())["own_box"]
     assert stated["ground_z_m"] == original.ground_z_m
+
+
+def test_headings_are_written_within_half_a_turn(
+    exported: tuple[Path, Row, Row], assets: Assets, tmp_path: Path
+) -> None:
+    folder, solution, _ = exported
+    export_solution(SPEC, solution | {"yaw_rad": solution["yaw_rad"] + 2.0 * math.pi}, assets, tmp_path)
+    for name in ("box", "own_box"):
+        once, again = (json.loads((of / "box.json").read_text())[name]["heading"] for of in (folder, tmp_path))
+        assert again == pytest.approx(once) and abs(again) <= math.pi
+    objects = json.loads((tmp_path / "boxes.json").read_text())["objects"]
+    assert max(abs(row["box"]["heading"]) for row in objects) <= math.pi
 
 
 def test_the_coloured_cloud_is_the_scene(exported: tuple[Path, Row, Row]) -> None:

@@ -48,7 +48,10 @@ def test_fitted_mesh_is_a_vehicle_like_those_that_ship(
     out = tmp_path / "set"
     assert main(["fit", str(hatchback), "unit=mm", f"out={out}", "steps=40"]) == 0
     captured = capsys.readouterr()
-    assert "1 vehicle in" in captured.out and captured.err == "", "no doubts"
+    stages = ["measuring distances", "searching its code, 40 steps", "drawing the code", "trying other orientations"]
+    lines = captured.err.splitlines()
+    assert "1 vehicle in" in captured.out and len(lines) == len(stages), "no doubts"
+    assert all(line.startswith(f"hatchback_of_mine: {stage}") for line, stage in zip(lines, stages, strict=True))
     (vehicle,) = baseline_vehicles(out / "vehicles.safetensors").values()
     assert (vehicle.name, vehicle.body_type) == ("hatchback_of_mine", "hatchback")
     assert vehicle.size_m == pytest.approx(tuple(np.ptp(mesh.vertices, axis=0)), abs=0.12)

@@ -35,7 +35,8 @@ def coverage(sweep: Sweep) -> Section:
     """The section: tasks scored, without a score by reason, quarantined, and attempts that failed."""
     planned = len(sweep.plan.tasks)
     lines = [line.strip() for line in coverage_lines(sweep.scores, sweep.attempts, planned, shown=20)]
-    failed = sweep.attempts[sweep.attempts["outcome"] != "done"]
+    # A lost worker or machine ends one call, and each of the call's tasks has a row with the call's start and time.
+    failed = sweep.attempts[sweep.attempts["outcome"] != "done"].drop_duplicates(["worker", "started_unix_s"])
     if len(failed):
         lines.append(f"{counted(len(failed), 'attempt')} failed, in {failed['seconds'].sum():.0f} s")
     lines += [line.strip() for line in skipped_lines(sweep.plan)]

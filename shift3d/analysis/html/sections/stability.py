@@ -8,7 +8,7 @@ from shift3d.analysis.figures.picture import png
 from shift3d.analysis.figures.sweep import stability_figure
 from shift3d.analysis.html.blocks import Block, Fold, Heading, Items, Paragraph, Picture, Section, Terms
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_table
+from shift3d.analysis.tables.accuracy.cost import accuracy_cost, diagnostics, preset_meanings, preset_table
 from shift3d.analysis.tables.stability import MEANINGS, stability_table, unstable_lines
 
 
@@ -16,7 +16,8 @@ def accuracy(sweep: Sweep) -> Section:
     """The section: the audit of this sweep's own objects, and the presets as a frontier measured them."""
     audited = Items([*accuracy_cost(sweep.scores, sweep.timings), diagnostics(sweep.scores)])
     lead = Paragraph("Beams of each object are rendered again at reference accuracy.")
-    return Section("accuracy", "Accuracy against time", [lead, audited, preset_table()])
+    explained = Fold("What the columns mean", [Terms(preset_meanings())])
+    return Section("accuracy", "Accuracy against time", [lead, audited, preset_table(), explained])
 
 
 _ALT = (

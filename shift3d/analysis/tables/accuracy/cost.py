@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from shift3d.analysis.tables.accuracy.frontier import settings_table
+from shift3d.analysis.tables.accuracy.frontier import meanings_of, settings_table
 from shift3d.analysis.tables.table import Table
 from shift3d.errors import InputError
 from shift3d.wording import counted
@@ -68,6 +68,11 @@ def preset_table(folder: Path | None = None) -> Table:
     """What each preset costs and gets wrong, see `measured_presets`."""
     presets, whose = measured_presets(folder)
     return settings_table(presets.reset_index(), f"What other presets would cost, by {whose}", "preset", _HEADERS)
+
+
+def preset_meanings() -> dict[str, str]:
+    """What the columns of `preset_table` mean."""
+    return meanings_of(_HEADERS)
 
 
 def accuracy_cost(scores: pd.DataFrame, timings: pd.DataFrame) -> list[str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+import textwrap
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,10 +39,12 @@ _COLUMNS = (
     _Column("wrong", "wrong_surface", share, "hits on a surface that is not the first"),
     _Column("false", "false_hits", share, "hits where there is none"),
     _Column("p50", "depth_p50_m", length, "depth error of hits on the right surface, median"),
-    _Column("p99", "depth_p99_m", length, "the same, 99th percentile"),
-    _Column("max", "depth_max_m", length, "the same, maximum"),
+    _Column("p99", "depth_p99_m", length, "depth error of hits on the right surface, 99th percentile"),
+    _Column("max", "depth_max_m", length, "depth error of hits on the right surface, maximum"),
     _Column("|g|", "residual_max_m", length, "largest distance of the field at a hit", False),
-    _Column("error", "error_m", length, f"all in one, see below; a beam misplaced counts {MISPLACED_M:g} m"),
+    _Column(
+        "error", "error_m", length, f"bound on a beam's mean depth error; a misplaced beam counts {MISPLACED_M:g} m"
+    ),
     _Column("cosine", "gradient_cosine", "{:.6f}".format, "of the loss's gradient with that of reference"),
     _Column("norm", "gradient_norm_ratio", "{:.4f}".format, "length of that gradient over that of reference", False),
     _Column("score", "score_delta", "{:.1e}".format, "mean change of the final score, without sign", False),
@@ -95,6 +98,22 @@ def settings_table(rows: pd.DataFrame, title: str, first: str, headers: Collecti
 def meanings(frame: pd.DataFrame) -> dict[str, str]:
     """What the columns mean for which something was measured."""
     return {column.header: column.meaning for column in _columns(frame)}
+
+
+def meanings_of(headers: Collection[str]) -> dict[str, str]:
+    """What some columns mean, by header."""
+    return {column.header: column.meaning for column in _COLUMNS if column.header in headers}
+
+
+def legend(terms: Mapping[str, str]) -> str:
+    """What columns mean, as a terminal shows it below their table."""
+    return textwrap.fill("; ".join(f"{header}: {meaning}" for header, meaning in terms.items()), 120)
+
+
+def printed_legend(frame: pd.DataFrame) -> str:
+    """What the columns of `frontier_lines` mean."""
+    found = meanings(frame)
+    return legend({column.header: found[column.header] for column in _columns(frame) if column.printed})
 
 
 def _columns(frame: pd.DataFrame) -> list[_Column]:

@@ -50,6 +50,10 @@ class Calls:
         """Calls whose result is waited for, the oldest first."""
         return [call for call in self._by_reference.values() if call.reference not in self._superseded]
 
+    def every(self) -> list[Call]:
+        """All of them, those that another one has superseded included, the oldest first."""
+        return list(self._by_reference.values())
+
     @property
     def references(self) -> list[Any]:
         """Of every call, those that another one has superseded included."""

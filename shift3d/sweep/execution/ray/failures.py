@@ -32,8 +32,7 @@ def failure_of(ray: Any, error: Exception, node_id: str) -> Failure:
     """What an error that a call ended with says. node_id: of the worker's machine."""
     errors = ray.exceptions
     text = _plain(str(error))
-    lost = (errors.NodeDiedError, errors.ObjectLostError, errors.LocalRayletDiedError)
-    if isinstance(error, lost) or getattr(error, "preempted", False) or any(t in text for t in _NODE_TEXTS):
+    if names_lost_machine(ray, error):
         return Failure("node_lost", f"the machine went away: {text}")
     if isinstance(error, errors.OutOfMemoryError | MemoryError) or "MemoryError" in type(error).__name__:
         return Failure("out_of_memory", f"the worker ran out of memory: {text}")
@@ -44,6 +43,16 @@ def failure_of(ray: Any, error: Exception, node_id: str) -> Failure:
     if any(t in text for t in _MEMORY_TEXTS):
         return Failure("out_of_memory", f"the worker ran out of memory: {text}")
     return Failure("crashed", f"the worker died: {text}")
+
+
+def names_lost_machine(ray: Any, error: Exception) -> bool:
+    """Whether an error says by itself that a machine went away."""
+    errors = ray.exceptions
+    lost = (errors.NodeDiedError, errors.ObjectLostError, errors.LocalRayletDiedError)
+    if isinstance(error, lost) or getattr(error, "preempted", False):
+        return True
+    text = _plain(str(error))
+    return any(of_node in text for of_node in _NODE_TEXTS)
 
 
 def _plain(text: str) -> str:

@@ -97,10 +97,11 @@ class RayRunner:
             yield outcome
             if outcome.fatal:
                 return
-            for hang in self._watch.hanging(self._calls.live()):
-                self._calls.pop(hang.call.reference)
+            for hang in self._watch.hanging(self._calls.every()):
+                _, wanted = self._calls.pop(hang.call.reference)
                 self._pool.lost(hang.call.worker)
-                yield self._failed_call(hang.call, hang.failure, hang.position)
+                if wanted:
+                    yield self._failed_call(hang.call, hang.failure, hang.position)
 
     def _give_out(self, stop: threading.Event) -> None:
         while not stop.is_set() and (worker := self._pool.idle()):

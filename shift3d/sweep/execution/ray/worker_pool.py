@@ -10,6 +10,7 @@ from typing import Any
 from shift3d.errors import InputError
 from shift3d.progress_bar import write_line
 from shift3d.settings.schema.config import RayRunnerConfig
+from shift3d.sweep.execution.ray.failures import names_lost_machine
 from shift3d.sweep.execution.ray.worker import Ready
 
 # Starts that fail in a row before any worker was ready: a defect of the installation.
@@ -121,11 +122,16 @@ class WorkerPool:
             self._starting[actor.ready.remote()] = PooledWorker(actor)
 
     def started(self, reference: Any) -> InputError | None:
-        """A start has ended: the worker is idle, or was lost. The error says why none can be started at all."""
+        """A start has ended: the worker is idle, or was lost. The error says why none can be started at all.
+
+        A start that its machine's end broke off says nothing about the next one.
+        """
         worker = self._starting.pop(reference)
         try:
             worker.where = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
+            if names_lost_machine(self._ray, error):
+                return None
             self._failed += 1
             if self._failed < _FAILED_STARTS or self._workers:
                 return None
