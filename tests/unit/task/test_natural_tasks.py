@@ -64,8 +64,8 @@ def test_a_pose_has_its_baselines_shape(measured: tuple[Assets, str]) -> None:
 
 
 def test_a_search_with_a_budget_ends_at_a_natural_shape(measured: tuple[Assets, str]) -> None:
-    far = AttackSpec(steps=6, noise_replicates=0, random_replicates=0)
-    spec = make_spec(reference_hash=measured[1], alpha=0.05, attack=far, **NO_GRID)
+    far = AttackSpec(steps=3, noise_replicates=0, random_replicates=0)
+    spec = make_spec(reference_hash=measured[1], alpha=0.1, attack=far, **NO_GRID)
     free = run_task(spec, measured[0])
     ends = [by_method(free, method)[0]["naturalness_percentile"] for method in ("baseline", "adversarial")]
     budget = sum(ends) / 2
