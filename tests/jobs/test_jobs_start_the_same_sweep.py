@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from jobs.ray_head import ray_head
-from service.drivers import DETERMINISTIC
+from jobs.ray_head import SERVICE, ray_head
+from service.drivers import DETERMINISTIC, Drivers
 
 JOBS = Path(__file__).resolve().parents[2] / "jobs"
 WORDS = ("scenes.count=1", "tracking=none")
@@ -31,20 +31,31 @@ def environment(dashboard_port: int) -> Iterator[dict[str, str]]:
         yield found
 
 
-def commands(folder: Path, dashboard_port: int) -> dict[str, str]:
-    """How a small sweep is started in process, on a running cluster, by Slurm and through the Jobs API."""
-    words = f"default {shlex.join(WORDS)}"
+def job_of(folder: Path, dashboard_port: int) -> Path:
+    """The spec of a Ray job, on the head that there is."""
     spec = (JOBS / "ray_job.yaml").read_text().replace(":8265\nruntime", f":{dashboard_port}\nruntime")
     (folder / "job.yaml").write_text(spec)
+    return folder / "job.yaml"
+
+
+def commands(folder: Path, dashboard_port: int) -> dict[str, str]:
+    """How a small sweep is started on a running cluster, by Slurm and through the Jobs API."""
+    words = f"mine {shlex.join(WORDS)} {ON_RAY}"
     return {
-        "here": f"shift3d sweep {words} runner=local out={folder / 'here'}",
-        "cluster": f"shift3d sweep {words} {ON_RAY} job=ray_cluster out={folder / 'cluster'}",
-        "slurm": f"bash {JOBS / 'slurm.sbatch'} {words} {ON_RAY} out={folder / 'slurm'}",
-        "job": f"shift3d sweep {words} {ON_RAY} job={folder / 'job.yaml'} out={folder / 'job'}",
+        "cluster": f"shift3d sweep {words} job=ray_cluster out={folder / 'cluster'}",
+        "slurm": f"bash {JOBS / 'slurm.sbatch'} {words} out={folder / 'slurm'}",
+        "job": f"shift3d sweep {words} job={job_of(folder, dashboard_port)} out={folder / 'job'}",
     }
 
 
-def test_every_spec_starts_the_same_sweep(environment: dict[str, str], dashboard_port: int, tmp_path: Path) -> None:
+def test_every_spec_starts_the_same_sweep(
+    environment: dict[str, str], dashboard_port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of the command's own folder, with a group of its own: both travel with a job."""
+    (tmp_path / "sweeps").mkdir()
+    (tmp_path / "conf" / "attack").mkdir(parents=True)
+    (tmp_path / "sweeps" / "mine.yaml").write_text("defaults: [default, override /attack: tiny, _self_]\n")
+    (tmp_path / "conf" / "attack" / "tiny.yaml").write_text("defaults: [paper, _self_]\nsteps: 3\n")
     slurm = {"SLURM_JOB_NODELIST": "node[1-2]", "SLURM_JOB_NUM_NODES": "2", "SLURM_CPUS_ON_NODE": "2"}
     # At once: most of its time each of them waits for Ray.
     running = {
@@ -58,21 +69,25 @@ def test_every_spec_starts_the_same_sweep(environment: dict[str, str], dashboard
         )
         for name, command in commands(tmp_path, dashboard_port).items()
     }
-    found = {}
+    monkeypatch.syspath_prepend(SERVICE)  # of the kind of task
+    here = ["sweep", "mine", *WORDS, "runner=local", f"out={tmp_path / 'here'}"]
+    code, _, errors = Drivers(tmp_path).run_here(here)
+    assert code == 0, errors
     for name, process in running.items():
         output, _ = process.communicate(timeout=240)
         assert process.returncode == 0, f"{name}: {output[-3000:]}"
-        final = tmp_path / name / "final"
-        found[name] = {table: (final / f"{table}.parquet").read_bytes() for table in DETERMINISTIC}
+    found = {
+        name: {table: (tmp_path / name / "final" / f"{table}.parquet").read_bytes() for table in DETERMINISTIC}
+        for name in ("here", *running)
+    }
     assert all(tables == found["here"] for tables in found.values())
+    assert yaml.safe_load((tmp_path / "job" / "spec.yaml").read_text())["settings"]["attack"]["steps"] == 3
 
 
 def test_a_job_hands_the_exit_code_of_its_sweep_on(
     environment: dict[str, str], dashboard_port: int, tmp_path: Path
 ) -> None:
-    spec = (JOBS / "ray_job.yaml").read_text().replace(":8265\nruntime", f":{dashboard_port}\nruntime")
-    (tmp_path / "job.yaml").write_text(spec)
-    command = f"shift3d sweep nothing job={tmp_path / 'job.yaml'} out={tmp_path / 'out'}"
+    command = f"shift3d sweep nothing job={job_of(tmp_path, dashboard_port)} out={tmp_path / 'out'}"
     done = subprocess.run(
         ["bash", "-c", command], env=environment, capture_output=True, text=True, timeout=120, check=False
     )
@@ -82,20 +97,3 @@ def test_a_job_hands_the_exit_code_of_its_sweep_on(
         ["bash", "-c", command], env=other, capture_output=True, text=True, timeout=120, check=False
     )
     assert refused.returncode == 2 and "the job cannot be submitted" in refused.stderr, refused
-
-
-def test_sweeps_and_groups_of_the_commands_folder_travel_with_a_job(
-    environment: dict[str, str], dashboard_port: int, tmp_path: Path
-) -> None:
-    (tmp_path / "sweeps").mkdir()
-    (tmp_path / "conf" / "attack").mkdir(parents=True)
-    (tmp_path / "sweeps" / "mine.yaml").write_text("defaults: [smoke, override /attack: tiny, _self_]\n")
-    (tmp_path / "conf" / "attack" / "tiny.yaml").write_text("defaults: [paper, _self_]\nsteps: 3\n")
-    spec = (JOBS / "ray_job.yaml").read_text().replace(":8265\nruntime", f":{dashboard_port}\nruntime")
-    (tmp_path / "job.yaml").write_text(spec)
-    command = f"shift3d sweep mine {ON_RAY} tracking=none job=job.yaml out={tmp_path / 'out'}"
-    done = subprocess.run(
-        ["bash", "-c", command], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 0, done
-    assert yaml.safe_load((tmp_path / "out" / "spec.yaml").read_text())["settings"]["attack"]["steps"] == 3

@@ -42,7 +42,7 @@ from shift3d.store.arrays import write_safetensors
 write_safetensors(Path({str(tmp_path)!r}) / "file", {{"b": torch.arange(3.0), "a": torch.ones(4)}}, {TEXTS!r})
 """
     digests = set()
-    for seed in ("1", "2", "3"):
+    for seed in ("1", "2"):
         subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONHASHSEED": seed})
         digests.add(hashlib.sha256((tmp_path / "file").read_bytes()).hexdigest())
     assert len(digests) == 1

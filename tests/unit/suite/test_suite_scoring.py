@@ -75,8 +75,9 @@ def test_a_killed_gate_leaves_what_it_scored_and_ends_as_one_that_was_not(tmp_pa
     write_suite(tmp_path / "suite", scored_by="own")
     module, _ = write_detector(tmp_path)
     # A detector slow enough to be killed between two scenes.
-    slow = Path(module).read_text().replace("    def model(points):\n", "    def model(points):\n        SLOW\n")
-    Path(module).write_text(slow.replace("SLOW", "__import__('time').sleep(0.05)"))
+    slow = "import os, time\n        time.sleep(float(os.environ.get('SLOW_S', 0)))"
+    source = Path(module).read_text().replace("    def model(points):\n", f"    def model(points):\n        {slow}\n")
+    Path(module).write_text(source)
     out = tmp_path / "killed"
     words = [
         f"suite={tmp_path / 'suite'}",
@@ -87,7 +88,8 @@ def test_a_killed_gate_leaves_what_it_scored_and_ends_as_one_that_was_not(tmp_pa
         "mlflow=none",
     ]
     command = [sys.executable, "-m", "shift3d", "gate", *words]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    known = {**os.environ, "SLOW_S": "0.05"}
+    process = subprocess.Popen(command, env=known, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     answers, deadline = out / "answers", time.monotonic() + 120
     while not (answers.is_dir() and list(answers.glob("[!.]*.parquet"))):
         assert time.monotonic() < deadline and process.poll() is None

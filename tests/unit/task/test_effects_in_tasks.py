@@ -43,7 +43,7 @@ from shift3d.task.assets import load_assets
 from shift3d.task.run import run_task
 
 words = ["scenes.count=1", "scenes.sensor=hdl64", "vehicle=suv", "mode=pose", "attack=short", "attack.steps=1"]
-words += ["naturalness=none"]
+words += ["naturalness=none", "attack.random_replicates=0"]
 plans = [make_plan(compose_sweep("default", [*words, f"effects={e}"]), read_catalogue)[0] for e in ("auto", "none")]
 (task,), (paper,) = (plan.tasks for plan in plans)
 result = run_task(task.spec, load_assets(plans[0].assets[0]))

@@ -64,8 +64,8 @@ def test_a_pose_has_its_baselines_shape(measured: tuple[Assets, str]) -> None:
 
 
 def test_a_search_with_a_budget_ends_at_a_natural_shape(measured: tuple[Assets, str]) -> None:
-    far = AttackSpec(steps=6, noise_replicates=0, random_replicates=0)
-    spec = make_spec(reference_hash=measured[1], alpha=0.05, attack=far, **NO_GRID)
+    far = AttackSpec(steps=3, noise_replicates=0, random_replicates=0)
+    spec = make_spec(reference_hash=measured[1], alpha=0.1, attack=far, **NO_GRID)
     free = run_task(spec, measured[0])
     ends = [by_method(free, method)[0]["naturalness_percentile"] for method in ("baseline", "adversarial")]
     budget = sum(ends) / 2
@@ -79,9 +79,9 @@ def test_a_search_with_a_budget_ends_at_a_natural_shape(measured: tuple[Assets, 
 def test_a_budget_needs_a_reference_set_and_a_vehicle_within(assets: Assets, measured: tuple[Assets, str]) -> None:
     bounded = dataclasses.replace(SHORT, naturalness=1e-6)
     with pytest.raises(InputError, match=r"measures no naturalness.*naturalness=wide"):
-        run_task(make_spec(attack=bounded), assets)
+        run_task(make_spec(attack=bounded, **NO_GRID), assets)
     with pytest.raises(InputError, match=r"vehicle lies beyond the budget.*larger attack\.naturalness"):
-        run_task(make_spec(attack=bounded, reference_hash=measured[1]), measured[0])
+        run_task(make_spec(attack=bounded, reference_hash=measured[1], **NO_GRID), measured[0])
 
 
 def test_a_budget_that_no_kind_keeps_is_refused(measured: tuple[Assets, str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,12 +90,12 @@ def test_a_budget_that_no_kind_keeps_is_refused(measured: tuple[Assets, str], mo
     monkeypatch.setattr(type(assets.vehicles), "names", lambda self: ["sedan", "suv"])
     attack = dataclasses.replace(SHORT, naturalness=1e-6, search="random", space="family")
     with pytest.raises(InputError, match=r"no vehicle of the set lies within.*larger attack\.naturalness"):
-        run_task(make_spec(vehicle="sedan", attack=attack, reference_hash=measured[1]), assets)
+        run_task(make_spec(vehicle="sedan", attack=attack, reference_hash=measured[1], **NO_GRID), assets)
 
 
 def test_another_reference_set_than_was_planned_is_refused(measured: tuple[Assets, str]) -> None:
     with pytest.raises(InputError, match="changed after the sweep was planned") as failure:
-        run_task(make_spec(reference_hash="another"), measured[0])
+        run_task(make_spec(reference_hash="another", **NO_GRID), measured[0])
     assert "reference set" in failure.value.where
 
 

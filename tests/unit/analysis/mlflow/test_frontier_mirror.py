@@ -31,9 +31,7 @@ def runs_of(uri: str) -> list[Any]:
     return list(client.search_runs([experiment.experiment_id])) if experiment else []
 
 
-def test_a_run_a_table_with_every_number_and_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # MLflow puts artifacts of a sqlite store into ./mlruns
-    uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
+def test_a_run_a_table_with_every_number_and_file(tmp_path: Path, uri: str) -> None:
     # More than a thousand numbers: MLflow takes that many at once.
     rows = [*realistic_rows(), *realistic_rows("kitti")]
     folder = folder_of(tmp_path / "frontier", rows)
@@ -49,9 +47,7 @@ def test_a_run_a_table_with_every_number_and_file(tmp_path: Path, monkeypatch: p
     assert sorted(file.path for file in MlflowClient(uri).list_artifacts(run.info.run_id)) == FILES
 
 
-def test_another_measurement_is_another_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
+def test_another_measurement_is_another_run(tmp_path: Path, uri: str) -> None:
     for ms in (1.0, 2.0):
         assert mirror_frontier(folder_of(tmp_path / "f", [frontier_row("draft", ms)]), uri, "shift3d") is None
     runs = runs_of(uri)
@@ -79,11 +75,7 @@ def test_what_was_not_measured_is_no_metric() -> None:
     ]
 
 
-def test_an_mlflow_that_is_away_or_a_folder_that_is_incomplete_is_a_reason(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
+def test_an_mlflow_that_is_away_or_a_folder_that_is_incomplete_is_a_reason(tmp_path: Path, uri: str) -> None:
     folder = folder_of(tmp_path / "f", [frontier_row("draft", 1.0)])
     began = time.monotonic()
     problem = mirror_frontier(folder, "http://127.0.0.1:9", "shift3d")

@@ -12,12 +12,10 @@ from shift3d.analysis.mlflow.measured import GATE_EXPERIMENT, mirror_gate
 from shift3d.cli.main import main
 
 
-def test_a_gate_is_one_run_with_its_measures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_gate_is_one_run_with_its_measures(tmp_path: Path, uri: str) -> None:
     write_suite(tmp_path / "suite", scored_by="own")
     module, weights = write_detector(tmp_path, -3.0)
     words = ["suite=suite", "detector=own", f"module={module}", f"weights={weights}", "out=out"]
-    uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
     for _ in range(2):
         assert main(["gate", *words, f"mlflow={uri}"]) == 6
     from mlflow import MlflowClient

@@ -48,10 +48,15 @@ def record(folder: Path, rows: list[Any] = ROWS, **counts: float) -> SweepRecord
     return SweepRecord("default", "0123", folder, settings, *frames, {"tasks_done": 60, **counts})
 
 
-@pytest.fixture
-def uri(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.chdir(tmp_path)  # MLflow puts artifacts of a sqlite store into ./mlruns
-    return f"sqlite:///{tmp_path / 'mlflow.db'}"
+@pytest.fixture(scope="module")
+def mirrored(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A store that MLflow makes itself, with the sweep in it: tests only read it."""
+    folder = tmp_path_factory.mktemp("mirrored")
+    uri = f"sqlite:///{folder / 'mlflow.db'}"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)  # MLflow puts artifacts of a sqlite store into ./mlruns
+        assert mirror(record(folder / "out"), uri, "shift3d") is None
+    return uri
 
 
 def runs_in(uri: str) -> tuple[Any, Any, dict[str, Any]]:
@@ -76,9 +81,8 @@ def curve_of(client: Any, run: Any, name: str) -> dict[int, float]:
     return {point.step: point.value for point in points}
 
 
-def test_a_run_with_aucs_curves_settings_and_files_and_a_run_a_group(tmp_path: Path, uri: str) -> None:
-    assert mirror(record(tmp_path / "out"), uri, "shift3d") is None
-    client, run, groups = runs_in(uri)
+def test_a_run_with_aucs_curves_settings_and_files_and_a_run_a_group(mirrored: str) -> None:
+    client, run, groups = runs_in(mirrored)
     assert run.info.status == "FINISHED" and run.info.run_name == "default-0123"
     aucs = {name: value for name, value in run.data.metrics.items() if not name.startswith("recall/")}
     # To the digit: a mean of 0.4 and 0.2 is shown as 0.3.
@@ -106,9 +110,8 @@ def test_a_run_with_aucs_curves_settings_and_files_and_a_run_a_group(tmp_path: P
     assert "auc" not in groups["shape/suv/baseline/lambda=-"].data.metrics
 
 
-def test_curves_are_recall_over_the_threshold_in_percent(tmp_path: Path, uri: str) -> None:
-    assert mirror(record(tmp_path / "out"), uri, "shift3d") is None
-    client, run, groups = runs_in(uri)
+def test_curves_are_recall_over_the_threshold_in_percent(mirrored: str) -> None:
+    client, run, groups = runs_in(mirrored)
     curve = curve_of(client, groups["shape/coupe/adversarial/lambda=1"], "recall")
     # Scores 0.25 and 0.55, and a detection has a score GREATER than the threshold.
     assert curve == {percent: 1.0 if percent < 25 else 0.5 if percent < 55 else 0.0 for percent in range(101)}
@@ -116,9 +119,8 @@ def test_curves_are_recall_over_the_threshold_in_percent(tmp_path: Path, uri: st
     assert [mean[percent] for percent in (0, 19, 20, 24, 25, 54, 55)] == [1.0, 1.0, 0.5, 0.5, 0.25, 0.25, 0.0]
 
 
-def test_the_scores_are_a_dataset_with_the_digest_of_their_content(tmp_path: Path, uri: str) -> None:
-    assert mirror(record(tmp_path / "out"), uri, "shift3d") is None
-    (first,) = runs_in(uri)[1].inputs.dataset_inputs
+def test_the_scores_are_a_dataset_with_the_digest_of_their_content(mirrored: str) -> None:
+    (first,) = runs_in(mirrored)[1].inputs.dataset_inputs
     assert first.dataset.name == "default-scores" and len(first.dataset.digest) == 32
 
 

@@ -32,12 +32,12 @@ Server = tuple[subprocess.Popen[str], str]
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> str:
+def store(_empty: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The address of a store with one run, and the run. Servers read it."""
     from mlflow import MlflowClient
 
     folder = tmp_path_factory.mktemp("store")
-    uri = f"sqlite:///{folder / 'mlflow.db'}"
+    uri = f"sqlite:///{shutil.copy(_empty, folder)}"
     client = MlflowClient(uri)
     experiment = client.create_experiment("shift3d", artifact_location=str(folder / "files"))
     run = client.create_run(experiment)
@@ -141,8 +141,7 @@ def test_what_is_no_port_is_said_and_the_socket_is_on_loopback() -> None:
 
 def test_a_store_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "text.db").write_text("no database, but long enough to be read as one\n" * 100)
-    stores = {"foo://bar": "unknown scheme 'foo'", f"sqlite:///{tmp_path}/text.db": "the store cannot be opened"}
-    for uri, printed in stores.items():
-        done = subprocess.run([*UI, "--uri", uri], cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 2 and printed in done.stderr.splitlines()[-1]
-        assert "Traceback" not in done.stderr
+    command = [*UI, "--uri", f"sqlite:///{tmp_path}/text.db"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "the store cannot be opened" in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from shift3d.analysis.mlflow.training import TrainingCurves
 
 
-def test_curves_of_an_interrupted_training_are_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
+def test_curves_of_an_interrupted_training_are_one_run(uri: str) -> None:
     params = {"recipe": {"steps": 4, "network": {"width": 8}}, "start": None}
     first = TrainingCurves(uri, "training", "train-sst", "out sst", params)
     first([(1, {"class": 2.0, "learning_rate": 0.1}), (2, {"class": 1.5, "learning_rate": 0.2})])
@@ -33,13 +29,12 @@ def test_curves_of_an_interrupted_training_are_one_run(tmp_path: Path, monkeypat
         assert [(metric.step, metric.value) for metric in history] == list(enumerate(values, start=1))
 
 
-def test_points_wait_for_an_mlflow_that_is_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_points_wait_for_an_mlflow_that_is_away(tmp_path: Path, uri: str) -> None:
     (tmp_path / "store").touch()  # a file where a folder should be
     curves = TrainingCurves(f"sqlite:///{tmp_path}/store/mlflow.db", "training", "train", "key", {})
     curves([(1, {"loss": 1.0})])
     assert curves.problem and "\n" not in curves.problem
-    curves.uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
+    curves.uri = uri
     curves([(2, {"loss": 0.5})])
     assert curves.problem is None
     from mlflow import MlflowClient
