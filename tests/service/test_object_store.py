@@ -50,12 +50,8 @@ def start(drivers: Drivers, out: Location, *words: str, **environment: str) -> s
 
 
 def run(drivers: Drivers, out: Location, *words: str) -> None:
-    """One that ends well; without Ray, in this process."""
-    if "runner=local" in words:
-        code, _, errors = drivers.run_here(["sweep", "default", *QUICK, *words, f"out={out}"])
-    else:
-        _, errors = (driver := start(drivers, out, *words)).communicate(timeout=90)
-        code = driver.returncode
+    """One that ends well, in this process."""
+    code, _, errors = drivers.run_here(["sweep", "default", *QUICK, *words, f"out={out}"])
     assert code == 0, errors
 
 
