@@ -15,6 +15,8 @@ import pytest
 from jobs.ray_head import REPOSITORY, SERVICE, ray_head
 from service.drivers import DETERMINISTIC
 
+pytestmark = pytest.mark.slow
+
 FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md")
 FOLDERS = ("shift3d", "conf", "sweeps", "jobs")
 
