@@ -34,7 +34,14 @@ from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.picture import write_side_by_side
-from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
+from shift3d.vehicles.vehicle_set import (
+    FACTS_FILE,
+    RESOLUTION,
+    VEHICLES_FILE,
+    FittedVehicle,
+    fitted,
+    write_vehicle_set,
+)
 
 STEPS = 5_000
 POINTS_A_STEP = 2_750
@@ -140,10 +147,11 @@ def train_on_meshes(
     compute: Compute,
     steps: int = STEPS,
     report: Report | None = None,
-) -> list[FittedVehicle]:
+) -> list[float]:
     """Train a decoder of the published size on the meshes at a path, or go on; leave the vehicle set in `out`.
 
-    Nothing is written to the shipped weights. Returns the vehicles, in the order of the meshes.
+    Nothing is written to the shipped weights. A vehicle set that this training has left there is not made again.
+    Returns: Chamfer distances of the vehicles to their meshes, cm, in the order of the meshes.
     Raises: InputError for meshes that cannot be used (see `mesh_shapes`), or another training's folder.
     """
     start = time.monotonic()
@@ -151,7 +159,21 @@ def train_on_meshes(
     recipe = mesh_recipe(shapes, steps)
     checkpoint = train_sdf(out, recipe, 250, shapes.samples, compute, report)
     seconds = time.monotonic() - start
-    return export_mesh_training(checkpoint, shapes, frame, out, seconds, compute.threads)
+    if not is_exported(checkpoint, out):
+        export_mesh_training(checkpoint, shapes, frame, out, seconds, compute.threads)
+    facts = json.loads((out / FACTS_FILE).read_text(encoding="utf-8"))
+    return [vehicle["chamfer_cm"] for vehicle in facts["vehicles"]]
+
+
+def is_exported(checkpoint: Path, out: Path) -> bool:
+    """Whether the vehicle set is there, of these meshes, by this recipe, from the checkpoint's step."""
+    if not (out / VEHICLES_FILE).is_file() or (state := read_checkpoint(checkpoint)) is None:
+        return False
+    try:
+        facts = json.loads((out / FACTS_FILE).read_text(encoding="utf-8"))
+        return bool((facts["recipe"], facts["step"]) == (state["recipe"], state["step"]))
+    except (OSError, ValueError, KeyError):
+        return False
 
 
 def export_mesh_training(

@@ -14,10 +14,12 @@ import torch
 import trimesh
 
 from shift3d.errors import InputError
+from shift3d.sdf.decoder import Decoder
 from shift3d.training.checkpoints import read_checkpoint
-from shift3d.training.sdf.on_meshes import MeshShapes, export_mesh_training, mesh_recipe, mesh_shapes
+from shift3d.training.sdf.on_meshes import MeshShapes, export_mesh_training, is_exported, mesh_recipe, mesh_shapes
 from shift3d.training.sdf.train import SdfRecipe, train_sdf
 from shift3d.vehicles.mesh_frame import MeshFrame
+from shift3d.vehicles.vehicle_set import FittedVehicle, write_vehicle_set
 
 FRAME = MeshFrame("+x", "+z", "m")
 SAMPLES = 800
@@ -124,3 +126,17 @@ def test_decoder_that_has_learnt_nothing_is_not_exported(shapes: MeshShapes, tmp
     with pytest.raises(InputError, match="no vehicle has a surface"):
         export_mesh_training(checkpoint, shapes, FRAME, tmp_path / "out", 0.0)
     assert not (tmp_path / "out" / "vehicles.safetensors").exists()
+
+
+def test_a_vehicle_set_of_this_training_is_not_made_again(shapes: MeshShapes, tmp_path: Path) -> None:
+    recipe = dataclasses.replace(mesh_recipe(shapes, steps=1), batch_a_shape=8, compute="float32")
+    checkpoint = train_sdf(tmp_path, recipe, samples=shapes.samples)
+    assert not is_exported(checkpoint, tmp_path)
+    egg = FittedVehicle("egg", "vehicle", np.zeros(256, np.float32), 2.0, trimesh.creation.icosphere(), 0.01)
+    made = {"recipe": dataclasses.asdict(recipe), "step": 1, "vehicles": [{"name": "egg", "chamfer_cm": 1.0}]}
+    for facts, found in ((made, True), ({**made, "step": 2}, False), ({**made, "recipe": {}}, False), ({}, False)):
+        write_vehicle_set(tmp_path, Decoder(), [egg], facts)
+        assert is_exported(checkpoint, tmp_path) is found
+    write_vehicle_set(tmp_path, Decoder(), [egg], made)
+    (tmp_path / "vehicles.safetensors").unlink()
+    assert not is_exported(checkpoint, tmp_path), "the vehicles are written last"

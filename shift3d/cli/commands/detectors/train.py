@@ -214,8 +214,8 @@ def _train_on_meshes(values: dict[str, str]) -> int:
             from shift3d.training.sdf.on_meshes import STEPS, train_on_meshes
 
             steps = options.steps or STEPS
-            vehicles = train_on_meshes(values["vehicles"], frame, options.out, options.compute(), steps, report)
-            chamfer_cm = sorted(100.0 * vehicle.chamfer_m for vehicle in vehicles)
+            found = train_on_meshes(values["vehicles"], frame, options.out, options.compute(), steps, report)
+            chamfer_cm = sorted(found)
     print(
         f"{counted(len(chamfer_cm), 'vehicle')}, decoder and codes in {options.out}/; symmetric Chamfer distance "
         f"to their meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
