@@ -178,7 +178,7 @@ def is_exported(checkpoint: Path, out: Path) -> bool:
 
 def export_mesh_training(
     checkpoint: Path, shapes: MeshShapes, frame: MeshFrame, out: Path, seconds: float, processes: int = 1
-) -> list[FittedVehicle]:
+) -> None:
     """Decode every training shape, measure it against its mesh, picture both, and write the vehicle set.
 
     A code that draws no surface, as after a few steps, is left out and said so. Shapes are shared among processes.
@@ -218,7 +218,6 @@ def export_mesh_training(
         "torch": torch.__version__,
     }
     write_vehicle_set(out, decoder, vehicles, provenance)
-    return vehicles
 
 
 def _decoder(checkpoint: Path) -> Decoder:

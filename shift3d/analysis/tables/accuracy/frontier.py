@@ -112,8 +112,7 @@ def legend(terms: Mapping[str, str]) -> str:
 
 def printed_legend(frame: pd.DataFrame) -> str:
     """What the columns of `frontier_lines` mean."""
-    found = meanings(frame)
-    return legend({column.header: found[column.header] for column in _columns(frame) if column.printed})
+    return legend({column.header: column.meaning for column in _columns(frame) if column.printed})
 
 
 def _columns(frame: pd.DataFrame) -> list[_Column]:
