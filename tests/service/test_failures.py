@@ -50,9 +50,8 @@ def test_a_failing_task_is_quarantined_and_shown(drivers: Drivers) -> None:
     assert failed["quarantined"].tolist() == [False, True]
     assert "ArithmeticError" in failed["traceback"].iloc[1] and "cheap_task.py" in failed["traceback"].iloc[1]
     command = failed["traceback"].iloc[1].splitlines()[-1].removeprefix("reproduce: shift3d ")
-    with pytest.raises(
-        ArithmeticError, match="no root for suv/street_002/pose"
-    ):  # beside the traceback: shows it again
+    # The command beside the traceback shows it again.
+    with pytest.raises(ArithmeticError, match="no root for suv/street_002/pose"):
         drivers.run_here(shlex.split(command), SHIFT3D_TEST_FAILS="suv/street_002/pose")
     auc = pd.read_parquet(final / "auc.parquet")
     suv = auc[(auc["vehicle"] == "suv") & (auc["mode"] == "pose")]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-import pytest
 import torch
 from analytic_fields import ground_scan
 from hills import slope_scan
@@ -14,7 +13,8 @@ from shift3d.placement.constraints import Constraints
 from shift3d.placement.sampling import REFUSALS, PlacementLimits
 from shift3d.placement.survey import Survey, survey
 from shift3d.render import Beams
-from shift3d.task import places
+from shift3d.scenes.sets import StreetScenes
+from shift3d.task.places import NO_GROUND, place_lines
 from shift3d.task.spec import PlacementSpec
 
 LIMITS = PlacementLimits(9.0, 12.0, sector=(0.0, 0.4), attempts=25)
@@ -72,9 +72,12 @@ def test_a_survey_is_repeated_and_counted_in_words() -> None:
     assert ((reach >= 9.0) & (reach <= 12.0)).all()
 
 
-def test_a_scene_in_which_no_ground_is_seen_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = {"plain": tried(plain()), "bare": tried(plain()[plain()[:, 2] > -1.7])}
-    monkeypatch.setattr(places, "survey_scene", lambda scenes, name, where: found[name])
-    lines = {name: list(places.place_lines(None, [name], PlacementSpec())) for name in found}  # type: ignore[arg-type]
-    assert len(lines["plain"]) == 1 and "no ground seen 25" in lines["bare"][0]
-    assert lines["bare"][1].strip() == places.NO_GROUND and "attack.placement.max_range_m" in places.NO_GROUND
+def test_a_scene_in_which_no_ground_is_seen_says_what_to_do() -> None:
+    assert tried(plain()[plain()[:, 2] > -1.7]).lacks_ground and not tried(plain()).lacks_ground
+    streets = StreetScenes("hdl64", seed=3)
+    near, far = (
+        list(place_lines(streets, streets.names()[:1], PlacementSpec(min_range_m=low, max_range_m=high, attempts=20)))
+        for low, high in ((15.0, 30.0), (300.0, 320.0))
+    )
+    assert len(near) == 1 and "no ground seen 20" in far[0]
+    assert far[1].strip() == NO_GROUND and "attack.placement.max_range_m" in NO_GROUND

@@ -116,7 +116,8 @@ def test_training_takes_the_samples_of_its_recipe_and_no_others(shapes: MeshShap
         train_sdf(tmp_path / "other", SdfRecipe(shapes=2), samples=shapes.samples)
 
 
-def test_decoder_that_has_learnt_nothing_is_not_exported(shapes: MeshShapes, tmp_path: Path) -> None:
+@pytest.mark.parametrize("processes", [1, 2])
+def test_decoder_that_has_learnt_nothing_is_not_exported(shapes: MeshShapes, tmp_path: Path, processes: int) -> None:
     recipe = dataclasses.replace(mesh_recipe(shapes, steps=1), batch_a_shape=8, compute="float32")
     checkpoint = train_sdf(tmp_path / "out", recipe, samples=shapes.samples)
     state = read_checkpoint(checkpoint)
@@ -124,7 +125,7 @@ def test_decoder_that_has_learnt_nothing_is_not_exported(shapes: MeshShapes, tmp
     state["decoder"]["layers.8.bias"] = torch.full((1,), 9.0)
     torch.save(state, checkpoint)
     with pytest.raises(InputError, match="no vehicle has a surface"):
-        export_mesh_training(checkpoint, shapes, FRAME, tmp_path / "out", 0.0)
+        export_mesh_training(checkpoint, shapes, FRAME, tmp_path / "out", 0.0, processes)
     assert not (tmp_path / "out" / "vehicles.safetensors").exists()
 
 
