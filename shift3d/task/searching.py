@@ -95,7 +95,7 @@ def _search(
 
 def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets) -> Family:
     """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn."""
-    measured = {name: assets.naturalness_of(spec, name) for name in assets.vehicles.names()}
+    measured = {name: assets.naturalness_of(spec, name) for name in assets.vehicles.kinds()}
     budget = spec.attack.naturalness
     names = [name for name, own in measured.items() if not budget or (own is not None and own.within(budget))]
     if not names:
@@ -130,12 +130,13 @@ def _budget(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> Callable[[Tenso
 
 
 def _space(spec: TaskSpec, problem: AttackProblem, assets: Assets, vehicle: Vehicle) -> CodeSpace:
-    if spec.attack.space == "pca":
-        codes = assets.vehicles.codes()
-        return pca_space(problem.code0, codes, spec.attack.components, f"vehicle {vehicle.name}, attack.space=pca")
-    if spec.attack.space in ("parameters", "family"):
-        return parameter_space(problem.code0, assets.vehicles.parameters(vehicle.name))
-    return free_space(problem.code0)
+    space, source = spec.attack.space, assets.vehicles
+    if space == "free":
+        return free_space(problem.code0)
+    if space == "parameters" or (space == "family" and source.is_parametric(vehicle.name)):
+        return parameter_space(problem.code0, source.parameters(vehicle.name))
+    where = f"vehicle {vehicle.name}, attack.space={space}"
+    return pca_space(problem.code0, source.codes(), spec.attack.components, where)
 
 
 def _require_space(spec: TaskSpec, assets: Assets) -> None:

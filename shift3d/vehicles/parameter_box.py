@@ -38,6 +38,13 @@ def parameter_tensors(name: str, box: BoxOfParameters) -> dict[str, NDArray[np.f
     return {f"{name}.parameters.{what}": np.asarray(value, np.float32) for what, value in values.items()}
 
 
+def parametric_vehicles(path: Path) -> frozenset[str]:
+    """The vehicles of a file whose codes are made of parameters. Raises InputError for an unreadable file."""
+    _, metadata, source = read_tensors(path)
+    facts = described(metadata, "baselines", source)
+    return frozenset(name for name, fact in facts.items() if _names(fact) is not None)
+
+
 def read_parameters(path: Path, name: str) -> BoxOfParameters:
     """The parameters of one vehicle of a file.
 
@@ -45,11 +52,11 @@ def read_parameters(path: Path, name: str) -> BoxOfParameters:
         empty or does not hold the vehicle itself.
     """
     tensors, metadata, source = read_tensors(path)
-    facts: Any = described(metadata, "baselines", source).get(name)
-    if not isinstance(facts, dict) or not isinstance(facts.get("parameters"), list):
+    listed = _names(described(metadata, "baselines", source).get(name))
+    if listed is None:
         remedy = "Give vehicle=wide, or attack.space=pca or free"
         raise InputError(f"{name[:80]!r} is made of no parameters", f"{source}, attack.space=parameters", remedy)
-    names = tuple(str(parameter) for parameter in facts["parameters"])
+    names = tuple(str(parameter) for parameter in listed)
     basis = tensor_of(tensors, f"{name}.parameters.basis", (len(names), CODE_LENGTH), source)
     start, low, high = (
         tensor_of(tensors, f"{name}.parameters.{what}", (len(names),), source).astype(np.float64)
@@ -60,3 +67,9 @@ def read_parameters(path: Path, name: str) -> BoxOfParameters:
         what = f"{name[:80]!r}: the range of {wrong[0] if wrong else 'no parameter'} does not hold the vehicle"
         raise InputError(what, str(source), "a vehicles file of shift3d")
     return BoxOfParameters(basis, start, low, high, names)
+
+
+def _names(facts: Any) -> list[Any] | None:
+    """The parameters that a vehicle's facts list; None for none."""
+    listed = facts.get("parameters") if isinstance(facts, dict) else None
+    return listed if isinstance(listed, list) else None

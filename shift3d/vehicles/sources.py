@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.names import WIDE
-from shift3d.vehicles.parameter_box import BoxOfParameters, read_parameters
+from shift3d.vehicles.parameter_box import BoxOfParameters, parametric_vehicles, read_parameters
 from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles, family_vehicles
 
 # A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
@@ -48,8 +48,16 @@ class VehicleSource(Protocol):
         """(N, code) of every vehicle that the decoder is known to draw, in a fixed order."""
         ...
 
+    def is_parametric(self, name: str) -> bool:
+        """Whether a vehicle's code is made of a generator's parameters."""
+        ...
+
     def parameters(self, name: str) -> BoxOfParameters:
         """What the generator of a vehicle leaves open. Raises InputError where its codes are made of none."""
+        ...
+
+    def kinds(self) -> list[str]:
+        """The vehicles that a search may turn to. Raises InputError where their sizes take long to measure."""
         ...
 
     def decoder(self) -> Decoder | DeepSdfNetwork:
@@ -74,18 +82,20 @@ def space_hash(source: VehicleSource, vehicle: str, space: str, edited: bool = F
 
     edited: the vehicle's parameters are edited, whatever the space.
     Raises: InputError where the vehicle is made of no parameters, and space is parameters or it is edited; for space
-    family, where one of the source's is.
+    family, where the source's vehicles are no kinds.
     """
     if space == "free" and not edited:
         return ""
-    arrays: tuple[NDArray[Any], ...] = (source.codes(),) if space == "pca" else ()
-    digest = hashlib.blake2b(space.encode(), digest_size=16)
-    bounded = source.names() if space == "family" else [vehicle] if space == "parameters" or edited else []
-    for name in bounded:
+    kinds = source.kinds() if space == "family" else []
+    parametric = [name for name in kinds if source.is_parametric(name)]
+    by_codes = space == "pca" or len(parametric) < len(kinds)
+    arrays: tuple[NDArray[Any], ...] = (source.codes(),) if by_codes else ()
+    for name in parametric if kinds else [vehicle] if space == "parameters" or edited else []:
         box = source.parameters(name)
         arrays += (box.basis, box.start, box.low, box.high)
-        if space == "family":
-            digest.update(vehicle_hash(source.vehicle(name)).encode())
+    digest = hashlib.blake2b(space.encode(), digest_size=16)
+    for name in kinds:
+        digest.update(vehicle_hash(source.vehicle(name)).encode())
     for array in arrays:
         digest.update(np.asarray(array, dtype=np.float64).tobytes())
     return digest.hexdigest()
@@ -125,8 +135,18 @@ class VehicleSet(VehicleSource):
     def codes(self) -> NDArray[np.float32]:
         return np.stack([found.latent_code for found in family_vehicles(self._folder / DEFAULT_VEHICLES.name)])
 
+    @functools.cached_property
+    def _parametric(self) -> frozenset[str]:
+        return parametric_vehicles(self._folder / DEFAULT_VEHICLES.name)
+
+    def is_parametric(self, name: str) -> bool:
+        return name in self._parametric
+
     def parameters(self, name: str) -> BoxOfParameters:
         return read_parameters(self._folder / DEFAULT_VEHICLES.name, name)
+
+    def kinds(self) -> list[str]:
+        return self.names()
 
     def decoder(self) -> Decoder:
         from shift3d.sdf.decoder import load_decoder
@@ -206,6 +226,13 @@ class DeepSdfVehicles(VehicleSource):
     def codes(self) -> NDArray[np.float32]:
         codes: NDArray[np.float32] = (self._experiment.codes * self._code_scale).numpy().astype(np.float32)
         return codes
+
+    def is_parametric(self, name: str) -> bool:
+        return False
+
+    def kinds(self) -> list[str]:
+        what = "each vehicle of a DeepSDF checkpoint has to be decoded before a search can turn to it"
+        raise InputError(what, f"{self._folder}, attack.space=family", "Give attack.space=pca or free")
 
     def parameters(self, name: str) -> BoxOfParameters:
         what, remedy = "the codes of a DeepSDF checkpoint are made of no parameters", "Give attack.space=pca or free"

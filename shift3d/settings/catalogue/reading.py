@@ -191,13 +191,14 @@ def _space_hash(source: VehicleSource, vehicle: str, attack: AttackConfig) -> st
     """See `vehicles.sources.space_hash`. Raises: InputError where the vehicles have no such space."""
     from shift3d.vehicles.sources import space_hash
 
-    if attack.space == "pca":
+    family = source.kinds() if attack.space == "family" else []
+    if attack.space == "pca" or not all(source.is_parametric(name) for name in family):
         import torch
 
         from shift3d.attack.space import pca_space
 
         code = torch.from_numpy(source.vehicle(vehicle).latent_code)
-        pca_space(code, source.codes(), attack.components, f"vehicle {vehicle}, attack.space=pca")
+        pca_space(code, source.codes(), attack.components, f"vehicle {vehicle}, attack.space={attack.space}")
     if attack.edit:
         import torch
 

@@ -67,17 +67,25 @@ def test_a_universal_search_over_kinds_puts_each_kind_into_every_scene(wide: Ass
     assert kept["loss"] != pytest.approx(kept["adversarial_loss"], rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("words", "why"),
-    [
-        (["attack.search=evolution"], "search evolution stays with one kind"),
-        (["attack.search=random", "vehicle=suv"], "made of no parameters"),
-    ],
-)
-def test_a_search_that_cannot_go_over_kinds_is_refused(words: list[str], why: str) -> None:
-    given = ["vehicle=wide", "vehicle.name=sedan", "mode=shape", "attack.space=family", *words]
-    with pytest.raises(InputError, match=why):
-        make_plan(compose_sweep("default", given[2:] if "vehicle=suv" in given else given), read_catalogue)
+def test_a_search_that_cannot_go_over_kinds_is_refused() -> None:
+    words = ["vehicle=wide", "vehicle.name=sedan", "mode=shape", "attack.space=family", "attack.search=evolution"]
+    with pytest.raises(InputError, match="search evolution stays with one kind"):
+        make_plan(compose_sweep("default", words), read_catalogue)
+
+
+def test_a_vehicle_without_parameters_is_a_kind_of_its_own() -> None:
+    """Its shape moves along the principal components of the set's codes; its length is its own."""
+    assets = load_assets(AssetsSpec(scenes=STREET, vehicles={"kind": "set", "folder": None}))
+    attack = AttackSpec(steps=4, random_replicates=0, noise_replicates=0, search="random", space="family", components=6)
+    found = run_task(make_spec(vehicle="suv", lambda_=0.0, attack=attack), assets)
+    (solution,) = (row for row in found.solutions if row["method"] == "adversarial")
+    vehicle = assets.vehicles.vehicle(solution["drawn_as"])
+    assert vehicle.name != "suv"
+    codes = assets.vehicles.codes().astype(np.float64)
+    axes = np.linalg.svd(codes - codes.mean(axis=0), full_matrices=False)[2][:6]
+    moved = np.array(solution["latent_code"]) - vehicle.latent_code
+    assert np.linalg.norm(moved) > 0.1
+    assert moved - axes.T @ (axes @ moved) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_an_edited_vehicle_stands_where_its_baseline_does(wide: Assets) -> None:

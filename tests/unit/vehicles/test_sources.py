@@ -13,7 +13,7 @@ import torch
 
 from shift3d.errors import InputError
 from shift3d.vehicles import sources
-from shift3d.vehicles.sources import DeepSdfVehicles, VehicleSet, set_folder, vehicle_hash
+from shift3d.vehicles.sources import DeepSdfVehicles, VehicleSet, set_folder, space_hash, vehicle_hash
 from shift3d.vehicles.vehicle import BASELINES, DEFAULT_VEHICLES, vehicle_mesh
 
 HALF = np.array([0.35, 0.25, 0.9])  # sdf units: x width, y up, z length
@@ -51,6 +51,11 @@ def write_octahedra(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_octahedra(tmp_path_factory.mktemp("experiment"))
+
+
+def test_a_search_over_a_checkpoints_vehicles_is_refused_before_each_is_decoded(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"attack\.space=family.*has to be decoded.* attack\.space=pca or free"):
+        space_hash(DeepSdfVehicles(folder), "van_1", "family")
 
 
 def test_scale_axes_and_centre_by_hand(folder: Path) -> None:

@@ -62,6 +62,10 @@ def test_the_hash_of_a_space_tells_what_bounds_a_search(wide: VehicleSet) -> Non
     assert space_hash(VehicleSet(WIDE), "sedan", "parameters") in hashes
     over_kinds = {space_hash(wide, name, "family") for name in ("sedan", "suv")}
     assert len(over_kinds) == 1 and not over_kinds & hashes
+    shipped = VehicleSet()
+    without_parameters = {space_hash(shipped, "suv", space) for space in ("family", "pca")}
+    assert len(without_parameters | over_kinds | hashes) == 6
+    assert space_hash(shipped, "sedan", "family") in without_parameters
 
 
 def test_vehicles_of_codes_alone_have_no_parameters() -> None:
