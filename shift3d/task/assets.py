@@ -49,6 +49,7 @@ class Assets:
     weights (None: those that ship). modules: name to the Python file of a detector of the user's. layouts: name to the
     layout of a foreign one. reference: settings of the reference set of naturalness, None: none. Copies in other
     precisions, scenes with their beams, maps of vehicles and the reference set are made on first use and kept.
+    baselines: those last measured, by the id of `TaskSpec.baseline`; see `shift3d.task.baseline`.
     """
 
     scenes: SceneSet
@@ -58,6 +59,7 @@ class Assets:
     modules: Mapping[str, str] = field(default_factory=dict)
     reference: Mapping[str, Any] | None = None
     layouts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    baselines: OrderedDict[str, Any] = field(default_factory=OrderedDict)
     _scenes: OrderedDict[str, tuple[Scene, Beams, str]] = field(default_factory=OrderedDict)
     _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)

@@ -22,9 +22,9 @@ from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
 from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
-from shift3d.task.assets import Assets
+from shift3d.task.assets import Assets, score_precision
 from shift3d.task.differences import Differences, differences
-from shift3d.task.scoring import Candidate, Scored
+from shift3d.task.scoring import SCORED_NEARBY, Candidate, Nearby, Scored, score_object
 from shift3d.task.spec import TaskSpec
 
 AUDITED = ("baseline", "adversarial")
@@ -45,6 +45,22 @@ class Audit:
         """The audit as columns of a row; time lives elsewhere."""
         values = asdict(self.found)
         return {"audited_beams": self.audited_beams, "audited_hits": values.pop("hits"), **values}
+
+
+def score_and_audit(
+    spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Candidate, nearby: Nearby | None = None
+) -> tuple[Scored, Audit | None]:
+    """A candidate's scores by every detector of the task, and the audit of its rendering where its method has one.
+
+    nearby: what scores of noisy copies start from.
+    """
+    others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
+    start_from = nearby if candidate.method in SCORED_NEARBY else None
+    radius_m = spec.attack.detection_radius_m
+    scored = score_object(problem, candidate.code, candidate.theta, radius_m, others, start_from)
+    # The reference would only be held against itself.
+    audited = candidate.method in AUDITED and problem.settings != REFERENCE
+    return scored, audit(spec, assets, problem, candidate, scored) if audited else None
 
 
 def audit(spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Candidate, scored: Scored) -> Audit:

@@ -17,15 +17,14 @@ from shift3d.attack.shape import SNAP_M, on_ground
 from shift3d.attack.trials import FREE_DISTANCE
 from shift3d.detectors.base import Detector
 from shift3d.naturalness.measure import NaturalnessMeasure
-from shift3d.placement.sampling import NoPlacement
-from shift3d.render.settings import REFERENCE
 from shift3d.seeding import generator
-from shift3d.task.assets import Assets, score_precision, search_precision
-from shift3d.task.audit import AUDITED, audit
+from shift3d.task.assets import Assets, search_precision
+from shift3d.task.audit import score_and_audit
+from shift3d.task.baseline import baseline_candidate, baseline_of
 from shift3d.task.exchange import TaskResult
-from shift3d.task.problem import as_vehicle, build_problem, place_vehicle
+from shift3d.task.problem import as_vehicle
 from shift3d.task.rows import Rows
-from shift3d.task.scoring import SCORED_NEARBY, Candidate, Nearby, score_object
+from shift3d.task.scoring import Candidate, Nearby
 from shift3d.task.searching import best_of_draws, edited_vehicle, pose_limits, search_task
 from shift3d.task.spec import TaskSpec
 from shift3d.task.transfer import put_elsewhere
@@ -43,27 +42,22 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
     """
     start = time.perf_counter()
     rows = Rows(spec)
-    placement = place_vehicle(spec, assets)
-    rows.time("baseline", "placement", 1e3 * (time.perf_counter() - start))
-    if isinstance(placement, NoPlacement):
+    baseline = baseline_of(spec, assets)
+    for stage, milliseconds in baseline.milliseconds.items():
+        rows.time("baseline", stage, milliseconds)
+    if baseline.found is None:
         for method, replicate in _planned(spec):
             rows.skip(method, replicate, "no_placement")
     else:
-        start_effects = time.perf_counter()
-        problem = build_problem(spec, assets, placement.theta)
-        if spec.effects:  # what they do once: draws, and weather on the scene's own points
-            rows.time("baseline", "effects_once", 1e3 * (time.perf_counter() - start_effects))
+        problem, scored, checked = baseline.found
+        unchanged = baseline_candidate(problem)
+        rows.add(unchanged, problem.code0, scored, checked, _naturalness(spec, assets, unchanged, rows))
         searched = assets.detector_of(spec.detector, search_precision(spec))
-        others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
-        nearby, radius_m = Nearby(), spec.attack.detection_radius_m
+        nearby = Nearby()
         for candidate in _candidates(spec, problem, searched, assets, rows):
-            start_from = nearby if candidate.method in SCORED_NEARBY else None
             there = _there(spec, assets, problem, candidate.vehicle)
-            scored = score_object(there, candidate.code, candidate.theta, radius_m, others, start_from)
+            scored, checked = score_and_audit(spec, assets, there, candidate, nearby)
             nearby.note(candidate.method, scored)
-            # The reference would only be held against itself.
-            audited = candidate.method in AUDITED and problem.settings != REFERENCE
-            checked = audit(spec, assets, there, candidate, scored) if audited else None
             rows.add(candidate, problem.code0, scored, checked, _naturalness(spec, assets, candidate, rows))
             if spec.transfer_scenes and candidate.method == "adversarial":
                 _put_elsewhere(spec, assets, candidate, rows)
@@ -114,11 +108,10 @@ def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
 def _candidates(
     spec: TaskSpec, problem: AttackProblem, searched: Detector, assets: Assets, rows: Rows
 ) -> Iterator[Candidate]:
-    """Baseline, random, adversarial and its noisy copies, in the order of the tables.
+    """Random, adversarial and its noisy copies, in the order of the tables.
 
     searched: the detector at the precision that is descended.
     """
-    yield Candidate("baseline", 0, problem.code0, problem.theta0, best_step=0)
     found = search_task(spec, replace(problem, detector=searched), assets)
     rows.attack(found)
     code, theta, vehicle = found.latent_code, found.theta, _other_than(problem, found)

@@ -240,6 +240,16 @@ class TaskSpec:
         where = json.dumps(vars(self.placement), sort_keys=True)
         return derive_seed("placement", self.base_seed, self.replicate, *what, where)
 
+    @property
+    def baseline(self) -> TaskSpec:
+        """What the unchanged vehicle's place and score depend on: the task without its search.
+
+        Equal for tasks that differ in mode, weight, step size or search alone.
+        """
+        same = ("max_shift_m", "below_ground_m", "detection_radius_m")
+        attack = AttackSpec(**{name: getattr(self.attack, name) for name in same})
+        return dataclasses.replace(self, mode="pose", alpha=0.0, attack=attack, transfer_scenes=(), reference_hash="")
+
     def moved_to(self, other: TransferScene, placing_hash: str | None = None) -> TaskSpec:
         """The same task in another scene, for putting what was found there: a place of its own, the same under every
         lambda, step size, accuracy and detector. placing_hash: of the task's scene as its vehicle is placed there,

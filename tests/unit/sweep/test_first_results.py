@@ -22,18 +22,15 @@ def tasks(*words: str) -> Tasks:
     return make_plan(compose_sweep("default", words), catalogue)[0].tasks
 
 
-def test_pose_attacks_go_first_and_tasks_of_a_vehicle_stay_together() -> None:
-    planned = tasks("vehicle=suv,coupe", "mode=shape,pose", "attack.lambda=1,10")
+@pytest.mark.parametrize("transfers", [0, 1])
+def test_pose_attacks_go_first_and_tasks_of_a_vehicle_in_a_scene_stay_together(transfers: int) -> None:
+    words = ("vehicle=suv,coupe", "mode=shape,pose", "attack.lambda=1,10", f"attack.transfer_scenes={transfers}")
+    planned = tasks(*words)
     order = [planned[position].spec for position in cheapest_first(planned, np.arange(len(planned)))]
-    found = [(spec.vehicle, spec.mode, spec.lambda_, spec.scene) for spec in order]
-    scenes = ("north", "south")
-    of_a_vehicle = [("pose", 0.0), ("shape", 1.0), ("shape", 10.0)]
-    modes = [(mode, lambda_) for mode, lambda_ in of_a_vehicle for _ in scenes]
-    assert [entry[0] for entry in found] == ["suv"] * 6 + ["coupe"] * 6
-    assert [entry[1] for entry in found] == [mode for mode, _ in modes] * 2
-    assert [entry[3] for entry in found] == list(scenes) * 6
-    shapes = [entry for entry in found if entry[1] == "shape"]
-    assert [entry[2] for entry in shapes] == [1.0, 1.0, 10.0, 10.0] * 2, "otherwise in plan order"
+    found = [(spec.vehicle, spec.scene, spec.mode, spec.lambda_) for spec in order]
+    searches = [("pose", None), ("shape", 1.0), ("shape", 10.0)]
+    in_turn = [(scene, *search) for scene in ("north", "south") for search in searches]
+    assert found == [(vehicle, *entry) for vehicle in ("suv", "coupe") for entry in in_turn]
 
 
 @pytest.mark.parametrize("words", [("mode=shape",), ("mode=pose",), ("mode=pose,shape",)])

@@ -1,0 +1,70 @@
+"""Tasks that differ in their search alone share a baseline: a worker measures it once, and no byte depends on that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from short_tasks import SHORT, STREET, THERE, make_spec
+
+from shift3d.task.assets import load_assets
+from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.run import run_task
+from shift3d.task.spec import PlacementSpec, TransferScene
+
+
+def baseline_stages(result: TaskResult) -> dict[str, float]:
+    return {row["stage"]: row["milliseconds"] for row in result.timings if row["method"] == "baseline"}
+
+
+def without_times(result: TaskResult) -> dict[str, list]:
+    return {name: rows for name, rows in vars(result).items() if name != "timings"}
+
+
+def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone(
+    shape: TaskResult, pose: TaskResult
+) -> None:
+    assets = load_assets(AssetsSpec(scenes=STREET))
+    first, second = run_task(make_spec(), assets), run_task(make_spec("pose"), assets)
+    assert baseline_stages(first).keys() >= {"placement", "render", "detector", "audit"}
+    assert sum(baseline_stages(second).values()) == 0.0
+    assert without_times(first) == without_times(shape)
+    assert without_times(second) == without_times(pose)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mode": "shape_pose"},
+        {"lambda_": 5.0},
+        {"alpha": 0.5},
+        {"attack": replace(SHORT, steps=9, search="random", space="pca", naturalness=95.0)},
+        {"transfer_scenes": (TransferScene(THERE, ""),)},
+        {"reference_hash": "r"},
+    ],
+)
+def test_what_belongs_to_the_search_leaves_it(changes: dict) -> None:
+    assert make_spec(**changes).baseline == make_spec("pose").baseline
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"vehicle": "coupe"},
+        {"scene": THERE},
+        {"scene_hash": "s"},
+        {"detector": "sst"},
+        {"scored_by": ("centerpoint",)},
+        {"accuracy_settings": {"solver": "sphere_tracing"}},
+        {"replicate": 1},
+        {"base_seed": 1},
+        {"effects": ("fog",)},
+        {"effect_settings": {"visibility_m": 50.0}},
+        {"placement": PlacementSpec(max_range_m=30.0)},
+        {"attack": replace(SHORT, max_shift_m=2.0)},
+        {"attack": replace(SHORT, below_ground_m=0.05)},
+        {"attack": replace(SHORT, detection_radius_m=4.0)},
+    ],
+)
+def test_what_a_score_depends_on_makes_another(changes: dict) -> None:
+    assert make_spec(**changes).baseline != make_spec().baseline
