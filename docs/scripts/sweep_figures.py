@@ -43,7 +43,7 @@ def sweep_figures(sweep: Sweep) -> dict[str, dict[str, Any]]:
     parts = variants(sweep.auc, sweep.scored)
     for variant in parts:
         found |= dict(_aucs(variant)) | dict(_cells(sweep, variant)) | dict(_path(sweep, variant))
-        found |= dict(_beside_random_draws(sweep, variant))
+        found |= dict(_beside_random_draws(sweep, variant)) | dict(_descent(sweep, variant))
     if not sweep.choices.empty:
         found |= {f"choice/{number}": _one(why) for number, why in enumerate(reasons(sweep.choices))}
     found |= dict(_numbers("budget", budget_table(parts)))
@@ -109,6 +109,27 @@ def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
         own = sweep.solutions[sweep.solutions["task_id"].isin(tasks) & (sweep.solutions["method"] == method)]
         for kind, count in own["drawn_as"].fillna(own["vehicle"]).value_counts().items():
             yield f"{variant.title}/{method} drawn as/{kind}", _one(int(count), n=len(own))
+
+
+def _descent(sweep: Sweep, variant: Variant) -> Figures:
+    """Whether the loss falls along the steps of a search that follows one: its mean over the last quarter less that
+    over the first, task by task. Draws for a start are no steps of it."""
+    rows = searched(sweep, variant) if variant.is_own else sweep.trajectories.iloc[:0]
+    if rows.empty:
+        return
+    (task,) = sweep.plan.tasks.starting_with(rows["task_id"].iloc[0])
+    attack = task.spec.attack
+    if attack.search not in ("descent", "expectation"):
+        return
+    first = max(attack.starts, 1) if attack.search == "expectation" else 1
+    table = rows[rows["step"] >= first].pivot_table(index=["place", "task_id"], columns="step", values="loss")
+    losses = table.sort_index(axis=1).ffill(axis=1).to_numpy()
+    quarter = losses.shape[1] // 4
+    if not quarter:
+        return
+    fall = losses[:, -quarter:].mean(axis=1) - losses[:, :quarter].mean(axis=1)
+    known = mean_interval(fall, list(table.index.get_level_values("place")))
+    yield f"{variant.title}/adversarial/loss, last quarter less first", _within(known.mean, known, "loss", len(fall))
 
 
 def _cells(sweep: Sweep, variant: Variant) -> Figures:

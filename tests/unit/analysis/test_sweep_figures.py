@@ -51,6 +51,20 @@ def test_how_much_was_run_is_said(sweep: Sweep) -> None:
     assert (found["tasks"], found["tasks scored"], found["scenes"]) == (len(sweep.plan.tasks), 2, 2)
 
 
+def test_the_fall_of_the_loss_is_that_of_the_last_quarter_below_the_first(sweep: Sweep) -> None:
+    """The unchanged vehicle is no step, and a search that ends early stays where it was."""
+    one = sweep.scored.drop_duplicates("task_id")[["task_id", "dataset", "scene", "vehicle"]]
+    losses = [50.0, 9.0, 7.0, 5.0, 4.0, 4.0, 4.0, 3.0, 1.0]
+    steps = [one.assign(step=step, loss=loss) for step, loss in enumerate(losses)]
+    early = pd.concat([*steps[:7], *(rows.iloc[:-1] for rows in steps[7:])], ignore_index=True)
+    falls = [-(8.0 - 2.0)] * (len(one) - 1) + [-(8.0 - 4.0)]
+    name = "Adversarial shape/adversarial/loss, last quarter less first"
+    found = sweep_figures(dataclasses.replace(sweep, trajectories=early))[name]
+    assert found["value"] == pytest.approx(sum(falls) / len(falls)) and found["n"] == len(one) > 1
+    low, high = found["interval"]
+    assert min(falls) <= low < high <= max(falls)
+
+
 def test_other_places_are_counted_by_their_cells(sweep: Sweep) -> None:
     keys = ["sweep", "dataset", "vehicle", "mode", "lambda", "alpha", "detector", "accuracy", "search", "effects"]
     own = sweep.auc[(sweep.auc["method"] == "adversarial") & sweep.auc["selected"]].iloc[:1]
