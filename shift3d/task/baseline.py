@@ -26,7 +26,7 @@ _KEPT = 2
 class Baseline:
     """found: the placed vehicle before the detector, its scores and its audit; None where the scene has no place.
 
-    milliseconds: spent for the task that asked, by stage, scoring excluded.
+    milliseconds: by stage, scoring excluded; none where an earlier task has measured it.
     """
 
     found: tuple[AttackProblem, Scored, Audit | None] | None

@@ -90,7 +90,8 @@ def space_hash(source: VehicleSource, vehicle: str, space: str, edited: bool = F
     parametric = [name for name in kinds if source.is_parametric(name)]
     by_codes = space == "pca" or len(parametric) < len(kinds)
     arrays: tuple[NDArray[Any], ...] = (source.codes(),) if by_codes else ()
-    for name in parametric if kinds else [vehicle] if space == "parameters" or edited else []:
+    own = [vehicle] if space == "parameters" or edited else []
+    for name in parametric if kinds else own:
         box = source.parameters(name)
         arrays += (box.basis, box.start, box.low, box.high)
     digest = hashlib.blake2b(space.encode(), digest_size=16)

@@ -32,6 +32,14 @@ def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone(
     assert without_times(second) == without_times(pose)
 
 
+def test_tasks_that_share_a_scene_without_room_each_say_so() -> None:
+    assets = load_assets(AssetsSpec(scenes=STREET))
+    nowhere = PlacementSpec(min_object_points=1_000_000, attempts=2)
+    found = [run_task(make_spec(mode, placement=nowhere), assets) for mode in ("shape", "pose")]
+    assert [{row["status"] for row in result.scores} for result in found] == [{"no_placement"}] * 2
+    assert "placement" in baseline_stages(found[0]) and not baseline_stages(found[1])
+
+
 @pytest.mark.parametrize(
     "changes",
     [
