@@ -39,7 +39,11 @@ def free_space(code0: Tensor) -> CodeSpace:
     return CodeSpace(code0, lambda code: code, lambda code: code, draw)
 
 
-def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where: str) -> CodeSpace:
+KIN = 0.5
+"""Standard deviation of draws about a known code, in those of all known codes; our choice: a vehicle much like it."""
+
+
+def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where: str, near: bool = False) -> CodeSpace:
     """The plane through the baseline's code along the principal components of known codes, within an ellipsoid.
 
     Coordinates are standard deviations of the known codes along each component, counted from their mean. Their length
@@ -47,6 +51,7 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
     has beside the components it keeps.
 
     Args: code0: (d,). codes: (N, d) known ones. components: k. where: whose codes they are, for messages.
+        near: draws are the baseline's code moved by `KIN` along each component; False: draws of that Gaussian.
     Raises: InputError for fewer than k + 2 codes, or codes that do not spread along k components.
     Source: SHIFT3D's supplement takes 10 principal components to reconstruct vehicles; the ellipsoid is our choice.
     """
@@ -63,7 +68,8 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
         return u * (radius / length) if length > radius else u
 
     def draw(rng: np.random.Generator, distance: float) -> Tensor:
-        return project(torch.from_numpy(rng.standard_normal(components)))
+        drawn = torch.from_numpy(rng.standard_normal(components))
+        return project(start + KIN * drawn if near else drawn)
 
     return CodeSpace(start, code, project, draw)
 

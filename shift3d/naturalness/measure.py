@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from trimesh.graph import connected_component_labels
 
 from shift3d.errors import InputError
@@ -25,12 +26,19 @@ if TYPE_CHECKING:
     from shift3d.vehicles.vehicle import Vehicle
 
 
+GAP_M = 0.2
+"""Two cells of the grid that a code is decoded on: bars of a roof box, which are thinner than a cell, span less."""
+LEAST_PIECE = 0.9
+"""Share of a vehicle's surface that hangs together, at least. Our choice: 155 real cars have 0.906 or more."""
+
+
 @dataclass(frozen=True)
 class NaturalnessMeasure:
     """What is measured of one shape; nearest and sizes are None for a code without a surface.
 
     percentile: share of the reference's left-out members that lie nearer than the shape, see `Calibration.percentile`.
-    largest_piece: share of the surface that hangs together; None where points alone are known.
+    largest_piece: share of a decoded surface that hangs together, see the function; None for meshes and points, whose
+    parts may touch without sharing corners.
     """
 
     nearest: Nearest | None
@@ -40,16 +48,19 @@ class NaturalnessMeasure:
 
     @property
     def out_of_range(self) -> tuple[str, ...]:
-        """Names of the sizes that no published vehicle has."""
-        return () if self.sizes is None else self.sizes.out_of_range()
+        """Names of the sizes that no published vehicle has; `largest_piece` where it is less than `LEAST_PIECE`."""
+        if self.sizes is None:
+            return ()
+        loose = self.largest_piece is not None and self.largest_piece < LEAST_PIECE
+        return self.sizes.out_of_range() + loose * ("largest_piece",)
 
     @property
     def natural(self) -> bool:
-        """Within the reference's 95th percentile, and of a vehicle's sizes."""
+        """Within the reference's 95th percentile, of a vehicle's sizes, and of one piece."""
         return self.within(NATURAL_PERCENTILE)
 
     def within(self, percentile: float) -> bool:
-        """Whether the shape lies within a percentile, and has a vehicle's sizes."""
+        """Whether the shape lies within a percentile, has a vehicle's sizes, and hangs together."""
         return self.sizes is not None and self.percentile <= percentile and not self.out_of_range
 
 
@@ -73,10 +84,9 @@ class Naturalness:
             surface = shape
         else:
             surface = surface_of_mesh(shape) if isinstance(shape, trimesh.Trimesh) else surface_of_points(shape)
-        piece = _largest_piece(shape) if isinstance(shape, trimesh.Trimesh) else None
         nearest = self.reference.nearest(surface)
         percentile = self.reference.calibration.percentile(nearest.mean_cm, nearest.p95_cm)
-        return NaturalnessMeasure(nearest, sizes_of(surface), percentile, piece)
+        return NaturalnessMeasure(nearest, sizes_of(surface), percentile)
 
     def of_code(
         self, vehicle: Vehicle, decoder: Decoder | DeepSdfNetwork, code: ArrayLike | Tensor
@@ -94,15 +104,16 @@ class Naturalness:
         if not np.isfinite(values).all():
             return NO_SURFACE
         try:
-            return self.of(decoded_mesh(vehicle, decoder, values))
+            mesh = decoded_mesh(vehicle, decoder, values)
+            return replace(self.of(mesh), largest_piece=largest_piece(mesh))
         except InputError:
             return NO_SURFACE
 
 
-def _largest_piece(mesh: trimesh.Trimesh) -> float:
-    """Share of the area in the largest connected piece."""
-    faces = np.asarray(mesh.faces)
-    edges = np.concatenate((faces[:, :2], faces[:, 1:]))
+def largest_piece(mesh: trimesh.Trimesh) -> float:
+    """Share of the area in the largest piece; pieces less than `GAP_M` apart, corner from corner, are one."""
+    faces, near = np.asarray(mesh.faces), cKDTree(mesh.vertices).query_pairs(GAP_M, output_type="ndarray")
+    edges = np.concatenate((faces[:, :2], faces[:, 1:], near))
     piece = connected_component_labels(edges, node_count=len(mesh.vertices))[faces[:, 0]]
     areas = np.bincount(piece, weights=mesh.area_faces)
     return float(areas.max() / areas.sum())

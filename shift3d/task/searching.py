@@ -136,7 +136,7 @@ def _space(spec: TaskSpec, problem: AttackProblem, assets: Assets, vehicle: Vehi
     if space == "parameters" or (space == "family" and source.is_parametric(vehicle.name)):
         return parameter_space(problem.code0, source.parameters(vehicle.name))
     where = f"vehicle {vehicle.name}, attack.space={space}"
-    return pca_space(problem.code0, source.codes(), spec.attack.components, where)
+    return pca_space(problem.code0, source.codes(), spec.attack.components, where, near=space == "family")
 
 
 def _require_space(spec: TaskSpec, assets: Assets) -> None:

@@ -60,6 +60,14 @@ def test_the_ball_of_pca_holds_95_of_100_draws_of_a_gaussian(codes: np.ndarray) 
     assert np.mean(kept) == pytest.approx(0.95, abs=0.012)
 
 
+def test_draws_near_a_known_code_are_half_as_far_as_known_codes_are(codes: np.ndarray) -> None:
+    space = pca_space(torch.from_numpy(codes[7]), codes, 3, "codes", near=True)
+    rng = np.random.default_rng(4)
+    moved = torch.stack([space.draw(rng, 0.2) - space.start for _ in range(400)])
+    assert moved.std(0).numpy() == pytest.approx([0.5] * 3, rel=0.15)
+    assert moved.mean(0).abs().max() < 0.1
+
+
 def test_projection_on_the_ball_is_the_nearest_point_and_done_once(codes: np.ndarray) -> None:
     space = pca_space(torch.from_numpy(codes.mean(axis=0)), codes, 3, "codes")
     u = torch.tensor([30.0, -40.0, 0.0], dtype=torch.float64)

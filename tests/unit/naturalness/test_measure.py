@@ -14,7 +14,7 @@ from vehicles_by_hand import Meshes, legged, legged_boxes, measures, on_legs, re
 
 from shift3d.errors import InputError
 from shift3d.naturalness.decoded import decoded_mesh
-from shift3d.naturalness.measure import NO_SURFACE, Naturalness
+from shift3d.naturalness.measure import NO_SURFACE, Naturalness, largest_piece
 from shift3d.naturalness.reference import likely_nearest
 from shift3d.naturalness.surface import surface_of_mesh
 from shift3d.vehicles.family.wide import build_wide_mesh, wide_vehicle
@@ -168,9 +168,27 @@ def test_a_code_without_a_surface_is_unnatural(set_of_20: Naturalness) -> None:
         set_of_20.of_code(VEHICLE, broken, np.zeros(5, np.float32))
 
 
-def test_two_pieces_are_seen(set_of_20: Naturalness) -> None:
-    second = trimesh.creation.box((0.4, 0.4, 0.4), trimesh.transformations.translation_matrix((0, 0, 2.0)))
-    found = set_of_20.of(trimesh.util.concatenate([trimesh.creation.box((4.5, 1.8, 1.3)), second]))
-    body = 2 * (4.5 * 1.8 + 4.5 * 1.3 + 1.8 * 1.3)
-    assert found.largest_piece == pytest.approx(body / (body + 6 * 0.16))
-    assert set_of_20.of(surface_of_mesh(on_legs()).points).largest_piece is None
+@pytest.mark.parametrize(
+    ("side", "above_m", "natural"),
+    [(0.5, 0.3, True), (0.9, 0.3, False), (0.9, 0.1, True)],
+    ids=["a small part", "a large part", "a part on bars thinner than the grid"],
+)
+def test_a_shape_with_more_than_a_tenth_of_its_surface_loose_is_no_vehicle(
+    set_of_20: Naturalness, side: float, above_m: float, natural: bool
+) -> None:
+    """A cube that floats over a member; whatever the percentile allows."""
+    loose = (0.0, 0.0, 1.3 + above_m + side / 2), (side, side, side)
+    decoder: Any = Boxes([*legged_boxes(length_m=4.6), loose])
+    found = set_of_20.of_code(VEHICLE, decoder, np.zeros(4, np.float32))
+    body = on_legs(length_m=4.6).area - 4 * 2 * (0.5 * 0.2 + 0.5 * 0.3 + 0.2 * 0.3)  # what legs hide, both ways
+    together = body / (body + 6 * side**2) if above_m > 0.2 else 1.0
+    assert found.largest_piece == pytest.approx(together, abs=0.02)
+    assert found.within(100.0) == natural and found.out_of_range == (() if natural else ("largest_piece",))
+
+
+def test_pieces_of_a_mesh_may_touch_without_sharing_corners(set_of_20: Naturalness) -> None:
+    assert set_of_20.of(on_legs()).largest_piece is None
+    body, beside = trimesh.creation.box((2.0, 1.0, 1.0)), trimesh.creation.box((1.0, 1.0, 1.0))
+    for apart_m, together in ((0.1, 1.0), (0.3, 10 / 16)):
+        both = [body, beside.copy().apply_translation((1.5 + apart_m, 0.0, 0.0))]
+        assert largest_piece(trimesh.util.concatenate(both)) == pytest.approx(together)
