@@ -1,4 +1,4 @@
-"""The README's pictures, drawn from the shipped weights and finished sweeps.
+"""The README's and the pages' pictures, drawn from what ships and from finished sweeps.
 
 ``python docs/scripts/pictures.py OUT ... [task=ID] [folder=FOLDER]``: OUTs are folders of sweeps before one detector,
 one of shapes and one of poses say; ID (the one whose score falls furthest, its shape natural) is what is shown; FOLDER
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from shift3d.task.assets import Assets
 
-__all__ = ["draw_case", "draw_family", "draw_random_codes", "draw_training"]
+__all__ = ["draw_case", "draw_effects", "draw_family", "draw_random_codes", "draw_training"]
 
 _RED = (0.75, 0.3, 0.27)
 _SIDE, _THREE_QUARTERS = (np.pi / 2, 0.05), (0.7, 0.3)
@@ -218,6 +218,14 @@ def draw_training(path: Path) -> None:
     figure.savefig(path)
 
 
+def draw_effects(path: Path) -> None:
+    """What each effect is worth and takes, as `effects=auto` reads it."""
+    from shift3d.analysis.figures.sweep import effects_figure
+    from shift3d.effects.applicability import measured_impact
+
+    effects_figure(measured_impact()).savefig(path, dpi=110, metadata={"Software": None})
+
+
 def _hardest_natural(scores: pd.DataFrame) -> str:
     """Id of the task whose score fell furthest, of those whose shape is natural."""
     from shift3d.analysis.results import natural_by_task
@@ -250,6 +258,7 @@ def main(arguments: list[str]) -> None:
     draw_family(folder / "family.png")
     draw_random_codes(folder / "random_codes.png")
     draw_training(folder / "training.png")
+    draw_effects(folder / "effects.png")
     tables = {
         name: pd.concat([pd.read_parquet(out / "final" / f"{name}.parquet") for out in outs], ignore_index=True)
         for name in ("scores", "solutions", "auc")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -10,27 +10,25 @@ from matplotlib.figure import Figure
 
 from shift3d.analysis.figures.labels import FloatArray, PointLabel, place_labels
 from shift3d.analysis.figures.picture import COLOURS
-from shift3d.analysis.tables.effects import EffectImpact
-from shift3d.effects.applicability import IMPACT_BOUND
+from shift3d.effects.applicability import IMPACT_BOUND, MeasuredImpact
 from shift3d.methods import METHODS
 
 _LEAST_MS, _LEAST = 0.5, 1e-4
 _MEANING = {True: "auto takes it: its interval reaches the line", False: "auto leaves it out"}
 
 
-def effects_figure(impacts: Sequence[EffectImpact]) -> Figure:
-    """Change of the baseline's score against milliseconds; auto leaves out what lies whole below the line."""
+def effects_figure(impacts: Mapping[str, MeasuredImpact]) -> Figure:
+    """Change of the baseline's score against milliseconds; auto leaves out effects whose bar lies below the line."""
     figure = Figure(figsize=(7.2, 4.6), dpi=110, layout="constrained")
     axes = figure.subplots()
     labels, bars = list[PointLabel](), list[FloatArray]()
-    for impact in impacts:
-        change = impact.score_change
-        x, y = max(impact.milliseconds, _LEAST_MS), max(change.mean, _LEAST)
-        colour = "#d55e00" if impact.measured.matters else "#707070"
-        bars.append(np.array([[x, max(change.low, _LEAST)], [x, max(change.high, _LEAST)]]))
+    for effect, impact in impacts.items():
+        x, y = max(impact.milliseconds, _LEAST_MS), max(impact.score_change, _LEAST)
+        colour = "#d55e00" if impact.matters else "#707070"
+        bars.append(np.array([[x, max(impact.low, _LEAST)], [x, max(impact.high, _LEAST)]]))
         axes.plot(*bars[-1].T, color=colour, lw=1.2)
-        axes.plot(x, y, "o", color=colour, ms=5, label=_MEANING[impact.measured.matters])
-        labels.append(PointLabel(impact.effect.replace("_", " "), x, y))
+        axes.plot(x, y, "o", color=colour, ms=5, label=_MEANING[impact.matters])
+        labels.append(PointLabel(effect.replace("_", " "), x, y))
     axes.axhline(IMPACT_BOUND, color="#202020", lw=0.8, ls="--", label=f"a change of {IMPACT_BOUND:g}")
     axes.set_xscale("log")
     axes.set_yscale("log")

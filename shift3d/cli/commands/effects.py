@@ -79,7 +79,8 @@ def _run(arguments: argparse.Namespace) -> int:
     print(f"{effect_table(impacts)}\n")
     print(f"{write_effects_page(folder / 'final' / 'effects.html', sweep, impacts)} written")
     if arguments.picture:
-        effects_figure(impacts).savefig(arguments.picture, dpi=110, metadata={"Software": None})
+        figure = effects_figure({impact.effect: impact.measured for impact in impacts})
+        figure.savefig(arguments.picture, dpi=110, metadata={"Software": None})
     if arguments.adopt:
         if (fewest := min(impact.scenes for impact in impacts)) < LEAST_SCENES:
             what = f"{counted(fewest, 'scene')} behind an effect: intervals are too narrow below {LEAST_SCENES}"

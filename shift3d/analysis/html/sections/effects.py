@@ -28,7 +28,7 @@ def impact_blocks(impacts: Sequence[EffectImpact]) -> list[Block]:
     return [
         Paragraph("The same vehicles at the same places, without effects and with one at a time."),
         Picture(
-            png(effects_figure(impacts)),
+            png(effects_figure({impact.effect: impact.measured for impact in impacts})),
             alt,
             "An effect whose whole bar lies below the dashed line is left out by effects=auto.",
         ),
