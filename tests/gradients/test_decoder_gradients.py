@@ -5,9 +5,7 @@ as the project promises: what the few beams make whose piece ends within a step.
 """
 
 from collections.abc import Callable
-from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from analytic_fields import Frame, sector_scan
@@ -15,30 +13,18 @@ from gradient_cases import EXACT, GradientCase, relative_error, select, wavy_los
 from torch import Tensor
 
 from shift3d.render import Beams, Rendering, render
-from shift3d.sdf.decoder import DEFAULT_WEIGHTS, Decoder, load_decoder
+from shift3d.sdf.decoder import Decoder, load_decoder
+from shift3d.vehicles.vehicle import baseline_vehicles
 
 THETA = torch.tensor([13.0, 2.0, -1.0, 0.8, 0.02, -0.03], dtype=torch.float64)
 
 
 @pytest.fixture(scope="module")
 def shapes() -> tuple[Decoder, Tensor, Frame]:
-    """A trained decoder with a car's code: the shipped one, or real data's."""
-    if DEFAULT_WEIGHTS.is_file():
-        from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, baseline_vehicles
-
-        if DEFAULT_VEHICLES.is_file():
-            v = baseline_vehicles()["suv"]
-            frame = Frame(v.size_m, v.scale_m, v.sdf_R_object, v.sdf_t_object)
-            return load_decoder().double(), torch.from_numpy(v.latent_code).double(), frame
-    root = Path(__file__).resolve().parents[3] / "shared" / "real" / "decoder"
-    if not root.is_dir():
-        pytest.skip("neither shipped weights nor real data")
-    from shift3d.sdf.foreign import load_experiment
-
-    experiment = load_experiment(root)
-    decoder, codes = experiment.decoder, experiment.codes
-    axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-    return decoder.double(), codes[45].double(), Frame((4.6, 1.9, 1.45), 2.43, axes, np.zeros(3))
+    """The shipped decoder with a car's code."""
+    v = baseline_vehicles()["suv"]
+    frame = Frame(v.size_m, v.scale_m, v.sdf_R_object, v.sdf_t_object)
+    return load_decoder().double(), torch.from_numpy(v.latent_code).double(), frame
 
 
 def drawing(decoder: Decoder, frame: Frame, beams: Beams) -> Callable[[Tensor, Tensor], Rendering]:

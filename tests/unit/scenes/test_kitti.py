@@ -14,9 +14,6 @@ from shift3d.scenes.ground_map import estimate_ground_z
 from shift3d.scenes.kitti.files import Calibration, lidar_box, read_labels
 from shift3d.scenes.kitti.scenes import KittiScenes
 
-REAL = Path(__file__).parents[3] / ".." / "shared" / "real" / "kitti"
-needs_kitti = pytest.mark.skipif(not REAL.is_dir(), reason="no real KITTI frames at ../shared/real/kitti")
-
 # Camera x = -lidar y, camera y = -lidar z, camera z = lidar x, no offset: the axes of the two frames, nothing else.
 AXES = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 PROJECTION = np.array([[700.0, 0.0, 600.0, 0.0], [0.0, 700.0, 180.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
@@ -173,9 +170,9 @@ def test_a_label_row_without_a_box_is_left_out(tmp_path: Path) -> None:
     assert read_labels(path, CAMERA) == []
 
 
-@needs_kitti
-def test_real_frames_load() -> None:
-    scenes = KittiScenes(REAL)
+def test_real_frames_load(real_data: Callable[[str], Path]) -> None:
+    root = real_data("kitti")
+    scenes = KittiScenes(root)
     assert len(scenes.names()) >= 10
     for name in scenes.names():
         scene = scenes.load(name)
@@ -184,12 +181,12 @@ def test_real_frames_load() -> None:
         assert scene.ground_z_m == estimate_ground_z(scene.points, -1.73)
 
 
-@needs_kitti
-def test_real_beams_turn_counter_clockwise_ring_by_ring_downwards() -> None:
+def test_real_beams_turn_counter_clockwise_ring_by_ring_downwards(real_data: Callable[[str], Path]) -> None:
     """Ranges from the origin are the file's; the order of azimuths is that of 64 turns, each below the one before."""
-    for name in KittiScenes(REAL).names()[:3]:
-        scene = KittiScenes(REAL).load(name)
-        raw = np.fromfile(REAL / "training" / "velodyne" / f"{name}.bin", "<f4").reshape(-1, 4)
+    root = real_data("kitti")
+    for name in KittiScenes(root).names()[:3]:
+        scene = KittiScenes(root).load(name)
+        raw = np.fromfile(root / "training" / "velodyne" / f"{name}.bin", "<f4").reshape(-1, 4)
         away = scene.points.astype(np.float64) - scene.origins
         reach = np.linalg.norm(away, axis=1)
         np.testing.assert_allclose(reach, np.linalg.norm(raw[:, :3].astype(np.float64), axis=1), atol=1e-6)
@@ -201,9 +198,9 @@ def test_real_beams_turn_counter_clockwise_ring_by_ring_downwards() -> None:
         assert len(rings) == 64 and (np.diff(rings) < 0).all()
 
 
-@needs_kitti
-def test_labelled_boxes_hold_their_points_and_stand_on_the_ground() -> None:
-    scene = KittiScenes(REAL).load("001584")
+def test_labelled_boxes_hold_their_points_and_stand_on_the_ground(real_data: Callable[[str], Path]) -> None:
+    root = real_data("kitti")
+    scene = KittiScenes(root).load("001584")
     near = scene.labels.num_points > 300
     assert near.sum() == 3
     for car, count in zip(scene.labels.boxes[near], scene.labels.num_points[near], strict=True):
@@ -215,9 +212,9 @@ def test_labelled_boxes_hold_their_points_and_stand_on_the_ground() -> None:
         assert abs(car[2] - car[5] / 2 - scene.ground_z_m) < 0.3
 
 
-@needs_kitti
-def test_labelled_boxes_are_in_the_cameras_view() -> None:
-    scenes = KittiScenes(REAL)
+def test_labelled_boxes_are_in_the_cameras_view(real_data: Callable[[str], Path]) -> None:
+    root = real_data("kitti")
+    scenes = KittiScenes(root)
     scene = scenes.load("000038")
     assert scenes.camera_view("000038").in_view(scene.labels.boxes).all()
     bearing = np.arctan2(scene.labels.boxes[:, 1], scene.labels.boxes[:, 0])
