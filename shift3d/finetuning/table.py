@@ -44,15 +44,18 @@ def finetune_table(scores: pd.DataFrame, natural: Sequence[Mapping[str, Any]]) -
 
 
 def seed_means(scores: pd.DataFrame) -> pd.DataFrame:
-    """Scores of tuned models averaged over seeds, object by object, without a seed; objects that every seed has."""
+    """Scores of tuned models averaged over seeds, object by object, without a seed; objects that every seed has.
+
+    Objects that differ in nothing that `_KEY` names, as under several attack.starts, count as one.
+    """
     tuned = scores[scores["seed"].notna()]
     if tuned.empty:
         return tuned
-    grouped = tuned.groupby(["model", "scene_set", "objects", *_KEY], sort=False)["score"]
+    grouped = tuned.groupby(["model", "scene_set", "objects", *_KEY], sort=False)
     seeds = tuned.groupby("model")["seed"].nunique()
-    means = grouped.agg(["mean", "size"]).reset_index()
-    whole = means["size"] == means["model"].map(seeds)
-    return means[whole].rename(columns={"mean": "score"}).drop(columns="size").assign(seed=np.nan)
+    means = grouped.agg(score=("score", "mean"), seeds=("seed", "nunique")).reset_index()
+    whole = means["seeds"] == means["model"].map(seeds)
+    return means[whole].drop(columns="seeds").assign(seed=np.nan)
 
 
 def _aucs(scores: pd.DataFrame) -> Iterator[dict[str, Any]]:
@@ -65,7 +68,8 @@ def _aucs(scores: pd.DataFrame) -> Iterator[dict[str, Any]]:
         row |= _interval("", own["score"], own["place"])
         before = vanilla[(vanilla["scene_set"] == scene_set) & (vanilla["objects"] == objects)]
         if model != VANILLA:
-            both = own.merge(before, on=_KEY, suffixes=("", "_before"))
+            once = before.groupby(_KEY, sort=False, as_index=False)["score"].mean()
+            both = own.merge(once, on=_KEY, suffixes=("", "_before"))
             row |= _interval("gain", both["score"] - both["score_before"], both["place"]) if len(both) else {}
         yield row
 

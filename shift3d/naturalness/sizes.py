@@ -38,13 +38,13 @@ class Sizes:
 
     @property
     def width_to_length(self) -> float:
-        """Width over length."""
-        return self.width_m / self.length_m
+        """Width over length; infinite for what has no length."""
+        return self.width_m / self.length_m if self.length_m else math.inf
 
     @property
     def height_to_length(self) -> float:
-        """Height over length."""
-        return self.height_m / self.length_m
+        """Height over length; infinite for what has no length."""
+        return self.height_m / self.length_m if self.length_m else math.inf
 
     def out_of_range(self) -> tuple[str, ...]:
         """Names of the measures that no published vehicle has; one that is not finite is among them."""

@@ -16,6 +16,7 @@ from shift3d.errors import InputError
 if TYPE_CHECKING:
     import trimesh
 
+    from shift3d.vehicles.mesh_files import MeshFile
     from shift3d.vehicles.mesh_frame import MeshFrame
 
 Build = Callable[[], "tuple[str, trimesh.Trimesh]"]
@@ -77,23 +78,31 @@ def _wide_member(index: int, seed: int, resolution_m: float) -> tuple[str, trime
 
 @dataclass(frozen=True)
 class MeshReference:
-    """Every mesh of a folder, as it is: holes are not closed, what is inside counts. frame: of the files."""
+    """Every mesh of a folder, as it is: holes are not closed, what is inside counts. frame: of the files.
+
+    Of files with the same bytes the first by name is a member: one that comes twice would lie 0 cm from another.
+    """
 
     folder: str
     frame: MeshFrame
 
     def identity(self) -> dict[str, Any]:
         """See `ReferenceSource`."""
-        from shift3d.vehicles.mesh_files import find_meshes
-
-        files = [[file.name, file.sha256()] for file in find_meshes(self.folder)]
+        files = [[file.name, digest] for digest, file in self._files().items()]
         return {"kind": "meshes", "frame": vars(self.frame), "files": files}
 
     def members(self) -> Sequence[Build]:
         """See `ReferenceSource`."""
+        return [functools.partial(_read, file.name, file.path, self.frame) for file in self._files().values()]
+
+    def _files(self) -> dict[str, MeshFile]:
+        """The first file of each content, by its hash."""
         from shift3d.vehicles.mesh_files import find_meshes
 
-        return [functools.partial(_read, file.name, file.path, self.frame) for file in find_meshes(self.folder)]
+        found: dict[str, MeshFile] = {}
+        for file in find_meshes(self.folder):
+            found.setdefault(file.sha256(), file)
+        return found
 
 
 def _read(name: str, path: Path, frame: MeshFrame) -> tuple[str, trimesh.Trimesh]:

@@ -114,7 +114,8 @@ def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame) -> Interval | No
     """Mean over vehicles of the AUCs of some rows over that of others, and its percentile bootstrap.
 
     rows, reference: columns score, vehicle, place. Places are redrawn whole, with both their parts, so that what makes
-    a scene hard is in both. None where a part is empty or the reference is 0; infinite with a single place.
+    a scene hard is in both. None where a part is empty or the reference is 0; infinite with a single place. Its end is
+    infinite where more than 2.5 % of the draws hold none of the reference but scores of 0.
     Source: Davison and Hinkley 1997, section 3.8 (clusters).
     """
     if rows.empty or reference.empty:
@@ -131,8 +132,15 @@ def ratio_interval(rows: pd.DataFrame, reference: pd.DataFrame) -> Interval | No
     drawn = _redrawn(len(places), _DRAWS, "ratio of areas", len(rows), len(reference))
     with np.errstate(divide="ignore", invalid="ignore"):
         found = _vehicle_mean(drawn, *above) / _vehicle_mean(drawn, *below)
-    low, high = np.quantile(found[np.isfinite(found)], _ENDS)  # a draw without any row of one part has no ratio
-    return Interval(ratio, min(float(low), ratio), max(float(high), ratio))
+    ordered = np.sort(found[~np.isnan(found)])  # a draw without any row of one part has no ratio, nor has 0 / 0
+    low, high = (_quantile(ordered, end) for end in _ENDS)
+    return Interval(ratio, min(low, ratio), max(high, ratio))
+
+
+def _quantile(ordered: FloatArray, share: float) -> float:
+    """A quantile of ascending values (N,), the last of which may be infinite: between these nothing is interpolated."""
+    above = ordered[int(np.ceil(share * (len(ordered) - 1)))]
+    return float(np.quantile(ordered, share)) if np.isfinite(above) else float(above)
 
 
 def _redrawn(places: int, draws: int, *seed: str | int) -> FloatArray:

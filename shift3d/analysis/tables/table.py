@@ -84,6 +84,6 @@ def interval_text(interval: Interval | None, digits: int, sign: str = "+") -> st
     """A difference with its interval: "-0.12 [-0.20, -0.03]"; None as "-". sign: "" for what is no difference."""
     if interval is None:
         return "-"
-    if math.isinf(interval.high):
+    if math.isinf(interval.low):
         return f"{interval.mean:{sign}.{digits}f} (one scene)"
     return f"{interval.mean:{sign}.{digits}f} [{interval.low:{sign}.{digits}f}, {interval.high:{sign}.{digits}f}]"

@@ -19,6 +19,7 @@ from shift3d.analysis.statistics.intervals import ratio_interval
 from shift3d.analysis.tables.auc import auc_table, natural_table
 from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.tables.sensors import transfer_table
+from shift3d.analysis.tables.table import interval_text
 from shift3d.analysis.variants import variants
 from shift3d.store.log_entries import read_log
 from shift3d.store.tables import table_from_rows
@@ -45,6 +46,16 @@ def test_a_constant_ratio_has_a_point_for_an_interval() -> None:
     below = rows_of(list(np.random.default_rng(0).uniform(0.3, 0.9, 30)))
     found = ratio_interval(below.assign(score=0.5 * below["score"]), below)
     assert found is not None and (found.low, found.high) == pytest.approx((0.5, 0.5))
+
+
+def test_a_reference_that_some_draws_have_nothing_of_but_zeros_leaves_the_ratio_open_above() -> None:
+    """In a third of the draws of eight scenes the only one with a score is missing: the ratio there is no less."""
+    rare = ratio_interval(rows_of([0.1] * 8), rows_of([0.9, *[0.0] * 7]))
+    assert rare is not None and rare.mean == pytest.approx(8 / 9)
+    assert rare.low < rare.mean and rare.high == np.inf
+    assert interval_text(rare, 2, "").endswith(", inf]")
+    often = ratio_interval(rows_of([0.1] * 8), rows_of([*[0.9] * 6, 0.0, 0.0]))
+    assert often is not None and often.low < often.mean < often.high < np.inf
 
 
 def test_the_interval_holds_the_ratio_about_as_often_as_it_says() -> None:

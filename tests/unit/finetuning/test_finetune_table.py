@@ -73,6 +73,17 @@ def test_a_mean_over_seeds_holds_objects_that_every_seed_has() -> None:
     assert len(means[means["objects"] == "adversarial"]) == SCENES - 1
 
 
+def test_objects_that_no_column_tells_apart_keep_their_mean_over_seeds() -> None:
+    """As under attack.starts=1,8: two objects of one vehicle, scene and settings."""
+    given = by_hand().query("objects != @ADAPTIVE")
+    twice = pd.concat([given, given.assign(score=given["score"] - 0.1)], ignore_index=True)
+    one, two = (finetune_table(rows, []).to_pandas() for rows in (given, twice))
+    for seed in (0, 1, np.nan):
+        found = row(two, TUNED, "adversarial", seed)
+        assert found["gain"] == pytest.approx(row(one, TUNED, "adversarial", seed)["gain"])
+        assert found["value"] == pytest.approx(row(one, TUNED, "adversarial", seed)["value"] - 0.05)
+
+
 def test_a_single_scene_has_no_interval() -> None:
     one = by_hand().query("place == 'street/0'")
     table = finetune_table(one, []).to_pandas()

@@ -21,6 +21,11 @@ def test_the_percentile_is_the_share_of_members_that_lie_nearer() -> None:
     assert both.percentile(1e9, 1e9) == 100.0
 
 
+def test_a_share_of_whole_per_cent_is_that_number_so_that_a_budget_of_it_holds() -> None:
+    both = Calibration(np.arange(1.0, 401.0), np.arange(1.0, 401.0))
+    assert [both.percentile(4 * share + 0.5, 0.0) for share in range(101)] == list(range(101))
+
+
 def test_the_worse_of_mean_and_tail_counts() -> None:
     both = Calibration(np.arange(1.0, 101.0), np.arange(1.0, 101.0))
     assert both.percentile(0.5, 90.5) == both.percentile(90.5, 0.5) == 90.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,20 @@ def test_sizes_that_no_vehicle_has_are_refused_whatever_the_unit(tmp_path: Path)
 def test_too_few_members_for_a_percentile_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"20 members.*21 vehicles or more"):
         build_reference(MeshReference(folder_of(tmp_path, 20), METRES), "naturalness")
+
+
+def test_copies_and_links_of_a_mesh_are_no_further_members(tmp_path: Path) -> None:
+    """A vehicle that comes twice has no distance to the rest of the set: with all of them twice nothing is usual."""
+    folder = Path(folder_of(tmp_path, 21))
+    before = MeshReference(str(folder), METRES).identity()
+    (folder / "old").mkdir()
+    for number, file in enumerate(sorted(folder.glob("*.ply"))):
+        copy = folder / "old" / file.name
+        shutil.copy(file, copy) if number % 2 else copy.symlink_to(file)
+    source = MeshReference(str(folder), METRES)
+    assert source.identity() == before and len(source.members()) == 21
+    _, calibration = build_reference(source, "here")
+    assert calibration.mean_cm.min() > 0.1
 
 
 def test_an_empty_or_missing_folder_is_refused(tmp_path: Path) -> None:

@@ -54,3 +54,8 @@ def test_sizes_that_no_vehicle_has_are_named(size: tuple[float, float, float], w
     vehicle.apply_scale(np.array(size) / np.asarray(vehicle.extents))
     found = set(sizes_of(surface_of_mesh(vehicle)).out_of_range()) - {"clearance_m"}
     assert wrong <= found
+
+
+def test_a_surface_without_length_is_out_of_range_and_no_division_by_zero() -> None:
+    wall = trimesh.Trimesh([[0, 0, 0], [0, 1.8, 0], [0, 1.8, 1.5], [0, 0, 1.5]], [[0, 1, 2], [0, 2, 3]], process=False)
+    assert {"length_m", "width_to_length"} <= set(sizes_of(surface_of_mesh(wall)).out_of_range())
