@@ -114,11 +114,8 @@ def run_sweep(
     status.write([], 0, "starting" if len(left) else "finished")
     came = 0
     if len(left):
-        if kind.prepare:
-            for assets in plan.assets:
-                kind.prepare(assets)
         with (
-            _runner(kind, plan, runner_config, len(left), _tried(log, plan, again), status) as runner,
+            _runner(kind, plan, runner_config, left, _tried(log, plan, again), status) as runner,
             Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress,
         ):
             rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
@@ -135,11 +132,18 @@ def run_sweep(
 
 @contextlib.contextmanager
 def _runner(
-    kind: TaskKind, plan: Plan, config: RunnerConfig, left: int, tried: dict[int, int], status: StatusWriter
+    kind: TaskKind, plan: Plan, config: RunnerConfig, left: np.ndarray, tried: dict[int, int], status: StatusWriter
 ) -> Iterator[Runner]:
-    """The runner, closed at the end. One that cannot be made is told, too: nobody else would say that it stopped."""
+    """The runner, closed at the end. One that cannot be made is told, too: nobody else would say that it stopped.
+
+    Before it is made, what its workers share is.
+    """
     try:
-        runner = make_runner(kind, plan, config, left, tried)
+        if kind.prepare:
+            for number, assets in enumerate(plan.assets):
+                used = np.unique(plan.tasks.template[left][plan.tasks.assets[left] == number])
+                kind.prepare(assets, [plan.tasks.templates[template] for template in used])
+        runner = make_runner(kind, plan, config, len(left), tried)
     except BaseException:
         status.write([], 0, "stopped")
         raise

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,6 +31,7 @@ from shift3d.settings.schema.config import DeepSdfVehicleConfig, VehicleSetConfi
 from shift3d.settings.schema.scenes import scene_config, scene_set
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.kept_grids import kept_grid
+from shift3d.task.kept_measures import kept_measures
 from shift3d.task.spec import TaskSpec
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle
@@ -155,6 +157,15 @@ class Assets:
             self._own_naturalness[name] = measures.of_code(vehicle, self.decoder, vehicle.latent_code)
         return self._own_naturalness.get(name)
 
+    def naturalness_of_kinds(self, spec: TaskSpec) -> dict[str, NaturalnessMeasure]:
+        """The naturalness of every vehicle that a search may turn to, by name; none where the task measures none."""
+        if (measures := self.naturalness(spec)) is None:
+            return {}
+        names = self.vehicles.kinds()
+        if not self._own_naturalness.keys() >= set(names):
+            self._own_naturalness |= kept_measures(self.vehicles, self.decoder, measures, self._reference_hash)
+        return {name: self._own_naturalness[name] for name in names}
+
     def drawn_vehicle(self, spec: TaskSpec, solution: Mapping[str, Any]) -> Vehicle:
         """The vehicle in whose frame a row of solutions is drawn: the task's own, but for a search over kinds."""
         own, name = self.vehicle(spec), solution.get("drawn_as")
@@ -209,13 +220,36 @@ def load_assets(spec: AssetsSpec) -> Assets:
     return assets
 
 
-def prepare_reference(spec: AssetsSpec) -> None:
-    """Make the reference set of naturalness now, with a progress bar, so that workers find it in the cache.
+def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None:
+    """Make what tasks compare shapes with now, with a progress bar, so that workers find it in the cache.
 
-    Raises: InputError for a set that cannot be made.
+    templates: specs of the tasks, without their scene. A search over kinds within a budget needs each kind's measure.
+    Raises: InputError for a reference set that cannot be made.
     """
-    if spec.reference is not None:
-        load_reference(reference_source(spec.reference), "naturalness")
+    if spec.reference is None:
+        return
+    source = reference_source(spec.reference)
+    reference = load_reference(source, "naturalness")
+    if any(asks_for_kinds(template) for template in templates):
+        vehicles = vehicle_source(_vehicle_config(spec.vehicles))
+        with _threads(spec.threads):
+            kept_measures(vehicles, vehicles.decoder(), Naturalness(reference), source_hash(source), show=True)
+
+
+def asks_for_kinds(spec: TaskSpec) -> bool:
+    """Whether a task's search goes over the kinds that lie within its budget of naturalness."""
+    return spec.mode != "pose" and spec.attack.space == "family" and spec.attack.naturalness > 0
+
+
+@contextlib.contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """The number of threads that workers compute with: the bits depend on it."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _vehicle_config(values: Mapping[str, Any]) -> VehicleSetConfig | DeepSdfVehicleConfig:

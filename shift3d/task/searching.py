@@ -95,9 +95,10 @@ def _search(
 
 def _family(spec: TaskSpec, problem: AttackProblem, elsewhere: Sequence[MovedTask], assets: Assets) -> Family:
     """Every kind of the task's set that lies within the budget itself, at the task's places; made when it is drawn."""
-    measured = {name: assets.naturalness_of(spec, name) for name in assets.vehicles.kinds()}
     budget = spec.attack.naturalness
-    names = [name for name, own in measured.items() if not budget or (own is not None and own.within(budget))]
+    names = assets.vehicles.kinds()
+    if budget:
+        names = [name for name, own in assets.naturalness_of_kinds(spec).items() if own.within(budget)]
     if not names:
         where = f"attack.space=family, attack.naturalness={budget:g}"
         raise InputError("no vehicle of the set lies within the budget", where, "Give a larger attack.naturalness")

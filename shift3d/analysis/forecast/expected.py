@@ -163,11 +163,17 @@ class _Spent:
 
 
 def _measured(folder: LocationLike, model: _Model) -> dict[Hashable, _Spent]:
-    """What each kind of task took in a sweep; nothing where it has finished none."""
-    tasks, attempts = read_plan(folder).tasks, committed_rows(folder, read_log(folder), "attempts")
+    """What each kind of task took in a sweep; nothing where it has finished none.
+
+    Scenes without a place for the vehicle count for nothing: their tasks end before the search.
+    """
+    log, tasks = read_log(folder), read_plan(folder).tasks
+    attempts, scores = committed_rows(folder, log, "attempts"), committed_rows(folder, log, "scores")
     at = pc.index_in(attempts["task_id"], value_set=tasks.ids).fill_null(len(tasks)).to_numpy()
     spent = np.bincount(at, weights=attempts["seconds"].to_numpy(), minlength=len(tasks) + 1)[: len(tasks)]
+    nowhere = scores["task_id"].filter(pc.equal(scores["status"], "no_placement"))
     ran = np.bincount(at[pc.equal(attempts["outcome"], "done").to_numpy()], minlength=len(tasks) + 1)[: len(tasks)] > 0
+    ran &= ~pc.is_in(tasks.ids, value_set=nowhere).to_numpy(zero_copy_only=False)
     first, kind = tasks.kinds()
     counts = np.bincount(kind[ran], minlength=len(first))
     seconds = np.bincount(kind[ran], weights=spent[ran], minlength=len(first))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,8 @@ class TaskKind:
     every ``run``. catalogue: settings to what there is to run on, with content hashes. preview: the same, without the
     hashes of scenes that would take long; None: catalogue takes no time. single: whether one of its tasks
     can be run by its id (``shift3d sweep NAME --task ID``). memory_mb: what a worker needs, about, in 2^20 bytes.
-    prepare: what the driver makes once before workers load it, None: nothing.
+    prepare: what the driver makes once before workers load it, for the assets and the tasks' specs without their scene;
+    None: nothing.
     """
 
     run: Callable[[TaskSpec, Any], TaskResult]
@@ -34,7 +35,7 @@ class TaskKind:
     single: bool = True
     memory_mb: float = 1400.0
     preview: Callable[[Config], Catalogue] | None = None
-    prepare: Callable[[AssetsSpec], object] | None = None
+    prepare: Callable[[AssetsSpec, Sequence[TaskSpec]], object] | None = None
 
 
 def shift3d_kind() -> TaskKind:
@@ -56,10 +57,10 @@ def _load(spec: AssetsSpec) -> Any:
     return load_assets(spec)
 
 
-def _prepare(spec: AssetsSpec) -> None:
-    from shift3d.task.assets import prepare_reference
+def _prepare(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None:
+    from shift3d.task.assets import prepare_naturalness
 
-    prepare_reference(spec)
+    prepare_naturalness(spec, templates)
 
 
 def reproduce_command(kind: TaskKind, plan: Plan) -> str:

@@ -53,6 +53,25 @@ def test_by_earlier_tasks_of_the_same_settings(tmp_path: Path) -> None:
     assert f"1 task that ran in {folder}" in found.source
 
 
+def test_scenes_without_a_place_do_not_say_how_long_a_search_takes(tmp_path: Path) -> None:
+    done = plan_of("mode=shape")
+    folder = ran(tmp_path / "earlier", done, 6.0)
+    nowhere = done.tasks[0].spec
+    row = {name: getattr(nowhere, name) for name in ("task_id", "vehicle", "scene", "dataset", "mode", "detector")}
+    row |= {
+        "sweep": "smoke",
+        "accuracy": "draft",
+        "search": "descent",
+        "alpha": 0.01,
+        "effects": [],
+        "method": "baseline",
+        "replicate": 0,
+    }
+    scores = table_from_rows("scores", [{**row, "scored_by": "pointpillars", "status": "no_placement"}])
+    CommitLog(folder, done.spec_hash).commit((), (), {"scores": scores})
+    assert f"1 task that ran in {folder}" in expected(done.tasks, [folder]).source
+
+
 def test_other_settings_are_scaled_by_the_figures_that_ship(tmp_path: Path) -> None:
     """The same tasks at another number of steps, and in fog: in the proportion of the figures, counted as guessed."""
     small, large = plan_of("mode=shape"), plan_of("mode=shape", "attack.steps=31")

@@ -19,6 +19,7 @@ from shift3d.cli.main import main
         ([], "detector= is missing"),
         (["detector=pointpilars"], "pointpilars"),
         (["detector=own"], "own detectors are not evaluated. Attack it in a sweep"),
+        (["detector=own", "module=mine.py", "scenes=kitti"], "evaluate detector=own: own detectors are not evaluated"),
         (["detector=onnx"], "onnx detectors are not evaluated. Attack it in a sweep"),
         (["detector=pointpillars", "scenes=moon"], "scenes='moon' is unknown"),
         (["detector=pointpillars", "scenes=kitti"], "root= is missing"),

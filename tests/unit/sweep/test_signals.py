@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.results.commit import Committer
 from shift3d.sweep.status import read_status
 from shift3d.task.exchange import TaskResult
+from shift3d.task.spec import TaskSpec
 
 FULL = InputError("the disk is full")
 LATE = LocalRunnerConfig(kind="local", commit_seconds=1e6, abort_after=None, abort_share=None)
@@ -32,12 +33,17 @@ def interrupt(times: int = 1) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
 
-def run(folder: Path, config: LocalRunnerConfig, task: Callable[[], object] = lambda: None) -> SweepResult:
+def run(
+    folder: Path,
+    config: LocalRunnerConfig,
+    task: Callable[[], object] = lambda: None,
+    prepare: Callable[..., object] | None = None,
+) -> SweepResult:
     def execute(*_: object) -> TaskResult:
         task()
         return TaskResult()
 
-    kind = TaskKind(execute, lambda _: None, execute)  # type: ignore[arg-type]
+    kind = TaskKind(execute, lambda _: None, execute, prepare=prepare)  # type: ignore[arg-type]
     return run_sweep(valid_sweeps.plan(), config, kind, folder, finish=lambda *_: None)  # type: ignore[arg-type, return-value]
 
 
@@ -101,3 +107,17 @@ def test_a_sweep_whose_last_commit_fails_is_stopped(tmp_path: Path, monkeypatch:
 def test_the_second_signal_ends_a_task_that_takes_long(tmp_path: Path) -> None:
     assert run(tmp_path, LATE, lambda: interrupt(2)).done == committed(tmp_path) == 0
     assert state(tmp_path) == "interrupted"
+
+
+def test_a_signal_while_the_driver_makes_what_workers_share_stops_the_sweep(tmp_path: Path) -> None:
+    """It is given the specs of the tasks that are left, without their scene."""
+    given: list[TaskSpec] = []
+
+    def prepare(_: object, templates: Sequence[TaskSpec]) -> None:
+        given.extend(templates)
+        interrupt()
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, LATE, prepare=prepare)
+    assert state(tmp_path) == "stopped"
+    assert given == list(valid_sweeps.plan().tasks.templates)

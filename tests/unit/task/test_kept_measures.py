@@ -1,0 +1,145 @@
+"""Naturalness of a set's vehicles in the cache folder: the bits of the first measuring, nothing torn or another's."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from short_tasks import STREET, make_spec
+
+from shift3d.naturalness.measure import NO_SURFACE, Naturalness, NaturalnessMeasure
+from shift3d.naturalness.reference import Nearest
+from shift3d.naturalness.sizes import Sizes
+from shift3d.naturalness.sources import reference_source, source_hash
+from shift3d.task.assets import Assets, load_assets, prepare_naturalness
+from shift3d.task.exchange import AssetsSpec
+from shift3d.task.kept_measures import kept_measures
+from shift3d.task.run import run_task
+from shift3d.task.spec import AttackSpec, TaskSpec
+from shift3d.vehicles.sources import VehicleSource
+
+FAMILY = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family", naturalness=95)
+SHAPE = NaturalnessMeasure(
+    Nearest(7, "a car", (0.1 + 0.2, 1 / 3), (2.0, 3.0)), Sizes(4.5, 1.8, 1.5, math.nan, 0.1), 1 / 7, 0.95
+)
+SPEC = AssetsSpec(scenes=STREET, reference={"kind": "wide", "members": 40})
+
+
+class Counted(Naturalness):
+    """Says of every vehicle the same, and counts."""
+
+    def __init__(self, answer: NaturalnessMeasure = SHAPE) -> None:
+        self.answer, self.measured = answer, 0
+
+    def of_code(self, *_: object) -> NaturalnessMeasure:
+        self.measured += 1
+        return self.answer
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "shift3d" / "natural_kinds"
+
+
+@pytest.fixture(scope="module")
+def shipped() -> VehicleSource:
+    return load_assets(AssetsSpec(scenes=STREET)).vehicles
+
+
+def kept(vehicles: VehicleSource, measures: Counted, reference: str = "r") -> dict[str, NaturalnessMeasure]:
+    return kept_measures(vehicles, vehicles.decoder(), measures, reference)
+
+
+@pytest.mark.parametrize("answer", [SHAPE, NO_SURFACE])
+def test_what_is_read_is_what_was_measured_to_the_bit(shipped: VehicleSource, answer: NaturalnessMeasure) -> None:
+    measures = Counted(answer)
+    first = kept(shipped, measures)
+    again = kept(shipped, Counted(SHAPE))
+    assert list(first) == list(again) == shipped.kinds() and measures.measured == len(first)
+    assert {name: repr(measure) for name, measure in again.items()} == dict.fromkeys(first, repr(answer))
+
+
+def test_another_reference_set_is_measured_anew(shipped: VehicleSource) -> None:
+    kept(shipped, Counted())
+    assert kept(shipped, other := Counted(), "another") and other.measured
+
+
+def test_other_threads_and_another_machine_may_round_differently(
+    shipped: VehicleSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept(shipped, Counted())
+    for place, found in {"torch.get_num_threads": 7, "platform.node": "another"}.items():
+        with monkeypatch.context() as patch:
+            patch.setattr(place, lambda found=found: found)
+            assert kept(shipped, other := Counted()) and other.measured
+
+
+@pytest.mark.parametrize("harm", ["torn", "changed", "empty"])
+def test_a_file_that_is_torn_or_changed_is_made_again(shipped: VehicleSource, cache: Path, harm: str) -> None:
+    kept(shipped, Counted())
+    (file,) = cache.iterdir()
+    text = file.read_text()
+    file.write_text({"torn": text[:-9], "changed": text.replace("a car", "a cat"), "empty": ""}[harm])
+    kept(shipped, again := Counted())
+    assert again.measured and file.read_text() == text
+
+
+def test_the_driver_measures_every_kind_before_the_workers(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a bar, with the workers' threads, and once: a worker then measures shapes that it found alone."""
+    spec = make_spec(attack=FAMILY, lambda_=0.0, reference_hash=source_hash(reference_source(SPEC.reference or {})))
+    threads = torch.get_num_threads()
+    prepare_naturalness(SPEC, [spec])
+    assert "measuring how natural each vehicle is" in capsys.readouterr().err
+    assert torch.get_num_threads() == threads
+    torch.set_num_threads(SPEC.threads)
+    try:
+        assets = load_assets(SPEC)
+        wanted = assets.naturalness(spec).of_code  # type: ignore[union-attr]
+        vehicle = assets.vehicles.vehicle("coupe")
+        directly = wanted(vehicle, assets.decoder, vehicle.latent_code)
+        codes = measured_codes(monkeypatch)
+        assert repr(assets.naturalness_of_kinds(spec)["coupe"]) == repr(directly) and not codes
+        run_task(spec, assets)
+        own = [assets.vehicles.vehicle(name).latent_code for name in assets.vehicles.kinds()]
+        assert codes and not any(np.array_equal(code, known) for code in codes for known in own)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def measured_codes(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+    """The codes that are measured from here on."""
+    codes: list[np.ndarray] = []
+    measure = Naturalness.of_code
+
+    def counted(self: Naturalness, vehicle: object, decoder: object, code: object) -> NaturalnessMeasure:
+        codes.append(np.asarray(code, np.float32))
+        return measure(self, vehicle, decoder, code)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Naturalness, "of_code", counted)
+    return codes
+
+
+@pytest.mark.parametrize("attack", [FAMILY, AttackSpec(naturalness=95), AttackSpec(search="random", space="family")])
+def test_kinds_are_measured_where_a_budget_chooses_among_them_alone(
+    attack: AttackSpec, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Naturalness, "of_code", Counted().of_code)
+    prepare_naturalness(SPEC, [make_spec(attack=attack), pose_of(attack)])
+    assert cache.exists() == (attack is FAMILY)
+
+
+def pose_of(attack: AttackSpec) -> TaskSpec:
+    return make_spec("pose", attack=attack)
+
+
+def test_a_search_over_kinds_without_a_budget_measures_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    assets: Assets = load_assets(AssetsSpec(scenes=STREET))
+    monkeypatch.setattr(Assets, "naturalness_of_kinds", lambda *_: pytest.fail("measured"))
+    attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family")
+    assert run_task(make_spec(attack=attack, lambda_=0.0), assets).scores
