@@ -6,10 +6,11 @@ import contextlib
 import functools
 import math
 import os
+import platform
 import sys
 from pathlib import Path
 
-__all__ = ["configure_runtime", "has_fast_bfloat16", "has_wide_float32", "pad_to_bucket", "usable_cpus"]
+__all__ = ["configure_runtime", "has_fast_bfloat16", "has_wide_float32", "pad_to_bucket", "rounding", "usable_cpus"]
 
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # oneDNN's own products, and what torch keeps of how each is to be made; and large pages for large tensors.
@@ -87,3 +88,11 @@ def pad_to_bucket(rows: int) -> int:
     octave = 1 << (rows - 1).bit_length() - 1
     step = max(octave // 2, 16) if rows <= 256 else 128
     return -(-rows // step) * step
+
+
+def rounding() -> tuple[str | bool | int, ...]:
+    """What decides how results round here: machines that share a home folder may differ in it."""
+    import torch
+
+    capability, threads = torch.backends.cpu.get_cpu_capability(), torch.get_num_threads()
+    return platform.node(), torch.__version__, capability, has_fast_bfloat16(), threads

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import platform
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 
 from shift3d.errors import InputError
-from shift3d.processor import has_fast_bfloat16
+from shift3d.processor import rounding
 from shift3d.render.culling import Box
 from shift3d.render.field.sdf_grid import SdfGrid
 from shift3d.render.settings import RenderSettings
@@ -46,10 +45,7 @@ def kept_grid(decoder_hash: str, vehicle_hash: str, settings: RenderSettings, ma
 
 
 def _file(decoder_hash: str, vehicle_hash: str, settings: RenderSettings) -> Path:
-    capability, threads = torch.backends.cpu.get_cpu_capability(), torch.get_num_threads()
-    # A home folder may be shared by machines whose libraries round differently.
-    machine = (platform.node(), torch.__version__, capability, has_fast_bfloat16(), threads)
-    made_of = (decoder_hash, vehicle_hash, repr(settings), source_digest(*_CODE), machine)
+    made_of = (decoder_hash, vehicle_hash, repr(settings), source_digest(*_CODE), rounding())
     return user_cache() / "grids" / f"{hashlib.blake2b(repr(made_of).encode(), digest_size=16).hexdigest()}.safetensors"
 
 

@@ -9,18 +9,16 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import platform
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from shift3d.errors import InputError
 from shift3d.naturalness.measure import Naturalness, NaturalnessMeasure
 from shift3d.naturalness.reference import Nearest
 from shift3d.naturalness.sizes import Sizes
+from shift3d.processor import rounding
 from shift3d.progress_bar import progress_bar
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
@@ -29,7 +27,7 @@ from shift3d.store.user_cache import source_digest, user_cache
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle
 
-_CODE = ("naturalness", "sdf", "task/kept_measures.py", "vehicles/vehicle.py")
+_CODE = ("naturalness", "sdf", "processor.py", "task/kept_measures.py", "vehicles/vehicle.py")
 
 
 def kept_measures(
@@ -54,10 +52,13 @@ def kept_measures(
 
 
 def _file(decoder_hash: str, vehicles: Sequence[Vehicle], reference: str) -> Path:
-    # A home folder may be shared by machines whose libraries round differently.
-    capability, threads = torch.backends.cpu.get_cpu_capability(), torch.get_num_threads()
-    machine = (platform.node(), torch.__version__, capability, threads)
-    made_of = (decoder_hash, [vehicle_hash(vehicle) for vehicle in vehicles], reference, source_digest(*_CODE), machine)
+    made_of = (
+        decoder_hash,
+        [vehicle_hash(vehicle) for vehicle in vehicles],
+        reference,
+        source_digest(*_CODE),
+        rounding(),
+    )
     return user_cache() / "natural_kinds" / f"{_digest(repr(made_of))}.json"
 
 

@@ -192,3 +192,14 @@ def test_pieces_of_a_mesh_may_touch_without_sharing_corners(set_of_20: Naturalne
     for apart_m, together in ((0.1, 1.0), (0.3, 10 / 16)):
         both = [body, beside.copy().apply_translation((1.5 + apart_m, 0.0, 0.0))]
         assert largest_piece(trimesh.util.concatenate(both)) == pytest.approx(together)
+
+
+def test_what_stands_on_bars_thinner_than_the_grid_hangs_together() -> None:
+    from shift3d.vehicles.sources import VehicleSet
+
+    source = VehicleSet("wide")
+    decoder, on_bars = source.decoder(), [name for name in source.names() if "roof_box" in name or "ladder" in name]
+    assert on_bars
+    for name in on_bars:
+        vehicle = source.vehicle(name)
+        assert largest_piece(decoded_mesh(vehicle, decoder, vehicle.latent_code)) > 0.95, name

@@ -14,7 +14,7 @@ from shift3d.naturalness.measure import NO_SURFACE, Naturalness, NaturalnessMeas
 from shift3d.naturalness.reference import Nearest
 from shift3d.naturalness.sizes import Sizes
 from shift3d.naturalness.sources import reference_source, source_hash
-from shift3d.task.assets import Assets, load_assets, prepare_naturalness
+from shift3d.task.assets import load_assets, prepare_naturalness
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.kept_measures import kept_measures
 from shift3d.task.run import run_task
@@ -138,8 +138,8 @@ def pose_of(attack: AttackSpec) -> TaskSpec:
     return make_spec("pose", attack=attack)
 
 
-def test_a_search_over_kinds_without_a_budget_measures_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    assets: Assets = load_assets(AssetsSpec(scenes=STREET))
-    monkeypatch.setattr(Assets, "naturalness_of_kinds", lambda *_: pytest.fail("measured"))
+def test_a_search_over_kinds_without_a_budget_measures_none(cache: Path) -> None:
     attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family")
-    assert run_task(make_spec(attack=attack, lambda_=0.0), assets).scores
+    reference = source_hash(reference_source(SPEC.reference or {}))
+    assert run_task(make_spec(attack=attack, lambda_=0.0, reference_hash=reference), load_assets(SPEC)).shapes
+    assert not cache.exists()
