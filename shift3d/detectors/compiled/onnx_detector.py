@@ -8,6 +8,7 @@ library of operators, and no folder to look for further files in.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
 import math
@@ -23,6 +24,9 @@ from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.names import ONNX
 from shift3d.detectors.nms import SuppressedProposals
 from shift3d.errors import InputError
+from shift3d.processor import rounding
+from shift3d.store.atomic import write_atomic
+from shift3d.store.user_cache import source_digest, user_cache
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -31,8 +35,6 @@ _GUIDE = "See docs/guides/detectors.md, An ONNX file"
 _PROBE_POINTS = 2000
 _SATURATED = 2.0**-24
 """Scores are kept this far from 0 and 1, where a logit is infinite: the last float32 below 1."""
-_tried: set[bytes] = set()
-"""Digests of the files that this process has tried and found to be detectors."""
 
 
 class OnnxDetector(SuppressedProposals):
@@ -84,7 +86,7 @@ def load_onnx(path: Path) -> OnnxDetector:
 
 
 def onnx_detector(content: bytes, where: str) -> OnnxDetector:
-    """The detector of an ONNX file's content, tried on random points.
+    """The detector of an ONNX file's content, tried on random points once a machine: the user's cache folder notes it.
 
     Raises InputError: naming the file: it is no ONNX, has data in other files, operators that ONNX Runtime lacks, other
     inputs or outputs than the module says, or answers that are no scores or differ between two calls; the packages of
@@ -104,11 +106,18 @@ def onnx_detector(content: bytes, where: str) -> OnnxDetector:
     except Exception as error:  # ONNX Runtime's errors have no other base
         raise InputError(f"ONNX Runtime does not take it: {_line(error)}", where, _GUIDE) from error
     _check_interface(session, where)
-    detector, digest = OnnxDetector(session, where), hashlib.blake2b(content).digest()
-    if digest not in _tried:  # three whole forward passes
+    detector, tried = OnnxDetector(session, where), _note(content, onnxruntime.__version__)
+    if not tried.is_file():  # three whole forward passes: eleven seconds of PointPillars
         _try(detector, where)
-        _tried.add(digest)
+        with contextlib.suppress(InputError, OSError):
+            write_atomic(tried, where.encode())
     return detector
+
+
+def _note(content: bytes, version: str) -> Path:
+    """The file which is there once the content has been tried, by this version of ONNX Runtime on this machine."""
+    made_of = (hashlib.blake2b(content).digest(), version, source_digest("detectors/compiled"), rounding())
+    return user_cache() / "tried_onnx" / hashlib.blake2b(repr(made_of).encode(), digest_size=16).hexdigest()
 
 
 def _check_content(content: bytes, where: str) -> None:

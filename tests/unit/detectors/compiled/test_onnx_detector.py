@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 import torch
 from onnx import TensorProto, helper
@@ -124,6 +126,28 @@ def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(InputError, match=r"mine\.onnx: "):
         load_onnx(path)
+
+
+def test_it_is_tried_once_a_machine_and_again_where_the_note_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A note stands for its content, wherever the file lies; what was refused leaves none."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    run, passes = onnxruntime.InferenceSession.run, []
+    monkeypatch.setattr(onnxruntime.InferenceSession, "run", lambda *asked: (passes.append(1), run(*asked))[1])
+    for _ in range(2):
+        with pytest.raises(InputError, match="two calls with the same points differ"):
+            load_onnx(write_model(tmp_path / "random.onnx", nodes=random_scores()))
+    assert len(passes) == 4
+    load_onnx(write_model(tmp_path / "mine.onnx"))
+    assert len(passes) == 7
+    load_onnx(write_model(tmp_path / "copy.onnx"))
+    assert len(passes) == 7
+    load_onnx(write_model(tmp_path / "mine.onnx", 0.5))
+    assert len(passes) == 10, "another content"
+    shutil.rmtree(tmp_path / "cache")
+    load_onnx(tmp_path / "copy.onnx")
+    assert len(passes) == 13
 
 
 @pytest.mark.parametrize("there", [True, False])
