@@ -115,7 +115,7 @@ def onnx_detector(content: bytes, where: str) -> OnnxDetector:
 
 
 def _note(content: bytes, version: str) -> Path:
-    """The file which is there once the content has been tried, by this version of ONNX Runtime on this machine."""
+    """The file which is there once the content has been tried, by a version of ONNX Runtime on this machine."""
     made_of = (hashlib.blake2b(content).digest(), version, source_digest("detectors/compiled"), rounding())
     return user_cache() / "tried_onnx" / hashlib.blake2b(repr(made_of).encode(), digest_size=16).hexdigest()
 

@@ -134,7 +134,7 @@ def test_it_is_tried_once_a_machine_and_again_where_the_note_is_gone(
     """A note stands for its content, wherever the file lies; what was refused leaves none."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     run, passes = onnxruntime.InferenceSession.run, []
-    monkeypatch.setattr(onnxruntime.InferenceSession, "run", lambda *asked: (passes.append(1), run(*asked))[1])
+    monkeypatch.setattr(onnxruntime.InferenceSession, "run", lambda *given: (passes.append(1), run(*given))[1])
     for _ in range(2):
         with pytest.raises(InputError, match="two calls with the same points differ"):
             load_onnx(write_model(tmp_path / "random.onnx", nodes=random_scores()))
