@@ -25,6 +25,7 @@ from shift3d.analysis.tables.table import number
 from shift3d.detectors.base import Detector
 from shift3d.detectors.loading import detector_of
 from shift3d.detectors.models.weights import WEIGHTS_FOLDER
+from shift3d.detectors.names import DETECTOR_NAMES, ONNX, OWN
 from shift3d.errors import InputError
 from shift3d.evaluation.breakdown import breakdown
 from shift3d.evaluation.metrics import RANGES_M, Metric, evaluate
@@ -117,9 +118,10 @@ def evaluate_detector(
     scenes: StreetChoice | KittiChoice,
     out: Path,
     weights: str | None = None,
+    module: str | None = None,
+    layout: Mapping[str, Any] | None = None,
     workers: int = 1,
     score_threshold: float = SCORE_FLOOR,
-    layout: Mapping[str, Any] | None = None,
 ) -> str:
     """Detect in every scene once, write the folder ``out``, and return what is printed.
 
@@ -128,29 +130,34 @@ def evaluate_detector(
     run to run. ``out``/scenes holds the answer for each scene: the same call again detects only where one is missing.
 
     Args:
-        name: a detector, with its shipped weights or those of the file ``weights``.
+        name: a detector, with its shipped weights or those of the file ``weights``, which may be an ONNX file.
+        module: Python file of the user's own detector.
+        layout: of a detector of another codebase, see `detectors.foreign.layout`.
         workers: processes, one thread each.
         score_threshold: detections below it are not kept.
-        layout: of a detector of another codebase, see `detectors.foreign.layout`.
 
     Raises: InputError: unknown detector, missing weights or scenes, weights that were fine-tuned on one of the scenes,
     another evaluation in ``out``, a full disk.
     """
-    file = Path(weights).expanduser() if weights else WEIGHTS_FOLDER / f"{name}.safetensors"
-    opened: Callable[[], Detector] = partial(detector_of, name, file, None, "float32", layout)
+    file = Path(weights).expanduser() if weights else None
+    if file is None and name in DETECTOR_NAMES:
+        file = WEIGHTS_FOLDER / f"{name}.safetensors"
+    opened: Callable[[], Detector] = partial(detector_of, name, file, module, "float32", layout)
     opened()  # what is wrong with it is said before anything is computed
-    spec = {
+    spec: dict[str, object] = {
         "schema_version": EVALUATION_SCHEMA_VERSION,
         "shift3d": shift3d.__version__,
         "detector": name,
-        "weights_blake2b": file_hash(file),
+        "weights_blake2b": file_hash(file) if file else None,
         "dataset": scenes.dataset,
         "scenes": scenes.identity,
         "score_threshold": score_threshold,
+        **({"module_blake2b": file_hash(Path(module).expanduser())} if module else {}),
         **({"layout": layout} if layout else {}),
     }
     scene_names = scenes.open().names()
-    refuse_tuned_scenes(file, dict.fromkeys(scene_names, ""))
+    if file and name not in (OWN, ONNX):  # what lies beside these is the user's
+        refuse_tuned_scenes(file, dict.fromkeys(scene_names, ""))
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
     found = answers_of(scene_names, out / "scenes", detect)

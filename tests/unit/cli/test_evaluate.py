@@ -6,11 +6,14 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
+from onnx_files import BOXES, OWN_SOURCE, write_model
 
 from shift3d.cli.commands.detectors.evaluate import evaluate_words
 from shift3d.cli.main import main
+from shift3d.scenes.sets import StreetScenes
 
 
 @pytest.mark.parametrize(
@@ -18,9 +21,9 @@ from shift3d.cli.main import main
     [
         ([], "detector= is missing"),
         (["detector=pointpilars"], "pointpilars"),
-        (["detector=own"], "own detectors are not evaluated. Attack it in a sweep"),
-        (["detector=own", "module=mine.py", "scenes=kitti"], "evaluate detector=own: own detectors are not evaluated"),
-        (["detector=onnx"], "onnx detectors are not evaluated. Attack it in a sweep"),
+        (["detector=own"], "module= is missing. Give module=FILE.py"),
+        (["detector=own", "module=absent.py"], "absent.py: no such file. Check module="),
+        (["detector=onnx"], "file= is missing. Give file=FILE.onnx"),
         (["detector=pointpillars", "scenes=moon"], "scenes='moon' is unknown"),
         (["detector=pointpillars", "scenes=kitti"], "root= is missing"),
         (["detector=pointpillars", "root=x"], "root= means nothing for scenes=street"),
@@ -45,6 +48,30 @@ def test_what_cannot_be_used_is_one_line(
     captured = capsys.readouterr()
     assert message in captured.err and len(captured.err.strip().splitlines()) == 1
     assert not (tmp_path / "out" / "metrics.parquet").exists()
+
+
+def test_ones_own_detector_and_its_onnx_file_are_evaluated_alike(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One function as a Python file and as a graph: the same detections, boxes on the ground of the scene."""
+    (tmp_path / "mine.py").write_text(OWN_SOURCE)
+    (tmp_path / "mine.json").write_text("[]")  # a user's file, no provenance of ours
+    files = {"own": f"module={tmp_path / 'mine.py'}", "onnx": f"file={write_model(tmp_path / 'mine.onnx')}"}
+    for name, file in files.items():
+        words = ["evaluate", f"detector={name}", file, "sensor=hdl64", "count=2", f"out={tmp_path / name}"]
+        assert main(words) == 0
+        assert f"{name} on street-hdl64-test: 2 scenes," in capsys.readouterr().out
+    tables = [pd.read_parquet(tmp_path / name / "detections.parquet") for name in files]
+    own, onnx = (table.drop(columns="detector") for table in tables)
+    pd.testing.assert_frame_equal(own, onnx, atol=1e-6)
+    ground_z_m = [scene.ground_z_m for scene in map(StreetScenes("hdl64", count=2).load, own["scene"])]
+    assert len(own) == 4
+    height = {round(float(x), 3): z for x, _, z in BOXES[:, :3]}
+    expected = [ground + height[round(x, 3)] for x, ground in zip(own["x_m"], ground_z_m)]
+    np.testing.assert_allclose(own["z_m"], expected, atol=1e-6)
+    (tmp_path / "mine.py").write_text(OWN_SOURCE + "\n")
+    words = ["evaluate", "detector=own", files["own"], "sensor=hdl64", "count=2", f"out={tmp_path / 'own'}"]
+    assert main(words) == 2 and "holds another evaluation" in capsys.readouterr().err
 
 
 def test_completion() -> None:

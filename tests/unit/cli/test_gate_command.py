@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from onnx_files import write_model
 from safetensors.torch import save_file
 from suites_by_hand import write_detector, write_suite
 
@@ -52,6 +54,16 @@ def test_exit_codes(folder: Path) -> None:
     assert len(list((folder / "outputs/gate").iterdir())) == 2
 
 
+def test_an_onnx_file(folder: Path) -> None:
+    """A release of it is compared with the next; where the suite's objects lie, that one scores less."""
+    boxes = np.array([[10.0, 10.0, 0.8, 4.5, 1.9, 1.6, 0.0], [20.0, 10.0, 0.8, 4.5, 1.9, 1.6, 0.0]], np.float32)
+    files = [write_model(folder / f"{bias:g}.onnx", bias, boxes=boxes) for bias in (2.0, -2.0)]
+    words = ["gate", "suite=suite", "detector=onnx", "mlflow=none"]
+    assert main([*words, f"file={files[0]}", "accept=true"]) == 0
+    assert main([*words, f"file={files[0]}"]) == 0
+    assert main([*words, f"file={files[1]}"]) == 6
+
+
 def test_weights_of_another_shape(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     state = {name: value.clone() for name, value in NETWORKS["pointpillars"]().state_dict().items()}
     state["heads.classes.bias"] = torch.zeros(3)
@@ -81,7 +93,7 @@ def test_a_changed_suite_and_a_missing_scene(folder: Path, capsys: pytest.Captur
         (["suite=suite"], "detector= is missing"),
         (["suite=nowhere", "detector=own"], "there is no suite"),
         (["suite=suite", "detector=yolo"], "detector='yolo' is unknown"),
-        (["suite=suite", "detector=own"], "your own detector needs a file"),
+        (["suite=suite", "detector=own"], "module= is missing. Give module=FILE.py"),
         (["suite=suite", "detector=own", "level=2"], "level='2' is not in"),
         (["suite=suite", "detector=own", "accept=yes"], "accept='yes' is unknown"),
         (["suite=suite", "detector=own", "workers=0"], "workers='0'"),

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
 from shift3d.cli.completion import overrides
-from shift3d.cli.foreign_words import FOREIGN_KEYS, foreign_layout_of
-from shift3d.detectors.names import ONNX, OWN
+from shift3d.cli.detector_words import DETECTOR_KEYS, detector_files
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 
 _STREET_KEYS = ("sensor", "split", "traffic")
 _KEYS = (
-    *("detector", "scenes", "count", *_STREET_KEYS, "root", "weights", *FOREIGN_KEYS),
+    *("detector", "scenes", "count", *_STREET_KEYS, "root", *DETECTOR_KEYS),
     *("score_threshold", "workers", "out"),
 )
 _VALUES = {
@@ -35,7 +34,7 @@ errors of boxes with 95 % intervals (scenes resampled), and the same by range, h
 kind of vehicle. Writes a folder: metrics, breakdown, vehicles, curves, detections, truth and timings as Parquet
 (docs/why/models.md says what a row is), curves.png, spec.json.
 All but the timings are the same bytes whatever the number of workers. The same command again resumes.
-detector=own and detector=onnx are not evaluated: attack them in a sweep.
+A detector of your own is evaluated as any other: the check that its boxes lie in the frame that sweeps expect.
 
 model=sdf measures the shape model instead: its distance to vehicles, trained on and unseen."""
 
@@ -47,6 +46,8 @@ examples:
   shift3d evaluate detector=pointpillars scenes=kitti root=PATH      PATH holds training/; cars in the image
   shift3d evaluate detector=pointpillars weights=FILE scenes=kitti root=PATH out=DIR
   shift3d evaluate detector=openpcdet weights=FILE.pth config=FILE.yaml scenes=kitti root=PATH
+  shift3d evaluate detector=own module=FILE.py scenes=kitti root=PATH
+  shift3d evaluate detector=onnx file=FILE.onnx count=20
   shift3d evaluate model=sdf
 
   python -c "import pandas; print(pandas.read_parquet('outputs/evaluate/NAME/metrics.parquet'))\""""
@@ -65,10 +66,6 @@ def _run(arguments: argparse.Namespace) -> int:
         from shift3d.training.command import evaluate
 
         return evaluate(key_values(arguments.words, ("model",), ("model",), "evaluate")["model"])
-    for name in (OWN, ONNX):  # first: they come with keys that nothing here knows
-        if f"detector={name}" in arguments.words:
-            remedy = f"Attack it in a sweep: shift3d sweep NAME detector={name}"
-            raise InputError(f"{name} detectors are not evaluated", f"evaluate detector={name}", remedy)
     values = key_values(arguments.words, _KEYS, ("detector",), "evaluate")
     count = whole_number(values, "count", 200, "evaluate") if "count" in values else None
     workers = whole_number(values, "workers", 1, "evaluate")
@@ -80,8 +77,8 @@ def _run(arguments: argparse.Namespace) -> int:
     scenes = _scenes(values, count)
     name, tail = values["detector"], f"-{count}" if count else ""
     out = writable_folder(values.get("out", f"outputs/evaluate/{name}-{scenes.dataset}{tail}"))
-    layout = foreign_layout_of(name, values, "evaluate")
-    print(evaluate_detector(name, scenes, out, values.get("weights"), workers, score_threshold, layout))
+    files = detector_files(name, values, "evaluate")
+    print(evaluate_detector(name, scenes, out, *files, workers=workers, score_threshold=score_threshold))
     return 0
 
 
@@ -107,7 +104,7 @@ COMMAND = Command(
     _EPILOG,
     _run,
     words="detector=NAME [scenes=street|kitti] [count=N] [sensor= split= traffic=] [root=PATH] [weights=FILE] "
-    "[config=FILE] [score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
+    "[module=FILE.py] [file=FILE.onnx] [config=FILE] [score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
     complete=evaluate_words,
     resumes=True,
 )

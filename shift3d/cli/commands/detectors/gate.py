@@ -7,14 +7,14 @@ import sys
 
 from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
 from shift3d.cli.completion import key_words
-from shift3d.cli.foreign_words import FOREIGN_KEYS, foreign_layout_of
-from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, OWN
+from shift3d.cli.detector_words import DETECTOR_KEYS, detector_files
+from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 
 KEYS = (
-    *("suite", "detector", "weights", "module", *FOREIGN_KEYS, "against", "accept", "releases"),
+    *("suite", "detector", *DETECTOR_KEYS, "against", "accept", "releases"),
     *("score_threshold", "level", "tolerance", "workers", "root", "mlflow", "out"),
 )
-_VALUES = {"detector": (*DETECTOR_NAMES, *FOREIGN, OWN), "accept": ("true", "anyway", "false")}
+_VALUES = {"detector": (*DETECTOR_NAMES, *FOREIGN, OWN, ONNX), "accept": ("true", "anyway", "false")}
 _STORE = "sqlite:///mlflow.db"
 
 _DESCRIPTION = """\
@@ -29,6 +29,7 @@ examples:
   shift3d gate suite=suites/first detector=pointpillars weights=FILE accept=true workers=2
   shift3d gate suite=s3://BUCKET/suite detector=own module=FILE.py weights=FILE
   shift3d gate suite=suites/first detector=openpcdet weights=FILE.pth config=FILE.yaml
+  shift3d gate suite=suites/first detector=onnx file=FILE.onnx                 what is deployed
 
 The last release: the one that was last accepted (in SUITE/releases or releases=DIR), or the weights of the sweep that
 the suite is of. accept=true makes the weights the next release where nothing got worse, accept=anyway always.
@@ -61,8 +62,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if uri != "none":
         check_store(uri, "mlflow")
     suite = read_suite(values["suite"], values.get("root"))
-    layout = foreign_layout_of(values["detector"], values, "gate")
-    scorer = Scorer(values["detector"], values.get("weights"), values.get("module"), layout)
+    scorer = Scorer(values["detector"], *detector_files(values["detector"], values, "gate"))
     name = f"outputs/gate/{suite.digest[:8]}-{scorer.name}-{scorer.digest[:8]}"
     out = writable_folder(values.get("out", name))
     releases = as_location(values["releases"]) if "releases" in values else suite.folder / "releases"
@@ -80,8 +80,8 @@ COMMAND = Command(
     _DESCRIPTION,
     _EPILOG,
     _run,
-    words="suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [config=FILE] [accept=true] [against=N] "
-    "[releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] [out=DIR]",
+    words="suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [file=FILE.onnx] [config=FILE] [accept=true] "
+    "[against=N] [releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] [out=DIR]",
     complete=key_words(KEYS, _VALUES),
     resumes=True,
 )

@@ -1,4 +1,4 @@
-"""Words that describe a detector of another codebase: those that do not belong are refused in one line."""
+"""Words that say what a detector is made of: those that do not belong are refused in one line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from foreign_cases import CASES
 
-from shift3d.cli.foreign_words import foreign_layout_of
+from shift3d.cli.detector_words import detector_files, foreign_layout_of
 from shift3d.errors import InputError
 from shift3d.suite.scoring import Scorer
 
@@ -36,3 +36,20 @@ def test_words_become_a_scorer(tmp_path: Path) -> None:
 def test_words_that_do_not_belong(name: str, values: dict[str, str], says: str) -> None:
     with pytest.raises(InputError, match=says):
         foreign_layout_of(name, values, "gate")
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "says"),
+    [
+        ("sst", ["module"], "module= means nothing for detector=sst"),
+        ("own", ["module", "file"], "file= means nothing for detector=own"),
+        ("onnx", ["file", "weights"], "weights= means nothing for detector=onnx"),
+        ("onnx", ["file", "config"], "config= means nothing for detector=onnx"),
+        ("own", ["weights"], "module= is missing. Give module=FILE.py"),
+        ("onnx", [], "file= is missing. Give file=FILE.onnx"),
+    ],
+)
+def test_files_that_do_not_belong(tmp_path: Path, name: str, keys: list[str], says: str) -> None:
+    (tmp_path / "mine").touch()
+    with pytest.raises(InputError, match=says):
+        detector_files(name, dict.fromkeys(keys, str(tmp_path / "mine")), "gate")
