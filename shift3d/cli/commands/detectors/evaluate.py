@@ -34,7 +34,7 @@ errors of boxes with 95 % intervals (scenes resampled), and the same by range, h
 kind of vehicle. Writes a folder: metrics, breakdown, vehicles, curves, detections, truth and timings as Parquet
 (docs/why/models.md says what a row is), curves.png, spec.json.
 All but the timings are the same bytes whatever the number of workers. The same command again resumes.
-A detector of your own is evaluated as any other: the check that its boxes lie in the frame that sweeps expect.
+A detector of your own is evaluated as any other. An AP near 0 may mean that its boxes are in another frame.
 
 model=sdf measures the shape model instead: its distance to vehicles, trained on and unseen."""
 

@@ -81,7 +81,8 @@ COMMAND = Command(
     _EPILOG,
     _run,
     words="suite=DIR detector=NAME [weights=FILE] [module=FILE.py] [file=FILE.onnx] [config=FILE] [accept=true] "
-    "[against=N] [releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] [out=DIR]",
+    "[against=N] [releases=DIR] [score_threshold=P] [level=P] [tolerance=P] [workers=N] [root=PATH] [mlflow=URI|none] "
+    "[out=DIR]",
     complete=key_words(KEYS, _VALUES),
     resumes=True,
 )
