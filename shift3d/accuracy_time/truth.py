@@ -24,13 +24,12 @@ from shift3d.attack.objective import (
 )
 from shift3d.attack.problem import AttackProblem
 from shift3d.detectors.base import Detector
-from shift3d.detectors.nms import suppress
 from shift3d.render.culling import object_rays
 from shift3d.render.render import render
 from shift3d.render.rendering import Rendering
 from shift3d.store.arrays import write_arrays
 from shift3d.task.assets import Assets
-from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
+from shift3d.task.scoring import detections_near
 
 SHAPES = ("start", "displaced")
 """The vehicle as it is, and as a short attack has left it."""
@@ -114,7 +113,7 @@ def score_of(
         points = to_network_frame(rendering.points.detach(), problem.ground_z_m)
         proposals = detector.proposals(points, window_around(detector, problem.theta0, window_m))
     box = object_box(problem.theta0, np.asarray(problem.vehicle.size_m), problem.ground_z_m)
-    return detection_score(suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU), box, radius_m)
+    return detection_score(detections_near(proposals, box, radius_m), box, radius_m)
 
 
 def write_truth(path: Path, truth: Truth) -> None:

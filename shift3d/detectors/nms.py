@@ -12,13 +12,17 @@ from torch import Tensor
 from shift3d.detectors.base import BevWindow, Detections, Detector, Proposals
 from shift3d.geometry.iou import iou_bev
 
-MAX_BEFORE_NMS = 4096
+MAX_BEFORE_NMS, MAX_KEPT = 4096, 500
 
 Array = npt.NDArray[np.float64]
 
 
 def rotated_nms(
-    boxes: Array, scores: Array, iou_threshold: float, max_kept: int = 500, until: npt.NDArray[np.bool_] | None = None
+    boxes: Array,
+    scores: Array,
+    iou_threshold: float,
+    max_kept: int = MAX_KEPT,
+    until: npt.NDArray[np.bool_] | None = None,
 ) -> npt.NDArray[np.int64]:
     """Indices of the boxes kept, best score first; equal scores keep the lower index first.
 
@@ -56,20 +60,22 @@ def suppress(
 ) -> Detections:
     """Proposals to boxes: those with at least score_threshold, best first, without the overlapping ones.
 
-    among: (A,) bool, the proposals that may be kept; None: all. until: (A,) bool, see `rotated_nms`. At most
-    MAX_BEFORE_NMS go in. Equal scores come in the order of their logits: in float32 every logit above 17 has the score
-    1. Equal logits come in the order of the proposals. A NaN reaches no threshold. Not differentiable.
-    Source: the public Waymo config; the order of equals is our choice.
+    among: (A,) bool, the proposals that may be kept; None: all. until: (A,) bool, see `rotated_nms`; with it all of
+    them take part, else at most MAX_BEFORE_NMS go in and MAX_KEPT are kept: a box that is asked for counts however many
+    score higher. Equal scores come in the order of their logits: in float32 every logit above 17 has the score 1. Equal
+    logits come in the order of the proposals. A NaN reaches no threshold. Not differentiable.
+    Source: the public Waymo config; until and the order of equals are our choice.
     """
     logits = proposals.logits.detach()
     scores = torch.sigmoid(logits).double().numpy()
     wanted = scores >= score_threshold
     candidates = np.flatnonzero(wanted if among is None else wanted & among.numpy())
     by_logit = np.argsort(-logits.double().numpy()[candidates], kind="stable")
-    candidates = candidates[by_logit[:MAX_BEFORE_NMS]]
+    most, most_kept = (MAX_BEFORE_NMS, MAX_KEPT) if until is None else (len(candidates), len(candidates))
+    candidates = candidates[by_logit[:most]]
     boxes = proposals.boxes.detach().double().numpy()[candidates]
     last = None if until is None else until[candidates]
-    kept = rotated_nms(boxes, scores[candidates], iou_threshold, until=last)
+    kept = rotated_nms(boxes, scores[candidates], iou_threshold, most_kept, last)
     return Detections(boxes[kept], scores[candidates][kept])
 
 

@@ -20,7 +20,7 @@ from shift3d.attack.objective import (
     to_network_frame,
 )
 from shift3d.attack.problem import AttackProblem, Measurement, measure
-from shift3d.detectors.base import BevWindow, Detector, Proposals
+from shift3d.detectors.base import BevWindow, Detections, Detector, Proposals
 from shift3d.detectors.incremental.inference import IncrementalInference, WholeWindow, incremental_inference
 from shift3d.detectors.nms import suppress
 from shift3d.render.solvers.search import WarmStart
@@ -31,6 +31,8 @@ from shift3d.vehicles.vehicle import Vehicle
 SCORE_FLOOR = 0.01
 # Of suppression. Source: the public Waymo config.
 SUPPRESSION_IOU = 0.25
+# Boxes centred farther away suppress none near the object, nor any that could. It holds the corners of every window.
+_AROUND_M = 2.0 * SCORE_RADIUS_M
 # Methods of many candidates that differ little from the solution, in one place: see `Nearby`.
 SCORED_NEARBY = ("adversarial_noise",)
 
@@ -163,7 +165,24 @@ def boxes_around(
         }
 
 
+def detections_near(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> Detections:
+    """What suppression leaves, best first, down to the box that gives the object of a box (7,) its score.
+
+    radius_m: how near the object's centre the centre of that box lies, metres.
+    """
+    return detections_until(proposals, box, is_near(proposals.boxes.double().numpy(), box, radius_m))
+
+
+def detections_until(proposals: Proposals, box: NDArray[np.float64], wanted: NDArray[np.bool_]) -> Detections:
+    """What suppression leaves around a box (7,), best first, down to the first of the proposals wanted (A,).
+
+    It hangs on nothing farther away, nor on how many proposals there are: a detector that sees the whole scene gives
+    tens of thousands that reach SCORE_FLOOR.
+    """
+    around = is_near(proposals.boxes.double().numpy(), box, _AROUND_M)
+    return suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU, torch.from_numpy(around), wanted)
+
+
 def _answer(proposals: Proposals, box: NDArray[np.float64], radius_m: float) -> Answer:
-    near = is_near(proposals.boxes.double().numpy(), box, radius_m)
-    detections = suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU, until=near)
+    detections = detections_near(proposals, box, radius_m)
     return Answer(detection_score(detections, box, radius_m), float(adversarial_loss(proposals, box)))

@@ -103,10 +103,9 @@ def render_again(task: PlannedTask, solution: Mapping[str, Any], centre_xy: Floa
 
 def best_box(proposals: Proposals, box: FloatArray, radius_m: float) -> tuple[FloatArray | None, float]:
     """The box (7,) that gives the object at ``box`` its score, and the score; None and 0 without one."""
-    from shift3d.detectors.nms import suppress
-    from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
+    from shift3d.task.scoring import detections_near
 
-    detections = suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU)
+    detections = detections_near(proposals, box, radius_m)
     near = np.flatnonzero(np.hypot(*(detections.boxes[:, :2] - box[:2]).T) < radius_m)
     if not len(near):
         return None, 0.0

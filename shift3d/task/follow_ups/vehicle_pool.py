@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 import trimesh
+from numpy.typing import NDArray
 
 from shift3d.attack.objective import SCORE_RADIUS_M, to_network_frame
-from shift3d.detectors.nms import suppress
+from shift3d.detectors.base import Proposals
 from shift3d.geometry.iou import iou_bev
 from shift3d.retrieval.crops import Crop, crop_vehicles
 from shift3d.retrieval.reconstruction import Reconstructor
@@ -23,7 +24,7 @@ from shift3d.sdf.meshes import symmetric_chamfer
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
-from shift3d.task.scoring import SCORE_FLOOR, SUPPRESSION_IOU
+from shift3d.task.scoring import detections_until
 from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
@@ -145,7 +146,11 @@ def _scores(spec: TaskSpec, assets: Assets, scene: Scene, crops: list[Crop]) -> 
     points = to_network_frame(torch.from_numpy(scene.points[scene.has_beam]), scene.ground_z_m)
     with torch.no_grad():
         proposals = detector.proposals(points, detector.window_for((float(middle[0]), float(middle[1])), reach))
-    found = suppress(proposals, SCORE_FLOOR, SUPPRESSION_IOU)
-    overlaps = iou_bev(boxes, found.boxes) >= OWN_IOU
-    best = (overlaps * found.scores).max(axis=1, initial=0.0)
-    return {crop.label: float(score) for crop, score in zip(crops, best)}
+    return {crop.label: own_score(proposals, box) for crop, box in zip(crops, boxes)}
+
+
+def own_score(proposals: Proposals, box: NDArray[np.float64]) -> float:
+    """Score of the best box after suppression that overlaps a vehicle's (7,), network frame; 0 without one."""
+    own = iou_bev(box, proposals.boxes.numpy())[0] >= OWN_IOU
+    found = detections_until(proposals, box, own)
+    return float((found.scores * (iou_bev(box, found.boxes)[0] >= OWN_IOU)).max(initial=0.0))

@@ -1,15 +1,66 @@
-"""Scores from the scene without the object: those of the whole scene, and none depends on another."""
+"""Scores: from the scene without the object those of the whole scene; none depends on another, nor on other boxes."""
 
+import numpy as np
 import pytest
 import torch
 from short_tasks import make_spec
 
 from shift3d.attack.baselines import noise_codes
+from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.seeding import generator
 from shift3d.task.assets import Assets
+from shift3d.task.follow_ups.vehicle_pool import own_score
 from shift3d.task.problem import build_problem, place_vehicle
-from shift3d.task.scoring import Nearby, score_object
+from shift3d.task.scoring import Nearby, score_box, score_object
 from shift3d.task.spec import PlacementSpec
+
+OBJECT = np.array([20.0, 3.0, 0.8, 4.5, 1.8, 1.5, 0.3])
+
+
+class WholeScene:
+    """A detector that gives the same proposals whatever window it is asked for, as the user's own does."""
+
+    name = "whole"
+
+    def __init__(self, boxes: np.ndarray, scores: np.ndarray) -> None:
+        logits = torch.logit(torch.from_numpy(scores))
+        self.found = Proposals(torch.from_numpy(boxes).float(), logits, torch.arange(len(boxes)))
+
+    def window_for(self, centre_xy: tuple[float, float], radius_m: float) -> BevWindow:
+        return BevWindow(0, 0, 1, 1, 0, 0, 1, 1)
+
+    def proposals(self, points: torch.Tensor, window: BevWindow | None = None) -> Proposals:
+        return self.found
+
+
+def better_boxes(where: str) -> np.ndarray:
+    """Boxes that do not touch the object's: so many in one place, or apart, that suppression has had enough."""
+    if where == "one place":
+        return np.tile(OBJECT + np.array([9.0, 0, 0, 0, 0, 0, 0]), (5000, 1))
+    x, y = (part.reshape(-1) for part in np.meshgrid(np.arange(-18, 18, 1.2), np.arange(-18, 18, 1.2)))
+    far = np.hypot(x, y) > 8.0
+    places = np.tile([0.0, 0.0, 0.8, 1.0, 1.0, 1.5, 0.0], (int(far.sum()), 1))
+    places[:, :2] = np.column_stack((x, y))[far] + OBJECT[:2] + ((0.0, 0.0) if where == "apart" else (60.0, 0.0))
+    return places
+
+
+@pytest.mark.parametrize("where", ["one place", "apart", "far away"])
+def test_a_low_score_is_its_own_however_many_boxes_elsewhere_score_higher(where: str) -> None:
+    others = better_boxes(where)
+    boxes, scores = np.concatenate((others, OBJECT[None])), np.append(np.full(len(others), 0.1), 0.05)
+    detector = WholeScene(boxes, scores)
+    found = score_box(torch.zeros(1, 3), OBJECT, 0.0, 5.0, {"whole": detector})["whole"]  # type: ignore[dict-item]
+    assert found.score == pytest.approx(0.05)
+    assert own_score(detector.found, OBJECT) == pytest.approx(0.05)
+
+
+def test_a_box_centred_beyond_the_radius_still_suppresses() -> None:
+    longer = OBJECT.copy()
+    longer[:2] += 5.5 * np.cos(OBJECT[6]), 5.5 * np.sin(OBJECT[6])
+    longer[3] = 16.0
+    detector = WholeScene(np.stack((OBJECT, longer)), np.array([0.05, 0.1]))
+    found = score_box(torch.zeros(1, 3), OBJECT, 0.0, 5.0, {"whole": detector})["whole"]  # type: ignore[dict-item]
+    assert found.score == 0.0
 
 
 def test_scored_nearby_is_scored_afresh_for_less(assets: Assets) -> None:
