@@ -36,11 +36,13 @@ class Proposals:
     boxes: (A, 7) float32, detached, network frame (x, y, z, dx, dy, dz, heading), metres and radians.
     logits: (A,) differentiable w.r.t. the points; the score is sigmoid(logit).
     anchor_index: (A,) int64, the anchor's index in the FULL grid (the same for any window).
+    reported: (A,) bool, those that suppression is given, as the peaks of a heat map; None: all.
     """
 
     boxes: Tensor
     logits: Tensor
     anchor_index: Tensor
+    reported: Tensor | None = None
 
 
 @dataclass(frozen=True)

@@ -60,16 +60,19 @@ def suppress(
 ) -> Detections:
     """Proposals to boxes: those with at least score_threshold, best first, without the overlapping ones.
 
-    among: (A,) bool, the proposals that may be kept; None: all. until: (A,) bool, see `rotated_nms`; with it all of
-    them take part, else at most MAX_BEFORE_NMS go in and MAX_KEPT are kept: a box that is asked for counts however many
-    score higher. Equal scores come in the order of their logits: in float32 every logit above 17 has the score 1. Equal
-    logits come in the order of the proposals. A NaN reaches no threshold. Not differentiable.
+    among: (A,) bool, of those that the detector reports the proposals that may be kept; None: all. until: (A,) bool,
+    see `rotated_nms`; with it all of them take part, else at most MAX_BEFORE_NMS go in and MAX_KEPT are kept: a box
+    that is asked for counts however many score higher. Equal scores come in the order of their logits: in float32 every
+    logit above 17 has the score 1. Equal logits come in the order of the proposals. A NaN reaches no threshold. Not
+    differentiable.
     Source: the public Waymo config; until and the order of equals are our choice.
     """
     logits = proposals.logits.detach()
     scores = torch.sigmoid(logits).double().numpy()
     wanted = scores >= score_threshold
-    candidates = np.flatnonzero(wanted if among is None else wanted & among.numpy())
+    for mask in (proposals.reported, among):
+        wanted = wanted if mask is None else wanted & mask.numpy()
+    candidates = np.flatnonzero(wanted)
     by_logit = np.argsort(-logits.double().numpy()[candidates], kind="stable")
     most, most_kept = (MAX_BEFORE_NMS, MAX_KEPT) if until is None else (len(candidates), len(candidates))
     candidates = candidates[by_logit[:most]]
@@ -86,10 +89,6 @@ class SuppressedProposals(Detector):
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
         """See `Detector`."""
 
-    def candidates(self, found: Proposals, window: BevWindow | None) -> Tensor | None:
-        """(A,) bool, the proposals that may be kept; None: all."""
-        return None
-
     def detect(
         self,
         points: Tensor,
@@ -103,5 +102,4 @@ class SuppressedProposals(Detector):
         Source: the public Waymo config (thresholds 0.1 and 0.25, 4096 and 500).
         """
         with torch.no_grad():
-            found = self.proposals(points, window)
-            return suppress(found, score_threshold, iou_threshold, self.candidates(found, window))
+            return suppress(self.proposals(points, window), score_threshold, iou_threshold)

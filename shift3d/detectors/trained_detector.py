@@ -93,8 +93,8 @@ class TrainedDetector(SuppressedProposals):
         """Proposals from class logits (A,) and the rows of the box layers (cells, R) of a window's core."""
         heads, grid, window = self._net.heads, self._net.head_grid, self._net.head_window(window)
         with torch.no_grad():
-            boxes = heads.decode(rows, grid, window)
-        return Proposals(boxes.float(), logits, proposal_indices(heads.per_cell, grid, window))
+            boxes, reported = heads.decode(rows, grid, window), heads.reported(logits, window)
+        return Proposals(boxes.float(), logits, proposal_indices(heads.per_cell, grid, window), reported)
 
     def incremental(self, window: BevWindow) -> IncrementalInference:
         """Proposals inside a window for many frames of one scene, at the cost of what differs between them."""
@@ -106,6 +106,3 @@ class TrainedDetector(SuppressedProposals):
         if self._cells is None:
             self._cells = SparseBackbone(net.backbone, net.heads, self._dtype)
         return IncrementalPillars(net, self._cells, window, self.proposals, self._proposals)
-
-    def candidates(self, found: Proposals, window: BevWindow | None) -> Tensor | None:
-        return self._net.heads.candidates(found.logits, self._net.head_window(window or full_window(self.grid)))

@@ -58,7 +58,7 @@ class PointsToScores(nn.Module):
         heads = self.net.heads
         window, logits = full_window(self.net.grid), heads.logits(features)[0]
         boxes = heads.decode(heads.box_rows(features)[0], self.net.grid, window)
-        scores, kept = torch.sigmoid(logits), heads.candidates(logits, window)
+        scores, kept = torch.sigmoid(logits), heads.reported(logits, window)
         return boxes, scores if kept is None else torch.where(kept, scores, 0.0)
 
     def _canvas(self, points: Tensor) -> Tensor:

@@ -68,7 +68,7 @@ class CentreHeads(BoxHeads):
         y, x = torch.meshgrid(lines, columns, indexing="ij")
         return decode_centres(rows, torch.stack((x.reshape(-1), y.reshape(-1)), dim=1), grid)
 
-    def candidates(self, logits: Tensor, window: BevWindow) -> Tensor:
+    def reported(self, logits: Tensor, window: BevWindow) -> Tensor:
         """Cells whose logit is the highest of the 3x3 around them, within the core; equals stay together.
 
         Source: CenterPoint, which takes the peaks of its heat map in place of suppression between anchors.

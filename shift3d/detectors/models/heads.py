@@ -33,7 +33,7 @@ class BoxHeads(nn.Module, ABC):
         rows: (cells, R), what `box_layers` gave, side by side. Not differentiable: boxes are detached.
         """
 
-    def candidates(self, logits: Tensor, window: BevWindow) -> Tensor | None:
+    def reported(self, logits: Tensor, window: BevWindow) -> Tensor | None:
         """(A,) bool, the proposals of the window's core that suppression is given; None: all."""
         return None
 

@@ -79,6 +79,9 @@ def _assert_same(
     assert float(difference) <= tolerance * float(plain.logits.detach().abs().max())
     turned = torch.remainder(found.boxes[:, 6] - plain.boxes[:, 6] + 1.0, torch.pi) - 1.0  # a tie may turn a box round
     assert float((found.boxes - plain.boxes)[:, :6].abs().max()) <= max(tolerance, 1e-6) * 100.0
+    assert (found.reported is None) == (plain.reported is None)
+    if found.reported is not None and plain.reported is not None:
+        assert torch.equal(found.reported, plain.reported) and 0.0 < float(plain.reported.float().mean()) < 1.0
     assert float(turned.abs().max()) <= max(tolerance, 1e-6) * 10.0
     rows = slice(None) if requires_grad is None else requires_grad
     assert float((gradient - expected)[rows].abs().max()) <= tolerance * float(expected.abs().max())

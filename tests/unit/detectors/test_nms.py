@@ -1,8 +1,10 @@
 """Suppression against the plain quadratic reference."""
 
 import numpy as np
+import torch
 
-from shift3d.detectors.nms import rotated_nms
+from shift3d.detectors.base import Proposals
+from shift3d.detectors.nms import rotated_nms, suppress
 from shift3d.geometry.iou import iou_bev
 
 
@@ -50,6 +52,15 @@ def test_nothing_kept_behind_the_box_asked_for_and_all_before_it_the_same() -> N
         first = next(place for place, index in enumerate(kept) if near[index])
         assert rotated_nms(boxes, scores, 0.25, until=near).tolist() == kept[: first + 1]
     assert rotated_nms(boxes, scores, 0.25, until=np.zeros(120, dtype=bool)).tolist() == kept
+
+
+def test_what_a_detector_does_not_report_neither_counts_nor_suppresses() -> None:
+    boxes, scores = _boxes(120, 3)
+    reported = torch.arange(120) % 3 > 0
+    proposals = Proposals(torch.from_numpy(boxes), torch.logit(torch.from_numpy(scores)), torch.arange(120), reported)
+    found = suppress(proposals, 0.0, 0.25)
+    alone = Proposals(*(part[reported] for part in (proposals.boxes, proposals.logits, proposals.anchor_index)))
+    np.testing.assert_array_equal(found.boxes, suppress(alone, 0.0, 0.25).boxes)
 
 
 def test_touching_and_degenerate_boxes_do_not_suppress() -> None:

@@ -1,5 +1,7 @@
 """Scores: from the scene without the object those of the whole scene; none depends on another, nor on other boxes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -52,6 +54,15 @@ def test_a_low_score_is_its_own_however_many_boxes_elsewhere_score_higher(where:
     found = score_box(torch.zeros(1, 3), OBJECT, 0.0, 5.0, {"whole": detector})["whole"]  # type: ignore[dict-item]
     assert found.score == pytest.approx(0.05)
     assert own_score(detector.found, OBJECT) == pytest.approx(0.05)
+
+
+def test_a_box_that_the_detector_never_reports_is_no_score() -> None:
+    """As next to the peak of a heat map."""
+    beside = OBJECT + np.array([0.3, 0, 0, 0, 0, 0, 0])
+    detector = WholeScene(np.stack((beside, OBJECT)), np.array([0.07, 0.05]))
+    detector.found = replace(detector.found, reported=torch.tensor([False, True]))
+    found = score_box(torch.zeros(1, 3), OBJECT, 0.0, 5.0, {"whole": detector})["whole"]  # type: ignore[dict-item]
+    assert found.score == pytest.approx(0.05)
 
 
 def test_a_box_centred_beyond_the_radius_still_suppresses() -> None:
