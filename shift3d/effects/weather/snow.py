@@ -15,7 +15,8 @@ some 25 sr (our choice)."""
 def flakes(snow_mm_h: float) -> Particles:
     """Flakes of snow, each a disc across the beam, by the width of the flake; the rate is of melted water.
 
-    Source: Gunn and Marshall 1958, whose diameters are those of the melted drops.
+    Source: Gunn and Marshall 1958, whose diameters are those of the melted drops; constants as in LISA (Kilic et al.
+    2021).
     """
     return Particles(7600.0 * snow_mm_h**-0.87 / FLAKE_WIDTH, 2.55 * snow_mm_h**-0.48 / FLAKE_WIDTH, FLAKE_ALBEDO)
 
