@@ -26,12 +26,18 @@ _VERSION = 1
 
 
 def pool_plan(plan: Plan) -> Plan:
-    """The pool of the scenes of a sweep's plan: one task a scene, the first that is in it."""
-    first: dict[tuple[str, str], int] = {}
+    """The pool of the scenes of a sweep's plan: one task a scene, the first that is in it.
+
+    Raises: InputError: two scenes have one name, by which a pool tells them apart.
+    """
+    first: dict[tuple[str, str], tuple[int, str]] = {}
     for position, task in enumerate(plan.tasks):
-        first.setdefault((task.spec.dataset, task.spec.scene), position)
+        spec = task.spec
+        if first.setdefault((spec.dataset, spec.scene), (position, spec.scene_hash))[1] != spec.scene_hash:
+            what = f"two scenes of {spec.dataset} are called {spec.scene}"
+            raise InputError(what, "pool", "Give the scenes of one folder, made in one way; another pool takes others")
     name = f"{_POOL}_{_VERSION}"
-    return dataclasses.replace(plan, sweep=name, tasks=plan.tasks.select(sorted(first.values())))
+    return dataclasses.replace(plan, sweep=name, tasks=plan.tasks.select(sorted(at for at, _ in first.values())))
 
 
 def build_pool(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepResult:
