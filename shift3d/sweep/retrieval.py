@@ -20,7 +20,7 @@ from shift3d.sweep.planning.plan import Plan
 
 FOLDER = "retrieval"
 """Where retrievals lie in their sweep's folder, one a pool: a sweep's folders themselves, each with a log."""
-_POOL = "vehicle_pool"
+_POOL, _RETRIEVED = "vehicle_pool", "retrieved"
 _VERSION = 1
 """Raised when a crop comes to another fit under the same settings: part of the name that a pool's hash is made from."""
 
@@ -62,11 +62,14 @@ def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> 
     folder, pool = as_location(folder), as_location(pool)
     plan = solved_tasks(folder)
     _check_decoders(plan, pool)
-    content = _pool_bytes(pool)
-    (folder / "final" / f"{_POOL}.parquet").write_atomic(content)
+    content, final = _pool_bytes(pool), folder / "final"
+    kept = final / f"{_POOL}.parquet"
+    if kept.is_file() and kept.read_bytes() != content:
+        (final / f"{_RETRIEVED}.parquet").delete()  # of another pool's vehicles: that pool's own folder has it, too
+    kept.write_atomic(content)
     digest = hashlib.blake2b(content, digest_size=6).hexdigest()
     kind = follow_up_kind(retrieval_task, load_retrieval_assets)
-    return follow_up(folder, plan, runner, kind, folder / FOLDER / digest, "retrieved")
+    return follow_up(folder, plan, runner, kind, folder / FOLDER / digest, _RETRIEVED)
 
 
 def _check_decoders(plan: Plan, pool: Location) -> None:
