@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -127,7 +128,8 @@ def evaluate_detector(
 
     ``out`` gets spec.json, detections.parquet, truth.parquet, vehicles.parquet, metrics.parquet, breakdown.parquet,
     curves.parquet, curves.png, the same bytes whatever the number of workers, and timings.parquet, which differs from
-    run to run. ``out``/scenes holds the answer for each scene: the same call again detects only where one is missing.
+    run to run. ``out``/scenes holds the answer for each scene: the same call again detects only where one is missing,
+    or a frame's files have changed since.
 
     Args:
         name: a detector, with its shipped weights or those of the file ``weights``, which may be an ONNX file.
@@ -155,15 +157,23 @@ def evaluate_detector(
         **({"module_blake2b": file_hash(Path(module).expanduser())} if module else {}),
         **({"layout": layout} if layout else {}),
     }
-    scene_names = scenes.open().names()
+    opened_scenes = scenes.open()
+    scene_names = opened_scenes.names()
     if file and name not in (OWN, ONNX):  # what lies beside these is the user's
         refuse_tuned_scenes(file, dict.fromkeys(scene_names, ""))
     _claim(out / "spec.json", spec)
     detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
-    found = answers_of(scene_names, out / "scenes", detect)
+    found = answers_of(scene_names, out / "scenes", detect, partial(_state_of_files, opened_scenes))
     label = f"{name}, {workers} at a time"
     answers = list(progress_bar(found, desc=label, total=len(scene_names), unit="scene", smoothing=0.1))
     return write_evaluation(name, scenes.dataset, answers, out)
+
+
+def _state_of_files(scenes: SceneSet, name: str) -> str:
+    """A digest of the state of a recorded frame's files; empty for a street, whose name says everything."""
+    if isinstance(scenes, StreetScenes):
+        return ""
+    return hashlib.blake2b(json.dumps(scenes.source(name)).encode(), digest_size=16).hexdigest()
 
 
 def write_evaluation(detector: str, dataset: str, answers: Sequence[Answer], out: Path) -> str:

@@ -68,9 +68,19 @@ class SweepObjects:
         return self._assets[found.assets]
 
     @property
+    def by_scene(self) -> dict[str, SweepObject]:
+        """An object of each scene, by the scene's name; of further scenes of one name, with their content's hash."""
+        found: dict[str, SweepObject] = {}
+        for row in self.objects:
+            first = found.setdefault(row.spec.scene, row)
+            if first.spec.scene_hash != row.spec.scene_hash:
+                found.setdefault(f"{row.spec.scene}-{row.spec.scene_hash}", row)
+        return found
+
+    @property
     def scenes(self) -> dict[str, str]:
-        """Content hash by the scene's name."""
-        return {found.spec.scene: found.spec.scene_hash for found in self.objects}
+        """Content hash by the names of `by_scene`."""
+        return {name: row.spec.scene_hash for name, row in self.by_scene.items()}
 
 
 def scored_objects(folder: LocationLike, detector: str, methods: tuple[str, ...]) -> SweepObjects:

@@ -24,6 +24,7 @@ HELD_OUT = ("held_out", "other_vehicles")
 """Folders of the sweeps over held-out streets: of vanilla in the fine-tuning's folder, of a tuned model in its own."""
 NATURAL = "natural"
 _TABLE, _PAGE = "finetune.parquet", "report.html"
+_OBJECT = ["task_id", "method"]
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,14 @@ class Tuned:
 
 
 def score_held_out(folder: Path, tuned: Tuned) -> None:
-    """Score vanilla's objects of every held-out sweep by a tuned model; what is there is not scored again.
+    """Score vanilla's objects of every held-out sweep by a tuned model; what is there is not scored again, unless the
+    sweep has got further objects, as of tasks that were retried.
 
     Raises: InputError as `rescored`.
     """
     for sweep in HELD_OUT:
-        file = tuned.scores_file(sweep)
-        if not file.is_file():
+        file, objects = tuned.scores_file(sweep), object_scores(folder / sweep, tuned.detector).select(_OBJECT)
+        if not file.is_file() or not pq.read_table(file, columns=_OBJECT).equals(objects):
             write_table(file, rescored(folder / sweep, tuned.detector, tuned.weights))
 
 

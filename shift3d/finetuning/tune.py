@@ -61,7 +61,7 @@ def object_scenes(folder: Path, found: SweepObjects) -> list[Path]:
 
 def natural_scenes(folder: Path, found: SweepObjects) -> list[Path]:
     """Cached scenes of the same sweep as they are, each once."""
-    rows = {row.spec.scene: row for row in found.objects}
+    rows = found.by_scene
 
     def build(name: str) -> TrainingScene:
         row = rows[name]

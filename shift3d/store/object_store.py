@@ -195,7 +195,9 @@ class ObjectLocation(Location):
         """See `Location`. Raises InputError, where the store cannot be asked."""
         with _clear_errors(str(self)):
             found = obstore.list_with_delimiter(self._client, self.key or None)
-        paths = [*found["common_prefixes"], *(entry["path"] for entry in found["objects"])]
+        # The consoles of stores make a folder as an object of its own name, with a slash behind it.
+        objects = (entry["path"] for entry in found["objects"] if entry["path"].rstrip("/") != self.key)
+        paths = [*found["common_prefixes"], *objects]
         names = {path.rstrip("/").rpartition("/")[2] for path in paths}
         return sorted(name for name in names if not name.startswith("."))
 

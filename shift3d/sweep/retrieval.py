@@ -20,18 +20,24 @@ from shift3d.sweep.planning.plan import Plan
 
 FOLDER = "retrieval"
 """Where retrievals lie in their sweep's folder, one a pool: a sweep's folders themselves, each with a log."""
-_POOL = "vehicle_pool"
+_POOL, _RETRIEVED = "vehicle_pool", "retrieved"
 _VERSION = 1
 """Raised when a crop comes to another fit under the same settings: part of the name that a pool's hash is made from."""
 
 
 def pool_plan(plan: Plan) -> Plan:
-    """The pool of the scenes of a sweep's plan: one task a scene, the first that is in it."""
-    first: dict[tuple[str, str], int] = {}
+    """The pool of the scenes of a sweep's plan: one task a scene, the first that is in it.
+
+    Raises: InputError: two scenes have one name, by which a pool tells them apart.
+    """
+    first: dict[tuple[str, str], tuple[int, str]] = {}
     for position, task in enumerate(plan.tasks):
-        first.setdefault((task.spec.dataset, task.spec.scene), position)
+        spec = task.spec
+        if first.setdefault((spec.dataset, spec.scene), (position, spec.scene_hash))[1] != spec.scene_hash:
+            what = f"two scenes of {spec.dataset} are called {spec.scene}"
+            raise InputError(what, "pool", "Give the scenes of one folder, made in one way; another pool takes others")
     name = f"{_POOL}_{_VERSION}"
-    return dataclasses.replace(plan, sweep=name, tasks=plan.tasks.select(sorted(first.values())))
+    return dataclasses.replace(plan, sweep=name, tasks=plan.tasks.select(sorted(at for at, _ in first.values())))
 
 
 def build_pool(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepResult:
@@ -56,11 +62,14 @@ def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> 
     folder, pool = as_location(folder), as_location(pool)
     plan = solved_tasks(folder)
     _check_decoders(plan, pool)
-    content = _pool_bytes(pool)
-    (folder / "final" / f"{_POOL}.parquet").write_atomic(content)
+    content, final = _pool_bytes(pool), folder / "final"
+    kept = final / f"{_POOL}.parquet"
+    if kept.is_file() and kept.read_bytes() != content:
+        (final / f"{_RETRIEVED}.parquet").delete()  # of another pool's vehicles: that pool's own folder has it, too
+    kept.write_atomic(content)
     digest = hashlib.blake2b(content, digest_size=6).hexdigest()
     kind = follow_up_kind(retrieval_task, load_retrieval_assets)
-    return follow_up(folder, plan, runner, kind, folder / FOLDER / digest, "retrieved")
+    return follow_up(folder, plan, runner, kind, folder / FOLDER / digest, _RETRIEVED)
 
 
 def _check_decoders(plan: Plan, pool: Location) -> None:

@@ -68,6 +68,7 @@ class StatusWriter:
             "driver": self._log.driver,
             "host": socket.gethostname(),
             "pid": os.getpid(),
+            "pid_began": _began(os.getpid()),
             "state": state,
             "written_unix_s": time.time(),
             "planned": self._planned,
@@ -187,12 +188,23 @@ def _alive(status: SweepStatus, progress: dict[str, Any]) -> str:
     if not awake:
         return str(progress["state"])
     here = progress["host"] == socket.gethostname() and Path("/proc/self").exists()
-    if here and not Path(f"/proc/{progress['pid']:d}").exists():
+    # Its number may be another process's by now: after a reboot, and in a container that was started again.
+    began = _began(progress["pid"]) if here else None
+    if here and (began is None or progress.get("pid_began", began) != began):
         return "dead; the same command resumes"
     silent = time.time() - progress["written_unix_s"]
     if not here and silent > _SILENT_S:
         return f"silent for {_ago(silent)}; if it is dead, the same command resumes"
     return str(progress["state"])
+
+
+def _began(pid: int) -> str | None:
+    """When a process of this machine began, in the kernel's ticks since boot; None where there is none, or no /proc."""
+    try:
+        state = Path(f"/proc/{pid:d}/stat").read_text()
+    except OSError:
+        return None
+    return state.rpartition(")")[2].split()[19]  # the name, in brackets, may hold anything
 
 
 def _ago(seconds: float) -> str:

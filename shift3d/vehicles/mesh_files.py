@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import itertools
 import json
 import time
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -56,7 +59,7 @@ def find_meshes(path: Path | str) -> list[MeshFile]:
 
     In ShapeNet's layout, {synset}/{id}/models/model_normalized.obj at any depth below `path`, a vehicle is named by
     its id and other files are left alone. Otherwise every mesh below `path` counts, named by its place below it
-    without the suffix.
+    without the suffix. Folders that are links count as what they lead to; one that several ways lead to counts once.
 
     Raises: InputError when there is no such path, it holds no mesh, or two of its meshes have one name.
     """
@@ -67,9 +70,11 @@ def find_meshes(path: Path | str) -> list[MeshFile]:
         return [MeshFile(_slug(root.stem), root)]
     if not root.is_dir():
         raise InputError("no such file or folder", where=str(root), remedy="a mesh or a folder of meshes")
-    found = [MeshFile(_slug(file.absolute().parents[1].name), file) for file in root.rglob(SHAPENET_FILE.as_posix())]
+    below = list(_files_below(root))
+    models = [file for file in below if file.parts[-2:] == SHAPENET_FILE.parts]
+    found = [MeshFile(_slug(file.absolute().parents[1].name), file) for file in models]
     if not found:
-        files = [file for file in root.rglob("*") if file.suffix.lower() in SUFFIXES and file.is_file()]
+        files = [file for file in below if file.suffix.lower() in SUFFIXES]
         found = [MeshFile(_slug(file.relative_to(root).with_suffix("").as_posix()), file) for file in files]
     if not found:
         raise InputError("no meshes below this folder", where=str(root), remedy=f"files: {', '.join(SUFFIXES)}")
@@ -78,6 +83,24 @@ def find_meshes(path: Path | str) -> list[MeshFile]:
         if first.name == second.name:
             raise InputError(f"two meshes are named {first.name}", where=str(second.path), remedy="rename one")
     return found
+
+
+def _files_below(root: Path) -> Iterator[Path]:
+    """Every file below a folder. Links are followed after all else, so that what lies here has the name of its place;
+    none leads to a folder twice, nor round in circles."""
+    seen, waiting = set(), deque([root])
+    while waiting:
+        folder = waiting.popleft()
+        if (real := folder.resolve()) in seen:
+            continue
+        seen.add(real)
+        inside: list[Path] = []
+        with contextlib.suppress(PermissionError):  # as a disk's lost+found
+            inside = sorted(folder.iterdir())
+        yield from (entry for entry in inside if entry.is_file())
+        folders = [entry for entry in inside if entry.is_dir()]
+        waiting.extendleft(entry for entry in folders if not entry.is_symlink())
+        waiting.extend(entry for entry in folders if entry.is_symlink())
 
 
 def _slug(name: str) -> str:

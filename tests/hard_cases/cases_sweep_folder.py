@@ -18,6 +18,7 @@ from shift3d.store.tables import read_table, table_from_rows
 from shift3d.sweep.planning.folder import open_folder, read_plan
 from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.sweep.results.final import FinalTables, write_final
+from shift3d.sweep.status import read_status
 
 AREA = "sweep"
 SECOND = "_log/00000002.json"
@@ -142,6 +143,23 @@ def a_spec_of_another_version() -> None:
         path.write_text(path.read_text().replace("schema_version: ", "schema_version: 99"))
         refused(lambda: read_spec(folder), "spec.yaml", "schema version 99")
         refused(lambda: read_plan(folder), "spec.yaml")
+
+
+@hard_case(
+    area=AREA,
+    why="a spec that a copy cut short between two lines is YAML, and lacks what a status or a resumed sweep reads",
+    must="an error that names the spec, wherever it was cut",
+    guard="what every spec has is looked for when it is read",
+)
+def a_spec_that_was_cut_short() -> None:
+    with place() as folder:
+        write_sweep(folder)
+        path = folder / "spec.yaml"
+        lines = path.read_text().splitlines(keepends=True)
+        for count in range(1, 1 + next(at for at, line in enumerate(lines) if line.startswith("settings"))):
+            path.write_text("".join(lines[:count]))
+            refused(lambda: read_status(folder), "spec.yaml")
+            refused(lambda: read_plan(folder), "spec.yaml")
 
 
 @hard_case(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import pandas as pd
 
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
+from shift3d.errors import InputError
 from shift3d.wording import counted
 
 _POINTS = ((10, 30), (30, 100), (100, 300), (300, 1000), (1000, None))
@@ -31,7 +34,8 @@ def pool_table(pool: pd.DataFrame) -> Table:
         lines.append(_pool_line(f"flagged {flag}", fitted[[flag in flags for flags in fitted["flags"]]]))
     refused = pool["status"][pool["status"] != "fitted"].value_counts().sort_index()
     left_out = ", ".join(f"{name} {count}" for name, count in refused.items()) or "none"
-    title = f"Labelled vehicles of {counted(pool['scene'].nunique(), 'scene')}: {len(fitted)} fitted, "
+    scenes = len(pool[["dataset", "scene"]].drop_duplicates())
+    title = f"Labelled vehicles of {counted(scenes, 'scene')}: {len(fitted)} fitted, "
     title += f"{len(pool) - len(fitted)} refused ({left_out})"
     header = ["", "fitted", "usable", "residual, cm", "shape error, cm", "90 %", "mean vehicle's, cm", "score"]
     return Table(title, header, lines)
@@ -59,6 +63,16 @@ def kept(retrieved: pd.DataFrame) -> pd.DataFrame:
     controls = controls.rename(columns={"score": "control", "pool_score": "control_in_log"})
     found = rows[rows["role"] == "retrieved"].merge(controls.reset_index(), on=_KEY, how="left")
     return found.assign(place=found["dataset"] + "/" + found["scene"])
+
+
+def kin_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:
+    """The vehicle of the pool that a row of ``retrieved`` is about. Raises InputError: the pool has none such."""
+    key = ["dataset", "scene", "label"]
+    found = pool[(pool[key] == [row[f"pool_{name}"] for name in key]).all(axis=1)]
+    if found.empty:
+        what = f"holds no vehicle {row['pool_label']} of {row['pool_dataset']}/{row['pool_scene']}"
+        raise InputError(what, "vehicle_pool.parquet", "Run shift3d retrieve again: it resumes")
+    return found.iloc[0]
 
 
 @dataclass(frozen=True)
@@ -110,8 +124,9 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
         line += [number(mean, 3) for mean in group.means.values()]
         line.append(_mean(rows["score"] - rows["score_baseline"], rows["place"]))
         line.append(_mean(matched["score"] - matched["control"], matched["place"]))
-        in_log = matched.drop_duplicates(["pool_scene", "pool_label"])
-        line.append(_mean(in_log["pool_score"] - in_log["control_in_log"], in_log["pool_scene"]))
+        in_log = matched.drop_duplicates(["pool_dataset", "pool_scene", "pool_label"])
+        log = in_log["pool_dataset"] + "/" + in_log["pool_scene"]
+        line.append(_mean(in_log["pool_score"] - in_log["control_in_log"], log))
         lines.append(line)
     if not lines:
         return Table("No vehicle of the pool is near enough to a shape", ["", "retrieved"], [["", "0"]])

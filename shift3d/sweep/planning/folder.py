@@ -17,7 +17,7 @@ from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.planning.plan_file import plan_bytes, read_tasks
+from shift3d.sweep.planning.plan_file import other_requests, plan_bytes, read_tasks
 from shift3d.sweep.planning.spec_file import read_spec
 from shift3d.task.exchange import AssetsSpec
 from shift3d.wording import counted
@@ -46,6 +46,7 @@ def check_folder(folder: LocationLike, plan: Plan) -> bool:
                 where=str(folder),
                 remedy="Choose another folder with out=DIR, or give the settings that it was begun with",
             )
+        _check_requests(folder, plan)
     elif not _empty_or_begun(folder):
         raise InputError(
             "is not the output folder of a sweep, and not empty",
@@ -77,6 +78,16 @@ def _empty_or_begun(folder: Location) -> bool:
         return not folder.is_file() and set(folder.names()) <= {"plan.parquet", "env.json"}
     except NotADirectoryError:
         return False
+
+
+def _check_requests(folder: Location, plan: Plan) -> None:
+    """Refuse a plan of the same tasks under another name of their effects: its tables would be of groups that the
+    folder's plan does not have."""
+    path = folder / "plan.parquet"
+    complete = (folder / "env.json").is_file() and path.is_file()  # written last: before it a plan is written again
+    if complete and (begun := other_requests(path.read_bytes(), plan.tasks)):
+        what = f"holds the same tasks, begun with effects={','.join(begun)}, which come to the same in these scenes"
+        raise InputError(what, str(folder), "Choose another folder with out=DIR, or give those effects")
 
 
 def _difference(found: dict[str, Any], plan: Plan) -> str:

@@ -129,6 +129,21 @@ def read_tasks(content: bytes, where: str) -> Tasks:
         raise InputError(f"cannot be read ({error})", where=where, remedy="Restore it from a copy") from error
 
 
+def other_requests(content: bytes, tasks: Tasks) -> tuple[str, ...]:
+    """The settings of effects that a plan of the same tasks was asked for with; none where they are the same ones, or
+    cannot be read."""
+    try:
+        source = pa.BufferReader(content)
+        name = next(name for name in pq.read_schema(source).names if _FORMER.get(name, name) == "effects_requested")
+        column = pq.read_table(source, columns=[name])[name]
+        found = pc.binary_join(column.cast(pa.list_(pa.string())), "\n").combine_chunks()
+    except (*_DAMAGE, StopIteration):
+        return ()
+    if found.equals(pc.binary_join(_lists(tasks.requested_values, tasks.requested), "\n")):
+        return ()
+    return tuple(dict.fromkeys(label for text in pc.unique(found).to_pylist() for label in (text or "").split("\n")))
+
+
 def _whole_specs(table: pa.Table) -> Tasks:
     assets = table["assets"].to_pylist()
     if not all(type(index) is int for index in assets):

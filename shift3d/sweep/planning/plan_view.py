@@ -31,11 +31,21 @@ def plan_summary(plan: Plan) -> str:
 
 
 def merged_lines(tasks: Tasks) -> list[str]:
-    """Over which settings the printed AUCs are means, and whether a column of the tables tells their values apart."""
+    """Over which settings the printed AUCs are means, whether a column of the tables tells their values apart; and
+    scenes that none tells apart."""
     mixed = merged_settings(tasks, of_a_data_set=True)
     by_dataset = [name for name in merged_settings(tasks) if name not in mixed]
     lines = [(mixed, "no column tells"), (by_dataset, "the column dataset tells")]
-    return [f"AUCs are means over {' and '.join(names)}: {which} their values apart" for names, which in lines if names]
+    found = [
+        f"AUCs are means over {' and '.join(names)}: {which} their values apart" for names, which in lines if names
+    ]
+    if alike := tasks.ambiguous_scenes():
+        first = ", ".join(f"{dataset}/{scene}" for dataset, scene in alike[:3])
+        found.append(
+            f"{counted(len(alike), 'name')} of a scene, as {first}, {'stands' if len(alike) == 1 else 'stand'} for "
+            "several frames: tables, intervals and counts of scenes take them for one. Give frames names of their own"
+        )
+    return found
 
 
 def skipped_lines(plan: Plan) -> list[str]:

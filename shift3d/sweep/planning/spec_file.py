@@ -11,16 +11,21 @@ from shift3d.store.migrations import older_versions
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 
+_KINDS = {"sweep": str, "spec_hash": str, "tasks": int, "overrides": list, "axes": dict, "settings": dict}
+"""What every spec has: one that was cut short between two lines is YAML like any other."""
+
 
 def read_spec(folder: LocationLike) -> dict[str, Any]:
     """``spec.yaml`` of a sweep.
 
-    Raises: InputError: there is none, it cannot be read, or it is of another schema version.
+    Raises: InputError: there is none, it cannot be read or was cut short, or it is of another schema version.
     """
     path = as_location(folder) / "spec.yaml"
     try:
         values = yaml.safe_load(path.read_text())
         older_versions(values["schema_version"], str(path))
+        if wrong := [name for name, kind in _KINDS.items() if not isinstance(values[name], kind)]:
+            raise ValueError(f"{wrong[0]} is a {type(values[wrong[0]]).__name__}")
         return {**values, "schema_version": SCHEMA_VERSION}
     except FileNotFoundError as error:
         raise InputError(

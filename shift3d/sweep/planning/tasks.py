@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, overload
@@ -141,6 +142,24 @@ class Tasks(Sequence[PlannedTask]):
         keys, first = np.unique(dataset[self.template] * len(self.task_scenes) + self.task_scene, return_index=True)
         pairs = (divmod(int(keys[index]), len(self.task_scenes)) for index in np.argsort(first))
         return list(dict.fromkeys((names[code], self._scene_names[task_scene]) for code, task_scene in pairs))
+
+    def ambiguous_scenes(self) -> list[tuple[str, str]]:
+        """(data set, name) of scenes that differ in their content although name and `scene_arguments` are the same, as
+        frames of two folders do; in the order of their first task. Contents that are not known yet are left out."""
+        arguments = [json.dumps(template.scene_arguments, sort_keys=True) for template in self.templates]
+        kinds = [(template.dataset, text) for template, text in zip(self.templates, arguments, strict=True)]
+        scenes = [read_task_scene(text)[:2] for text in self.task_scenes.to_pylist()]
+        made, known = list(dict.fromkeys(kinds)), list(dict.fromkeys(scenes))
+        kind_number, scene_number = ({pair: at for at, pair in enumerate(pairs)} for pairs in (made, known))
+        kind = np.array([kind_number[pair] for pair in kinds], dtype=np.int64)[self.template]
+        scene = np.array([scene_number[pair] for pair in scenes], dtype=np.int64)[self.task_scene]
+        keys, first = np.unique(kind * len(known) + scene, return_index=True)
+        contents: dict[tuple[int, str], set[str]] = {}
+        for key in keys[np.argsort(first)].tolist():
+            name, content = known[key % len(known)]
+            contents.setdefault((key // len(known), name), set()).add(content)
+        alike = [(made[at][0], name) for (at, name), hashes in contents.items() if len(hashes - {""}) > 1]
+        return list(dict.fromkeys(alike))
 
     @functools.cached_property
     def _scene_names(self) -> list[str]:

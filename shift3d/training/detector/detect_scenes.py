@@ -6,7 +6,7 @@ Answers are kept on disk, a small file a scene, so that an interrupted evaluatio
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -126,30 +126,46 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def answers_of(names: Iterable[str], folder: Path, detect: Callable[[list[str]], Iterator[Answer]]) -> Iterator[Answer]:
+def answers_of(
+    names: Iterable[str],
+    folder: Path,
+    detect: Callable[[list[str]], Iterator[Answer]],
+    state_of: Callable[[str], str] = lambda name: "",
+) -> Iterator[Answer]:
     """The answer of every scene, in order: from ``folder`` where it lies there, else detected and written there.
 
-    detect: names of the scenes that are missing to their answers, in that order.
+    detect: names of the scenes that are missing to their answers, in that order. state_of: of a scene's name, the state
+    of its files; what lies there of another state is detected again. Empty: the name says everything.
 
     Raises InputError: a file in ``folder`` is torn, or whatever ``detect`` raises.
     """
     names = list(names)
-    coming = detect([name for name in names if not _file(folder, name).exists()])
+    states = {name: state_of(name) for name in names}  # before files are read: one that changes meanwhile is read again
+    missing = [name for name in names if not _is_kept(_file(folder, name), states[name])]
+    coming, left = detect(missing), set(missing)
     for name in names:
-        if _file(folder, name).exists():
-            yield read_answer(_file(folder, name))
-        else:
+        if name in left:
             answer = next(coming)
-            write_answer(_file(folder, name), answer)
+            write_answer(_file(folder, name), answer, states[name])
             yield answer
+        else:
+            yield read_answer(_file(folder, name))
+
+
+def _is_kept(file: Path, state: str) -> bool:
+    """Whether an answer lies there, of this state of its scene's files."""
+    if not file.exists() or not state:
+        return file.exists()
+    with _readable(file) as data:
+        return "state" in data and str(data["state"]) == state
 
 
 def _file(folder: Path, name: str) -> Path:
     return folder / f"{name.replace('/', '_')}.npz"
 
 
-def write_answer(file: Path, answer: Answer) -> None:
-    """Write one answer atomically. Raises InputError on a full disk."""
+def write_answer(file: Path, answer: Answer, state: str = "") -> None:
+    """Write one answer atomically. state: of the scene's files, see `answers_of`. Raises InputError on a full disk."""
     truth, found = answer.frame.truth, answer.frame.found
     write_arrays(
         file,
@@ -165,23 +181,31 @@ def write_answer(file: Path, answer: Answer) -> None:
         scores=found.scores,
         labelled=found.labelled,
         image_height_px=found.image_height_px,
+        **({"state": np.array(state)} if state else {}),
     )
 
 
 def read_answer(file: Path) -> Answer:
     """Read what :func:`write_answer` wrote, bit for bit. Raises InputError for a file that it did not write."""
+    with _readable(file) as data:
+        truth = Truth(
+            data["truth_boxes"],
+            data["num_points"],
+            data["counts"],
+            data["difficulty"],
+            tuple(str(name) for name in data["names"]),
+            tuple(str(kind) for kind in data["kinds"]),
+        )
+        found = Found(data["boxes"], data["scores"], data["labelled"], data["image_height_px"])
+        scene_ms, detect_ms = (float(value) for value in data["milliseconds"])
+        return Answer(DetectedFrame(str(data["scene"]), truth, found), scene_ms, detect_ms)
+
+
+@contextmanager
+def _readable(file: Path) -> Iterator[Mapping[str, np.ndarray]]:
+    """An answer's arrays by name. Raises InputError for a file that is none."""
     try:
         with np.load(file, allow_pickle=False) as data:
-            truth = Truth(
-                data["truth_boxes"],
-                data["num_points"],
-                data["counts"],
-                data["difficulty"],
-                tuple(str(name) for name in data["names"]),
-                tuple(str(kind) for kind in data["kinds"]),
-            )
-            found = Found(data["boxes"], data["scores"], data["labelled"], data["image_height_px"])
-            scene_ms, detect_ms = (float(value) for value in data["milliseconds"])
-            return Answer(DetectedFrame(str(data["scene"]), truth, found), scene_ms, detect_ms)
+            yield data
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"is no stored answer ({type(error).__name__})", str(file), "Remove the file") from error

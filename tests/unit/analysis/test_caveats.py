@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import valid_sweeps
 
 from shift3d.analysis.tables.coverage import trial_caveat
+from shift3d.errors import InputError
+from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
+from shift3d.settings.schema.config import Config
 from shift3d.sweep.planning.plan import make_plan
 from shift3d.sweep.planning.plan_view import plan_lines, plan_summary
 from shift3d.sweep.planning.tasks import merged_settings
+from shift3d.sweep.retrieval import pool_plan
 
 
 def caveat(name: str, *overrides: str) -> str | None:
@@ -55,6 +61,27 @@ def test_settings_that_no_column_tells_apart_are_named() -> None:
     assert merged_settings(make_plan(compose_sweep("default", either), valid_sweeps.catalogue)[0].tasks) == []
     words = ["vehicle=suv", "attack.lambda=1,10", "attack.alpha=0.01,0.02", "replicate=0,1", "seed=0,1"]
     assert merged_settings(make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0].tasks) == []
+
+
+def two_folders(config: Config) -> Catalogue:
+    """Other frames of the same names under another seed, as two folders of frames have them."""
+    found = valid_sweeps.catalogue(config)
+    other = [replace(entry, content_hash=f"{entry.content_hash}{config.scenes.seed}") for entry in found.scenes]  # type: ignore[union-attr]
+    return replace(found, scenes=tuple(other))
+
+
+def test_frames_of_one_name_are_said_and_make_no_pool() -> None:
+    words = ["vehicle=suv", "scenes.seed=0,1", "attack.lambda=1,10"]
+    plan = make_plan(compose_sweep("default", words), two_folders)[0]
+    names = [("street-hdl64", name) for name in valid_sweeps.SCENES]
+    assert plan.tasks.ambiguous_scenes() == names
+    assert "2 names of a scene, as street-hdl64/north, street-hdl64/south, stand for several frames" in plan_summary(
+        plan
+    )
+    with pytest.raises(InputError, match="two scenes of street-hdl64 are called north"):
+        pool_plan(plan)
+    alone = make_plan(compose_sweep("default", words), valid_sweeps.catalogue)[0]
+    assert alone.tasks.ambiguous_scenes() == [] and len(pool_plan(alone).tasks) == 2
 
 
 def test_the_list_of_tasks_says_what_no_column_tells() -> None:

@@ -10,7 +10,8 @@ import pytest
 
 from shift3d.analysis.mlflow.sweep import follow_up_metrics
 from shift3d.analysis.tables.patterns import NAMES, pattern_groups, patterns_table
-from shift3d.analysis.tables.retrieval import kept, pool_table, retrieval_table
+from shift3d.analysis.tables.retrieval import kept, kin_of, pool_table, retrieval_table
+from shift3d.errors import InputError
 
 KNOWN = {"search": "descent", "lambda": 1.0, "alpha": 0.01, "detector": "pointpillars", "scored_by": "pointpillars"}
 POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
@@ -79,7 +80,7 @@ def test_a_pose_moves_in_the_vehicles_own_axes(yaw: float) -> None:
 
 def retrieved(scene: str, role: str, score: float, excluded: bool = False, replicate: int = 0) -> dict[str, Any]:
     place = {"mode": "shape", "task_id": f"t-{scene}", "dataset": "street", "scene": scene, "vehicle": "suv"}
-    pool = {"pool_scene": f"pool-{scene}", "pool_label": replicate, "pool_score": score / 2}
+    pool = {"pool_dataset": "street", "pool_scene": f"pool-{scene}", "pool_label": replicate, "pool_score": score / 2}
     scores = {"score": score, "score_baseline": 0.8, "score_solution": 0.2}
     return KNOWN | place | pool | scores | {"role": role, "excluded": excluded, "replicate": replicate}
 
@@ -105,6 +106,27 @@ def test_kin_are_compared_with_the_mean_of_their_controls_and_the_excluded_are_l
     assert nothing is not None and "No vehicle of the pool is near enough" in nothing.title
 
 
+def test_vehicles_of_two_data_sets_are_two_whatever_their_scenes_are_called() -> None:
+    rows = []
+    for number, dataset in enumerate(("kitti", "openpcdet")):
+        pair = (retrieved(f"s{number}", "retrieved", 0.2), retrieved(f"s{number}", "control", 0.6, replicate=1))
+        there = {"pool_dataset": dataset, "pool_scene": "000000"}
+        rows += [row | there | {"pool_score": row["score"] * (number + 1)} for row in pair]
+    table = retrieval_table(pd.DataFrame(rows))
+    assert table is not None
+    in_log = dict(zip(table.header, table.lines[0]))["the same in the log"]
+    assert in_log.startswith("-0.600 ["), "the mean of -0.4 and -0.8"
+    usual = {"status": "fitted", "flags": [], "points": 50, "residual_cm": 1.0, "score": 0.5, "scene": "000000"}
+    errors = {"shape_error_cm": 2.0, "mean_shape_error_cm": 6.0}
+    pool = pool_table(pd.DataFrame([usual | errors | {"dataset": name} for name in ("kitti", "openpcdet")]))
+    assert pool.title.startswith("Labelled vehicles of 2 scenes: 2 fitted")
+    frame = pd.DataFrame([{"dataset": name, "scene": "000000", "label": 0} for name in ("kitti", "openpcdet")])
+    row = {"pool_dataset": "openpcdet", "pool_scene": "000000", "pool_label": 0}
+    assert kin_of(frame, row)["dataset"] == "openpcdet"
+    with pytest.raises(InputError, match="no vehicle 1 of openpcdet/000000"):
+        kin_of(frame, row | {"pool_label": 1})
+
+
 def test_mlflow_shows_mean_changes_and_the_scores_of_kin_and_nothing_of_tables_that_are_missing() -> None:
     scores = poses({}, 0.0)
     kin = [retrieved("s", "retrieved", 0.5), retrieved("s", "control", 0.7, replicate=1)]
@@ -120,7 +142,15 @@ def test_mlflow_shows_mean_changes_and_the_scores_of_kin_and_nothing_of_tables_t
 
 
 def test_a_pool_says_how_many_were_fitted_flagged_and_refused() -> None:
-    usual = {"scene": "s", "status": "fitted", "flags": [], "points": 50, "residual_cm": 1.0, "score": 0.5}
+    usual = {
+        "dataset": "street",
+        "scene": "s",
+        "status": "fitted",
+        "flags": [],
+        "points": 50,
+        "residual_cm": 1.0,
+        "score": 0.5,
+    }
     errors = {"shape_error_cm": 2.0, "mean_shape_error_cm": 6.0}
     rows = [usual | errors, usual | {"flags": ["one_side"], "shape_error_cm": 4.0, "mean_shape_error_cm": 6.0}]
     rows.append(

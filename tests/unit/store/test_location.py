@@ -6,6 +6,7 @@ import multiprocessing
 import threading
 from pathlib import Path
 
+import boto3
 import pytest
 from bucket_server import new_bucket
 
@@ -42,6 +43,17 @@ def test_what_is_written_is_read(place: Location) -> None:
     file.delete()
     file.delete()
     assert not file.is_file() and place.names().count("top") == 1
+
+
+def test_a_folder_that_was_made_in_a_stores_console_is_empty(endpoint: str) -> None:
+    bucket = new_bucket(endpoint)
+    keys = {"aws_access_key_id": "test", "aws_secret_access_key": "test", "region_name": "us-east-1"}
+    client = boto3.client("s3", endpoint_url=endpoint, **keys)
+    for key in ("sweep/", "sweep/data/", "sweep/data/data"):
+        client.put_object(Bucket=bucket, Key=key, Body=b"")
+    place = as_location(f"s3://{bucket}/sweep")
+    assert place.names() == ["data"] and (place / "data").names() == ["data"]
+    assert as_location(f"s3://{bucket}").names() == ["sweep"]
 
 
 def test_one_of_many_threads_creates_a_file(place: Location) -> None:

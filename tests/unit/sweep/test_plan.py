@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import pytest
+import valid_sweeps
 from by_hand import BOTH_LAMBDAS, VEHICLES, catalogue
 
 from shift3d.errors import InputError
@@ -109,6 +110,23 @@ def test_folder_and_back(out: Path, suv_plan: Plan) -> None:
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     open_folder(out, suv_plan)
     assert before == {path.name: path.read_bytes() for path in out.iterdir()}
+
+
+def test_tasks_under_another_name_of_their_effects_are_refused(out: Path) -> None:
+    """Where no scene calls for an effect the hash is the same; final tables would have other groups than the plan."""
+    auto, none, both = (
+        make_plan(compose_sweep("smoke", ["vehicle=suv", f"effects={word}"]), valid_sweeps.catalogue)[0]
+        for word in ("auto", "none", "auto,none")
+    )
+    assert auto.spec_hash == none.spec_hash == both.spec_hash
+    open_folder(out, auto)
+    for other in (none, both):
+        with pytest.raises(InputError, match="holds the same tasks, begun with effects=auto"):
+            open_folder(out, other)
+    open_folder(out, auto)
+    (out / "env.json").unlink()  # its driver was killed before it had written all: whose plan lies there is not known
+    open_folder(out, none)
+    assert read_plan(out).tasks == none.tasks
 
 
 def test_a_folder_whose_first_driver_was_killed_early_is_taken_over(out: Path, suv_plan: Plan) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import time
@@ -91,6 +92,17 @@ def test_a_driver_speaks_before_its_first_task(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no weights"):
         run_sweep(valid_sweeps.plan(), LOCAL, TaskKind(not_wanted, unloadable, not_wanted), tmp_path)  # type: ignore[arg-type]
     assert ": stopped" in message(tmp_path)
+
+
+def test_a_process_that_has_the_number_of_a_dead_driver_is_not_the_driver(tmp_path: Path) -> None:
+    unfinished(tmp_path, "running")
+    assert ": running" in message(tmp_path), "this process, which is alive"
+    status = tmp_path / "status.json"
+    status_values = json.loads(status.read_text())
+    status.write_text(json.dumps(status_values | {"pid": 1}))
+    assert ": dead; the same command resumes" in message(tmp_path)
+    status.write_text(json.dumps({name: value for name, value in status_values.items() if name != "pid_began"}))
+    assert ": running" in message(tmp_path), "an older program did not say when it began"
 
 
 def test_it_is_polled_and_imports_nothing_heavy(folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import torch
 from small_scenes import (
@@ -15,6 +16,7 @@ from small_scenes import (
     small_scene,
 )
 
+from shift3d.analysis import detector_evaluation
 from shift3d.detectors.base import BevWindow, Detections, Proposals
 from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame
@@ -141,3 +143,19 @@ def test_training_scenes_are_in_the_network_frame() -> None:
     assert len(made.points) == 299 and made.boxes.shape == (3, 7)
     assert np.allclose(made.boxes, _network(scene.labels.boxes[[0, 1, 3]]), atol=1e-5)
     assert np.array_equal(network_points(scene)[1:], made.points)
+
+
+def test_a_frame_whose_labels_changed_is_evaluated_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detector_evaluation, "detector_of", lambda *_: open_point_detector())
+    _kitti(tmp_path / "frames")
+    out = tmp_path / "out"
+
+    def rows() -> int:
+        choice = detector_evaluation.KittiChoice(str(tmp_path / "frames"))
+        detector_evaluation.evaluate_detector("pointpillars", choice, out)
+        return int(pq.read_table(out / "truth.parquet").num_rows)
+
+    assert rows() == 4 and rows() == 4
+    labels = tmp_path / "frames" / "training" / "label_2" / "000000.txt"
+    labels.write_text("".join(KITTI_LABELS.splitlines(keepends=True)[:3]))
+    assert rows() == 1

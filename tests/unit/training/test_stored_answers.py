@@ -58,3 +58,23 @@ def test_a_file_that_is_no_answer_is_named(tmp_path: Path, content: bytes) -> No
     (tmp_path / "small-0.npz").write_bytes(content)
     with pytest.raises(InputError, match=r"small-0\.npz"):
         list(answers_of(NAMES, tmp_path, _detect))
+
+
+def test_what_was_detected_in_other_files_is_detected_again(tmp_path: Path) -> None:
+    states = dict.fromkeys(NAMES, "first")
+    requested: list[str] = []
+
+    def detect(names: list[str]) -> Iterator[Answer]:
+        requested.extend(names)
+        return _detect(names)
+
+    def run() -> list[str]:
+        requested.clear()
+        list(answers_of(NAMES, tmp_path, detect, states.__getitem__))
+        return list(requested)
+
+    for answer in _detect(["small-3"]):  # of a program that did not say of which files
+        write_answer(tmp_path / "small-3.npz", answer)
+    assert run() == NAMES and run() == []
+    states["small-1"] = "changed"
+    assert run() == ["small-1"] and run() == []

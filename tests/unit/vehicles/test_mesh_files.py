@@ -89,6 +89,27 @@ def test_any_folder_of_meshes_is_named_by_place(tmp_path: Path) -> None:
     assert [file.name for file in find_meshes(tmp_path)] == ["new", "old_car_1"]
 
 
+def test_folders_that_are_links_count_as_what_they_lead_to(tmp_path: Path) -> None:
+    store = write_shapenet(tmp_path / "store", {"a": wedge(), "b": wedge()})
+    (a, b) = sorted(file.path.parents[1] for file in find_meshes(store))
+    mine = write_shapenet(tmp_path / "mine", {"own": wedge()})
+    (mine / "c_a").symlink_to(a)
+    (mine / "b").symlink_to(b)
+    assert [file.name for file in find_meshes(mine)] == ["b", "c_a", "own"]
+    (tmp_path / "linked").symlink_to(mine)
+    assert [file.name for file in find_meshes(tmp_path / "linked")] == ["b", "c_a", "own"]
+
+
+def test_links_lead_to_a_folder_once_and_never_round_in_circles(tmp_path: Path) -> None:
+    for name in ("cars", "more"):
+        (tmp_path / name).mkdir()
+        wedge().export(tmp_path / name / f"{name}.ply")
+    (tmp_path / "cars" / "all").symlink_to(tmp_path)
+    (tmp_path / "a_link").symlink_to(tmp_path / "more")
+    assert [file.name for file in find_meshes(tmp_path)] == ["cars_cars", "more_more"]
+    assert [file.name for file in find_meshes(tmp_path / "cars")] == ["all_more_more", "cars"]
+
+
 def test_two_meshes_of_one_name_are_refused(tmp_path: Path) -> None:
     wedge().export(tmp_path / "car.ply")
     wedge().export(tmp_path / "car.stl")

@@ -15,7 +15,7 @@ from shift3d.analysis.html.scene_figures import side_by_side
 from shift3d.analysis.html.sections.curves import RecallCurve, recall_plot
 from shift3d.analysis.html.sections.gallery import THREE_RGB, drawn
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.retrieval import kept, pool_table, retrieval_table
+from shift3d.analysis.tables.retrieval import kept, kin_of, pool_table, retrieval_table
 from shift3d.wording import counted
 
 _COUNT = 9  # tiles
@@ -75,7 +75,7 @@ def _three(sweep: Sweep, row: dict[str, Any], loaded: Loaded) -> bytes:
 
     (task,) = sweep.plan.tasks.starting_with(row["task_id"])
     assets, pool = loaded.assets(task), sweep.vehicle_pool
-    kin = pool[(pool["scene"] == row["pool_scene"]) & (pool["label"] == row["pool_label"])].iloc[0]
+    kin = kin_of(pool, row)
     meshes = [
         decoded_mesh(assets.drawn_vehicle(task.spec, own), assets.decoder, np.array(own["latent_code"]))
         for own in sweep.pair_of(row["task_id"])

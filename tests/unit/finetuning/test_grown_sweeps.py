@@ -1,0 +1,38 @@
+"""A held-out sweep that got further objects is scored again by tuned weights, and one that did not is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+from shift3d.finetuning import report
+from shift3d.finetuning.rescoring import RESCORED
+
+
+def test_objects_of_tasks_that_were_retried_are_scored_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tuned = report.Tuned("finetuned", 0, tmp_path / "finetuned-0", "pointpillars")
+    tuned.folder.mkdir()
+    tuned.weights.write_bytes(b"weights")
+    tasks, scored = ["t0"], []
+
+    def table(folder: Path, *_: object) -> pa.Table:
+        row = {"vehicle": "suv", "place": "street/s", "settings": "shape", "score": 0.5}
+        keys = [{"task_id": task, "method": method} for task in tasks for method in ("baseline", "adversarial")]
+        return pa.Table.from_pylist([row | key for key in keys], schema=RESCORED)
+
+    def rescored(folder: Path, *_: object) -> pa.Table:
+        scored.append(folder.name)
+        return table(folder)
+
+    monkeypatch.setattr(report, "object_scores", table)
+    monkeypatch.setattr(report, "rescored", rescored)
+    for grown in (True, False):
+        report.score_held_out(tmp_path, tuned)
+        assert scored == (list(report.HELD_OUT) if grown else [])
+        scored.clear()
+    tasks.append("t1")
+    report.score_held_out(tmp_path, tuned)
+    assert scored == list(report.HELD_OUT)
+    assert report.pq.read_table(tuned.scores_file("held_out"))["task_id"].to_pylist() == ["t0", "t0", "t1", "t1"]

@@ -1,0 +1,53 @@
+"""Frames of two data sets, or of two folders of one, may have one name: each of them is a scene of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import valid_sweeps
+
+from shift3d.finetuning.objects import SweepObject, SweepObjects
+from shift3d.finetuning.tune import natural_scenes
+from shift3d.task.spec import TaskSpec
+from shift3d.training.detector_scenes import load_cached
+
+NAME = "000000"
+
+
+class _Assets:
+    """Scenes of one folder, told apart by how many points they have."""
+
+    def __init__(self, points: int) -> None:
+        self.points = points
+
+    def scene(self, spec: TaskSpec) -> tuple[Any, None]:
+        points = np.ones((self.points, 3), dtype=np.float32)
+        labels = SimpleNamespace(of_class=lambda _: np.zeros((0, 7)))
+        scene = SimpleNamespace(points=points, ground_z_m=-1.7, labels=labels, has_beam=np.ones(self.points, bool))
+        return scene, None
+
+
+def _found(*scenes: tuple[str, str]) -> SweepObjects:
+    """Two objects a scene: its data set and the hash of its content."""
+    rows = []
+    for assets, (dataset, scene_hash) in enumerate(scenes):
+        for alpha in (0.1, 0.2):
+            spec = TaskSpec("suv", NAME, dataset, "shape", 1.0, alpha, "pointpillars", "draft", scene_hash=scene_hash)
+            rows.append(SweepObject(spec, assets, {"method": "adversarial", "replicate": 0}, 0.5, True))
+    held = {number: cast(Any, _Assets(number + 1)) for number in range(len(scenes))}
+    return SweepObjects(cast(Any, None), valid_sweeps.plan(), tuple(rows), _assets=held)
+
+
+def test_each_is_trained_on_and_refused_afterwards(tmp_path: Path) -> None:
+    found = _found(("kitti", "aa"), ("openpcdet", "bb"), ("kitti", "cc"))
+    files = natural_scenes(tmp_path, found)
+    assert [len(load_cached(file).points) for file in files] == [1, 2, 3]
+    assert list(found.scenes.values()) == ["aa", "bb", "cc"] and NAME in found.scenes
+
+
+def test_one_scene_keeps_its_name(tmp_path: Path) -> None:
+    (file,) = natural_scenes(tmp_path, _found(("kitti", "aa")))
+    assert file.name == f"{NAME}.npz"
