@@ -31,6 +31,7 @@ Model = Callable[[Tensor], Any]
 
 _WHOLE = BevWindow(0, 0, 1, 1, 0, 0, 1, 1)
 _GUIDE = "See docs/guides/detectors.md"
+_ALONE = "Install the library; what lies in a file beside it belongs into the file itself"
 _PROBE_POINTS = 2000
 
 
@@ -129,7 +130,10 @@ def _try(detector: OwnDetector, where: str) -> None:
         (gradient,) = torch.autograd.grad(first.logits.sum(), points, allow_unused=True)
     if gradient is None or not bool(torch.isfinite(gradient).all()):
         raise InputError("no finite gradient reaches the points", where, _GUIDE)
-    empty = detector.proposals(points[:0].detach())
+    try:
+        empty = detector.proposals(points[:0].detach())
+    except InputError as error:
+        raise InputError(f"{error.what}, given no points", error.where, error.remedy) from error
     if len(empty.logits) != len(first.logits):
         raise InputError(f"{len(empty.logits)} boxes without points, {len(first.logits)} with", where, _GUIDE)
 
@@ -158,4 +162,5 @@ def _clear_errors(where: str) -> Iterator[None]:
         lines = [frame.lineno for frame in frames if Path(frame.filename).name == Path(where).name]
         line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else lines[-1] if lines else None
         what = f"{type(error).__name__}: {str(error)[:200]}"
-        raise InputError(what, f"{where}, line {line}" if line else where, "Repair the file") from error
+        remedy = _ALONE if isinstance(error, ModuleNotFoundError) else "Repair the file"
+        raise InputError(what, f"{where}, line {line}" if line else where, remedy) from error

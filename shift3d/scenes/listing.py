@@ -17,20 +17,26 @@ UNITS_REMEDY = "Convert the file: coordinates and ranges are metres, angles radi
 _NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
 
 
-def read_bytes(file: Location, kind: str) -> bytes:
-    """A file's content. kind: what it is, for errors. Raises InputError: it is missing, or cannot be read."""
+_MISSING_REMEDY = "Add it, or leave the scene out"
+
+
+def read_bytes(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> bytes:
+    """A file's content. kind: what it is, for errors. remedy: what to do where there is none.
+
+    Raises InputError: it is missing, or cannot be read.
+    """
     try:
         return file.read_bytes()
     except FileNotFoundError as error:
-        raise InputError(f"the {kind} is missing", str(file), "Add it, or leave the scene out") from error
+        raise InputError(f"the {kind} is missing", str(file), remedy) from error
     except OSError as error:
         raise InputError(f"the {kind} cannot be read ({error.strerror})", str(file), "Check the folder") from error
 
 
-def read_lines(file: Location, kind: str) -> list[str]:
-    """Lines of a text file. Raises: as `read_bytes`, and where it is no text."""
+def read_lines(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> list[str]:
+    """Lines of a text file. Args and Raises: as `read_bytes`, and where it is no text."""
     try:
-        return read_bytes(file, kind).decode().splitlines()
+        return read_bytes(file, kind, remedy).decode().splitlines()
     except UnicodeDecodeError as error:
         raise InputError(f"the {kind} is no text", str(file), "Copy it again") from error
 

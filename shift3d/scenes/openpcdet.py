@@ -40,6 +40,8 @@ _CLASSES = {
     "cyclist": """cyclist bicyclist motorcyclist wheeled_rider bicycle motorcycle type_cyclist vehicle.bicycle
         vehicle.motorcycle""",
 }
+_TWO_TURNS_RAD = 4 * np.pi
+_CONVERT = "Write each frame as a float32 array (N, 4) with np.save (docs/guides/scenes.md)"
 _COLUMNS = ("x", "y", "z", "dx", "dy", "dz", "heading", "class")
 
 
@@ -97,7 +99,10 @@ class OpenPcdetScenes(RecordedScenes):
         if "points" not in inside:
             raise InputError("no folder points/", str(self.root), "Give the folder that holds points/ and labels/")
         self._has_labels = "labels" in inside
-        found = [name.removesuffix(".npy") for name in (self.root / "points").names() if name.endswith(".npy")]
+        files = (self.root / "points").names()
+        found = [name.removesuffix(".npy") for name in files if name.endswith(".npy")]
+        if files and not found:
+            raise InputError(f"no .npy file among {first_few(files)}", str(self.root / "points"), _CONVERT)
         if split is not None:
             listed = self._listed_in(split)
             absent = sorted(set(listed) - set(found))
@@ -134,7 +139,7 @@ class OpenPcdetScenes(RecordedScenes):
 
     def _listed_in(self, split: str) -> list[str]:
         file = self.root / "ImageSets" / f"{split}.txt"
-        words = [line.strip() for line in read_lines(file, "list of frames")]
+        words = [line.strip() for line in read_lines(file, "list of frames", "Add it, or give no scenes.split")]
         found = list(dict.fromkeys(word for word in words if word))
         if not found:
             raise InputError("it lists no frames", str(file), "Give another scenes.split, or null")
@@ -160,7 +165,8 @@ class OpenPcdetScenes(RecordedScenes):
             return Labels()
         file = self.root / "labels" / f"{name}.txt"
         boxes, names = [], []
-        for number, line in enumerate(read_lines(file, "label file"), start=1):
+        remedy = "Add it, empty where nothing is labelled, or take the folder labels/ away"
+        for number, line in enumerate(read_lines(file, "label file", remedy), start=1):
             words = line.split()
             if not words:
                 continue
@@ -198,4 +204,6 @@ def _box(words: Sequence[str], where: str) -> NDArray[np.float64]:
         raise InputError(f"a column that is no number ({error})", where, f"Write {' '.join(_COLUMNS)}") from error
     if not np.isfinite(box).all() or not (box[3:6] > 0.0).all():
         raise InputError(f"a box of {box[3:6].tolist()} m", where, "Sizes must be positive, everything finite")
+    if abs(box[6]) > _TWO_TURNS_RAD:
+        raise InputError(f"a heading of {box[6]:g} rad, over two turns", where, "Write headings in radians")
     return box

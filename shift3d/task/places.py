@@ -54,7 +54,7 @@ def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
 
 NO_GROUND = (
     "where no ground is seen, lower attack.placement.max_range_m: returns lie closer there; with scenes=openpcdet give "
-    "the ground's height, scenes.ground_z_m"
+    "the ground's height, scenes.ground_z_m; see in the picture of shift3d scenes show that z points up"
 )
 """What to do where `Survey.lacks_ground`."""
 

@@ -22,6 +22,7 @@ from shift3d.vehicles.mesh_files import MeshFile, MeshVehicle, find_meshes, read
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.orientation import better_frame, turned
 from shift3d.vehicles.picture import write_side_by_side
+from shift3d.vehicles.repair import RepairReport
 from shift3d.vehicles.vehicle import CODE_LENGTH
 from shift3d.vehicles.vehicle_set import RESOLUTION, FittedVehicle, fitted, write_vehicle_set
 from shift3d.wording import counted
@@ -38,12 +39,13 @@ class MeshFit:
     """A vehicle fitted to a mesh, and what speaks against it.
 
     picture: the mesh beside what the decoder makes of it. better: another orientation and the distance in metres with
-    which the decoder draws the mesh, where that is nearer.
+    which the decoder draws the mesh, where that is nearer. repair: what it took to close the mesh.
     """
 
     vehicle: FittedVehicle
     picture: Path
     better: tuple[MeshFrame, float] | None
+    repair: RepairReport
 
     @property
     def usual_m(self) -> float:
@@ -147,7 +149,7 @@ def _fit(
         "code_norm": round(float(np.linalg.norm(code)), 4),
         "seconds": round(time.monotonic() - start, 1),
     }
-    return MeshFit(done, picture, better), facts
+    return MeshFit(done, picture, better, vehicle.repair), facts
 
 
 def _better(

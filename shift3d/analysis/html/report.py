@@ -22,7 +22,7 @@ from shift3d.analysis.html.sections.patterns import patterns, rules
 from shift3d.analysis.html.sections.retrieval import retrieval
 from shift3d.analysis.html.sections.stability import accuracy, stability
 from shift3d.analysis.results import Sweep, read_sweep
-from shift3d.analysis.tables.coverage import nothing_placed, trial_caveat
+from shift3d.analysis.tables.coverage import nothing_placed, trial_caveat, unmoved
 from shift3d.analysis.variants import variants
 from shift3d.progress_bar import progress_bar
 from shift3d.store.location import Location
@@ -35,7 +35,8 @@ def report_page(sweep: Sweep, cases: int = 4) -> str:
     """The page of a sweep; the same sweep to the same text. cases: hard cases to show, fewer where fewer fell."""
     plan = sweep.plan
     found, loaded = variants(sweep.auc, sweep.scored), Loaded(plan)
-    caveat = " ".join([trial_caveat(plan.tasks) or "", *merged_lines(plan.tasks)]).strip()
+    known = [trial_caveat(plan.tasks), unmoved(sweep.scores), *merged_lines(plan.tasks)]
+    caveat = ". ".join(line for line in known if line)
     sections: list[Callable[[], Section | None]] = [
         lambda: in_short(found, caveat, nothing_placed(sweep.scores, plan.settings)),
         lambda: hard_cases(sweep, loaded, cases),

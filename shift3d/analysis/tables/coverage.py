@@ -44,6 +44,7 @@ def sweep_report(sweep: Sweep) -> str:
 
 PAPER_STEPS = 40
 _LEAST_STEPS, _LEAST_SCENES = 10, 4
+_SAME_SCORE = 1e-6
 
 
 def trial_caveat(tasks: Tasks) -> str | None:
@@ -81,6 +82,25 @@ def nothing_placed(scores: pd.DataFrame, settings: Mapping[str, Any]) -> str | N
         f"{counted(place['min_object_points'], 'point')}, {place['min_range_m']:g} to {place['max_range_m']:g} m away, "
         f"that touch the scene ({place['contact_m']:g} m) and nothing in it ({place['overlap_m']:g} m). Widen "
         "attack.placement.min_object_points, .min_range_m, .max_range_m or .attempts, or take other scenes"
+    )
+
+
+def unmoved(scores: pd.DataFrame) -> str | None:
+    """The detectors to which changed vehicles are all alike, and what to check; None where there are none.
+
+    scores: the table of ``final/``. Tasks count whose rows differ in their points on the vehicle.
+    """
+    scored = scores[scores["score"].notna() & scores["object_points"].notna()]
+    by_task = scored.groupby(["scored_by", "task_id"], sort=False)
+    differ = by_task["object_points"].nunique() > 1
+    spread = (by_task["score"].max() - by_task["score"].min())[differ]
+    widest = spread.groupby("scored_by", sort=False).max()
+    names = [str(name) for name in widest.index[widest <= _SAME_SCORE]]
+    if not names:
+        return None
+    return (
+        f"{' and '.join(names)}: in every task all changes of the vehicle leave the score as it was. Is the vehicle "
+        "seen at all? Check frame, units and range of the detector's points and boxes (docs/guides/detectors.md)"
     )
 
 

@@ -46,6 +46,8 @@ def _run(arguments: argparse.Namespace) -> int:
     for fit in fits:
         size = " x ".join(f"{metres:.2f}" for metres in fit.vehicle.facts()["size_m"])
         print(f"{fit.vehicle.name}: {size} m, {100 * fit.vehicle.chamfer_m:.1f} cm from its mesh")
+        if not fit.repair.watertight:
+            print(f"{fit.vehicle.name}: mesh {fit.repair}")
         for doubt in _doubts(fit, frame):
             print(f"warning: {fit.vehicle.name}: {doubt}", file=sys.stderr)
     print(f"{counted(len(fits), 'vehicle')} in {out}/")

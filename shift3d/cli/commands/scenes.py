@@ -45,7 +45,8 @@ def scenes_words(prefix: str, parsed_args: argparse.Namespace | None = None, **_
 def _run(arguments: argparse.Namespace) -> int:
     action, *words = arguments.words or [""]
     if action not in _ACTIONS:
-        raise InputError(f"cannot read {action!r}", "scenes", f"Give one of: {', '.join(_ACTIONS)}")
+        what = f"cannot read {action!r}" if action else "nothing is asked for"
+        raise InputError(what, "scenes", f"Give one of: {', '.join(_ACTIONS)}")
     out = [word.partition("=")[2] for word in words if word.startswith("out=")]
     config = _config([word for word in words if not word.startswith("out=")])
     if action == "list":

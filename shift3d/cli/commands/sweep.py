@@ -153,7 +153,7 @@ def _status(words: list[str]) -> int:
 def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     """Print what a sweep found, and mirror it. Whether any vehicle found a place."""
     from shift3d.analysis.results import sweep_of
-    from shift3d.analysis.tables.coverage import coverage_lines, nothing_placed, sweep_report, trial_caveat
+    from shift3d.analysis.tables.coverage import coverage_lines, nothing_placed, sweep_report, trial_caveat, unmoved
     from shift3d.analysis.tables.stability import stability_lines
     from shift3d.sweep.planning.plan_view import skipped_lines
 
@@ -161,19 +161,21 @@ def _show(plan: Plan, config: Config, result: SweepResult) -> bool:
     assert final is not None
     sweep = sweep_of(plan, {name: final.frame(name) for name in final.tables}, environment={})
     unplaced = nothing_placed(sweep.scores, plan.settings)
+    covered = "\n".join(coverage_lines(sweep.scores, sweep.attempts, result.planned))
     if unplaced:
-        covered = "\n".join(coverage_lines(sweep.scores, sweep.attempts, result.planned))
         print(f"\n{unplaced}\n\n{covered}\n", flush=True)
         show_places(plan, config, most=5)
+    elif sweep.scores.empty:
+        print(f"\n{covered}\n", flush=True)
     else:
-        if caveat := trial_caveat(plan.tasks):
+        for caveat in filter(None, (trial_caveat(plan.tasks), unmoved(sweep.scores))):
             print(f"\n{caveat}")
         print(f"\n{sweep_report(sweep)}\n", flush=True)
         _show_effects(sweep, result.folder)
     for line in skipped_lines(plan):
         print(line)
     print(f"{result.folder / 'final'} written in {result.seconds:.0f} s")
-    if unplaced:
+    if unplaced or sweep.scores.empty:
         pass  # there is nothing to verify
     elif sweep.verification is not None:
         print(f"\n{stability_lines(sweep.verification)}\n")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import dataclasses
+from pathlib import Path
 
+import pandas as pd
 import pytest
 import valid_sweeps
 
-from shift3d.analysis.tables.coverage import trial_caveat
+from shift3d.analysis.html.report import report_page
+from shift3d.analysis.results import read_sweep
+from shift3d.analysis.tables.coverage import trial_caveat, unmoved
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
@@ -66,8 +70,10 @@ def test_settings_that_no_column_tells_apart_are_named() -> None:
 def two_folders(config: Config) -> Catalogue:
     """Other frames of the same names under another seed, as two folders of frames have them."""
     found = valid_sweeps.catalogue(config)
-    other = [replace(entry, content_hash=f"{entry.content_hash}{config.scenes.seed}") for entry in found.scenes]  # type: ignore[union-attr]
-    return replace(found, scenes=tuple(other))
+    other = [
+        dataclasses.replace(entry, content_hash=f"{entry.content_hash}{config.scenes.seed}") for entry in found.scenes
+    ]  # type: ignore[union-attr]
+    return dataclasses.replace(found, scenes=tuple(other))
 
 
 def test_frames_of_one_name_are_said_and_make_no_pool() -> None:
@@ -102,3 +108,27 @@ def test_a_sweep_with_scenes_and_steps_has_none(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(valid_sweeps, "SCENES", ("north", "south", "east", "west"))
     assert caveat("default") is None
     assert caveat("default", "attack.steps=5,40") is None, "of several searches one is whole"
+
+
+def scored(*rows: tuple[str, str, float | None, int]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=["task_id", "scored_by", "score", "object_points"])
+
+
+def test_a_detector_that_changes_leave_unmoved_is_named() -> None:
+    blind = [("a", "own", 0.6, 400), ("a", "own", 0.6, 200), ("b", "own", 0.4, 300), ("b", "own", 0.4, 310)]
+    seeing = [("a", "sst", 0.6, 400), ("a", "sst", 0.5, 200), ("b", "sst", 0.4, 300), ("b", "sst", 0.4, 310)]
+    message = unmoved(scored(*blind, *seeing))
+    assert message and message.startswith("own: ") and "frame" in message and "sst" not in message
+
+
+def test_vehicles_that_did_not_change_or_have_no_score_say_nothing_of_the_detector() -> None:
+    assert unmoved(scored(("a", "own", 0.6, 400), ("a", "own", 0.6, 400))) is None
+    assert unmoved(scored(("a", "own", None, 400), ("a", "own", None, 200))) is None
+    assert unmoved(scored()) is None
+
+
+def test_the_report_begins_with_it(finished: Path) -> None:
+    sweep = read_sweep(finished)
+    blind = sweep.scores.assign(score=0.5, object_points=range(len(sweep.scores)))
+    page = report_page(dataclasses.replace(sweep, scores=blind), cases=0)
+    assert page.index("Is the vehicle seen at all?") < page.index("The hard cases</h2>")

@@ -106,7 +106,7 @@ def body(answer: str, before: str = "") -> str:
     ("source", "says"),
     [
         ("def load(weights)\n", r"mine\.py, line 1: SyntaxError"),
-        ("import no_such_library\n", r"mine\.py, line 1: ModuleNotFoundError.*no_such_library"),
+        ("import no_such_library\n", r"mine\.py, line 1: ModuleNotFoundError.*no_such_library.*Install the library"),
         ("x = 1\n", r"mine\.py: it has no function load"),
         ("def load(weights):\n    return 3\n", r"nothing that can be called"),
         ("def load(weights):\n    raise ValueError('no weights')\n", r"mine\.py, line 2: ValueError: no weights"),
@@ -119,6 +119,7 @@ def body(answer: str, before: str = "") -> str:
         (body(f"({BOX}, torch.rand(1) * points.sum()[None])"), r"two calls with the same points differ"),
         (body(f"({BOX}, (points * 0).sum()[None].sqrt())"), r"no finite gradient"),
         (body(f"({BOX}.expand(len(points), 7), points.sum(1))"), r"boxes \(0, 7\)"),
+        (body(f"({BOX}, points.mean()[None])"), r"NaN or infinity in its answer, given no points"),
         (body(f"({BOX}, points @ torch.ones(4))"), r"mine\.py, line 5: RuntimeError"),
     ],
 )

@@ -145,7 +145,7 @@ def with_nan() -> np.ndarray:
     [
         (lambda root: (root / "points" / "000001.npy").write_bytes(b"\x93NUMPY\x01"), r"not a readable \.npy"),
         (lambda root: (root / "points" / "000001.npy").write_bytes(b""), r"not a readable \.npy"),
-        (lambda root: (root / "labels" / "000001.txt").unlink(), r"label file is missing"),
+        (lambda root: (root / "labels" / "000001.txt").unlink(), r"label file is missing.*labels/ away"),
         (points(frame()[:0]), r"no point with a positive range"),
         (points(frame()[:, :2]), r"not rows of x, y, z"),
         (points(np.array([["a", "b", "c"]])), r"not rows of x, y, z"),
@@ -158,6 +158,7 @@ def with_nan() -> np.ndarray:
         (label("1 2 3 4 5 6 x Car"), r"line 1: a column that is no number"),
         (label("1 2 3 4 0 6 0 Car"), r"line 1: a box of"),
         (label("1 2 nan 4 5 6 0 Car"), r"line 1: a box of"),
+        (label("1 2 3 4 5 6 95 Car"), r"line 1: a heading of 95 rad.*radians"),
     ],
 )
 def test_damaged_files_give_one_clear_line(tmp_path: Path, spoil: Callable[[Path], object], says: str) -> None:
@@ -166,6 +167,25 @@ def test_damaged_files_give_one_clear_line(tmp_path: Path, spoil: Callable[[Path
         OpenPcdetScenes(tmp_path).load("000001")
     assert caught.value.remedy
     assert "\n" not in str(caught.value)
+
+
+def test_a_heading_of_more_than_one_turn_is_read(tmp_path: Path) -> None:
+    root = write(tmp_path)
+    label("1 2 3 4 5 6 -6.5 Car")(root)
+    assert OpenPcdetScenes(root).load("000001").labels.boxes[0, 6] == -6.5
+
+
+@pytest.mark.parametrize("name", ["a.bin", "a.pcd", "a.npz"])
+def test_points_in_another_format_are_named(tmp_path: Path, name: str) -> None:
+    (tmp_path / "points").mkdir()
+    (tmp_path / "points" / name).write_bytes(b"")
+    with pytest.raises(InputError, match=rf"points: no \.npy file among {name}\. .*np\.save"):
+        OpenPcdetScenes(tmp_path)
+
+
+def test_a_split_without_its_list_says_which_setting_asks_for_it(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"test\.txt: the list of frames is missing.*scenes\.split"):
+        OpenPcdetScenes(write(tmp_path), split="test")
 
 
 def test_a_file_in_place_of_the_folder(tmp_path: Path) -> None:

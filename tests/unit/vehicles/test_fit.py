@@ -89,6 +89,18 @@ def test_what_the_decoder_cannot_draw_is_said_with_its_picture_and_an_exit_code(
     assert (tmp_path / "set" / "pictures" / "cube.png").stat().st_size > 1000
 
 
+def test_what_closing_a_mesh_took_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
+    cube = trimesh.creation.box((4.0, 4.0, 4.0))
+    cube.update_faces(np.arange(len(cube.faces)) > 0)
+    cube.export(tmp_path / "cube.ply")
+    main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=1", f"out={tmp_path / 'set'}"])
+    printed = capsys.readouterr().out
+    assert "cube: mesh not closed (3 open edges); 1 holes filled, the widest 565.7 cm" in printed
+
+
 def test_orientations_along_an_axis_are_all_eight_and_turn_points_as_their_frames_do() -> None:
     given = MeshFrame("-z", "+y", unit="m")
     frames = frames_along(given)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
 Kind = Literal["crashed", "out_of_memory", "timeout", "node_lost", "unreachable"]
 
 _NODE_TEXTS = ("node has died", "node was terminated", "node it ran on", "node died")
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _MEMORY_TEXTS = ("out of memory", "out-of-memory", "running low on memory", "OOM")
 
 
@@ -42,6 +44,10 @@ def failure_of(ray: Any, error: Exception, node_id: str) -> Failure:
         return Failure("unreachable", f"the worker does not answer: {text}")
     if any(t in text for t in _MEMORY_TEXTS):
         return Failure("out_of_memory", f"the worker ran out of memory: {text}")
+    if isinstance(error, errors.RayTaskError):
+        cause = error.cause
+        raised = f"{type(cause).__name__}: {cause}"[:2_000]
+        return Failure("crashed", f"the worker failed: {raised}", _COLOURS.sub("", str(error))[-20_000:])
     return Failure("crashed", f"the worker died: {text}")
 
 

@@ -1,0 +1,33 @@
+"""What a call that ended without a result tells the reader."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import ray.exceptions
+
+from shift3d.sweep.execution.ray.failures import failure_of
+
+RAY = SimpleNamespace(exceptions=ray.exceptions, nodes=lambda: [{"NodeID": "n", "Alive": True}])
+
+
+def task_error(cause: Exception) -> ray.exceptions.RayTaskError:
+    where = "\x1b[36mray::Worker.run()\x1b[39m (pid=7, ip=127.0.0.1)\n  File 'mine.py', line 3\n"
+    return ray.exceptions.RayTaskError("run", f"{where}{type(cause).__name__}: {cause}", cause)
+
+
+def test_what_the_code_raised_comes_first_and_its_traceback_is_kept() -> None:
+    failure = failure_of(RAY, task_error(AttributeError("module 'torch' has no attribute 'x'")), "n")
+    assert failure.kind == "crashed"
+    assert failure.what == "the worker failed: AttributeError: module 'torch' has no attribute 'x'"
+    assert failure.traceback is not None and "\n  File 'mine.py', line 3\n" in failure.traceback
+    assert "\x1b" not in failure.traceback
+
+
+def test_memory_that_runs_out_in_code_is_no_other_failure() -> None:
+    assert failure_of(RAY, task_error(RuntimeError("CUDA out of memory")), "n").kind == "out_of_memory"
+
+
+def test_a_process_that_ends_died() -> None:
+    failure = failure_of(RAY, ray.exceptions.ActorDiedError(), "n")
+    assert failure.kind == "crashed" and failure.what.startswith("the worker died: ")
