@@ -16,6 +16,7 @@ from trimesh.graph import connected_component_labels
 from shift3d.errors import InputError
 from shift3d.sdf.samples import is_closed, winding_number
 from shift3d.vehicles.wrap import uncollapsed, wrapped
+from shift3d.wording import counted
 
 SIDED_SHARE = 0.99
 """Share of the surface that must have outside on its outer and inside on its inner side, not to be wrapped."""
@@ -48,11 +49,11 @@ class RepairReport:
 
     def __str__(self) -> str:
         done = [
-            f"{count} {what}"
-            for count, what in (
-                (self.dropped_faces, "degenerate or repeated faces dropped"),
-                (self.flipped_pieces, "pieces turned outside out"),
-                (self.filled_holes, f"holes filled, the widest {100 * self.widest_hole_m:.1f} cm"),
+            f"{counted(count, what)} {how}"
+            for count, what, how in (
+                (self.dropped_faces, "degenerate or repeated face", "dropped"),
+                (self.flipped_pieces, "piece", "turned outside out"),
+                (self.filled_holes, "hole", f"filled, the widest {100 * self.widest_hole_m:.1f} cm"),
             )
             if count
         ]

@@ -98,7 +98,7 @@ def test_what_closing_a_mesh_took_is_printed(
     cube.export(tmp_path / "cube.ply")
     main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=1", f"out={tmp_path / 'set'}"])
     printed = capsys.readouterr().out
-    assert "cube: mesh not closed (3 open edges); 1 holes filled, the widest 565.7 cm" in printed
+    assert "cube: mesh not closed (3 open edges); 1 hole filled, the widest 565.7 cm" in printed
 
 
 def test_orientations_along_an_axis_are_all_eight_and_turn_points_as_their_frames_do() -> None:
