@@ -45,7 +45,7 @@ def weights(_attacked: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_same_command_again_leaves_the_same_bytes(_attacked: Path, weights: Path) -> None:
-    """That it makes them anew in another folder is held by tests/service/test_finetune_resumes.py."""
+    """That another folder gets them too is held by tests/service/test_finetune_resumes.py."""
     words = ("recipe.peak_rate=2e-5", "recipe.seed=3")
     before = weights.read_bytes()
     assert tuned(_attacked, weights.parent, *words).read_bytes() == before, "what is finished is finished again"
