@@ -46,8 +46,9 @@ report: which-sweep .venv/.runtime  ## write a sweep's page, report.html: OUT=ou
 	$(BIN)/shift3d report $(OUT) $(ARGS)
 
 # A worker takes tests in a row, so that each shared set-up is made once; the one that ends first takes of the other's.
+# Without bytecode each of the processes that tests start would compile shift3d itself, and pytest every test.
 test: .venv/.dev  ## every test, on two cores; ARGS="-n 0 -k WORD"
-	$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 check: .venv/.dev  ## lint, format, types, layers
 	$(BIN)/ruff check .

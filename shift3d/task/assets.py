@@ -51,7 +51,8 @@ class Assets:
     weights (None: those that ship). modules: name to the Python file of a detector of the user's. layouts: name to the
     layout of a foreign one. reference: settings of the reference set of naturalness, None: none. Copies in other
     precisions, scenes with their beams, maps of vehicles and the reference set are made on first use and kept.
-    baselines: those last measured, by the id of `TaskSpec.baseline`; see `shift3d.task.baseline`.
+    baselines: those last measured, by the id of `TaskSpec.baseline`; see `shift3d.task.baseline`. poses: of places that
+    were found, by vehicle, scene and seed; see `shift3d.task.problem`.
     """
 
     scenes: SceneSet
@@ -62,6 +63,7 @@ class Assets:
     reference: Mapping[str, Any] | None = None
     layouts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     baselines: OrderedDict[str, Any] = field(default_factory=OrderedDict)
+    poses: dict[tuple[str, str, int], torch.Tensor | None] = field(default_factory=dict)
     _scenes: OrderedDict[str, tuple[Scene, Beams, str]] = field(default_factory=OrderedDict)
     _decoders: dict[torch.dtype, Decoder | DeepSdfNetwork] = field(default_factory=dict)
     _detectors: dict[tuple[str, str], Detector] = field(default_factory=dict)

@@ -11,10 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from shift3d.attack.problem import AttackProblem
-from shift3d.placement.sampling import NoPlacement
 from shift3d.task.assets import Assets
 from shift3d.task.audit import Audit, score_and_audit
-from shift3d.task.problem import build_problem, place_vehicle
+from shift3d.task.problem import build_problem, placed_pose
 from shift3d.task.scoring import Candidate, Scored
 from shift3d.task.spec import TaskSpec
 
@@ -65,12 +64,12 @@ def baseline_of(spec: TaskSpec, assets: Assets) -> Baseline:
 
 def _measure(spec: TaskSpec, assets: Assets) -> Baseline:
     start = time.perf_counter()
-    placement = place_vehicle(spec, assets)
+    theta = placed_pose(spec, assets)
     placed = time.perf_counter()
     spent = {"placement": 1e3 * (placed - start)}
-    if isinstance(placement, NoPlacement):
+    if theta is None:
         return Baseline(None, spent)
-    problem = build_problem(spec, assets, placement.theta)
+    problem = build_problem(spec, assets, theta)
     if spec.effects:  # what they do once: draws, and weather on the scene's own points
         spent["effects_once"] = 1e3 * (time.perf_counter() - placed)
     return Baseline((problem, *score_and_audit(spec, assets, problem, baseline_candidate(problem))), spent)

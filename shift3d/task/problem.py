@@ -42,6 +42,18 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     )
 
 
+def placed_pose(spec: TaskSpec, assets: Assets) -> Tensor | None:
+    """(6,) float64 pose of `place_vehicle`, None where the scene has no place: looked for once a worker and place."""
+    _, _, scene_hash = assets.placing_scene(spec)
+    assets.vehicle(spec)  # says so where it is not what was planned
+    kept, key = assets.poses, (spec.vehicle, spec.scene, replace(spec, scene_hash=scene_hash).placement_seed)
+    if key not in kept:
+        placement = place_vehicle(spec, assets)
+        kept[key] = None if isinstance(placement, NoPlacement) else placement.theta
+    pose = kept[key]
+    return None if pose is None else pose.clone()
+
+
 def build_problem(spec: TaskSpec, assets: Assets, theta: Tensor, vehicle: Vehicle | None = None) -> AttackProblem:
     """The task's vehicle, placed at ``theta`` (6,), before the detector that scores it.
 
@@ -94,5 +106,5 @@ def _effects(spec: TaskSpec, assets: Assets, vehicle: Vehicle) -> EffectChain | 
 
 def _driving_heading_rad(spec: TaskSpec, assets: Assets) -> float:
     """A vehicle that drives does so along the heading it was placed with, whatever an attack makes of its pose."""
-    placement = place_vehicle(spec, assets)
-    return 0.0 if isinstance(placement, NoPlacement) else float(placement.theta[3])
+    pose = placed_pose(spec, assets)
+    return 0.0 if pose is None else float(pose[3])

@@ -10,11 +10,10 @@ from torch import Tensor
 
 from shift3d.attack.problem import AttackProblem
 from shift3d.attack.shape import SNAP_M, on_ground
-from shift3d.placement.sampling import NoPlacement
 from shift3d.store.schemas import POSE_COLUMNS
 from shift3d.task.assets import Assets, score_precision
 from shift3d.task.exchange import Row
-from shift3d.task.problem import as_vehicle, build_problem, place_vehicle
+from shift3d.task.problem import as_vehicle, build_problem, placed_pose
 from shift3d.task.scoring import score_object
 from shift3d.task.spec import TaskSpec, TransferScene
 from shift3d.vehicles.vehicle import Vehicle
@@ -32,9 +31,9 @@ def problems_elsewhere(spec: TaskSpec, problem: AttackProblem, assets: Assets) -
     found: list[MovedTask] = []
     for other in spec.transfer_scenes[: spec.attack.search_scenes]:
         moved = _moved(spec, other, assets)
-        placement = place_vehicle(moved, assets)
-        if not isinstance(placement, NoPlacement):
-            there = build_problem(moved, assets, placement.theta)
+        theta = placed_pose(moved, assets)
+        if theta is not None:
+            there = build_problem(moved, assets, theta)
             found.append((moved, replace(there, detector=problem.detector)))
     return found
 
@@ -63,18 +62,18 @@ def _moved(spec: TaskSpec, other: TransferScene, assets: Assets) -> TaskSpec:
 
 def _put(moved: TaskSpec, other: TransferScene, assets: Assets, code: Tensor, vehicle: Vehicle | None) -> Iterator[Row]:
     known: Row = {"other_scene": other.scene, "effects": list(other.effects)}
-    placement = place_vehicle(moved, assets)
-    if isinstance(placement, NoPlacement):
+    pose = placed_pose(moved, assets)
+    if pose is None:
         yield from (known | {"scored_by": name, "status": "no_placement"} for name in moved.scored_by)
         return
-    problem = build_problem(moved, assets, placement.theta)
+    problem = build_problem(moved, assets, pose)
     others = {name: assets.detector_of(name, score_precision(moved)) for name in moved.scored_by[1:]}
     radius_m = moved.attack.detection_radius_m
     there = problem if vehicle is None else as_vehicle(moved, assets, problem, vehicle)
     stands = on_ground(code, there, SNAP_M)
-    before = score_object(problem, problem.code0, placement.theta, radius_m, others)
+    before = score_object(problem, problem.code0, pose, radius_m, others)
     after = score_object(there, code, stands, radius_m, others)
-    theta = [float(value) for value in placement.theta]
+    theta = [float(value) for value in pose]
     known |= {
         **dict(zip(POSE_COLUMNS, theta, strict=True)),
         "z_shape_m": float(stands[2]),

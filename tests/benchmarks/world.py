@@ -82,7 +82,7 @@ def streets() -> HeldScenes:
 def open_assets(scenes: HeldScenes) -> Assets:
     """What a worker loads, the scenes being these."""
     assets = load_assets(AssetsSpec(scenes={"kind": "street", **_STREETS}))
-    return dataclasses.replace(assets, scenes=scenes)
+    return dataclasses.replace(assets, scenes=scenes, poses={})
 
 
 def make_spec(scene: str, accuracy: str = "standard", **changes: object) -> TaskSpec:

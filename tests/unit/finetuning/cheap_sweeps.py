@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from shift3d.store.tables import read_table, write_table
 
-CHEAP = ("scenes.count=1", "scenes.sensor=hdl64", "scenes.traffic=family", "attack.steps=4",
+CHEAP = ("scenes.count=1", "scenes.sensor=hdl64", "scenes.traffic=family", "attack.steps=2",
          "attack.alpha=0.1", "accuracy.render.sdf_grid=false", "runner=local", "tracking=none")  # fmt: skip
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import pytest
-from short_tasks import STREET, THERE, make_spec
+from pathlib import Path
 
+import pytest
+from short_tasks import STREET, THERE, WIDE, make_spec
+
+from shift3d.naturalness.build import load_reference
+from shift3d.naturalness.sources import reference_source
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.run import run_task
@@ -30,3 +34,13 @@ def pose(assets: Assets) -> TaskResult:
 def moved(assets: Assets) -> TaskResult:
     """The shape task, and what it found put into another scene."""
     return run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),)), assets)
+
+
+@pytest.fixture(scope="session")
+def wide_reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache folder that holds the small reference set and nothing else: to copy."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        load_reference(reference_source(WIDE), "test")
+    return folder

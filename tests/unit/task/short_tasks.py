@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 from shift3d.settings.catalogue.reading import accuracy_settings
 from shift3d.settings.schema.config import AccuracyConfig
@@ -15,6 +16,12 @@ SHORT = AttackSpec(steps=3, noise_replicates=2)
 KNOWN = {"task_id": "t", "sweep": "s", "vehicle": "v", "scene": "s", "dataset": "d", "mode": "shape", "alpha": 0.01}
 KNOWN |= {"detector": "p", "accuracy": "a", "search": "descent"}
 """Columns that a sweep fills in."""
+NO_GRID: dict[str, Any] = {
+    "accuracy_settings": accuracy_settings(AccuracyConfig(name="standard", render={"sdf_grid": False}))
+}
+"""Of a spec in an empty cache folder, where a grid is made again and takes longer than it saves."""
+WIDE = {"kind": "wide", "members": 40}
+"""Settings of a small reference set."""
 
 
 def make_spec(mode: str = "shape", **changes: object) -> TaskSpec:

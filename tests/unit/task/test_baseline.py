@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
+import torch
 from short_tasks import SHORT, STREET, THERE, make_spec
 
-from shift3d.task.assets import load_assets
+from shift3d.placement.sampling import place
+from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
+from shift3d.task.problem import place_vehicle, placed_pose
 from shift3d.task.run import run_task
 from shift3d.task.spec import PlacementSpec, TransferScene
 
@@ -22,14 +26,34 @@ def without_times(result: TaskResult) -> dict[str, list]:
 
 
 def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone(
-    shape: TaskResult, pose: TaskResult
+    moved: TaskResult, pose: TaskResult
 ) -> None:
+    """Each by a worker of its own, the same spec gives the same rows."""
     assets = load_assets(AssetsSpec(scenes=STREET))
-    first, second = run_task(make_spec(), assets), run_task(make_spec("pose"), assets)
+    first = run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),)), assets)
+    second = run_task(make_spec("pose"), assets)
     assert baseline_stages(first).keys() >= {"placement", "render", "detector", "audit"}
     assert sum(baseline_stages(second).values()) == 0.0
-    assert without_times(first) == without_times(shape)
+    assert moved.transfers and without_times(first) == without_times(moved)
     assert without_times(second) == without_times(pose)
+
+
+def test_a_place_is_looked_for_once_a_worker(assets: Assets, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By tasks of another accuracy, detector or search too, and by the effects of a vehicle that drives."""
+    looked = Mock(side_effect=place)
+    monkeypatch.setattr("shift3d.task.problem.place", looked)
+    fresh = replace(assets, poses={})
+    expected = place_vehicle(make_spec(), fresh).theta  # type: ignore[union-attr]
+    for changes in ({}, {"mode": "pose"}, {"detector": "sst", "accuracy_settings": {}}, {"effects": ("fog",)}):
+        pose = placed_pose(make_spec(**changes), fresh)  # type: ignore[arg-type]
+        assert pose is not None and torch.equal(pose, expected)
+        pose += 1.0  # its owner's
+    assert looked.call_count == 2
+    nowhere = make_spec(placement=PlacementSpec(min_object_points=1_000_000, attempts=2))
+    assert placed_pose(nowhere, fresh) is placed_pose(nowhere, fresh) is None and looked.call_count == 3
+    for other in ({"scene": THERE}, {"vehicle": "coupe"}, {"replicate": 1}):
+        there = placed_pose(make_spec(**other), fresh)  # type: ignore[arg-type]
+        assert there is not None and not torch.equal(there, expected)
 
 
 def test_tasks_that_share_a_scene_without_room_each_say_so() -> None:

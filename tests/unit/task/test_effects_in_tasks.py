@@ -70,7 +70,7 @@ def test_a_dry_scene_with_one_return_runs_occlusion_alone_and_imports_no_effect(
 def rich(assets: Assets) -> Assets:
     """The same but for its scenes."""
     scenes = load_assets(AssetsSpec(scenes=RICH)).scenes
-    return dataclasses.replace(assets, scenes=scenes, _scenes=OrderedDict())
+    return dataclasses.replace(assets, scenes=scenes, poses={}, _scenes=OrderedDict())
 
 
 def rich_spec(assets: Assets, *effects: str) -> TaskSpec:

@@ -124,8 +124,9 @@ def test_the_frame_has_every_box_and_the_inserted_one_last(exported: tuple[Path,
 
 
 def test_headings_are_written_within_half_a_turn(
-    exported: tuple[Path, Row, Row], assets: Assets, tmp_path: Path
+    exported: tuple[Path, Row, Row], assets: Assets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(export, "vehicle_mesh", partial(export.vehicle_mesh, resolution=33))
     folder, solution, _ = exported
     export_solution(SPEC, solution | {"yaw_rad": solution["yaw_rad"] + 2.0 * math.pi}, assets, tmp_path)
     for name in ("box", "own_box"):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from short_tasks import STREET, make_spec
+from short_tasks import NO_GRID, STREET, WIDE, make_spec
 
 from shift3d.naturalness.measure import NO_SURFACE, Naturalness, NaturalnessMeasure
 from shift3d.naturalness.reference import Nearest
@@ -25,7 +26,7 @@ FAMILY = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="ra
 SHAPE = NaturalnessMeasure(
     Nearest(7, "a car", (0.1 + 0.2, 1 / 3), (2.0, 3.0)), Sizes(4.5, 1.8, 1.5, math.nan, 0.1), 1 / 7, 0.95
 )
-SPEC = AssetsSpec(scenes=STREET, reference={"kind": "wide", "members": 40})
+SPEC = AssetsSpec(scenes=STREET, reference=WIDE)
 
 
 class Counted(Naturalness):
@@ -40,9 +41,10 @@ class Counted(Naturalness):
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    return tmp_path / "shift3d" / "natural_kinds"
+def cache(wide_reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Of what is measured; beside it lies the reference set alone."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(shutil.copytree(wide_reference, tmp_path / "cache")))
+    return tmp_path / "cache" / "shift3d" / "natural_kinds"
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +94,7 @@ def test_the_driver_measures_every_kind_before_the_workers(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a bar, with the workers' threads, and once: a worker then measures shapes that it found alone."""
-    spec = make_spec(attack=FAMILY, lambda_=0.0, reference_hash=source_hash(reference_source(SPEC.reference or {})))
+    spec = make_spec(attack=FAMILY, lambda_=0.0, reference_hash=source_hash(reference_source(WIDE)), **NO_GRID)
     threads = torch.get_num_threads()
     prepare_naturalness(SPEC, [spec])
     assert "measuring how natural each vehicle is" in capsys.readouterr().err
@@ -140,6 +142,6 @@ def pose_of(attack: AttackSpec) -> TaskSpec:
 
 def test_a_search_over_kinds_without_a_budget_measures_none(cache: Path) -> None:
     attack = AttackSpec(steps=2, random_replicates=0, noise_replicates=0, search="random", space="family")
-    reference = source_hash(reference_source(SPEC.reference or {}))
-    assert run_task(make_spec(attack=attack, lambda_=0.0, reference_hash=reference), load_assets(SPEC)).shapes
+    spec = make_spec(attack=attack, lambda_=0.0, reference_hash=source_hash(reference_source(WIDE)), **NO_GRID)
+    assert run_task(spec, load_assets(SPEC)).shapes
     assert not cache.exists()

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
 
 import pytest
-from short_tasks import KNOWN, SHORT, STREET, by_method, make_spec
+from short_tasks import KNOWN, NO_GRID, SHORT, STREET, WIDE, by_method, make_spec
 
 from shift3d.errors import InputError
 from shift3d.naturalness.sources import reference_source, source_hash
-from shift3d.settings.catalogue.reading import accuracy_settings
-from shift3d.settings.schema.config import AccuracyConfig
 from shift3d.store.tables import table_from_rows
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
@@ -21,10 +20,6 @@ from shift3d.task.spec import AttackSpec, TaskSpec
 
 MEASURED = {"surface_distance_cm", "surface_distance_p95_cm", "naturalness_percentile", "natural"}
 ONE_STEP = AttackSpec(steps=1, noise_replicates=0)
-# A grid is made again in this file's own cache folder, and takes longer than it saves.
-NO_GRID: dict[str, Any] = {
-    "accuracy_settings": accuracy_settings(AccuracyConfig(name="standard", render={"sdf_grid": False}))
-}
 
 
 def test_nothing_is_measured_without_a_reference_set(shape: TaskResult, pose: TaskResult) -> None:
@@ -33,12 +28,11 @@ def test_nothing_is_measured_without_a_reference_set(shape: TaskResult, pose: Ta
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Assets, str]]:
+def measured(wide_reference: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Assets, str]]:
     """Assets with a reference set, and its hash."""
-    values = {"kind": "wide", "members": 40}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield load_assets(AssetsSpec(scenes=STREET, reference=values)), source_hash(reference_source(values))
+        patch.setenv("XDG_CACHE_HOME", str(shutil.copytree(wide_reference, tmp_path_factory.mktemp("own") / "cache")))
+        yield load_assets(AssetsSpec(scenes=STREET, reference=WIDE)), source_hash(reference_source(WIDE))
 
 
 def test_every_shape_and_baseline_says_how_natural_it_is(measured: tuple[Assets, str]) -> None:

@@ -15,7 +15,7 @@ from shift3d.errors import InputError
 from shift3d.sdf.decoder import Architecture, Decoder, load_decoder, save_decoder
 from shift3d.sdf.meshes import symmetric_chamfer
 from shift3d.seeding import generator
-from shift3d.vehicles import vehicle_set
+from shift3d.vehicles import orientation, vehicle_set
 from shift3d.vehicles.family import build_mesh, sample_spec
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.orientation import frames_along, turned
@@ -45,6 +45,7 @@ def test_fitted_mesh_is_a_vehicle_like_those_that_ship(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
+    monkeypatch.setattr(orientation, "STEPS", 15)
     out = tmp_path / "set"
     assert main(["fit", str(hatchback), "unit=mm", f"out={out}", "steps=40"]) == 0
     captured = capsys.readouterr()
@@ -81,6 +82,7 @@ def test_what_the_decoder_cannot_draw_is_said_with_its_picture_and_an_exit_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
+    monkeypatch.setattr(orientation, "STEPS", 5)
     trimesh.creation.box((4.0, 4.0, 4.0)).export(tmp_path / "cube.ply")
     assert main(["fit", str(tmp_path / "cube.ply"), "unit=m", "steps=10", f"out={tmp_path / 'set'}"]) == 3
     printed = capsys.readouterr().err

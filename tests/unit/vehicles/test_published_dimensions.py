@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from decoded_baselines import decoded_baseline
 from mesh_dimensions import Dimensions, measure
 
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import load_decoder
 from shift3d.vehicles.family import BODY_TYPES, RANGES, build_mesh, family
 from shift3d.vehicles.family.published import (
     CLEARANCE_TOLERANCE_M,
@@ -18,7 +18,7 @@ from shift3d.vehicles.family.published import (
     tyre_diameter_m,
 )
 from shift3d.vehicles.family.spec import VehicleSpec
-from shift3d.vehicles.vehicle import baseline_vehicles, family_seed, family_vehicles, vehicle_mesh
+from shift3d.vehicles.vehicle import baseline_vehicles, family_seed, family_vehicles
 
 ROUNDING_M = 0.005  # published values are rounded to a centimetre
 MEASURED = 18  # vehicles of the shipped family that are built and measured: two of each body type
@@ -98,9 +98,8 @@ def test_the_shipped_family_is_typical() -> None:
 
 
 def test_baselines_keep_published_dimensions_when_decoded() -> None:
-    decoder = load_decoder()
     for name, vehicle in baseline_vehicles().items():
-        found = measure(vehicle_mesh(vehicle, decoder, resolution=65))
+        found = measure(decoded_baseline(name))
         for quantity in QUANTITIES:
             least, most = published_range(vehicle.body_type, quantity)
             value = getattr(found, quantity)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from decoded_baselines import decoded_baseline
 from safetensors.numpy import save_file
 
 from shift3d.errors import InputError
@@ -39,9 +40,8 @@ def test_the_five_baselines_are_there_in_the_papers_order() -> None:
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_baseline_decodes_to_one_body_of_the_stated_realistic_size(name: str, decoder: Decoder) -> None:
-    vehicle = baseline_vehicles()[name]
-    mesh = vehicle_mesh(vehicle, decoder, resolution=73)
+def test_baseline_decodes_to_one_body_of_the_stated_realistic_size(name: str) -> None:
+    vehicle, mesh = baseline_vehicles()[name], decoded_baseline(name)
     volumes = sorted((abs(part.volume) for part in mesh.split(only_watertight=False)), reverse=True)
     assert sum(volumes[1:]) < 1e-3 * volumes[0]
     assert mesh.extents == pytest.approx(vehicle.size_m, abs=0.03)
