@@ -11,8 +11,9 @@ from shift3d.store.migrations import older_versions
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 
-_KINDS = {"sweep": str, "spec_hash": str, "tasks": int, "overrides": list, "axes": dict, "settings": dict}
-"""What every spec has: one that was cut short between two lines is YAML like any other."""
+_KINDS = {"sweep": str, "spec_hash": (str, int), "tasks": int, "overrides": list, "axes": dict, "settings": dict}
+"""What every spec has: one that was cut short between two lines is YAML like any other. A hash of digits alone that
+somebody typed is a number."""
 
 
 def read_spec(folder: LocationLike) -> dict[str, Any]:

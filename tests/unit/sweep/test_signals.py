@@ -117,7 +117,12 @@ def test_a_signal_while_the_driver_makes_what_workers_share_stops_the_sweep(tmp_
         given.extend(templates)
         interrupt()
 
-    with pytest.raises(KeyboardInterrupt):
-        run(tmp_path, LATE, prepare=prepare)
+    # As in a terminal: what is started in the background ignores the signal.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run(tmp_path, LATE, prepare=prepare)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert state(tmp_path) == "stopped"
     assert given == list(valid_sweeps.plan().tasks.templates)

@@ -90,9 +90,9 @@ def test_a_batch_without_a_vehicle_has_a_finite_loss() -> None:
     assert torch.isfinite(parts["class"]) and parts["box"] == 0.0
 
 
-def test_only_peaks_are_candidates() -> None:
+def test_only_peaks_are_reported() -> None:
     heads, window = CentreHeads(4), BevWindow(0, 0, 8, 6, 1, 1, 5, 4)
     logits = torch.zeros(4, 5)
     logits[1, 1], logits[1, 2], logits[3, 4] = 3.0, 2.0, 1.0
-    peaks = heads.candidates(logits.reshape(-1), window).view(4, 5)
+    peaks = heads.reported(logits.reshape(-1), window).view(4, 5)
     assert peaks[1, 1] and peaks[3, 4] and not peaks[1, 2] and not peaks[2, 2] and not peaks[0, 0]
