@@ -11,7 +11,10 @@ from shift3d.store.migrations import older_versions
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMA_VERSION
 
-_KINDS = {"sweep": str, "spec_hash": (str, int), "tasks": int, "overrides": list, "axes": dict, "settings": dict}
+_KINDS: dict[str, tuple[type, ...]] = {
+    **{"sweep": (str,), "spec_hash": (str, int), "tasks": (int,)},
+    **{"overrides": (list,), "axes": (dict,), "settings": (dict,)},
+}
 """What every spec has: one that was cut short between two lines is YAML like any other. A hash of digits alone that
 somebody typed is a number."""
 
