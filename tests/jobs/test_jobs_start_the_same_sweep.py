@@ -1,7 +1,4 @@
-"""Launch specs start the same sweep, on a real head: the same bytes come of it as in process.
-
-That of a running cluster is held by tests/jobs/test_installed_wheel.py.
-"""
+"""Launch specs start the same sweep, on a real head: the same bytes come of it as in process."""
 
 from __future__ import annotations
 
@@ -42,9 +39,10 @@ def job_of(folder: Path, dashboard_port: int) -> Path:
 
 
 def commands(folder: Path, dashboard_port: int) -> dict[str, str]:
-    """How a small sweep is started by Slurm and through the Jobs API."""
+    """How a small sweep is started on a running cluster, by Slurm and through the Jobs API."""
     words = f"mine {shlex.join(WORDS)} {ON_RAY}"
     return {
+        "cluster": f"shift3d sweep {words} job=ray_cluster out={folder / 'cluster'}",
         "slurm": f"bash {JOBS / 'slurm.sbatch'} {words} out={folder / 'slurm'}",
         "job": f"shift3d sweep {words} job={job_of(folder, dashboard_port)} out={folder / 'job'}",
     }

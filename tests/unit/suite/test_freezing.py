@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,13 +21,11 @@ from shift3d.suite.freezing import Frozen, freeze_suite
 from shift3d.suite.frozen import manifest_bytes, read_suite
 from shift3d.suite.scoring import Scorer, score_suite
 from shift3d.sweep.execution.worker import completed_rows
-from shift3d.sweep.planning.folder import open_folder, read_plan
+from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.plan import make_plan
-from shift3d.task.assets import Assets, load_assets
-from shift3d.task.follow_ups.rendered import RenderedSolution, render_solution
+from shift3d.task.assets import load_assets
 from shift3d.task.run import run_task
 from shift3d.task.scoring import score_box
-from shift3d.task.spec import TaskSpec
 
 WORDS = ["vehicle=suv", "mode=shape,pose", "attack.steps=1", "attack.noise_replicates=1", "naturalness=none"]
 
@@ -84,20 +80,6 @@ def test_the_same_call_writes_nothing_again_and_another_one_is_refused(frozen: F
         freeze_suite(sweep, sweep, Choice())
 
 
-def render_each_once(monkeypatch: pytest.MonkeyPatch, assets: Assets) -> None:
-    """Freezings one after the other: with the same assets, and with each solution as it was first rendered."""
-    known: dict[tuple[str, str], RenderedSolution] = {}
-
-    def remembered(spec: TaskSpec, solution: Mapping[str, Any], assets: Assets) -> RenderedSolution:
-        key = (spec.task_id, solution["method"])
-        if key not in known:
-            known[key] = render_solution(spec, solution, assets)
-        return known[key]
-
-    monkeypatch.setattr(freezing, "load_assets", lambda spec: assets)
-    monkeypatch.setattr(freezing, "render_solution", remembered)
-
-
 class Killed(BaseException):
     """Ends a freezing as a signal does."""
 
@@ -108,7 +90,6 @@ def test_a_killed_freezing_goes_on_with_the_scenes_that_it_finished_to_the_same_
     words = ["vehicle=suv", "mode=pose", "scenes.count=2", "attack.steps=1", "attack.random_replicates=0",
              "naturalness=none"]  # fmt: skip
     sweep = swept(tmp_path / "sweep", words)
-    render_each_once(monkeypatch, load_assets(read_plan(sweep).assets[0]))
     whole = freeze_suite(sweep, tmp_path / "whole", Choice())
     scored = []
 
