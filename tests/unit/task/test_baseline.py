@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from unittest.mock import Mock
 
 import pytest
 import torch
 from short_tasks import SHORT, STREET, THERE, make_spec
 
-from shift3d.placement.sampling import place
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, TaskResult
 from shift3d.task.problem import place_vehicle, placed_pose
@@ -38,22 +36,30 @@ def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone(
     assert without_times(second) == without_times(pose)
 
 
-def test_a_place_is_looked_for_once_a_worker(assets: Assets, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_place_is_looked_for_once_a_worker(assets: Assets) -> None:
     """By tasks of another accuracy, detector or search too, and by the effects of a vehicle that drives."""
-    looked = Mock(side_effect=place)
-    monkeypatch.setattr("shift3d.task.problem.place", looked)
     fresh = replace(assets, poses={})
     expected = place_vehicle(make_spec(), fresh).theta  # type: ignore[union-attr]
-    for changes in ({}, {"mode": "pose"}, {"detector": "sst", "accuracy_settings": {}}, {"effects": ("fog",)}):
-        pose = placed_pose(make_spec(**changes), fresh)  # type: ignore[arg-type]
+    alike = [
+        make_spec(),
+        make_spec("pose"),
+        make_spec(detector="sst", accuracy_settings={}),
+        make_spec(effects=("fog",)),
+    ]
+    for spec in alike:
+        pose = placed_pose(spec, fresh)
         assert pose is not None and torch.equal(pose, expected)
         pose += 1.0  # its owner's
-    assert looked.call_count == 2
     nowhere = make_spec(placement=PlacementSpec(min_object_points=1_000_000, attempts=2))
-    assert placed_pose(nowhere, fresh) is placed_pose(nowhere, fresh) is None and looked.call_count == 3
+    assert placed_pose(nowhere, fresh) is None
+    here, there = fresh.poses
+    fresh.poses |= {here: expected + 2.0, there: expected + 3.0}  # what is known is not looked for again
+    assert all(torch.equal(placed_pose(spec, fresh), expected + 2.0) for spec in alike)  # type: ignore[arg-type]
+    assert torch.equal(placed_pose(nowhere, fresh), expected + 3.0)  # type: ignore[arg-type]
     for other in ({"scene": THERE}, {"vehicle": "coupe"}, {"replicate": 1}):
-        there = placed_pose(make_spec(**other), fresh)  # type: ignore[arg-type]
-        assert there is not None and not torch.equal(there, expected)
+        elsewhere = placed_pose(make_spec(**other), fresh)  # type: ignore[arg-type]
+        assert elsewhere is not None and float((elsewhere - expected).abs().max()) > 0.0
+        assert not torch.equal(elsewhere, expected + 2.0)
 
 
 def test_tasks_that_share_a_scene_without_room_each_say_so() -> None:

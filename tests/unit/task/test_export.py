@@ -126,7 +126,7 @@ def test_the_frame_has_every_box_and_the_inserted_one_last(exported: tuple[Path,
 def test_headings_are_written_within_half_a_turn(
     exported: tuple[Path, Row, Row], assets: Assets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export, "vehicle_mesh", partial(export.vehicle_mesh, resolution=33))
+    monkeypatch.setattr(export, export.vehicle_mesh.__name__, partial(export.vehicle_mesh, resolution=33))
     folder, solution, _ = exported
     export_solution(SPEC, solution | {"yaw_rad": solution["yaw_rad"] + 2.0 * math.pi}, assets, tmp_path)
     for name in ("box", "own_box"):
@@ -192,7 +192,7 @@ def test_a_ground_file_that_is_none_is_refused(exported: tuple[Path, Row, Row], 
 def test_a_pose_is_exported_where_it_stands(
     pose: TaskResult, assets: Assets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export, "vehicle_mesh", partial(export.vehicle_mesh, resolution=33))
+    monkeypatch.setattr(export, export.vehicle_mesh.__name__, partial(export.vehicle_mesh, resolution=33))
     (solution,) = (row for row in pose.solutions if row["method"] == "adversarial")
     export_solution(make_spec("pose"), solution, assets, tmp_path)
     stated = json.loads((tmp_path / "box.json").read_text())

@@ -65,6 +65,13 @@ def test_a_box_that_the_detector_never_reports_is_no_score() -> None:
     assert found.score == pytest.approx(0.05)
 
 
+def test_no_box_and_a_box_that_is_no_number_are_no_score() -> None:
+    for boxes in (np.zeros((0, 7)), OBJECT[None]):
+        detector = WholeScene(boxes, np.full(len(boxes), np.nan))
+        found = score_box(torch.zeros(1, 3), OBJECT, 0.0, 5.0, {"whole": detector})["whole"]  # type: ignore[dict-item]
+        assert found.score == 0.0 and own_score(detector.found, OBJECT) == 0.0
+
+
 def test_a_box_centred_beyond_the_radius_still_suppresses() -> None:
     longer = OBJECT.copy()
     longer[:2] += 5.5 * np.cos(OBJECT[6]), 5.5 * np.sin(OBJECT[6])
