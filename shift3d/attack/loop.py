@@ -51,9 +51,8 @@ def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:
     selection_window: a step counts with the highest loss of itself and so many steps before and after it, which passes
     over a local minimum of one step. 0 is the paper's rule.
 
-    Source: SHIFT3D, Algorithm 1; the neighbours are our choice. In 100 shape attacks of the small `table_shape` the
-    steps that the paper's rule keeps score 0.409 and their neighbours 0.058 more; with one step either side 0.429 and
-    no more.
+    Source: SHIFT3D, Algorithm 1; the neighbours are our choice. docs/why/experiments.md compares both rules over 100
+    shape attacks.
     """
     best, lowest = 0, math.inf
     for step in range(1, len(trace)):
