@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import os
 import sys
 import textwrap
@@ -69,6 +70,12 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         import argcomplete
 
         argcomplete.autocomplete(parser)
+    word = next((word for word in (sys.argv[1:] if arguments is None else arguments) if not word.startswith("-")), None)
+    names = [command.name for command in COMMANDS]
+    if word is not None and word not in names:
+        close = difflib.get_close_matches(word, names, n=1)
+        hint = f"Did you mean {close[0]!r}? " if close else ""
+        parser.error(f"unknown command {word!r}. {hint}One of: {', '.join(names)}")
     parsed, rest = parser.parse_known_args(arguments)
     if any(word.startswith("-") for word in rest) or (rest and not hasattr(parsed, "words")):
         parser.error(f"unrecognized arguments: {' '.join(rest)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -142,7 +143,9 @@ def scene_files(out_dir: Path, scenes: SceneSet, workers: int = 1) -> list[Path]
 
     Raises: InputError for a frame that cannot be read, or when no scene holds a vehicle.
     """
-    folder = out_dir / f"scenes-{_digest(scenes)}"
+    # Frames whose points or labels have changed are cut again.
+    states = json.dumps([scenes.source(name) for name in scenes.names()])
+    folder = out_dir / f"scenes-{hashlib.blake2b(states.encode(), digest_size=8).hexdigest()}"
     title = f"{scenes.dataset} scenes"
     files = cache_scenes(folder, scenes.names(), partial(_labelled_scene, scenes), title, workers)
     if not any(len(load_cached(file).boxes) for file in files):

@@ -57,6 +57,14 @@ def test_help_of_every_command_has_an_example() -> None:
         assert command.name in make_parser().format_help()
 
 
+def test_an_unknown_command_is_named_beside_the_one_that_is_meant(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["reprt", "outputs"], ["--version", "reprt"]):
+        with pytest.raises(SystemExit) as stopped:
+            parse(words)
+        assert stopped.value.code == 2
+        assert "unknown command 'reprt'. Did you mean 'report'? One of: sweep, plan," in capsys.readouterr().err
+
+
 def test_no_command_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     assert "examples:" in capsys.readouterr().out

@@ -31,9 +31,9 @@ from shift3d.training.detector import loop as detector_loop
 from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import RECIPES, scaled_to_steps
-from shift3d.training.detector.train import train_detector
+from shift3d.training.detector.train import scene_files, train_detector
 from shift3d.training.detector.warm_start import start_state
-from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene
+from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene, load_cached
 from shift3d.training.progress import CurvePoint
 
 PILLARS = BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4)
@@ -193,6 +193,16 @@ def test_scenes_without_a_vehicle_are_refused(tmp_path: Path) -> None:
         file.write_text("")
     with pytest.raises(InputError, match="no scene has a labelled vehicle"):
         train_detector(tmp_path / "out", TINY, scenes=KittiScenes(root))
+
+
+def test_a_frame_whose_labels_have_changed_is_cut_again(tmp_path: Path) -> None:
+    root = _kitti(tmp_path)
+    before = scene_files(tmp_path / "out", KittiScenes(root))
+    assert scene_files(tmp_path / "out", KittiScenes(root)) == before
+    label = root / "training" / "label_2" / "000003.txt"
+    label.write_text(2 * label.read_text().replace("8.00 -1.57", "18.00 -1.57"))
+    after = scene_files(tmp_path / "out", KittiScenes(root))
+    assert [len(load_cached(file).boxes) for file in (*before, *after)] == [1, 1, 2, 1]
 
 
 def test_only_the_labelled_sector_is_trained_on() -> None:
