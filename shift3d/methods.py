@@ -7,7 +7,7 @@ __all__ = ["METHODS", "METHODS_OF_MODE"]
 METHODS = {
     "baseline": "baseline",
     "random": "random",
-    "random_search": "best of random draws",
+    "random_budget": "best of random draws",
     "edited": "edited",
     "adversarial_noise": "adversarial + noise",
     "adversarial": "adversarial",

@@ -30,7 +30,7 @@ from shift3d.vehicles.mesh_frame import MeshFrame
 LENGTH_M = 4.5
 _RESOLUTION = 129
 _DRAWS = 2000
-METHODS = {"baseline": "baselines", "random_search": "best of random draws", "adversarial": "found by the search"}
+METHODS = {"baseline": "baselines", "random_budget": "best of random draws", "adversarial": "found by the search"}
 Figures = Iterator[tuple[str, dict[str, Any]]]
 
 

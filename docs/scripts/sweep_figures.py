@@ -93,7 +93,7 @@ def _aucs(variant: Variant) -> Figures:
 
 def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
     """Of sweeps with as many random draws: how far the search is below them, natural shapes, and their kinds."""
-    below = paired(variant.rows, "adversarial", "random_search")
+    below = paired(variant.rows, "adversarial", "random_budget")
     if below is None:
         return
     yield (
@@ -103,7 +103,7 @@ def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
     if not variant.is_own:  # the same shapes
         return
     tasks = variant.rows["task_id"].unique()
-    for method in ("adversarial", "random_search"):
+    for method in ("adversarial", "random_budget"):
         rows = variant.rows[variant.rows["method"] == method]
         yield f"{variant.title}/{method}/natural", _one(int(rows["natural"].eq(True).sum()), n=len(rows))
         own = sweep.solutions[sweep.solutions["task_id"].isin(tasks) & (sweep.solutions["method"] == method)]

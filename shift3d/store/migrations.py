@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from shift3d.errors import InputError
 from shift3d.store.schemas import SCHEMA_VERSION
@@ -80,6 +81,16 @@ def _drawn_as_their_own(name: str, table: pa.Table) -> pa.Table:
     return _with_nulls(table, "replicate", {"drawn_as": pa.string()}) if name == "solutions" else table
 
 
+def _random_of_equal_budget(name: str, table: pa.Table) -> pa.Table:
+    """Version 11 names the best of as many draws as a search had evaluations by its budget."""
+    place = table.schema.get_field_index("method")
+    if place < 0:
+        return table
+    methods = table["method"]
+    methods = pc.if_else(pc.equal(methods, "random_search"), "random_budget", methods)
+    return table.set_column(place, table.schema.field(place), methods)
+
+
 OLDEST_VERSION = 5
 # By the version that wrote them, what makes the next one's of them. Version 7 added columns to one table, all of which
 # version 9 drops again.
@@ -88,6 +99,7 @@ _TABLES: Mapping[int, Callable[[str, pa.Table], pa.Table]] = {
     7: _searched_by_descent,
     8: _judged_by_sides,
     9: _drawn_as_their_own,
+    10: _random_of_equal_budget,
 }
 
 

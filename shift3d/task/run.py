@@ -97,7 +97,7 @@ def _planned(spec: TaskSpec) -> Iterator[tuple[str, int]]:
     yield "baseline", 0
     yield from (("random", i) for i in range(spec.attack.random_replicates))
     if spec.attack.random_search:
-        yield "random_search", 0
+        yield "random_budget", 0
     if spec.attack.edit and spec.mode != "pose":
         yield "edited", 0
     yield "adversarial", 0
@@ -123,9 +123,9 @@ def _candidates(
             yield Candidate("random", index, *drawn)
     if spec.attack.random_search:
         best = best_of_draws(spec, replace(problem, detector=searched), assets, distance or FREE_DISTANCE)
-        rows.search_time("random_search", best)
+        rows.search_time("random_budget", best)
         drawn_as = _other_than(problem, best)
-        yield Candidate("random_search", 0, best.latent_code, best.theta, best.best_step, best.status, drawn_as)
+        yield Candidate("random_budget", 0, best.latent_code, best.theta, best.best_step, best.status, drawn_as)
     if spec.attack.edit and spec.mode != "pose":
         edited = edited_vehicle(spec, problem, assets)
         yield Candidate("edited", 0, edited, on_ground(edited, problem, SNAP_M))

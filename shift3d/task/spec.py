@@ -63,7 +63,7 @@ class AttackSpec:
 
     search: how it goes; every search has ``steps`` evaluations. space: where a shape may go; components: of space pca;
     space_hash: of the codes or ranges that bound it. rate, placements, starts: of search expectation. random_search: 1
-    where the best of as many random draws stands beside the solution, as method ``random_search``. naturalness: the
+    where the best of as many random draws stands beside the solution, as method ``random_budget``. naturalness: the
     percentile of the reference set that a shape may not pass during the search; 0: any shape. search_scenes: how many
     of the task's transfer scenes, from the first, the loss of a shape is taken over beside its own. edit:
     "NAME:PLACE", a parameter of a parametric decoder's vehicle and where in its kind's range it is put, -1 lowest to 1

@@ -19,7 +19,7 @@ import socket
 import sys
 from pathlib import Path
 
-COMMITS = {5: "8a4453b", 6: "8effd78", 7: "29b8d99", 8: "ee35775", 9: "ce710c3"}
+COMMITS = {5: "8a4453b", 6: "8effd78", 7: "29b8d99", 8: "ee35775", 9: "ce710c3", 10: "c538b44"}
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "service"))
 

@@ -115,6 +115,13 @@ def test_solutions_of_an_older_program_are_drawn_as_their_own_vehicle(tmp_path: 
     assert read["drawn_as"].to_pylist() == [None] and read["latent_code"].to_pylist() == [[0.5]]
 
 
+def test_the_best_of_random_draws_of_an_older_program_is_named_by_its_budget(tmp_path: Path) -> None:
+    older_file(tmp_path / "scores.parquet", "scores", 10, [], {"method": "random_search"})
+    older_file(tmp_path / "others.parquet", "scores", 10, [], {"method": "random"})
+    methods = [read_table(file, "scores")["method"].to_pylist() for file in sorted(tmp_path.iterdir())]
+    assert methods == [["random"], ["random_budget"]]
+
+
 def test_files_of_a_newer_version_are_refused_by_name(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(REFERENCE / "schema_5", tmp_path / "folder"))
     plan = read_plan(folder)

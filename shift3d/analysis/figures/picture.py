@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 COLOURS = {
     "baseline": "#7d7d7d",
     "random": "#2f8fc9",
-    "random_search": "#9467bd",
+    "random_budget": "#9467bd",
     "edited": "#2c9668",
     "adversarial_noise": "#b97a00",
     "adversarial": "#d55e00",

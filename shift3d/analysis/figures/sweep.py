@@ -44,7 +44,7 @@ def effects_figure(impacts: Mapping[str, MeasuredImpact]) -> Figure:
     return figure
 
 
-_MARKERS = {"adversarial_noise": "x", "random": "s", "random_search": "^", "edited": "D"}
+_MARKERS = {"adversarial_noise": "x", "random": "s", "random_budget": "^", "edited": "D"}
 
 
 def stability_figure(verification: pd.DataFrame) -> Figure:

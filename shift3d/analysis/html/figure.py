@@ -12,7 +12,7 @@ from shift3d.analysis.html.blocks import Plot
 DASHES = {
     "baseline": "solid",
     "random": "dot",
-    "random_search": "dot",
+    "random_budget": "dot",
     "edited": "dashdot",
     "adversarial_noise": "dash",
     "adversarial": "solid",

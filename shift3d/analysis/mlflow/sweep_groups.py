@@ -85,7 +85,7 @@ def budget_points(auc: pd.DataFrame) -> list[tuple[str, float, int]]:
     points = []
     for curve in budget_curves(variants(auc)):
         for budget, variant in curve.variants.items():
-            for method in ("random_search", "adversarial"):
+            for method in ("random_budget", "adversarial"):
                 ratio = variant.aucs.of_baseline(method, variant.vehicles)
                 name = metric_name(f"auc_by_budget/{method}/{curve.title}")
                 points += [(name, ratio, round(min(budget, 101.0)))] if ratio is not None else []

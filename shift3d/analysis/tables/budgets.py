@@ -54,8 +54,8 @@ def budget_table(found: Sequence[Variant]) -> Table | None:
     for curve in budget_curves(found):
         for budget, variant in curve.variants.items():
             shown = "any shape" if budget == ANY_SHAPE else f"{budget:g}"
-            ratios = [interval_text(curve.ratio(budget, method), 2, "") for method in ("random_search", "adversarial")]
-            gain = paired(variant.rows, "adversarial", "random_search")
+            ratios = [interval_text(curve.ratio(budget, method), 2, "") for method in ("random_budget", "adversarial")]
+            gain = paired(variant.rows, "adversarial", "random_budget")
             difference = interval_text(None if gain is None else gain.interval, 3)
             means = [number(variant.aucs.mean(name, variant.vehicles)) for name in ("baseline", "adversarial")]
             lines.append([f"{curve.title}, {shown}", *_shapes(variant.rows), *means, *ratios, difference])

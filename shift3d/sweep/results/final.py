@@ -182,7 +182,7 @@ def _planned_methods(plan: Plan) -> dict[tuple[Any, ...], list[str]]:
         spec = group.template
         attack = spec.attack
         optional = {"random": bool(attack.random_replicates), "adversarial_noise": bool(attack.noise_replicates)}
-        optional |= {"random_search": bool(attack.random_search), "edited": bool(attack.edit)}
+        optional |= {"random_budget": bool(attack.random_search), "edited": bool(attack.edit)}
         for key in _group_keys(plan, group):
             known = methods.get(key, [])
             methods[key] = [n for n in METHODS_OF_MODE[spec.mode] if n in known or optional.get(n, True)]

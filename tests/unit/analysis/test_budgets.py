@@ -20,7 +20,7 @@ BASE = [0.8, 0.9, 0.7, 0.85]
 def searched(search: str, share: float, drawn: float = 0.9, mode: str = "shape") -> Variant:
     """A search that leaves a share of every baseline score; the random draws leave another."""
     scores = {("baseline", "suv"): BASE, ("adversarial", "suv"): [share * one for one in BASE]}
-    scores |= {("random_search", "suv"): [drawn * one for one in BASE]}
+    scores |= {("random_budget", "suv"): [drawn * one for one in BASE]}
     cm = {f"suv-{scene}": 1.0 + scene for scene in range(4)}
     natural = {f"suv-{scene}": scene < 3 for scene in range(4)}
     return dataclasses.replace(variant(scores, mode, surface_distance_cm=cm, natural=natural), search=search)
@@ -48,7 +48,7 @@ def test_searches_under_several_budgets_are_curves() -> None:
     assert list(curve.variants) == [50.0, 95.0, ANY_SHAPE] and "pca10" in curve.title and "within" not in curve.title
     ratios = [curve.ratio(budget, "adversarial") for budget in curve.variants]
     assert [ratio.mean for ratio in ratios if ratio] == pytest.approx([0.8, 0.6, 0.5])
-    drawn = curve.ratio(95.0, "random_search")
+    drawn = curve.ratio(95.0, "random_budget")
     assert drawn is not None and drawn.mean == pytest.approx(0.9) and curve.ratio(95.0, "edited") is None
 
 
@@ -85,4 +85,4 @@ def test_mlflow_has_a_curve_over_the_budget() -> None:
     )
     points = {(name.split("/")[1], step): value for name, value, step in budget_points(table)}
     assert points["adversarial", 95] == pytest.approx(0.6) and points["adversarial", 101] == pytest.approx(0.5)
-    assert points["random_search", 50] == pytest.approx(0.9) and len(points) == 6
+    assert points["random_budget", 50] == pytest.approx(0.9) and len(points) == 6

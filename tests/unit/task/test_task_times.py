@@ -18,7 +18,7 @@ def test_the_times_of_the_comparison_stand_beside_those_of_the_search(assets: As
     spent = {(row["method"], row["stage"]): row for row in result.timings}
     # Of the search the baseline and one step, each at two places; the draws are never descended from.
     assert spent["adversarial", "backward"]["milliseconds"] > 0.0
-    assert spent["random_search", "render"]["calls"] == 1 + 2 + 1  # baseline, draws, and the winner's own score
-    assert ("random_search", "backward") not in spent
+    assert spent["random_budget", "render"]["calls"] == 1 + 2 + 1  # baseline, draws, and the winner's own score
+    assert ("random_budget", "backward") not in spent
     stages = sum(row["milliseconds"] for (_, stage), row in spent.items() if stage != "total")
     assert 0.0 < stages <= spent["adversarial", "total"]["milliseconds"]

@@ -39,7 +39,7 @@ def budgets(found: Sequence[Variant]) -> Section | None:
 def _traces(curve: BudgetCurve, colour: str) -> list[dict[str, Any]]:
     """A line a method, with bars. The solution's is solid, that of the random draws dashed."""
     traces = []
-    for method in ("random_search", "adversarial"):
+    for method in ("random_budget", "adversarial"):
         known = {budget: found for budget in curve.variants if (found := curve.ratio(budget, method)) is not None}
         if not known:
             continue

@@ -30,7 +30,7 @@ _CURVES = {
     "score_baseline": ("baseline", COLOURS["baseline"], "solid"),
     "score_solution": ("adversarial", COLOURS["adversarial"], "solid"),
     "score": ("retrieved", COLOURS["random"], "solid"),
-    "control": ("controls", COLOURS["random_search"], "dash"),
+    "control": ("controls", COLOURS["random_budget"], "dash"),
 }
 
 
