@@ -126,9 +126,9 @@ class Fog(WeatherEffect):
     Where the fog's wins, the point moves along the beam to the range of that echo's maximum. An echo's maximum arrives
     half a pulse (c tau / 2, 3 m) after the first light, and a sensor that reports a surface at R0 has that taken off;
     it is taken off the fog's echo too. So the point never lies behind the surface. A beam shows the fog in its first
-    return alone: a later one that the fog outshines is lost (our choice). No noise is added to this range:
-    the published method scatters it without a law; our choice is the smooth fog of the equations, in which it has one
-    value. An echo of fog is not from the object (`on_object` False), with cosine 1.
+    return alone: a later one that the fog outshines is lost (our choice). No noise is added to this range: the authors'
+    code scatters it by one of four random factors, none of which the equations give; our choice is the smooth fog of
+    the equations, in which it has one value. An echo of fog is not from the object (`on_object` False), with cosine 1.
 
     A surface's echo is lost below the sensor's least power, where that is known (`power.PowerLimit`). The fog's is
     not asked for it: it is calibrated (Gamma) against the echo of surfaces alone, not on the scale of albedo. As in
@@ -146,7 +146,8 @@ class Fog(WeatherEffect):
     Differentiable: points that stay. The gradient ignores that echoes are lost or replaced, and at which range that
     happens; points of fog, reflectance and albedo carry none.
 
-    Source: Hahner et al. 2021, equations; range correction, noise and least power: our choice.
+    Source: Hahner et al. 2021, equations; range correction as in the authors' code (a maximum received later than R0
+    counts here, too); noise and least power: our choice.
     """
 
     name = "fog"

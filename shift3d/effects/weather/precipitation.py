@@ -25,7 +25,7 @@ EXIT_M, DIVERGENCE_RAD = 0.01, 2e-3
 LEAST_ALBEDO = 0.01
 """Of what sent an echo: a reported 0 is a rounding, not a surface that any particle outshines (our choice)."""
 PULSE_M = 0.09
-"""Range resolution of a pulse, which a strong echo's noise is a small part of (Kilic et al. 2021)."""
+"""Range accuracy Delta R of LISA (Kilic et al. 2021), of which a strong echo's noise is a small part."""
 EXTINCTION_EFFICIENCY = 2.0
 """Q_ext of particles much larger than the wavelength: pi D / wavelength is 3500 for a drop of 1 mm at 905 nm."""
 _FAR_M, _LEAST_POWER, _MOST_POWER = 250.0, 1e-10, 10.0

@@ -47,7 +47,7 @@ class NuScenesScenes(RecordedScenes):
     the sensor was. The firing time of a sweep is that of its key frame's less its age: 0 for the key frame, negative
     for earlier ones; single points have none. So an inserted vehicle stands still across sweeps where the world does,
     and one with `effects.object_speed_m_s` is met by each sweep where it was then. Points of a sweep are motion
-    compensated by the data set. Poses lack height, roll and pitch.
+    compensated by the data set. Poses have roll and pitch, but no height.
 
     Raises InputError: neither tables nor files, or several versions to choose from.
     """

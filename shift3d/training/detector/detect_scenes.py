@@ -44,8 +44,9 @@ class Answer:
 def detect_frame(detector: Detector, scenes: SceneSet, name: str, score_threshold: float = SCORE_FLOOR) -> Answer:
     """Load one scene, run the detector on its whole grid, and record truth and detections in the scene's frame.
 
-    In KITTI frames only cars count (vans and trucks are ignored: the detectors have one class for all three), boxes
-    outside the camera's view are marked as unlabelled, and labels carry KITTI's difficulty.
+    In KITTI frames only cars count, boxes outside the camera's view are marked as unlabelled, and labels carry KITTI's
+    difficulty. Vans are ignored as in KITTI's development kit. Trucks are ignored too (our choice: the detectors have
+    one class for all three; to the kit a truck that is found is an error).
 
     Raises InputError: the scene cannot be read.
     """

@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from published_beams import HDL_32E, PANDAR64_CALIBRATED, PANDAR64_OFFSET, VLP_32C
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
@@ -37,6 +38,18 @@ def test_beams_are_those_of_the_published_table(name: str) -> None:
     assert len(degrees) == count and (np.diff(degrees) < 0).all()
     np.testing.assert_allclose((degrees[0], degrees[-1]), (top, bottom), atol=0.02)
     assert -np.diff(degrees).max() == pytest.approx(step, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "published", "atol"),
+    [
+        ("hdl32", HDL_32E, 0.01),
+        ("av2_pair", VLP_32C, 1e-6),
+        ("pandar64", np.array(PANDAR64_CALIBRATED) + PANDAR64_OFFSET, 0.0015),
+    ],
+)
+def test_every_beam_is_that_of_the_maker(name: str, published: np.ndarray, atol: float) -> None:
+    np.testing.assert_allclose(np.rad2deg(BEAMS[name].elevations_rad), np.sort(published)[::-1], rtol=0, atol=atol)
 
 
 def test_the_pair_is_a_head_and_the_same_upside_down_below_it() -> None:

@@ -26,7 +26,7 @@ def snowing(snow_mm_h: float, sensor: SensorModel | None = None) -> EffectContex
 
 def extinction(snow_mm_h: float) -> float:
     """1e-6 (pi / 4) 2 N0 integral of (w D)^2 exp(-lambda D), D of the melted drop, w the flake's width over it."""
-    return 1e-6 * math.pi * 7600.0 * snow_mm_h**-0.87 * FLAKE_WIDTH**2 / (2.55 * snow_mm_h**-0.48) ** 3
+    return 1e-6 * math.pi * 3800.0 * snow_mm_h**-0.87 * FLAKE_WIDTH**2 / (2.55 * snow_mm_h**-0.48) ** 3
 
 
 @pytest.mark.parametrize("snow_mm_h", [0.1, 1.0, 5.0])
@@ -40,8 +40,25 @@ def test_visibility_in_moderate_snow():
         assert math.log(20.0) / flakes(rate).extinction_per_m == pytest.approx(visibility_m, rel=0.25)
 
 
+def test_as_many_flakes_as_gunn_and_marshall_counted():
+    """Gunn and Marshall 1958: 3.8e3 R^-0.87 a m^3 and mm of melted diameter, slope 25.5 R^-0.48 a cm."""
+    for rate, density, slope in ((1.0, 3800.0, 2.55), (2.0, 2079.2, 1.8283), (0.5, 6945.1, 3.5566)):
+        found = flakes(rate)
+        assert found.density * FLAKE_WIDTH == pytest.approx(density, rel=1e-4)
+        assert found.slope * FLAKE_WIDTH == pytest.approx(slope, rel=1e-4)
+
+
+@pytest.mark.parametrize("snow_mm_h", [0.5, 1.0, 2.5])
+def test_what_falls_is_the_rate(snow_mm_h):
+    """Water of all flakes, pi density / slope^4 in mm^3 a m^3 of melted diameters, falling at a metre a second."""
+    found = flakes(snow_mm_h)
+    density, slope = found.density * FLAKE_WIDTH, found.slope * FLAKE_WIDTH
+    falls_mm_h = math.pi * density / slope**4 * 1.0 * 3600.0 / 1e6
+    assert falls_mm_h == pytest.approx(snow_mm_h, rel=0.1)
+
+
 def test_flakes_are_as_many_as_the_drops_they_melt_to():
-    assert flakes(1.0).per_m3 == pytest.approx(7600.0 / 2.55)
+    assert flakes(1.0).per_m3 == pytest.approx(3800.0 / 2.55)
 
 
 @pytest.mark.parametrize("range_m", [1.5, 2.5, 4.0])
@@ -50,7 +67,7 @@ def test_in_front_of_nothing_every_flake_counts(range_m):
     after = EFFECT.bind(context)(returns_of(context, range_m, cosine=0.0))
     width = [EXIT_M + DIVERGENCE_RAD * r for r in (0.9, range_m)]
     volume = math.pi / 12.0 * (width[1] ** 3 - width[0] ** 3) / DIVERGENCE_RAD
-    expected = -math.expm1(-7600.0 / 2.55 * volume)
+    expected = -math.expm1(-3800.0 / 2.55 * volume)
     share = float((~after.on_object).double().mean())
     assert abs(share - expected) < 3.0 * math.sqrt(expected * (1.0 - expected) / COUNT)
 
@@ -69,7 +86,7 @@ def test_flakes_that_cover_enough_of_the_beam(snow_mm_h, range_m, albedo):
         if share > 1.0:
             return 0.0
         melted_mm = 1e3 * width * math.sqrt(share) / FLAKE_WIDTH
-        return 7600.0 * snow_mm_h**-0.87 / slope * math.exp(-slope * melted_mm) * math.pi / 4.0 * width**2
+        return 3800.0 * snow_mm_h**-0.87 / slope * math.exp(-slope * melted_mm) * math.pi / 4.0 * width**2
 
     expected = -math.expm1(-quad(rate, 0.9, range_m, points=[1.0], limit=500)[0])
     flake = ~after.on_object
@@ -130,8 +147,8 @@ def facts_of(snow_mm_h: float) -> SceneFacts:
 
 def test_applies_with_figures():
     reason = EFFECT.applicability(facts_of(1.0), BLIND)
-    # 1 - exp(-2 * 3.24e-3 * 30) = 0.177
-    assert reason == "snow 1 mm/h: 18 % of the light is lost at 30 m and back"
+    # 1 - exp(-2 * 3.175e-3 * 30) = 0.173
+    assert reason == "snow 1 mm/h: 17 % of the light is lost at 30 m and back"
     assert EFFECT.applicability(facts_of(0.0), BLIND) is None
-    # 2 * 50 m * 3.24e-3 Rr^0.57 = 1 % at 0.0023 mm/h.
+    # 2 * 50 m * 3.175e-3 Rr^0.57 = 1 % at 0.0023 mm/h.
     assert EFFECT.applicability(facts_of(0.001), BLIND) is None
