@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -93,7 +94,8 @@ def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
 
 
 def _digest(scenes: SceneSet) -> str:
-    text = "\n".join([scenes.dataset, str(getattr(scenes, "folder", "")), *scenes.names()])
+    """64 bits, hex, that change with the scenes and with the state of their files."""
+    text = json.dumps([scenes.dataset, [scenes.source(name) for name in scenes.names()]])
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 

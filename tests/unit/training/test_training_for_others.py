@@ -31,9 +31,9 @@ from shift3d.training.detector import loop as detector_loop
 from shift3d.training.detector.loop import train_on_scenes
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import RECIPES, scaled_to_steps
-from shift3d.training.detector.train import train_detector
+from shift3d.training.detector.train import scene_files, train_detector
 from shift3d.training.detector.warm_start import start_state
-from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene
+from shift3d.training.detector_scenes import TrainingScene, cache_scenes, cut_scene, from_scene, load_cached
 from shift3d.training.progress import CurvePoint
 
 PILLARS = BackboneSpec(in_channels=4, channels=(4, 4, 4), up_channels=4)
@@ -193,6 +193,19 @@ def test_scenes_without_a_vehicle_are_refused(tmp_path: Path) -> None:
         file.write_text("")
     with pytest.raises(InputError, match="no scene has a labelled vehicle"):
         train_detector(tmp_path / "out", TINY, scenes=KittiScenes(root))
+
+
+def test_frames_that_have_changed_since_are_not_taken_from_the_cache(tmp_path: Path) -> None:
+    root, out = _kitti(tmp_path), tmp_path / "out"
+    before = scene_files(out, KittiScenes(root))
+    assert scene_files(out, KittiScenes(root)) == before
+    train_detector(out, TINY, scenes=KittiScenes(root))
+    label = root / "training" / "label_2" / f"{before[0].stem}.txt"
+    label.write_text(label.read_text().replace("8.00 -1.570796", "9.50 -1.570796"))
+    after = scene_files(out, KittiScenes(root))
+    assert load_cached(before[0]).boxes[0, 0] == 8.0 and load_cached(after[0]).boxes[0, 0] == 9.5
+    with pytest.raises(InputError, match="another set of scenes"):
+        train_detector(out, TINY, scenes=KittiScenes(root))
 
 
 def test_only_the_labelled_sector_is_trained_on() -> None:
