@@ -112,7 +112,7 @@ def rules_objects(sweep: Sweep) -> pd.DataFrame:
     """
     rows = sweep.scored
     rows = rows[rows["method"].isin(_METHODS)].drop_duplicates(["task_id", "scored_by", "method", "replicate"])
-    same = ["place", "vehicle", "detector", "scored_by", "accuracy", "x_m", "y_m", "yaw_rad", "score"]
+    same = ["dataset", "scene", "vehicle", "detector", "scored_by", "accuracy", "x_m", "y_m", "yaw_rad", "score"]
     rows = one_baseline(rows, same)
     posed = rows["mode"] == "pose"
     rows = rows.assign(shape=rows["method"].mask(posed, "baseline"), copy=rows["replicate"].mask(posed, 0))

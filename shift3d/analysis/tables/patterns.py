@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
 from shift3d.evaluation.failure_rules import aspect_deg
@@ -85,7 +86,7 @@ def pattern_groups(patterns: pd.DataFrame, scores: pd.DataFrame) -> list[tuple[s
             before, after = (part.loc[both[0].index.intersection(both[1].index)] for part in both)
             if len(before):
                 values = changes(before, after)
-                found.setdefault(_label(key), []).extend(_patterns(values, names, before["dataset"] + before["scene"]))
+                found.setdefault(_label(key), []).extend(_patterns(values, names, places_of(before)))
     return list(found.items())
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
 from shift3d.errors import InputError
@@ -62,7 +63,7 @@ def kept(retrieved: pd.DataFrame) -> pd.DataFrame:
     controls = rows[rows["role"] == "control"].groupby(_KEY)[["score", "pool_score"]].mean()
     controls = controls.rename(columns={"score": "control", "pool_score": "control_in_log"})
     found = rows[rows["role"] == "retrieved"].merge(controls.reset_index(), on=_KEY, how="left")
-    return found.assign(place=found["dataset"] + "/" + found["scene"])
+    return found.assign(place=places_of(found))
 
 
 def kin_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:
@@ -125,7 +126,7 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
         line.append(_mean(rows["score"] - rows["score_baseline"], rows["place"]))
         line.append(_mean(matched["score"] - matched["control"], matched["place"]))
         in_log = matched.drop_duplicates(["pool_dataset", "pool_scene", "pool_label"])
-        log = in_log["pool_dataset"] + "/" + in_log["pool_scene"]
+        log = places_of(in_log, "pool_dataset", "pool_scene")
         line.append(_mean(in_log["pool_score"] - in_log["control_in_log"], log))
         lines.append(line)
     if not lines:

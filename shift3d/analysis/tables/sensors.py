@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from shift3d.analysis.results import PLACE, with_places
+from shift3d.analysis.results import PLACE, places_of, with_places
 from shift3d.analysis.statistics.intervals import mean_interval, ratio_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
 
@@ -20,7 +20,7 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
     placed = transfers[transfers["score"].notna()]
     if placed.empty:
         return None
-    placed = placed.assign(place=placed["dataset"] + "/" + placed["other_scene"])
+    placed = placed.assign(place=places_of(placed, scene="other_scene"))
     lines = []
     for (mode, search, weight, alpha, detector, scored_by), rows in placed.groupby(
         _TRANSFER_GROUP, sort=False, dropna=False
