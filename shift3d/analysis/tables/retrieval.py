@@ -11,11 +11,12 @@ import pandas as pd
 from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
+from shift3d.analysis.variants import differing_settings
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
 _POINTS = ((10, 30), (30, 100), (100, 300), (300, 1000), (1000, None))
-_GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
+_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings", "scored_by"]
 _KEY = ["task_id", "scored_by"]
 
 
@@ -100,12 +101,14 @@ class Kin:
 
 def retrieval_groups(retrieved: pd.DataFrame) -> list[Kin]:
     """The kin that the paper's rule does not exclude, by search and scoring detector. retrieved: of ``final/``."""
+    retrieved = retrieved.assign(settings=differing_settings(retrieved, ("accuracy",)))
     solutions = retrieved[retrieved["role"] == "retrieved"]
     counts = solutions.groupby(_GROUP, dropna=False).size()
     found = []
     for key, rows in kept(retrieved).groupby(_GROUP, sort=False, dropna=False):
-        mode, search, weight, alpha, detector, scored_by = key
+        mode, search, weight, alpha, detector, settings, scored_by = key
         label = f"{mode.replace('_', ' and ')}, {search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
+        label += f", {settings}" if settings else ""
         found.append(Kin(label, scored_by, rows, int(counts.loc[key])))
     return found
 
