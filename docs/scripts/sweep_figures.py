@@ -13,11 +13,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from shift3d.analysis.html.sections.bev import pooled_cells
 from shift3d.analysis.html.sections.paths import mean_path, searched
 from shift3d.analysis.results import Sweep, read_sweep
 from shift3d.analysis.statistics.intervals import Interval, mean_interval, ratio_interval, vehicle_mean_interval
 from shift3d.analysis.statistics.paired import paired
+from shift3d.analysis.tables.auc import with_baseline
 from shift3d.analysis.tables.budgets import budget_table
 from shift3d.analysis.tables.choices import reasons
 from shift3d.analysis.tables.effects import effect_impacts, effect_milliseconds
@@ -25,7 +28,7 @@ from shift3d.analysis.tables.failure_rules import failure_rules, rule_text, rule
 from shift3d.analysis.tables.retrieval import pool_table, retrieval_table
 from shift3d.analysis.tables.sensors import transfer_table
 from shift3d.analysis.tables.table import Table
-from shift3d.analysis.variants import Variant, variants
+from shift3d.analysis.variants import Variant, aucs_of_scores, variants
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 
@@ -77,14 +80,15 @@ def _size(sweep: Sweep) -> Figures:
 
 
 def _aucs(variant: Variant) -> Figures:
-    base = variant.rows[variant.rows["method"] == "baseline"]
     for method in variant.methods:
-        rows, label = variant.rows[variant.rows["method"] == method], f"{variant.title}/{method}"
+        rows, base = with_baseline(variant.rows, method)
+        label = f"{variant.title}/{method}"
         for vehicle in variant.vehicles:
             value = variant.aucs.of(method, vehicle)
             if value is not None:
                 yield f"{label}/{vehicle}", _one(value, "AUC", n=int(rows["vehicle"].eq(vehicle).sum()))
-        mean, ratio = variant.aucs.mean(method, variant.vehicles), variant.aucs.of_baseline(method, variant.vehicles)
+        mean = variant.aucs.mean(method, variant.vehicles)
+        ratio = aucs_of_scores(pd.concat([rows, base])).of_baseline(method, variant.vehicles)
         if mean is not None:
             yield f"{label}/mean", _within(mean, vehicle_mean_interval(rows), "AUC", len(rows))
         if ratio is not None and method != "baseline":
@@ -104,7 +108,9 @@ def _beside_random_draws(sweep: Sweep, variant: Variant) -> Figures:
         return
     tasks = variant.rows["task_id"].unique()
     for method in ("adversarial", "random_budget"):
-        rows = variant.rows[variant.rows["method"] == method]
+        # Each method's own shape: `natural` of the variant's rows is the adversarial one's.
+        rows = sweep.scores[sweep.scores["task_id"].isin(tasks) & (sweep.scores["method"] == method)]
+        rows = rows[(rows["scored_by"] == variant.scored_by) & rows["score"].notna()]
         yield f"{variant.title}/{method}/natural", _one(int(rows["natural"].eq(True).sum()), n=len(rows))
         own = sweep.solutions[sweep.solutions["task_id"].isin(tasks) & (sweep.solutions["method"] == method)]
         for kind, count in own["drawn_as"].fillna(own["vehicle"]).value_counts().items():

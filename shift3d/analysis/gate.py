@@ -11,6 +11,7 @@ import pandas as pd
 
 from shift3d.analysis.cases.frozen import view_of
 from shift3d.analysis.html.gate import GatePage, gate_html
+from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.loss import least_p_value
 from shift3d.analysis.statistics.releases import Rule
 from shift3d.analysis.tables.gate import Comparison, compare, measures_table, simulated_rates, worst_table
@@ -102,7 +103,7 @@ def _write(
 
 def _check(suite: FrozenSuite, scorer: Scorer, rule: Rule) -> None:
     """Refuse what can give no verdict, before anything is scored."""
-    scenes = len((suite.objects["dataset"] + "/" + suite.objects["scene"]).unique())
+    scenes = places_of(suite.objects).nunique()
     if least_p_value(scenes) > rule.level:
         what = f"has objects of {counted(scenes, 'scene')}: no loss would be significant at level={rule.level:g}"
         raise InputError(what, str(suite.folder), "Freeze a suite of a sweep over more scenes: scenes.count=")

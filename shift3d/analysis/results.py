@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from shift3d.errors import InputError
+from shift3d.scenes.sets import place_of
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import SCHEMAS
@@ -54,15 +55,14 @@ class Sweep:
 
     @property
     def scored(self) -> pd.DataFrame:
-        """Rows that have a score, with the effects that were asked for (a row for each), and `place`: their scene.
+        """Rows that have a score, with the effects that were asked for (a row for each), and `place`, see `places_of`.
 
         natural: whether the task's adversarial shape is; None where that was not measured.
         """
         rows = self.scores[self.scores["score"].notna()]
         rows = rows.assign(effects=self.plan.tasks.effects_requested_of(rows["task_id"])).explode("effects")
         natural = rows["task_id"].map(self.verdicts).astype(object)
-        place = rows["dataset"] + "/" + rows["scene"]
-        return rows.assign(place=place, natural=natural.where(natural.notna(), None))
+        return rows.assign(place=places_of(rows), natural=natural.where(natural.notna(), None))
 
     @cached_property
     def verdicts(self) -> dict[str, bool]:
@@ -78,6 +78,16 @@ class Sweep:
         """Rows of ``solutions`` of a task that has them: its baseline and its adversarial object."""
         rows = self.solutions[(self.solutions["task_id"] == task_id) & (self.solutions["replicate"] == 0)]
         return [rows[rows["method"] == method].iloc[0] for method in ("baseline", "adversarial")]
+
+
+def places_of(rows: pd.DataFrame, dataset: str = "dataset", scene: str = "scene") -> pd.Series:
+    """Of each row the place that its scene shows, which intervals redraw whole; see `scenes.sets.place_of`.
+
+    dataset, scene: the columns' names.
+    """
+    pairs = list(zip(rows[dataset], rows[scene]))
+    known = {pair: place_of(*pair) for pair in dict.fromkeys(pairs)}
+    return pd.Series([known[pair] for pair in pairs], index=rows.index, dtype=object)
 
 
 def natural_by_task(scores: pd.DataFrame) -> dict[str, bool]:

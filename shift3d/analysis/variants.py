@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -52,6 +52,20 @@ def _nested(values: Any) -> Aucs:
     for (method, vehicle), value in values:
         found.setdefault(method, {})[vehicle] = float(value)
     return Aucs(found)
+
+
+def differing_settings(rows: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Of each row, in words, those of some settings that differ among the rows; nothing where none does.
+
+    names: columns; one that the rows do not have says nothing. Effects are a list of names.
+    """
+    several = [name for name in names if name in rows and rows[name].map(_words).nunique() > 1]
+    return [", ".join(map(_words, values)) for values in rows[several].itertuples(index=False)]
+
+
+def _words(value: str | Sequence[str]) -> str:
+    """A setting's value as a line tells it."""
+    return label_words(value) if isinstance(value, str) else "+".join(value) or "no effects"
 
 
 @dataclass(frozen=True)

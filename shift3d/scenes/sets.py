@@ -24,6 +24,22 @@ STREET_SENSORS = ("hdl64", "waymo_top", "mixed")
 STREET_SPLITS = ("train", "val", "test")
 
 
+_STREET = re.compile(r"(street-[a-z]+-[a-z0-9_]+-\d{6,})(?:-(?!seed\d+$)[a-z0-9._-]+?)?(-seed\d+)?")
+_STREETS = re.compile(rf"(street-(?:{'|'.join(STREET_SENSORS)}))(?:-[a-z0-9._-]+)?")
+
+
+def place_of(dataset: str, scene: str) -> str:
+    """Where a scene of a data set lies, "DATASET/SCENE".
+
+    Scenes of one street lie in one place whatever options they have, as other beams or weather: they are no independent
+    draws.
+    """
+    street, streets = _STREET.fullmatch(scene), _STREETS.fullmatch(dataset)
+    if street is None or streets is None:
+        return f"{dataset}/{scene}"
+    return f"{streets[1]}/{street[1]}{street[2] or ''}"
+
+
 class SceneSet(Protocol):
     """What tasks read scenes from.
 

@@ -11,10 +11,9 @@ from shift3d.analysis.results import natural_by_task
 from shift3d.analysis.statistics.intervals import ratio_interval, vehicle_mean_interval
 from shift3d.analysis.tables.paper import paper_table
 from shift3d.analysis.tables.table import Cell, Table, number
-from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores
+from shift3d.analysis.variants import Aucs, Variant, aucs_of_scores, differing_settings
 from shift3d.methods import METHODS
 from shift3d.naturalness.calibration import NATURAL_RULE
-from shift3d.task.spec import label_words
 from shift3d.wording import counted
 
 
@@ -32,8 +31,7 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
         return None
     rows = rows.assign(natural=rows["task_id"].map(verdicts))
     lines = []
-    several = [name for name in ("mode", "search", "accuracy", "effects") if rows[name].map(str).nunique() > 1]
-    rows = rows.assign(settings=[", ".join(map(_words, values)) for values in rows[several].itertuples(index=False)])
+    rows = rows.assign(settings=differing_settings(rows, ("mode", "search", "accuracy", "effects")))
     keys = ["settings", "detector", "alpha", "lambda"]
     for (settings, detector, alpha, weight), group in rows.groupby(keys, sort=False, dropna=False):
         natural = group[group["natural"]]
@@ -47,11 +45,6 @@ def natural_table(scores: pd.DataFrame) -> Table | None:
         lines.append(line)
     header = ["", "natural", "baseline", "adversarial", "ratio", "natural: baseline", "adversarial", "ratio"]
     return Table(f"Natural adversarial shapes ({NATURAL_RULE})", header, lines)
-
-
-def _words(value: str | Sequence[str]) -> str:
-    """A setting's value as a line tells it; effects are a list of names."""
-    return label_words(value) if isinstance(value, str) else "+".join(value) or "no effects"
 
 
 def auc_table(variant: Variant, in_full: bool = False) -> Table:

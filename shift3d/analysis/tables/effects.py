@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from shift3d.analysis.results import PLACE, one_baseline, with_places
+from shift3d.analysis.results import PLACE, one_baseline, places_of, with_places
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.effects.applicability import IMPACT_BOUND, NEEDS, MeasuredImpact
@@ -93,7 +93,7 @@ def _impact(name: str, with_effect: pd.DataFrame, plain: pd.DataFrame, milliseco
     once = [name for name in _PAIR if name not in ("mode", "lambda", "alpha", "search")]
     pairs = one_baseline(pairs, [*once, "replicate"])
     change = pairs["score"] - pairs["score_plain"]
-    scene = pairs["dataset"] + "/" + pairs["scene"]
+    scene = places_of(pairs)
     base, hard = pairs["method"] == "baseline", pairs["method"] == "adversarial"
     return EffectImpact(
         effect=name,

@@ -62,10 +62,12 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
     Tried on the same vehicles in the other scenes, on the other vehicles, and on the scores that the other detectors
     give to all of these.
 
-    objects: see `rules_objects`.
+    objects: see `rules_objects`; those that `left_out` counts take no part.
     Raises: InputError where there are too few scenes to find rules on some and try them on others.
     Source: our choice.
     """
+    known = _known(objects)
+    objects = objects[objects[known].notna().all(axis=1)]
     scenes, vehicles = (sorted(objects[name].unique()) for name in ("place", "vehicle"))
     if len(scenes) < _LEAST_SCENES:
         what = f"{counted(len(scenes), 'scene')} with scored objects: too few to find rules on and to try them"
@@ -81,10 +83,26 @@ def failure_rules(objects: pd.DataFrame) -> list[TriedRule]:
             for name in sorted(objects["scored_by"][~attacked].unique())
         },
     }
-    known = [name for name in _QUANTITIES if objects[name].notna().all() and objects[name].nunique() > 1]
     part = objects[here & ours & attacked]
     rules = find_rules(_quantities(part, known), part["score"].to_numpy(np.float64))
     return [_tried(rule, part, {name: objects[rows] for name, rows in groups.items()}, known) for rule in rules]
+
+
+def _known(objects: pd.DataFrame) -> list[str]:
+    """What a rule may be about: what differs among the objects, and half of them have at least."""
+    return [name for name in _QUANTITIES if 2 * objects[name].count() >= len(objects) and objects[name].nunique() > 1]
+
+
+def left_out(objects: pd.DataFrame) -> str | None:
+    """How many objects no rule is asked of, as they lack what others have; None where there is none.
+
+    objects: see `rules_objects`. A shape without a surface has no sizes.
+    """
+    lacking = int(objects[_known(objects)].isna().any(axis=1).sum())
+    if not lacking:
+        return None
+    which = "is" if lacking == 1 else "are"
+    return f"{lacking} of {counted(len(objects), 'scored object')} {which} left out: their sizes are not known"
 
 
 def rules_objects(sweep: Sweep) -> pd.DataFrame:
@@ -94,7 +112,7 @@ def rules_objects(sweep: Sweep) -> pd.DataFrame:
     """
     rows = sweep.scored
     rows = rows[rows["method"].isin(_METHODS)].drop_duplicates(["task_id", "scored_by", "method", "replicate"])
-    same = ["place", "vehicle", "detector", "scored_by", "accuracy", "x_m", "y_m", "yaw_rad", "score"]
+    same = ["dataset", "scene", "vehicle", "detector", "scored_by", "accuracy", "x_m", "y_m", "yaw_rad", "score"]
     rows = one_baseline(rows, same)
     posed = rows["mode"] == "pose"
     rows = rows.assign(shape=rows["method"].mask(posed, "baseline"), copy=rows["replicate"].mask(posed, 0))

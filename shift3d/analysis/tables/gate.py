@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.statistics.loss import detectable_loss, flip_p_values, objects_needed, scene_sums
 from shift3d.analysis.statistics.releases import MEASURES, Rates, Rule, measured_differences, stopped_releases
@@ -112,7 +113,7 @@ def compare(objects: pd.DataFrame, before: Mapping[str, float], after: Mapping[s
     rows["detected_before"], rows["detected"] = (
         rows[name] > rule.score_threshold for name in ("score_before", "score")
     )
-    places = list(rows["dataset"] + "/" + rows["scene"])
+    places = list(places_of(rows))
     roles = [role for role in _ROLES if (rows["role"] == role).any()]
     groups = [(rows["role"] == role).to_numpy() for role in roles]
     scores = rows["score_before"].to_numpy(), rows["score"].to_numpy()
@@ -190,7 +191,7 @@ def power_table(measures: int, level: float) -> Table:
 def simulated_rates(found: Comparison) -> list[Rates]:
     """How often this gate stops releases simulated around the scores before."""
     rows = found.rows.sort_values("object_id", kind="stable")
-    hard, places = (rows["role"] == "hard").to_numpy(), list(rows["dataset"] + "/" + rows["scene"])
+    hard, places = (rows["role"] == "hard").to_numpy(), list(places_of(rows))
     scores = rows["score_before"].to_numpy()
     return [stopped_releases(scores, hard, places, noise, _LOSS, found.rule) for noise in _NOISES]
 

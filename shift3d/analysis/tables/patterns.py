@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
+from shift3d.analysis.variants import differing_settings
 from shift3d.evaluation.failure_rules import aspect_deg
 
-_GROUP = ["mode", "search", "lambda", "alpha", "detector"]
+_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings"]
 _KEY = ["task_id"]
 NAMES = {
     "length_cm": ("length", "cm", 0),
@@ -69,30 +71,36 @@ class Pattern:
 
 
 def pattern_groups(patterns: pd.DataFrame, scores: pd.DataFrame) -> list[tuple[str, list[Pattern]]]:
-    """Patterns by search, lambda, step size and detector, in the order of the tables.
+    """Patterns by search, lambda, step size, detector, and accuracy and effects where these differ, in the order of the
+    tables.
 
     patterns, scores: of ``final/``. Shapes are those of `patterns`; poses, which every sweep has, those of `scores`.
     A measure that either mesh does not have leaves the solution out of its line.
     """
     own = scores[(scores["scored_by"] == scores["detector"]) & (scores["replicate"] == 0) & scores["score"].notna()]
     found: dict[str, list[Pattern]] = {}
+    if "effects" in scores:  # meshes know nothing of them
+        effects = scores.drop_duplicates("task_id").set_index("task_id")["effects"]
+        patterns = patterns.assign(effects=[effects.get(task, ()) for task in patterns["task_id"]])
     for rows, changes, names in (
         (patterns, _shape_changes, NAMES),
         (own[own["mode"] != "shape"], _pose_changes, _POSE),
     ):
+        rows = rows.assign(settings=differing_settings(rows, ("accuracy", "effects")))
         for key, group in rows.groupby(_GROUP, sort=False, dropna=False):
             both = [group[group["method"] == method].set_index(_KEY) for method in ("baseline", "adversarial")]
             before, after = (part.loc[both[0].index.intersection(both[1].index)] for part in both)
             if len(before):
                 values = changes(before, after)
-                found.setdefault(_label(key), []).extend(_patterns(values, names, before["dataset"] + before["scene"]))
+                found.setdefault(_label(key), []).extend(_patterns(values, names, places_of(before)))
     return list(found.items())
 
 
-def _label(key: tuple[str, str, float, float, str]) -> str:
-    mode, search, weight, alpha, detector = key
+def _label(key: tuple[str, str, float, float, str, str]) -> str:
+    mode, search, weight, alpha, detector, settings = key
     shown = "" if np.isnan(weight) else f", lambda {weight:g}"
-    return f"{mode.replace('_', ' and ')}, {search}{shown}, alpha {alpha:g}, {detector}"
+    tail = f", {settings}" if settings else ""
+    return f"{mode.replace('_', ' and ')}, {search}{shown}, alpha {alpha:g}, {detector}{tail}"
 
 
 Changes = dict[str, tuple["pd.Series", "pd.Series"]]

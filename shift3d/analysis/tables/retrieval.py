@@ -8,13 +8,15 @@ from typing import Any
 
 import pandas as pd
 
+from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
+from shift3d.analysis.variants import differing_settings
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
 _POINTS = ((10, 30), (30, 100), (100, 300), (300, 1000), (1000, None))
-_GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
+_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings", "scored_by"]
 _KEY = ["task_id", "scored_by"]
 
 
@@ -62,7 +64,7 @@ def kept(retrieved: pd.DataFrame) -> pd.DataFrame:
     controls = rows[rows["role"] == "control"].groupby(_KEY)[["score", "pool_score"]].mean()
     controls = controls.rename(columns={"score": "control", "pool_score": "control_in_log"})
     found = rows[rows["role"] == "retrieved"].merge(controls.reset_index(), on=_KEY, how="left")
-    return found.assign(place=found["dataset"] + "/" + found["scene"])
+    return found.assign(place=places_of(found))
 
 
 def kin_of(pool: pd.DataFrame, row: Mapping[str, Any]) -> pd.Series:
@@ -99,12 +101,14 @@ class Kin:
 
 def retrieval_groups(retrieved: pd.DataFrame) -> list[Kin]:
     """The kin that the paper's rule does not exclude, by search and scoring detector. retrieved: of ``final/``."""
+    retrieved = retrieved.assign(settings=differing_settings(retrieved, ("accuracy",)))
     solutions = retrieved[retrieved["role"] == "retrieved"]
     counts = solutions.groupby(_GROUP, dropna=False).size()
     found = []
     for key, rows in kept(retrieved).groupby(_GROUP, sort=False, dropna=False):
-        mode, search, weight, alpha, detector, scored_by = key
+        mode, search, weight, alpha, detector, settings, scored_by = key
         label = f"{mode.replace('_', ' and ')}, {search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
+        label += f", {settings}" if settings else ""
         found.append(Kin(label, scored_by, rows, int(counts.loc[key])))
     return found
 
@@ -125,7 +129,7 @@ def retrieval_table(retrieved: pd.DataFrame) -> Table | None:
         line.append(_mean(rows["score"] - rows["score_baseline"], rows["place"]))
         line.append(_mean(matched["score"] - matched["control"], matched["place"]))
         in_log = matched.drop_duplicates(["pool_dataset", "pool_scene", "pool_label"])
-        log = in_log["pool_dataset"] + "/" + in_log["pool_scene"]
+        log = places_of(in_log, "pool_dataset", "pool_scene")
         line.append(_mean(in_log["pool_score"] - in_log["control_in_log"], log))
         lines.append(line)
     if not lines:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pandas as pd
 
-from shift3d.analysis.results import PLACE, with_places
+from shift3d.analysis.results import PLACE, places_of, with_places
 from shift3d.analysis.statistics.intervals import mean_interval, ratio_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
+from shift3d.analysis.variants import differing_settings
 
-_TRANSFER_GROUP = ["mode", "search", "lambda", "alpha", "detector", "scored_by"]
+_TRANSFER_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings", "scored_by"]
 
 
 def transfer_table(transfers: pd.DataFrame) -> Table | None:
@@ -20,9 +21,10 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
     placed = transfers[transfers["score"].notna()]
     if placed.empty:
         return None
-    placed = placed.assign(place=placed["dataset"] + "/" + placed["other_scene"])
+    placed = placed.assign(settings=differing_settings(placed, ("accuracy", "effects")))
+    placed = placed.assign(place=places_of(placed, scene="other_scene"))
     lines = []
-    for (mode, search, weight, alpha, detector, scored_by), rows in placed.groupby(
+    for (mode, search, weight, alpha, detector, settings, scored_by), rows in placed.groupby(
         _TRANSFER_GROUP, sort=False, dropna=False
     ):
         before = rows.assign(score=rows["score_baseline"])
@@ -30,6 +32,7 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
         ratio = ratio_interval(rows, before)
         kind = f"{mode.replace('_', ' and ')}, " if placed["mode"].nunique() > 1 else ""
         name = f"{kind}{search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
+        name += f", {settings}" if settings else ""
         counts = [str(len(rows)), str(rows["place"].nunique())]
         means = [number(_vehicle_mean(before)), number(after)]
         lines.append([name, scored_by, *counts, *means, interval_text(ratio, 2, ""), f"{fell.mean:.0%}"])

@@ -94,7 +94,8 @@ def _identity(scenes: SceneSet | None, start_from: Path | None) -> str:
 
 
 def _digest(scenes: SceneSet) -> str:
-    text = "\n".join([scenes.dataset, str(getattr(scenes, "folder", "")), *scenes.names()])
+    """64 bits, hex, that change with the scenes and with the state of their files."""
+    text = json.dumps([scenes.dataset, [scenes.source(name) for name in scenes.names()]])
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
@@ -143,9 +144,7 @@ def scene_files(out_dir: Path, scenes: SceneSet, workers: int = 1) -> list[Path]
 
     Raises: InputError for a frame that cannot be read, or when no scene holds a vehicle.
     """
-    # Frames whose points or labels have changed are cut again.
-    states = json.dumps([scenes.source(name) for name in scenes.names()])
-    folder = out_dir / f"scenes-{hashlib.blake2b(states.encode(), digest_size=8).hexdigest()}"
+    folder = out_dir / f"scenes-{_digest(scenes)}"
     title = f"{scenes.dataset} scenes"
     files = cache_scenes(folder, scenes.names(), partial(_labelled_scene, scenes), title, workers)
     if not any(len(load_cached(file).boxes) for file in files):

@@ -161,6 +161,18 @@ def test_shapes_in_other_scenes_by_their_vehicles_means() -> None:
     assert "(one scene)" in str(transfer_table(transfers(1))), "one scene has no interval"
 
 
+def test_placements_under_other_effects_or_accuracies_have_lines_of_their_own() -> None:
+    rows = transfers()
+    clear = rows.assign(effects=[[] for _ in range(len(rows))], accuracy="standard")
+    fog = rows.assign(effects=[["fog"] for _ in range(len(rows))], accuracy="standard", score=rows["score"] / 2)
+    table = transfer_table(pd.concat([clear, fog], ignore_index=True))
+    assert table is not None
+    shown = [(line[0].split(", ")[-1], dict(zip(table.header, line))["shape"]) for line in table.lines]
+    assert shown == [("no effects", "0.400"), ("fog", "0.200")]
+    alone = transfer_table(clear)
+    assert alone is not None and str(alone) == str(transfer_table(rows))
+
+
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
     folder = tmp_path_factory.mktemp("cars") / "sweep"

@@ -66,6 +66,32 @@ def test_a_measure_that_a_mesh_does_not_have_leaves_the_solution_out() -> None:
     assert counts["wheelbase"] == 2 and counts["height"] == 3
 
 
+def test_what_was_searched_under_other_effects_or_accuracies_has_a_line_of_its_own() -> None:
+    plain, fog = measured([-8.0] * 6), measured([4.0] * 6).assign(accuracy="fast")
+    fog["task_id"] = "fog-" + fog["task_id"]
+    rows = pd.concat([plain.assign(accuracy="fast"), fog], ignore_index=True)
+    effects = pd.Series([["fog"] if task.startswith("fog") else [] for task in rows["task_id"]])
+    scores = rows.assign(effects=effects, replicate=0, score=0.5)
+    found = dict(pattern_groups(rows, scores))
+    changes = {label: next(p for p in own if p.name == "height").change.mean for label, own in found.items()}
+    common = "shape, descent, lambda 1, alpha 0.01, pointpillars"
+    assert changes == pytest.approx({f"{common}, no effects": -8.0, f"{common}, fog": 4.0})
+    accuracies = rows.assign(accuracy=rows["task_id"].str.startswith("fog").map({True: "fast", False: "standard"}))
+    assert set(dict(pattern_groups(accuracies, scores.iloc[:0]))) == {f"{common}, standard", f"{common}, fast"}
+
+    kin = [
+        retrieved(f"s{number}", "retrieved", score) | {"accuracy": accuracy, "task_id": f"{accuracy}{number}"}
+        for accuracy, score in (("standard", 0.5), ("fast", 0.7))
+        for number in range(6)
+    ]
+    table = retrieval_table(pd.DataFrame(kin))
+    assert table is not None
+    assert [(line[0].split(", ")[-1], dict(zip(table.header, line))["retrieved"]) for line in table.lines] == [
+        ("standard", "0.500"),
+        ("fast", "0.700"),
+    ]
+
+
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])
 def test_a_pose_moves_in_the_vehicles_own_axes(yaw: float) -> None:
     forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])

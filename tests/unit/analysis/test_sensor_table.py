@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pandas as pd
 import pytest
 
+from shift3d.analysis.results import Sweep, places_of
+from shift3d.analysis.statistics.intervals import vehicle_mean_interval
 from shift3d.analysis.tables.sensors import paired_scores, sensor_table
 
-LOSS = {"waymo_top": 0.0, "hdl32": 0.25}
+LOSS = {"waymo_top": 0.0, "hdl32": 0.25, "hdl64": 0.0}
 
 
 def scores(beams: tuple[str, ...] = ("waymo_top", "hdl32"), streets: int = 6) -> pd.DataFrame:
@@ -82,3 +86,18 @@ def test_one_sensor_makes_no_table() -> None:
     assert sensor_table(scores(("waymo_top",))) is None
     plain = scores(("waymo_top",)).replace(r"-beams_waymo_top", "", regex=True)
     assert sensor_table(plain) is None
+
+
+def test_a_street_is_one_place_under_any_beams() -> None:
+    """Intervals redraw streets: under three sensors there are no more of them, and no more is known."""
+    rows = scores(("waymo_top", "hdl32", "hdl64"), streets=12)
+    assert places_of(rows).nunique() == 12
+    alike = rows.assign(score=0.05 * places_of(rows).str[-6:].astype(int), natural=None)
+    tasks = SimpleNamespace(effects_requested_of=lambda ids: [["auto"]] * len(ids))
+    empty = [pd.DataFrame()] * 13
+    scored = Sweep(SimpleNamespace(tasks=tasks), {}, alike, *empty).scored  # type: ignore[arg-type]
+    baselines = scored[(scored["method"] == "baseline") & (scored["mode"] == "shape")]
+    three = vehicle_mean_interval(baselines)
+    one = vehicle_mean_interval(baselines[baselines["scene"].str.endswith("hdl32")])
+    assert three.mean == pytest.approx(one.mean)
+    assert three.high - three.low == pytest.approx(one.high - one.low, rel=0.1)

@@ -46,6 +46,37 @@ def test_an_auc_is_the_mean_score_and_a_ratio_that_of_two(sweep: Sweep) -> None:
     assert "Adversarial shape/baseline/of baseline" not in found
 
 
+def test_a_ratio_is_that_of_the_tasks_that_have_both(sweep: Sweep) -> None:
+    """As for random poses, of which hard places may have none."""
+    rows = sweep.scores[sweep.scores["score"].notna()]
+    lost, kept = rows["task_id"].unique()
+    scores = rows.assign(score=rows["score"].where(rows["task_id"] != lost, 0.125))
+    scores = scores[(scores["task_id"] == kept) | (scores["method"] != "random")]
+    left = scores[scores["task_id"] == kept].groupby("method")["score"].mean()
+    means = scores.groupby(["vehicle", "method"])["score"].mean()
+    auc = sweep.auc.assign(auc=[means.get((v, m), 0.5) for v, m in zip(sweep.auc["vehicle"], sweep.auc["method"])])
+    found = sweep_figures(dataclasses.replace(sweep, auc=auc, scores=scores))
+    ratio = found["Adversarial shape/random/of baseline"]["value"]
+    assert ratio == pytest.approx(left["random"] / left["baseline"])
+
+
+def test_random_draws_are_as_natural_as_they_are_themselves(sweep: Sweep) -> None:
+    """The adversarial shape's verdict says nothing of the best of the draws."""
+    found = sweep.scores[(sweep.scores["method"] == "adversarial") & sweep.scores["score"].notna()]
+    draws = found.assign(method="random_budget", natural=False)
+    own = sweep.scores.assign(natural=sweep.scores["natural"].mask(sweep.scores["method"] == "adversarial", True))
+    scores = pd.concat([own, draws], ignore_index=True)
+    groups = sweep.auc[sweep.auc["method"] == "adversarial"].assign(method="random_budget")
+    auc = pd.concat([sweep.auc, groups], ignore_index=True)
+    values = sweep_figures(dataclasses.replace(sweep, scores=scores, auc=auc))
+    assert (
+        values["Adversarial shape/adversarial/natural"]["value"]
+        == values["Adversarial shape/adversarial/natural"]["n"]
+        > 0
+    )
+    assert values["Adversarial shape/random_budget/natural"]["value"] == 0
+
+
 def test_how_much_was_run_is_said(sweep: Sweep) -> None:
     found = {name: one["value"] for name, one in sweep_figures(sweep).items()}
     assert (found["tasks"], found["tasks scored"], found["scenes"]) == (len(sweep.plan.tasks), 2, 2)

@@ -10,7 +10,7 @@ import valid_sweeps
 
 from shift3d.analysis.results import read_sweep
 from shift3d.analysis.statistics.intervals import difference_interval
-from shift3d.analysis.tables.failure_rules import failure_rules, rule_text, rules_objects, rules_table
+from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rule_text, rules_objects, rules_table
 from shift3d.errors import InputError
 from shift3d.evaluation.failure_rules import Condition, FailureRule, aspect_deg, find_rules
 from shift3d.store.log_entries import read_log
@@ -105,6 +105,22 @@ def test_another_detector_is_asked_about_objects_that_the_rule_was_not_found_on(
     (as_drawn,) = failure_rules(rows)
     (changed,) = failure_rules(rows.assign(score=rows["score"].mask(found_on & (rows["scored_by"] == "sst"), 0.99)))
     assert changed.tried == as_drawn.tried
+
+
+def test_an_object_whose_size_is_not_known_takes_no_size_from_the_others() -> None:
+    rows = objects().assign(range_m=20.0)
+    rows["score"] = np.where(rows["height_m"] > 1.7, 0.2, 0.8)
+    (whole,) = failure_rules(rows)
+    assert [condition.quantity for condition in whole.rule.conditions] == ["height_m"]
+    assert left_out(rows) is None, "clearance, which no object has, is asked of none"
+    lacking = rows.assign(height_m=rows["height_m"].mask(rows.index < 2))
+    (found,) = failure_rules(lacking)
+    assert [condition.quantity for condition in found.rule.conditions] == ["height_m"]
+    assert left_out(lacking) == f"2 of {len(rows)} scored objects are left out: their sizes are not known"
+    (without,) = failure_rules(rows[rows.index >= 2])
+    assert found == without
+    unmeasured = rows.assign(height_m=rows["height_m"].mask(rows.index % 3 > 0), range_m=objects()["range_m"])
+    assert left_out(unmeasured) is None, "what most objects lack is asked of none"
 
 
 def test_too_few_scenes_are_said() -> None:

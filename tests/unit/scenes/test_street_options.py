@@ -10,7 +10,7 @@ import yaml
 from pydantic import ValidationError
 
 from shift3d.errors import InputError
-from shift3d.scenes.sets import StreetScenes
+from shift3d.scenes.sets import StreetScenes, place_of
 from shift3d.scenes.street.options import PLAIN, StreetOptions
 from shift3d.settings.schema.scenes import StreetConfig, StreetOptionsConfig, scene_set
 
@@ -57,6 +57,16 @@ def street(**options: Any) -> StreetConfig:
 def test_a_tag_tells_the_options(values: dict[str, Any], tag: str) -> None:
     options = StreetOptions(**values)
     assert options.tag == tag
+
+
+@pytest.mark.parametrize("values", [*(values for values, _ in EVERY), {"beams": "hdl32"}])
+def test_a_street_lies_in_one_place_whatever_its_options(values: dict[str, Any]) -> None:
+    for seed, tail in ((0, ""), (3, "-seed3")):
+        scenes = StreetScenes("mixed", seed, 2, options=StreetOptions(**values))
+        places = [place_of(scenes.dataset, name) for name in scenes.names()]
+        expected = ["street-mixed/street-test-hdl64-000000", "street-mixed/street-test-waymo_top-000001"]
+        assert places == [f"{place}{tail}" for place in expected]
+    assert place_of("kitti", "street-000001-fog") == "kitti/street-000001-fog"
 
 
 @pytest.mark.parametrize(("values", "what", "remedy"), WRONG)

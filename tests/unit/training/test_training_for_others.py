@@ -195,14 +195,17 @@ def test_scenes_without_a_vehicle_are_refused(tmp_path: Path) -> None:
         train_detector(tmp_path / "out", TINY, scenes=KittiScenes(root))
 
 
-def test_a_frame_whose_labels_have_changed_is_cut_again(tmp_path: Path) -> None:
-    root = _kitti(tmp_path)
-    before = scene_files(tmp_path / "out", KittiScenes(root))
-    assert scene_files(tmp_path / "out", KittiScenes(root)) == before
-    label = root / "training" / "label_2" / "000003.txt"
-    label.write_text(2 * label.read_text().replace("8.00 -1.57", "18.00 -1.57"))
-    after = scene_files(tmp_path / "out", KittiScenes(root))
-    assert [len(load_cached(file).boxes) for file in (*before, *after)] == [1, 1, 2, 1]
+def test_frames_that_have_changed_since_are_not_taken_from_the_cache(tmp_path: Path) -> None:
+    root, out = _kitti(tmp_path), tmp_path / "out"
+    before = scene_files(out, KittiScenes(root))
+    assert scene_files(out, KittiScenes(root)) == before
+    train_detector(out, TINY, scenes=KittiScenes(root))
+    label = root / "training" / "label_2" / f"{before[0].stem}.txt"
+    label.write_text(label.read_text().replace("8.00 -1.570796", "9.50 -1.570796"))
+    after = scene_files(out, KittiScenes(root))
+    assert load_cached(before[0]).boxes[0, 0] == 8.0 and load_cached(after[0]).boxes[0, 0] == 9.5
+    with pytest.raises(InputError, match="another set of scenes"):
+        train_detector(out, TINY, scenes=KittiScenes(root))
 
 
 def test_only_the_labelled_sector_is_trained_on() -> None:

@@ -10,7 +10,7 @@ import pandas as pd
 from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Block, Paragraph, Plot, Section, folded
 from shift3d.analysis.html.figure import LEGEND_BELOW, axis, band, line, plot, short
-from shift3d.analysis.results import Sweep
+from shift3d.analysis.results import Sweep, places_of
 from shift3d.analysis.statistics.intervals import resampled_band
 from shift3d.analysis.variants import Variant
 from shift3d.wording import counted
@@ -36,9 +36,9 @@ def paths(sweep: Sweep, found: Sequence[Variant]) -> Section:
 
 
 def searched(sweep: Sweep, variant: Variant) -> pd.DataFrame:
-    """Rows of ``trajectories.parquet`` of a variant's tasks, with `place`: their scene."""
+    """Rows of ``trajectories.parquet`` of a variant's tasks, with `place`, see `places_of`."""
     rows = sweep.trajectories[sweep.trajectories["task_id"].isin(set(variant.rows["task_id"]))]
-    return rows.assign(place=rows["dataset"] + "/" + rows["scene"])
+    return rows.assign(place=places_of(rows))
 
 
 def mean_path(rows: pd.DataFrame) -> tuple[Any, Any, Any, Any]:

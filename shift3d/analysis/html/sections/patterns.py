@@ -6,7 +6,7 @@ from shift3d.analysis.figures.picture import COLOURS
 from shift3d.analysis.html.blocks import Block, Fold, Paragraph, Plot, Section, Terms, folded
 from shift3d.analysis.html.figure import axis, plot
 from shift3d.analysis.results import Sweep
-from shift3d.analysis.tables.failure_rules import failure_rules, rules_objects, rules_table
+from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rules_objects, rules_table
 from shift3d.analysis.tables.patterns import Pattern, pattern_groups, patterns_table
 from shift3d.errors import InputError
 from shift3d.vehicles.mesh_measures import DEFINITIONS
@@ -21,13 +21,16 @@ _RULES_LEAD = (
 def rules(sweep: Sweep) -> Section:
     """The section; it says so where a sweep has too few scenes, or no rule."""
     blocks: list[Block]
+    objects = rules_objects(sweep)
     try:
-        found = failure_rules(rules_objects(sweep))
+        found = failure_rules(objects)
     except InputError as error:
         blocks = [Paragraph(f"{error.what[:1].upper()}{error.what[1:]}.", "missing")]
     else:
         nothing = Paragraph("Nothing that was measured tells objects with low scores from the others.", "missing")
         blocks = [Paragraph(_RULES_LEAD), rules_table(found)] if found else [nothing]
+        if lacking := left_out(objects):
+            blocks.append(Paragraph(f"{lacking}."))
     return Section("rules", "What the missed objects share", blocks)
 
 

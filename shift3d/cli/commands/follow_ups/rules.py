@@ -23,13 +23,16 @@ two detectors need detector.scored_by=null."""
 
 def _run(arguments: argparse.Namespace) -> int:
     from shift3d.analysis.results import read_sweep
-    from shift3d.analysis.tables.failure_rules import failure_rules, rules_objects, rules_table
+    from shift3d.analysis.tables.failure_rules import failure_rules, left_out, rules_objects, rules_table
 
-    rules = failure_rules(rules_objects(read_sweep(arguments.out)))
+    objects = rules_objects(read_sweep(arguments.out))
+    rules = failure_rules(objects)
     if rules:
         print(rules_table(rules))
     else:
         print("no rules: nothing that was measured tells objects with low scores from the others")
+    if lacking := left_out(objects):
+        print(lacking)
     return 0
 
 
