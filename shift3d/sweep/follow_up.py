@@ -14,7 +14,7 @@ from shift3d.settings.schema.config import RunnerConfig
 from shift3d.store.location import Location
 from shift3d.store.log_entries import Commit, read_log
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.tables import read_table, write_table
+from shift3d.store.tables import read_final, write_table
 from shift3d.sweep.drive import Finish, SweepResult, run_sweep
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.kind import TaskKind
@@ -35,14 +35,11 @@ def solved_tasks(folder: LocationLike) -> Plan:
     """
     folder = as_location(folder)
     plan = read_plan(folder)
-    path = folder / "final" / "solutions.parquet"
-    if not path.is_file():
-        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
-    read_table(folder / "final" / "scores.parquet", "scores")  # damaged, it would fail every task
-    solved = pc.unique(read_table(path, "solutions")["task_id"])
+    read_final(folder, "scores")  # damaged, it would fail every task
+    solved = pc.unique(read_final(folder, "solutions")["task_id"])
     tasks = plan.tasks.select(np.flatnonzero(pc.is_in(plan.tasks.ids, value_set=solved).to_numpy(zero_copy_only=False)))
     if not len(tasks):
-        raise InputError("no task has a solution", where=str(path), remedy="See status in final/scores.parquet")
+        raise InputError("no task has a solution", where=str(folder), remedy="See status in final/scores.parquet")
     results = str((folder / "final").absolute())
     assets = tuple(dataclasses.replace(part, results=results) for part in plan.assets)
     return dataclasses.replace(plan, tasks=tasks, assets=assets)

@@ -12,8 +12,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from shift3d.errors import InputError
 from shift3d.sweep.planning.task_ids import in_scene, read_task_scene
 from shift3d.task.spec import TaskSpec
+from shift3d.wording import counted
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,14 @@ class Tasks(Sequence[PlannedTask]):
     def starting_with(self, prefix: str) -> Tasks:
         """The tasks whose id begins with a text."""
         return self.select(np.flatnonzero(pc.starts_with(self.ids, prefix).to_numpy(zero_copy_only=False)))
+
+    def one(self, prefix: str, where: str) -> PlannedTask:
+        """The task whose id begins with a text. where: for the error. Raises InputError: there is none, or several."""
+        found = self.starting_with(prefix)
+        if len(found) != 1:
+            what = f"{counted(len(found), 'task')} with an id that begins with {prefix!r}"
+            raise InputError(what, where, "The ids are in final/scores.parquet, or: shift3d plan NAME --tasks")
+        return found[0]
 
     def without(self, ids: Collection[str]) -> np.ndarray:
         """Positions of the tasks whose id is not among some, in order."""
