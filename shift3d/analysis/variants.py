@@ -42,6 +42,12 @@ class Aucs:
         return mean / baseline if baseline and mean is not None else None
 
 
+def search_label(mode: str, search: str, weight: float, alpha: float, detector: str) -> str:
+    """ "shape, descent, lambda 1, alpha 0.01, pointpillars"; a pose has no lambda."""
+    shown = "" if math.isnan(weight) else f", lambda {weight:g}"
+    return f"{mode.replace('_', ' and ')}, {search}{shown}, alpha {alpha:g}, {detector}"
+
+
 def aucs_of_scores(rows: pd.DataFrame) -> Aucs:
     """AUCs of rows with columns method, vehicle and score: an AUC is the mean score exactly."""
     return _nested(rows.groupby(["method", "vehicle"], sort=False)["score"].mean().items())

@@ -9,6 +9,7 @@ import pandas as pd
 
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
+from shift3d.analysis.variants import search_label
 from shift3d.evaluation.failure_rules import aspect_deg
 
 _GROUP = ["mode", "search", "lambda", "alpha", "detector"]
@@ -85,14 +86,9 @@ def pattern_groups(patterns: pd.DataFrame, scores: pd.DataFrame) -> list[tuple[s
             before, after = (part.loc[both[0].index.intersection(both[1].index)] for part in both)
             if len(before):
                 values = changes(before, after)
-                found.setdefault(_label(key), []).extend(_patterns(values, names, before["dataset"] + before["scene"]))
+                places = before["dataset"] + before["scene"]
+                found.setdefault(search_label(*key), []).extend(_patterns(values, names, places))
     return list(found.items())
-
-
-def _label(key: tuple[str, str, float, float, str]) -> str:
-    mode, search, weight, alpha, detector = key
-    shown = "" if np.isnan(weight) else f", lambda {weight:g}"
-    return f"{mode.replace('_', ' and ')}, {search}{shown}, alpha {alpha:g}, {detector}"
 
 
 Changes = dict[str, tuple["pd.Series", "pd.Series"]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -150,7 +149,7 @@ def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> Tr
 
 @contextmanager
 def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Iterator[Callable[[Any], None] | None]:
-    """What reports a training to its MLflow run, and says once that MLflow is away; None where no run is wanted."""
+    """What reports a training to its MLflow run; None where no run is wanted."""
     uri = values.get("mlflow", _STORE)
     if uri == "none":
         yield None
@@ -177,19 +176,8 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Iterat
     # One run a folder and command: the same command again goes on with it.
     key = f"{options.out.resolve()} {sorted(words.items())}"
     curves = TrainingCurves(uri, _EXPERIMENT, f"train-{model}", key.replace("'", ""), params)
-    warned = False
-
-    def report(points: Any) -> None:
-        nonlocal warned
-        curves(points)
-        if curves.problem and not warned:
-            warned = True
-            print(f"warning: no curves in MLflow ({uri}): {curves.problem}", file=sys.stderr)
-
-    yield report
+    yield curves
     curves.finish()
-    if curves.problem:
-        print(f"warning: the curves are not all in MLflow ({uri}): {curves.problem}", file=sys.stderr)
 
 
 def _train_on_meshes(values: dict[str, str]) -> int:
