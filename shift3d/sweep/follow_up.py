@@ -71,41 +71,31 @@ def follow_up(
     """Run what is left of it in a folder of its own, and put its table into the sweep's ``final/``.
 
     Exactly once, resumable and to the same bytes, as a sweep. folder: the sweep's. plan: of `solved_tasks`.
-    Raises: InputError as `run_sweep`.
+    Raises: InputError as `run_sweep`, and where it was begun when other tasks of its sweep had solutions.
     """
-    _check_begun_with(own, plan)
+    if (own / "spec.yaml").is_file() and read_spec(own)["spec_hash"] != plan.spec_hash:
+        what = "was begun before further tasks of the sweep had solutions"
+        raise InputError(what, str(own), "Remove this folder, which is made again, and run the same command")
     result = run_sweep(plan, runner, kind, own, follow_up_tables(table))
     if result.final is not None:
         write_table(folder / "final" / f"{table}.parquet", result.final.tables[table])
     return result
 
 
-def _check_begun_with(own: Location, plan: Plan) -> None:
-    """Raises InputError where a follow-up was begun when other tasks of its sweep had solutions."""
-    if (own / "spec.yaml").is_file() and read_spec(own)["spec_hash"] != plan.spec_hash:
-        what = "was begun before further tasks of the sweep had solutions"
-        remedy = "Remove this folder, which is made again, and run the same command"
-        raise InputError(what, where=str(own), remedy=remedy)
-
-
 def verify_sweep(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepResult:
     """Verify what is left of a finished sweep's solutions, and put the result into its final tables.
 
-    Exactly once, resumable and to the same bytes, as a sweep. plan: of `solved_tasks`.
-
-    Raises: InputError: as `run_sweep`; a segment of the sweep is damaged, which is found before anything runs.
+    plan: of `solved_tasks`.
+    Raises: InputError: as `follow_up`; a segment of the sweep is damaged, which is found before anything runs.
     """
     from shift3d.task.follow_ups.verify import load_verify_assets, verify_task
 
-    folder = as_location(folder)
-    _check_begun_with(folder / VERIFICATION, plan)
+    folder, kind = as_location(folder), follow_up_kind(verify_task, load_verify_assets)
     check_segments(folder, read_log(folder))
-
-    def finish(own: Location, verified: Plan, entries: Sequence[Commit]) -> FinalTables:
-        follow_up_tables("verification")(own, verified, entries)
-        return write_final(folder, read_plan(folder), read_log(folder))
-
-    return run_sweep(plan, runner, follow_up_kind(verify_task, load_verify_assets), folder / VERIFICATION, finish)
+    result = follow_up(folder, plan, runner, kind, folder / VERIFICATION, "verification")
+    if result.final is None:
+        return result
+    return dataclasses.replace(result, final=write_final(folder, read_plan(folder), read_log(folder)))
 
 
 def measure_patterns(folder: LocationLike, runner: RunnerConfig) -> SweepResult:
