@@ -139,7 +139,7 @@ def variants(auc: pd.DataFrame, scored: pd.DataFrame | None = None) -> list[Vari
         named = dict(zip(("mode", *SETTINGS), values))
         selected = group[group["selected"] & group["auc"].notna()]
         rows = selected.iloc[:0] if scored is None else _behind(selected, scored)
-        found.append((named, {name: _text(named[name]) for name in several}, group, selected, rows))
+        found.append((named, {name: setting_text(named[name]) for name in several}, group, selected, rows))
     order = list(METHODS_OF_MODE)
     found.sort(key=lambda item: (order.index(item[0]["mode"]), item[0]["detector"] != item[0]["scored_by"]))
     return [
@@ -156,5 +156,6 @@ def _behind(selected: pd.DataFrame, scored: pd.DataFrame) -> pd.DataFrame:
     return scored.merge(groups, on=list(GROUP_COLUMNS), how="inner")
 
 
-def _text(value: object) -> str:
+def setting_text(value: object) -> str:
+    """A setting's value as labels and lines have it."""
     return f"{value:g}" if isinstance(value, float) else str(value)
