@@ -82,7 +82,8 @@ def measure_frontier(
     for group in groups:
         assets = load_assets(group.assets)
         for case in _cases(group, plan, assets):
-            here = folder / "measured" / f"{_file_name(case.name)}-{_identity(case, plan, assets, group)}"
+            name = re.sub(r"[^\w.-]+", "-", case.name)
+            here = folder / "measured" / f"{name}-{_identity(case, plan, assets, group)}"
             truth = _truth(here / "truth.npz", case, plan, assets, tell)
             journal = Journal(here / "journal.jsonl")
             if again:
@@ -116,10 +117,6 @@ def _truth(path: Path, case: Case, plan: FrontierPlan, assets: Assets, tell: Tel
         write_truth(path, truth)
     tell(f"{case.name}: truth", _TRUTH_SECONDS, known)
     return truth
-
-
-def _file_name(text: str) -> str:
-    return re.sub(r"[^\w.-]+", "-", text)
 
 
 def _identity(case: Case, plan: FrontierPlan, assets: Assets, group: SceneGroup) -> str:

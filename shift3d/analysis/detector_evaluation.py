@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,10 +30,9 @@ from shift3d.errors import InputError
 from shift3d.evaluation.breakdown import breakdown
 from shift3d.evaluation.metrics import RANGES_M, Metric, evaluate
 from shift3d.progress_bar import progress_bar
-from shift3d.scenes.kitti.scenes import KittiScenes
 from shift3d.scenes.sets import SceneSet, StreetScenes
-from shift3d.scenes.street.options import StreetOptions
 from shift3d.settings.catalogue.detector_files import file_hash
+from shift3d.settings.schema.scenes import KittiConfig, StreetConfig, scene_set
 from shift3d.store.atomic import write_atomic
 from shift3d.store.evaluation_tables import EVALUATION_SCHEMA_VERSION
 from shift3d.store.tables import write_table
@@ -68,55 +66,25 @@ def precision_recall_figure(metrics: Sequence[Metric], title: str) -> Figure:
     return figure
 
 
-@dataclass(frozen=True)
-class StreetChoice:
-    """Procedural streets; see :class:`~shift3d.scenes.sets.StreetScenes`."""
-
-    count: int = 200
-    sensor: str = "mixed"
-    split: str = "test"
-    traffic: str = "family"
-
-    @property
-    def dataset(self) -> str:
-        """Name in the tables and in the folder's name."""
-        traffic = f"-{self.traffic}" if self.traffic != "family" else ""
-        return f"street-{self.sensor}-{self.split}{traffic}"
-
-    @property
-    def identity(self) -> dict[str, object]:
-        """What decides which scene lies behind a name."""
-        traffic = {"traffic": self.traffic} if self.traffic != "family" else {}
-        return {"sensor": self.sensor, "split": self.split, "seed": 0, **traffic}
-
-    def open(self) -> SceneSet:
-        """The scenes. Raises InputError for an unknown sensor, split or traffic."""
-        options = StreetOptions(traffic=self.traffic)
-        return StreetScenes(self.sensor, 0, self.count, self.split, options=options)
+def dataset_of(scenes: StreetConfig | KittiConfig) -> str:
+    """Name of the evaluated scenes in the tables and in the folder's name."""
+    if isinstance(scenes, KittiConfig):
+        return "kitti"
+    traffic = f"-{scenes.traffic}" if scenes.traffic != "family" else ""
+    return f"street-{scenes.sensor}-{scenes.split}{traffic}"
 
 
-@dataclass(frozen=True)
-class KittiChoice:
-    """Labelled KITTI frames under root; count: the first so many, None all."""
-
-    root: str
-    count: int | None = None
-    dataset = "kitti"
-
-    @property
-    def identity(self) -> dict[str, object]:
-        """What decides which frame lies behind a name."""
-        return {"root": str(Path(self.root).expanduser().resolve())}
-
-    def open(self) -> SceneSet:
-        """The frames. Raises InputError for a missing or incomplete folder."""
-        folder = Path(self.root).expanduser()
-        return KittiScenes(folder, KittiScenes(folder).names()[: self.count])
+def _identity(scenes: StreetConfig | KittiConfig) -> dict[str, object]:
+    """What decides which scene lies behind a name."""
+    if isinstance(scenes, KittiConfig):
+        return {"root": str(Path(scenes.root).expanduser().resolve())}
+    traffic = {"traffic": scenes.traffic} if scenes.traffic != "family" else {}
+    return {"sensor": scenes.sensor, "split": scenes.split, "seed": scenes.seed, **traffic}
 
 
 def evaluate_detector(
     name: str,
-    scenes: StreetChoice | KittiChoice,
+    scenes: StreetConfig | KittiConfig,
     out: Path,
     weights: str | None = None,
     module: str | None = None,
@@ -151,22 +119,23 @@ def evaluate_detector(
         "shift3d": shift3d.__version__,
         "detector": name,
         "weights_blake2b": file_hash(file) if file else None,
-        "dataset": scenes.dataset,
-        "scenes": scenes.identity,
+        "dataset": dataset_of(scenes),
+        "scenes": _identity(scenes),
         "score_threshold": score_threshold,
         **({"module_blake2b": file_hash(Path(module).expanduser())} if module else {}),
         **({"layout": layout} if layout else {}),
     }
-    opened_scenes = scenes.open()
+    open_scenes = partial(scene_set, scenes)
+    opened_scenes = open_scenes()
     scene_names = opened_scenes.names()
     if file and name not in (OWN, ONNX):  # what lies beside these is the user's
         refuse_tuned_scenes(file, dict.fromkeys(scene_names, ""))
     _claim(out / "spec.json", spec)
-    detect = partial(detect_scenes, opened, scenes.open, workers, score_threshold)
+    detect = partial(detect_scenes, opened, open_scenes, workers, score_threshold)
     found = answers_of(scene_names, out / "scenes", detect, partial(_state_of_files, opened_scenes))
     label = f"{name}, {workers} at a time"
     answers = list(progress_bar(found, desc=label, total=len(scene_names), unit="scene", smoothing=0.1))
-    return write_evaluation(name, scenes.dataset, answers, out)
+    return write_evaluation(name, dataset_of(scenes), answers, out)
 
 
 def _state_of_files(scenes: SceneSet, name: str) -> str:

@@ -125,16 +125,13 @@ def read_sweep(folder: LocationLike) -> Sweep:
 
     Raises: InputError: naming the folder or file, where it is no sweep's, has not finished, or is damaged.
     """
-    from shift3d.store.tables import read_table
+    from shift3d.store.tables import read_final
     from shift3d.sweep.planning.folder import read_plan
 
     folder = as_location(folder)
     plan, final = read_plan(folder), folder / "final"
-    if not (final / "scores.parquet").is_file():
-        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
-    files = {name: final / f"{name}.parquet" for name in (*_TABLES, *_LATER, "verification")}
-    found = {name: file for name, file in files.items() if name in _TABLES or file.is_file()}
-    tables = {name: read_table(file, name).to_pandas() for name, file in found.items()}
+    later = [name for name in (*_LATER, "verification") if (final / f"{name}.parquet").is_file()]
+    tables = {name: read_final(folder, name).to_pandas() for name in (*_TABLES, *later)}
     return sweep_of(plan, tables, _environment(folder / "env.json"))
 
 

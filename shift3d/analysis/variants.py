@@ -42,6 +42,13 @@ class Aucs:
         return mean / baseline if baseline and mean is not None else None
 
 
+def search_label(mode: str, search: str, weight: float, alpha: float, detector: str, settings: str = "") -> str:
+    """ "shape, descent, lambda 1, alpha 0.01, pointpillars"; a pose has no lambda. settings: named behind it."""
+    shown = "" if math.isnan(weight) else f", lambda {weight:g}"
+    named = f", {settings}" if settings else ""
+    return f"{mode.replace('_', ' and ')}, {search}{shown}, alpha {alpha:g}, {detector}{named}"
+
+
 def aucs_of_scores(rows: pd.DataFrame) -> Aucs:
     """AUCs of rows with columns method, vehicle and score: an AUC is the mean score exactly."""
     return _nested(rows.groupby(["method", "vehicle"], sort=False)["score"].mean().items())
@@ -147,7 +154,7 @@ def variants(auc: pd.DataFrame, scored: pd.DataFrame | None = None) -> list[Vari
         named = dict(zip(("mode", *SETTINGS), values))
         selected = group[group["selected"] & group["auc"].notna()]
         rows = selected.iloc[:0] if scored is None else _behind(selected, scored)
-        found.append((named, {name: _text(named[name]) for name in several}, group, selected, rows))
+        found.append((named, {name: setting_text(named[name]) for name in several}, group, selected, rows))
     order = list(METHODS_OF_MODE)
     found.sort(key=lambda item: (order.index(item[0]["mode"]), item[0]["detector"] != item[0]["scored_by"]))
     return [
@@ -164,5 +171,6 @@ def _behind(selected: pd.DataFrame, scored: pd.DataFrame) -> pd.DataFrame:
     return scored.merge(groups, on=list(GROUP_COLUMNS), how="inner")
 
 
-def _text(value: object) -> str:
+def setting_text(value: object) -> str:
+    """A setting's value as labels and lines have it."""
     return f"{value:g}" if isinstance(value, float) else str(value)

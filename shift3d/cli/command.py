@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,6 +96,13 @@ def flag(values: Mapping[str, str], key: str, default: bool, where: str) -> bool
     return text == "true"
 
 
+def refuse(values: Mapping[str, str], keys: Iterable[str], why: str, where: str) -> None:
+    """Refuse keys that a command takes, but not here. Raises: InputError for the first one, and why it is refused."""
+    for key in keys:
+        if key in values:
+            raise InputError(f"{key}= {why}", where, f"Leave out {key}=")
+
+
 def whole_number(values: Mapping[str, str], key: str, default: int, where: str, least: int = 1) -> int:
     """The whole number behind a key. Raises: InputError for anything else, and below the least."""
     text = values.get(key, str(default))
@@ -111,6 +119,17 @@ def share(values: Mapping[str, str], key: str, default: float, where: str) -> fl
         value = -1.0
     if not 0.0 <= value < 1.0:
         raise InputError(f"{key}={values[key]!r} is not in [0, 1)", where, f"Give {key}={default:g}")
+    return value
+
+
+def real_number(values: Mapping[str, str], key: str, where: str, example: str) -> float | None:
+    """The finite number behind a key, None without one. Raises: InputError for anything else."""
+    try:
+        value = float(values[key]) if key in values else None
+    except ValueError:
+        value = math.nan
+    if value is not None and not math.isfinite(value):
+        raise InputError(f"{key}={values[key]!r} is not a number", where, f"Give {key}={example}")
     return value
 
 

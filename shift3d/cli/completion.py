@@ -53,13 +53,17 @@ def folder_words(prefix: str, **_: Any) -> list[str]:
     return found
 
 
-def key_words(keys: Sequence[str], values: Mapping[str, Sequence[str]] = {}) -> Callable[..., list[str]]:
-    """A completer of ``key=`` and of the values that a key is known to take."""
+def key_words(
+    keys: Sequence[str],
+    values: Mapping[str, Sequence[str]] = {},
+    more: Callable[[str], list[str]] = lambda prefix: [],
+) -> Callable[..., list[str]]:
+    """A completer of ``key=`` and of the values that a key is known to take. more: what else there is for a prefix."""
 
     def complete(prefix: str, **_: Any) -> list[str]:
         key, equals, _value = prefix.partition("=")
         words = [f"{key}={value}" for value in values.get(key, ())] if equals else [f"{name}=" for name in keys]
-        return [word for word in words if word.startswith(prefix)]
+        return [word for word in words if word.startswith(prefix)] + more(prefix)
 
     return complete
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from shift3d.cli.completion import job_names
 from shift3d.errors import InputError, empty_error
-from shift3d.settings.folders import find, looked_in
+from shift3d.settings.folders import files, looked_in
 
 
 class JobSpec(BaseModel):
@@ -62,7 +62,7 @@ def read_job(name: str) -> JobSpec:
     Raises: InputError: there is none, another tool reads it, or it does not hold what a spec holds.
     """
     remedy = f"One of: {', '.join(job_names())}, or the path of a file like them. {looked_in('jobs')}"
-    named = Path(name).expanduser() if name.endswith((".yaml", ".yml")) else find("jobs", name)
+    named = Path(name).expanduser() if name.endswith((".yaml", ".yml")) else files("jobs").get(name)
     path = named or Path("jobs") / f"{name}.yaml"
     try:
         values = yaml.safe_load(path.read_text())

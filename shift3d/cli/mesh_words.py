@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from shift3d.errors import InputError
+from shift3d.cli.command import real_number
 
 if TYPE_CHECKING:
     from shift3d.vehicles.mesh_frame import MeshFrame
@@ -26,9 +26,4 @@ def mesh_frame(values: dict[str, str], where: str) -> MeshFrame:
 
     frame: dict[str, str] = {key: values[key] for key in ("forward", "up", "unit") if key in values}
     frame = {key: value if key == "unit" or value[:1] in "+-" else f"+{value}" for key, value in frame.items()}
-    length = values.get("length_m")
-    try:
-        length_m = None if length is None else float(length)
-    except ValueError as error:
-        raise InputError(f"length_m={length!r} is not a length", where=where, remedy="Give length_m=4.5") from error
-    return MeshFrame(**frame, length_m=length_m)
+    return MeshFrame(**frame, length_m=real_number(values, "length_m", where, "4.5"))

@@ -10,7 +10,7 @@ from typing import Any
 from shift3d.errors import InputError
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.tables import read_table
+from shift3d.store.tables import read_final
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
 from shift3d.task.assets import Assets, load_assets
@@ -91,14 +91,12 @@ def scored_objects(folder: LocationLike, detector: str, methods: tuple[str, ...]
     """
     folder = as_location(folder)
     plan = read_plan(folder)
-    if not (folder / "final" / "solutions.parquet").is_file():
-        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
     scores = {}
-    for row in read_table(folder / "final" / "scores.parquet", "scores").to_pylist():
+    for row in read_final(folder, "scores").to_pylist():
         if row["method"] in methods and row["scored_by"] == row["detector"]:
             scores[row["task_id"], row["method"], row["replicate"]] = row
     solutions: dict[str, list[dict[str, Any]]] = {}
-    for row in read_table(folder / "final" / "solutions.parquet", "solutions").to_pylist():
+    for row in read_final(folder, "solutions").to_pylist():
         if (row["task_id"], row["method"], row["replicate"]) in scores:
             solutions.setdefault(row["task_id"], []).append(row)
     found = list(_objects(plan, scores, solutions))

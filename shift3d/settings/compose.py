@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from shift3d.errors import InputError, empty_error
 from shift3d.settings import messages
-from shift3d.settings.folders import files, find, looked_in, places, shipped, shown
+from shift3d.settings.folders import files, looked_in, places, shipped, shown
 from shift3d.settings.names import quoted, text_settings
 from shift3d.settings.schema.config import Config
 
@@ -67,7 +67,7 @@ def compose_sweep(name: str, overrides: Sequence[str] = ()) -> Composed:
     small size of a sweep that has none.
     """
     where = f"sweep {name}"
-    file = find("sweeps", name)
+    file = files("sweeps").get(name)
     if file is None:
         raise messages.choice_error("sweep", name, sweep_names(), "sweeps/", looked_in("sweeps"))
     for key, equals, value in (override.partition("=") for override in overrides):
@@ -133,7 +133,8 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
 
         def plain(texts: Sequence[str]) -> Values:
             config = composed(texts)
-            values = OmegaConf.to_container(OmegaConf.masked_copy(config, _no_hydra(config)))
+            own = [str(key) for key in config if key != "hydra"]
+            values = OmegaConf.to_container(OmegaConf.masked_copy(config, own))
             params = OmegaConf.to_container(config.hydra.sweeper.params) if config.hydra.sweeper.params else {}
             return {**values, "hydra": {"sweeper": {"params": params}}}  # type: ignore[dict-item]
 
@@ -154,7 +155,8 @@ def _hydra(sweep: Path, where: str) -> tuple[Any, Any]:
             try:
                 parsed += parser.parse_overrides([text])
             except Exception as error:
-                raise messages.unreadable(text, where) from error
+                remedy = "Write key=value, and quote values with spaces or brackets: 'key=\"a b\"'"
+                raise InputError(f"cannot read the override {text!r}", where, remedy) from error
         return parsed
 
     return run, parse
@@ -178,10 +180,6 @@ class _Groups:
 
     def get_group_options(self, group_name: str, *_: object, **__: object) -> list[str]:
         return list(files(f"conf/{group_name}"))
-
-
-def _no_hydra(config: Any) -> list[str]:
-    return [key for key in config if key != "hydra"]
 
 
 def _split(parsed: Sequence[Any], where: str) -> tuple[dict[str, list[str]], list[str]]:

@@ -37,11 +37,6 @@ def files(path: str, pattern: str = "[!_]*.yaml") -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
-def find(path: str, name: str) -> Path | None:
-    """The file that a name stands for, None where there is none. Raises as :func:`shipped`."""
-    return files(path).get(name)
-
-
 def own_folders() -> list[Path]:
     """The folders of sweeps and of groups where the command runs, as far as they are there and not those that ship."""
     return [folders[0] for folders in map(places, ("sweeps", "conf")) if len(folders) > 1 and folders[0].is_dir()]

@@ -14,13 +14,7 @@ from shift3d.settings.folders import looked_in, shipped, shown
 from shift3d.settings.renamed import renamed_error
 
 # Groups whose kind pydantic puts into the path of a field.
-_UNIONS = (
-    "scenes",
-    "vehicle",
-    "naturalness",
-    "runner",
-    "tracking",
-)
+_UNIONS = ("scenes", "vehicle", "naturalness", "runner", "tracking")
 
 
 def one_of(value: str, allowed: Iterable[str]) -> str:
@@ -103,15 +97,6 @@ def from_hydra(
         return choice_error("setting", key, _siblings(key, chosen or {}), where)
     remedy = f"See {shown(shipped('conf'))} for all settings"
     return InputError(" ".join(text.split())[:300], where=where, remedy=remedy)
-
-
-def unreadable(override: str, where: str) -> InputError:
-    """The error for an override that is not of Hydra's grammar."""
-    return InputError(
-        f"cannot read the override {override!r}",
-        where=where,
-        remedy="Write key=value, and quote values with spaces or brackets: 'key=\"a b\"'",
-    )
 
 
 def _is_group(key: str, config: Mapping[str, Any]) -> bool:

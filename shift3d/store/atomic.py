@@ -38,11 +38,14 @@ def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
     Raises: InputError: the disk is full or not writable; nothing is left under either name.
     """
     temporary = _temporary(path)
-    with _clear_disk_errors(path), _removed_on_failure(temporary):
+    with _clear_disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        _fill(temporary, write)
-        temporary.replace(path)
-        _flush_folder(path.parent)
+        try:
+            _fill(temporary, write)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        _flush(path.parent)
 
 
 def put_if_absent(path: Path, content: bytes) -> bool:
@@ -65,7 +68,7 @@ def put_if_absent(path: Path, content: bytes) -> bool:
             except FileExistsError:
                 return path.read_bytes() == content
             try:
-                _flush_folder(path.parent)
+                _flush(path.parent)
             except OSError as error:
                 what = f"cannot be flushed to the disk ({error.strerror})"
                 raise UncertainError(what, str(path), "Check the disk and run the same command again") from error
@@ -112,29 +115,16 @@ def _fill(path: Path, write: bytes | Callable[[Path], None]) -> None:
         path.write_bytes(write)
     else:
         write(path)
+    _flush(path)
+
+
+def _flush(path: Path) -> None:
+    """A file's content to the disk, or a folder's names."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _flush_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-@contextlib.contextmanager
-def _removed_on_failure(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except BaseException:
-        with contextlib.suppress(OSError):
-            path.unlink(missing_ok=True)
-        raise
 
 
 _ELSEWHERE = "Choose another folder with {}"

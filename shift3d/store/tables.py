@@ -98,6 +98,14 @@ def read_table(
     return table
 
 
+def read_final(folder: LocationLike, name: str) -> pa.Table:
+    """A table of ``final/`` of a sweep. Raises: InputError as `read_table`, and where the sweep has not finished."""
+    path = as_location(folder) / "final" / f"{name}.parquet"
+    if not path.is_file():
+        raise InputError("the sweep is not finished", str(folder), "Run its command again: it resumes")
+    return read_table(path, name)
+
+
 def read_parquet(
     path: LocationLike,
     remedy: str,

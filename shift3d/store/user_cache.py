@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import importlib.metadata
 import os
 from pathlib import Path
+
+from shift3d.errors import InputError
+from shift3d.processor import rounding
+from shift3d.store.atomic import write_atomic
 
 # Libraries that the last bits of scenes and meshes may depend on.
 _LIBRARIES = ("numpy", "pyarrow", "scipy", "embreex", "trimesh", "scikit-image", "libigl", "fast-simplification")
@@ -15,6 +20,30 @@ _LIBRARIES = ("numpy", "pyarrow", "scipy", "embreex", "trimesh", "scikit-image",
 def user_cache() -> Path:
     """``shift3d`` in XDG_CACHE_HOME, or in ~/.cache; it may not be there yet."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shift3d"
+
+
+def kept_file(folder: str, *made_of: object) -> Path:
+    """The file of the cache folder for what these make, each told by its `repr`, as this machine rounds."""
+    return user_cache() / folder / _digest(repr((*made_of, rounding())).encode())
+
+
+def read_kept(file: Path) -> bytes | None:
+    """What `keep` wrote; None where there is no such file, or one that is torn or has changed since."""
+    try:
+        digest, _, content = file.read_bytes().partition(b"\n")
+    except OSError:
+        return None
+    return content if digest.decode(errors="replace") == _digest(content) else None
+
+
+def keep(file: Path, content: bytes) -> None:
+    """Write what can be made again, with its digest. A folder that cannot be written is done without."""
+    with contextlib.suppress(InputError, OSError):
+        write_atomic(file, _digest(content).encode() + b"\n" + content)
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
 @functools.cache

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from shift3d.errors import InputError
 from shift3d.seeding import generator
 from shift3d.store.location import Location
-from shift3d.store.tables import read_table
+from shift3d.store.tables import read_final
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,7 +47,7 @@ class Chosen:
     unverified: int
 
 
-def choose_solutions(final: Location, choice: Choice) -> Chosen:
+def choose_solutions(sweep: Location, choice: Choice) -> Chosen:
     """The solutions of a finished sweep that are to be frozen; the same tables and choice to the same ones.
 
     Left out: what has no score or breaks a constraint, what a verification found unstable, and shapes that are not
@@ -55,19 +55,17 @@ def choose_solutions(final: Location, choice: Choice) -> Chosen:
 
     Raises: InputError: the sweep is not finished, has no such method, or nothing of it is eligible.
     """
-    if not (final / "scores.parquet").is_file():
-        raise InputError("the sweep is not finished", str(final), "Run its command again: it resumes")
-    scores = read_table(final / "scores.parquet", "scores").to_pandas()
-    solutions = read_table(final / "solutions.parquet", "solutions").to_pandas()
+    scores, solutions = (read_final(sweep, name).to_pandas() for name in ("scores", "solutions"))
+    where = str(sweep / "final" / "scores.parquet")
     rows = scores[scores["method"] == choice.method]
     if rows.empty:
         methods = ", ".join(sorted(scores["method"].unique()))
-        raise InputError(f"has no method {choice.method!r}", str(final / "scores.parquet"), f"One of: {methods}")
+        raise InputError(f"has no method {choice.method!r}", where, f"One of: {methods}")
     own = rows[rows["scored_by"] == rows["detector"]]
     eligible, left_out = _eligible(own)
     if eligible.empty:
         why = ", ".join(f"{number} {reason}" for reason, number in left_out.items())
-        raise InputError(f"no {choice.method} object can be frozen: {why}", str(final / "scores.parquet"))
+        raise InputError(f"no {choice.method} object can be frozen: {why}", where)
     taken = _taken(eligible, choice)
     hard = solutions.merge(taken[_KEY], on=_KEY)
     controls = solutions[(solutions["method"] == "baseline") & solutions["task_id"].isin(hard["task_id"])]

@@ -109,7 +109,7 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     """
     sweep, to = as_location(sweep), as_location(to)
     plan = read_plan(sweep)
-    chosen = choose_solutions(sweep / "final", choice)
+    chosen = choose_solutions(sweep, choice)
     scores = blake2b((sweep / "final" / "scores.parquet").read_bytes())
     made = {"sweep": plan.sweep, "spec_hash": plan.spec_hash, "scores": scores, **asdict(choice)}
     if (to / "suite.json").is_file():

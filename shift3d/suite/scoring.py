@@ -69,25 +69,18 @@ def score_suite(suite: FrozenSuite, scorer: Scorer, folder: Location, workers: i
         torn.delete()
     present = set(folder.names())
     missing = [name for name in names if files[name].name not in present]
-    coming = each(_answers, missing, workers, partial(_both, suite, scorer))
+    coming = each(_answers, missing, workers, partial(tuple, (suite, scorer)))
     for name in names:
         if name in missing:
             files[name].write_atomic(suite_table_bytes(suite_table("answers", next(coming))))
         yield read_suite_table(files[name], "answers", remedy="Remove it: it is scored again").to_pandas()
 
 
-def _both(suite: FrozenSuite, scorer: Scorer) -> tuple[FrozenSuite, Scorer]:
-    return suite, scorer
-
-
 def _answers(opened: tuple[FrozenSuite, Scorer], name: str) -> list[dict[str, str | float]]:
     (suite, scorer), background = opened, opened[0].background(name)
     found: list[dict[str, str | float]] = []
     for row in suite.objects[suite.objects["background"] == name].to_dict("records"):
-        points, detectors = (
-            torch.from_numpy(suite.points_of(row, background)),
-            {scorer.name: scorer.at(row["precision"])},
-        )
-        answer = score_box(points, box_of(row), row["ground_z_m"], row["radius_m"], detectors)[scorer.name]
-        found.append({"object_id": row["object_id"], "score": answer.score})
+        points, detectors = suite.points_of(row, background), {scorer.name: scorer.at(row["precision"])}
+        place = torch.from_numpy(points), box_of(row), row["ground_z_m"], row["radius_m"]
+        found.append({"object_id": row["object_id"], "score": score_box(*place, detectors)[scorer.name].score})
     return found

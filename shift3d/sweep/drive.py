@@ -14,16 +14,18 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from shift3d.errors import InputError
+from shift3d.processor import configure_runtime
 from shift3d.settings.schema.config import RunnerConfig
 from shift3d.signals import stop_signals
 from shift3d.store.location import Location
 from shift3d.store.log import CommitLog, TakenOverError
 from shift3d.store.log_entries import Commit
 from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.tables import table_from_rows
 from shift3d.sweep.execution.abort import AbortRule
 from shift3d.sweep.execution.progress import Progress
 from shift3d.sweep.execution.runner import Runner, make_runner
-from shift3d.sweep.execution.worker import BatchOutcome
+from shift3d.sweep.execution.worker import BatchOutcome, completed_rows
 from shift3d.sweep.planning.folder import open_folder
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
@@ -116,7 +118,7 @@ def run_sweep(
     if len(left):
         with (
             _runner(kind, plan, runner_config, left, _tried(log, plan, again), status) as runner,
-            Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers) as progress,
+            contextlib.closing(Progress(len(plan.tasks), len(plan.tasks) - len(left), runner.workers)) as progress,
         ):
             rule = AbortRule(runner_config.abort_after, runner_config.abort_share)
             committer = Committer(log, runner_config.commit_seconds)
@@ -171,7 +173,8 @@ def _run(
     state: State = "stopped"
     came = 0
     failure: InputError | None = None
-    with _stop_on_signals(progress) as stop:
+    stop = _Stop(progress)
+    with stop_signals(stop.handle):
         try:
             for outcome in stop.waited(runner.run(left, stop.first)):
                 committer.add(outcome)
@@ -206,6 +209,23 @@ def _run(
     return came
 
 
+def run_single(plan: Plan, kind: TaskKind, task_id: str) -> str:
+    """Run the task whose id begins with ``task_id``, and return its scores and timings as text.
+
+    Raises: InputError: no task of the plan, or several, have such an id. Whatever the task itself raises.
+    """
+    task = plan.tasks.one(task_id, f"sweep {plan.sweep}")
+    planned = plan.assets[task.assets]
+    assets = kind.load(planned)
+    configure_runtime(planned.threads)
+    rows = completed_rows(task.spec, plan.sweep, kind.run(task.spec, assets))
+    parts = []
+    for name in ("scores", "timings"):
+        frame = table_from_rows(name, rows[name]).to_pandas()
+        parts.append(frame.drop(columns=["task_id", "sweep"], errors="ignore").to_string())
+    return "\n\n".join(parts)
+
+
 class _Stop:
     """What SIGINT and SIGTERM ask for. first: give out no more tasks. second: do not wait for those in flight."""
 
@@ -238,10 +258,3 @@ class _Stop:
             if outcome is None:
                 return
             yield outcome
-
-
-@contextlib.contextmanager
-def _stop_on_signals(progress: Progress) -> Iterator[_Stop]:
-    stop = _Stop(progress)
-    with stop_signals(stop.handle):
-        yield stop

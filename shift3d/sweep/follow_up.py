@@ -14,7 +14,7 @@ from shift3d.settings.schema.config import RunnerConfig
 from shift3d.store.location import Location
 from shift3d.store.log_entries import Commit, read_log
 from shift3d.store.resolve import LocationLike, as_location
-from shift3d.store.tables import read_table, write_table
+from shift3d.store.tables import read_final, write_table
 from shift3d.sweep.drive import Finish, SweepResult, run_sweep
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.kind import TaskKind
@@ -35,14 +35,11 @@ def solved_tasks(folder: LocationLike) -> Plan:
     """
     folder = as_location(folder)
     plan = read_plan(folder)
-    path = folder / "final" / "solutions.parquet"
-    if not path.is_file():
-        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
-    read_table(folder / "final" / "scores.parquet", "scores")  # damaged, it would fail every task
-    solved = pc.unique(read_table(path, "solutions")["task_id"])
+    read_final(folder, "scores")  # damaged, it would fail every task
+    solved = pc.unique(read_final(folder, "solutions")["task_id"])
     tasks = plan.tasks.select(np.flatnonzero(pc.is_in(plan.tasks.ids, value_set=solved).to_numpy(zero_copy_only=False)))
     if not len(tasks):
-        raise InputError("no task has a solution", where=str(path), remedy="See status in final/scores.parquet")
+        raise InputError("no task has a solution", where=str(folder), remedy="See status in final/scores.parquet")
     results = str((folder / "final").absolute())
     assets = tuple(dataclasses.replace(part, results=results) for part in plan.assets)
     return dataclasses.replace(plan, tasks=tasks, assets=assets)
@@ -74,41 +71,31 @@ def follow_up(
     """Run what is left of it in a folder of its own, and put its table into the sweep's ``final/``.
 
     Exactly once, resumable and to the same bytes, as a sweep. folder: the sweep's. plan: of `solved_tasks`.
-    Raises: InputError as `run_sweep`.
+    Raises: InputError as `run_sweep`, and where it was begun when other tasks of its sweep had solutions.
     """
-    _check_begun_with(own, plan)
+    if (own / "spec.yaml").is_file() and read_spec(own)["spec_hash"] != plan.spec_hash:
+        what = "was begun before further tasks of the sweep had solutions"
+        raise InputError(what, str(own), "Remove this folder, which is made again, and run the same command")
     result = run_sweep(plan, runner, kind, own, follow_up_tables(table))
     if result.final is not None:
         write_table(folder / "final" / f"{table}.parquet", result.final.tables[table])
     return result
 
 
-def _check_begun_with(own: Location, plan: Plan) -> None:
-    """Raises InputError where a follow-up was begun when other tasks of its sweep had solutions."""
-    if (own / "spec.yaml").is_file() and read_spec(own)["spec_hash"] != plan.spec_hash:
-        what = "was begun before further tasks of the sweep had solutions"
-        remedy = "Remove this folder, which is made again, and run the same command"
-        raise InputError(what, where=str(own), remedy=remedy)
-
-
 def verify_sweep(folder: LocationLike, plan: Plan, runner: RunnerConfig) -> SweepResult:
     """Verify what is left of a finished sweep's solutions, and put the result into its final tables.
 
-    Exactly once, resumable and to the same bytes, as a sweep. plan: of `solved_tasks`.
-
-    Raises: InputError: as `run_sweep`; a segment of the sweep is damaged, which is found before anything runs.
+    plan: of `solved_tasks`.
+    Raises: InputError: as `follow_up`; a segment of the sweep is damaged, which is found before anything runs.
     """
     from shift3d.task.follow_ups.verify import load_verify_assets, verify_task
 
-    folder = as_location(folder)
-    _check_begun_with(folder / VERIFICATION, plan)
+    folder, kind = as_location(folder), follow_up_kind(verify_task, load_verify_assets)
     check_segments(folder, read_log(folder))
-
-    def finish(own: Location, verified: Plan, entries: Sequence[Commit]) -> FinalTables:
-        follow_up_tables("verification")(own, verified, entries)
-        return write_final(folder, read_plan(folder), read_log(folder))
-
-    return run_sweep(plan, runner, follow_up_kind(verify_task, load_verify_assets), folder / VERIFICATION, finish)
+    result = follow_up(folder, plan, runner, kind, folder / VERIFICATION, "verification")
+    if result.final is None:
+        return result
+    return dataclasses.replace(result, final=write_final(folder, read_plan(folder), read_log(folder)))
 
 
 def measure_patterns(folder: LocationLike, runner: RunnerConfig) -> SweepResult:

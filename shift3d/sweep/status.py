@@ -22,7 +22,7 @@ from shift3d.store.location import Location
 from shift3d.store.log_entries import read_log
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.sweep.planning.spec_file import read_spec
-from shift3d.wording import counted
+from shift3d.wording import counted, duration
 
 if TYPE_CHECKING:
     from shift3d.store.log import CommitLog
@@ -158,15 +158,15 @@ def status_lines(status: SweepStatus) -> str:
     alive = _alive(status, progress)
     lines.append(f"driver {progress['driver']} on {progress['host']}: {alive}")
     if committed := progress.get("committed_unix_s"):
-        lines.append(f"last commit {_ago(time.time() - committed)} ago")
+        lines.append(f"last commit {duration(time.time() - committed)} ago")
     if alive == "running":
         rate = progress["per_s"]
-        eta = f", about {_ago(status.left / rate)} left" if rate > 0 else ""
+        eta = f", about {duration(status.left / rate)} left" if rate > 0 else ""
         lines.append(f"{rate:.3g} tasks a second on {counted(progress['workers'], 'worker')}{eta}")
         if progress.get("worker_peak_mb"):
             lines.append(f"a worker takes up to {progress['worker_peak_mb']:.0f} MB")
         since = time.time() - progress["written_unix_s"]
-        lines += [f"  runs now: {what}, for {_ago(seconds + since)}" for what, seconds in progress["running"]]
+        lines += [f"  runs now: {what}, for {duration(seconds + since)}" for what, seconds in progress["running"]]
         if (more := progress["running_calls"] - len(progress["running"])) > 0:
             lines.append(f"  and {counted(more, 'call')} more")
     return "\n".join(lines)
@@ -194,7 +194,7 @@ def _alive(status: SweepStatus, progress: dict[str, Any]) -> str:
         return "dead; the same command resumes"
     silent = time.time() - progress["written_unix_s"]
     if not here and silent > _SILENT_S:
-        return f"silent for {_ago(silent)}; if it is dead, the same command resumes"
+        return f"silent for {duration(silent)}; if it is dead, the same command resumes"
     return str(progress["state"])
 
 
@@ -205,11 +205,3 @@ def _began(pid: int) -> str | None:
     except OSError:
         return None
     return state.rpartition(")")[2].split()[19]  # the name, in brackets, may hold anything
-
-
-def _ago(seconds: float) -> str:
-    seconds = max(seconds, 0.0)
-    for size, name in ((86_400, "d"), (3_600, "h"), (60, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {name}"
-    return f"{seconds:.0f} s"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,6 +32,7 @@ from shift3d.task.exchange import AssetsSpec
 from shift3d.task.kept_grids import kept_grid
 from shift3d.task.kept_measures import kept_measures
 from shift3d.task.spec import TaskSpec
+from shift3d.training.processes import threads
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
 from shift3d.vehicles.vehicle import Vehicle
 
@@ -234,24 +234,13 @@ def prepare_naturalness(spec: AssetsSpec, templates: Sequence[TaskSpec]) -> None
     reference = load_reference(source, "naturalness")
     if any(asks_for_kinds(template) for template in templates):
         vehicles = vehicle_source(_vehicle_config(spec.vehicles))
-        with _threads(spec.threads):
+        with threads(spec.threads):
             kept_measures(vehicles, vehicles.decoder(), Naturalness(reference), source_hash(source), show=True)
 
 
 def asks_for_kinds(spec: TaskSpec) -> bool:
     """Whether a task's search goes over the kinds that lie within its budget of naturalness."""
     return spec.mode != "pose" and spec.attack.space == "family" and spec.attack.naturalness > 0
-
-
-@contextlib.contextmanager
-def _threads(count: int) -> Iterator[None]:
-    """The number of threads that workers compute with: the bits depend on it."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _vehicle_config(values: Mapping[str, Any]) -> VehicleSetConfig | DeepSdfVehicleConfig:

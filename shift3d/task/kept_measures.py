@@ -6,26 +6,18 @@ reference set, the code that measures and what decides rounding on this machine.
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from shift3d.errors import InputError
 from shift3d.naturalness.measure import Naturalness, NaturalnessMeasure
 from shift3d.naturalness.reference import Nearest
 from shift3d.naturalness.sizes import Sizes
-from shift3d.processor import rounding
 from shift3d.progress_bar import progress_bar
 from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.deepsdf_network import DeepSdfNetwork
-from shift3d.store.atomic import write_atomic
-from shift3d.store.user_cache import source_digest, user_cache
+from shift3d.store.user_cache import keep, kept_file, read_kept, source_digest
 from shift3d.vehicles.sources import VehicleSource, vehicle_hash
-from shift3d.vehicles.vehicle import Vehicle
 
 _CODE = ("naturalness", "sdf", "processor.py", "task/kept_measures.py", "vehicles/vehicle.py")
 
@@ -40,38 +32,14 @@ def kept_measures(
     A file that is torn or changed is made again; a folder that cannot be written is done without.
     """
     vehicles = [source.vehicle(name) for name in source.kinds()]
-    path = _file(source.decoder_hash(), vehicles, reference)
-    try:
-        return _read(path)
-    except (OSError, ValueError, KeyError, TypeError):
-        bar = progress_bar(vehicles, desc="measuring how natural each vehicle is", unit="vehicle", disable=not show)
-        found = {vehicle.name: measures.of_code(vehicle, decoder, vehicle.latent_code) for vehicle in bar}
-        with contextlib.suppress(InputError, OSError):
-            _write(path, found)
-        return found
-
-
-def _file(decoder_hash: str, vehicles: Sequence[Vehicle], reference: str) -> Path:
-    made_of = (
-        decoder_hash,
-        [vehicle_hash(vehicle) for vehicle in vehicles],
-        reference,
-        source_digest(*_CODE),
-        rounding(),
-    )
-    return user_cache() / "natural_kinds" / f"{_digest(repr(made_of))}.json"
-
-
-def _write(path: Path, found: dict[str, NaturalnessMeasure]) -> None:
-    text = json.dumps({name: asdict(measure) for name, measure in found.items()})  # floats to the bit
-    write_atomic(path, f"{_digest(text)}\n{text}".encode())
-
-
-def _read(path: Path) -> dict[str, NaturalnessMeasure]:
-    digest, text = path.read_text().split("\n")
-    if _digest(text) != digest:
-        raise ValueError("its bytes have changed")
-    return {name: _measure(**values) for name, values in json.loads(text).items()}
+    hashes = [vehicle_hash(vehicle) for vehicle in vehicles]
+    file = kept_file("natural_kinds", source.decoder_hash(), hashes, reference, source_digest(*_CODE))
+    if (content := read_kept(file)) is not None:
+        return {name: _measure(**values) for name, values in json.loads(content).items()}
+    bar = progress_bar(vehicles, desc="measuring how natural each vehicle is", unit="vehicle", disable=not show)
+    found = {vehicle.name: measures.of_code(vehicle, decoder, vehicle.latent_code) for vehicle in bar}
+    keep(file, json.dumps({name: asdict(measure) for name, measure in found.items()}).encode())  # floats to the bit
+    return found
 
 
 def _measure(nearest: dict[str, Any] | None, sizes: dict[str, float] | None, **values: Any) -> NaturalnessMeasure:
@@ -79,7 +47,3 @@ def _measure(nearest: dict[str, Any] | None, sizes: dict[str, float] | None, **v
         return NaturalnessMeasure(None, None, **values)
     directions = {name: tuple(nearest[name]) for name in ("to_member_cm", "from_member_cm")}
     return NaturalnessMeasure(Nearest(**nearest | directions), Sizes(**sizes), **values)
-
-
-def _digest(text: str) -> str:
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
 
@@ -32,6 +33,17 @@ def each(
         yield from pool.map(partial(_with_held, work), items)
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """So many threads for what is computed while this is open: the bits depend on it."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 _held: tuple[Any, ...] = ()

@@ -26,7 +26,7 @@ from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.planning.plan import Plan
 from shift3d.sweep.planning.tasks import Tasks
 from shift3d.task.spec import TaskSpec
-from shift3d.wording import counted
+from shift3d.wording import counted, duration
 
 SHIPPED = Path(__file__).resolve().parent.parent / "measured" / "task_parts.json"
 """Written by ``docs/scripts/shipped.py``."""
@@ -135,7 +135,7 @@ def limit_line(longest_s: float, runner: RunnerConfig) -> str:
         return ""
     enough_s = 60 * math.ceil(4 * longest_s / 60)
     return (
-        f"a task is expected to take {_duration(longest_s)}; one that takes more than {_duration(limit_s)} is ended, "
+        f"a task is expected to take {duration(longest_s)}; one that takes more than {duration(limit_s)} is ended, "
         f"retried once and quarantined (runner.task_timeout_s={limit_s:g}): give runner.task_timeout_s={enough_s}"
     )
 
@@ -236,7 +236,7 @@ def expected_lines(
     workers = runner.workers or usable_cpus() if isinstance(runner, RayRunnerConfig) else 1
     wall = found.seconds / min(workers, found.tasks)
     text = (
-        f"{progress}expected: {counted(found.tasks, 'task')} of {_duration(mean)}: {_duration(wall)} with "
+        f"{progress}expected: {counted(found.tasks, 'task')} of {duration(mean)}: {duration(wall)} with "
         f"{counted(workers, 'worker')} (runner.workers=N), {found.seconds / 3600:.3g} core-hours\n"
         f"  by {found.source}"
     )
@@ -244,12 +244,3 @@ def expected_lines(
         text += f"; {found.guessed} of these tasks have other settings: scaled by the figures that ship"
     limit = limit_line(found.longest_s, runner)
     return f"{text}\n{limit}" if limit else text
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 1.0:
-        return f"{1e3 * seconds:.3g} ms"
-    for name, size in (("s", 1.0), ("min", 60.0), ("h", 3600.0)):
-        if seconds < 120.0 * size and name != "h":
-            return f"{seconds / size:.3g} {name}"
-    return f"{seconds / 3600:.3g} h" if seconds < 48 * 3600 else f"{seconds / 86400:.3g} days"

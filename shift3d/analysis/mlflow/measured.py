@@ -60,17 +60,7 @@ _LONGEST_NAME = 250  # MLflow's own limit
 
 
 def mirror_frontier(folder: Path, uri: str, experiment: str) -> str | None:
-    """Write the run "frontier-<hash of frontier.parquet>", or write it again in place.
-
-    The hash is that of the measured table: another measurement is another run, so that they can be compared, and the
-    same folder mirrored twice is one.
-
-    Args:
-        folder: with frontier.parquet, frontier.png, report.html and advice.txt, which become artifacts.
-        uri, experiment: of the store.
-
-    Returns: None, or why MLflow could not be written.
-    """
+    """`mirror_measured` of a frontier's folder with its table, picture, report and advice."""
     try:
         table = read_frontier(folder / "frontier.parquet")
     except InputError as error:

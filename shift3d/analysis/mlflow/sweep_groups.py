@@ -45,7 +45,7 @@ def groups(auc: pd.DataFrame, curves: pd.DataFrame) -> list[Group]:
     Args: auc, curves: ``final/auc.parquet`` and ``final/curves.parquet`` as frames.
     """
     recalls = dict(_recalls(curves))
-    several = _several(auc)
+    several = [name for name in _VARIANTS if auc[name].nunique(dropna=False) > 1]
     shown = auc.sort_values("selected", ascending=False, kind="stable").head(MOST_GROUPS)
     return [
         Group(
@@ -100,11 +100,6 @@ def _mean(group: pd.DataFrame, recalls: Mapping[tuple[str, ...], Recall]) -> Rec
         return None
     mean: Recall = np.average([recall for recall, _ in known], axis=0, weights=[count for _, count in known])
     return mean
-
-
-def _several(table: pd.DataFrame) -> list[str]:
-    """What else differs between the rows of a table."""
-    return [name for name in _VARIANTS if table[name].nunique(dropna=False) > 1]
 
 
 def _recalls(curves: pd.DataFrame) -> Iterator[tuple[tuple[str, ...], Recall]]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from shift3d.analysis.mlflow.client import attempt, experiment_of, flat, log, open_client, runs_of
+from shift3d.progress_bar import write_line
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -17,7 +18,7 @@ class TrainingCurves:
 
     A training's checkpoint comes first, so that a resumed training goes on where the curve ends and no step is
     written twice. What could not be written is kept and tried again with the next points: an MLflow that is away
-    costs a few seconds a checkpoint and never the training.
+    costs a few seconds a checkpoint and never the training; a line says so, and another at the end what is not there.
 
     Args:
         uri, experiment: of the store.
@@ -28,6 +29,7 @@ class TrainingCurves:
     def __init__(self, uri: str, experiment: str, name: str, key: str, params: Mapping[str, Any]) -> None:
         self.uri, self.experiment, self.name, self.key = uri, experiment, name, key
         self.problem: str | None = None
+        self._warned = False
         self._params = flat(params)
         self._pending: list[tuple[int, Mapping[str, float]]] = []
         self._run_id: str | None = None
@@ -36,6 +38,9 @@ class TrainingCurves:
         """Write points: (step, values by name). Sets `problem` to why they could not be written, else to None."""
         self._pending += points
         self.problem = attempt(self._write)
+        if self.problem and not self._warned:
+            self._warned = True
+            write_line(f"warning: no curves in MLflow ({self.uri}): {self.problem}")
 
     def finish(self) -> None:
         """Write what is left and mark the run as finished."""
@@ -43,6 +48,8 @@ class TrainingCurves:
         run_id = self._run_id
         if self.problem is None and run_id is not None:
             self.problem = attempt(lambda: open_client(self.uri).set_terminated(run_id, "FINISHED"))
+        if self.problem:
+            write_line(f"warning: the curves are not all in MLflow ({self.uri}): {self.problem}")
 
     def _write(self) -> None:
         client = open_client(self.uri)

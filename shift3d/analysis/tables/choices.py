@@ -9,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from shift3d.analysis.tables.table import Table
+from shift3d.analysis.variants import setting_text
 
 MEASURES = {"alpha": "AUC of what was found", "lambda": "mean adversarial loss"}
 _PAPER = Path(__file__).resolve().parents[1] / "measured" / "paper_choices.json"
@@ -41,7 +42,7 @@ def choice_tables(choices: pd.DataFrame) -> list[Table]:
         for values, group in rows.groupby(list(_OF), sort=False, dropna=False):
             named = dict(zip(_OF, values))
             of = str(named[own])
-            settings = [f"{name} {_short(named[name])}" for name in several if named[name] == named[name]]
+            settings = [f"{name} {setting_text(named[name])}" for name in several if named[name] == named[name]]
             found = dict(zip(group["candidate"], group["found"]))
             paper = papers_choice(str(parameter), of)
             each = [f"{found[value]:.3f}" if value in found else "-" for value in candidates]
@@ -51,10 +52,6 @@ def choice_tables(choices: pd.DataFrame) -> list[Table]:
         header = ["", *(f"{parameter} {value:g}" for value in candidates), "chosen", "paper"]
         tables.append(Table(f"Choice of {parameter}, by {MEASURES[str(parameter)]}", header, lines))
     return tables
-
-
-def _short(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def reasons(choices: pd.DataFrame) -> list[str]:

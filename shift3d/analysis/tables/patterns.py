@@ -10,7 +10,7 @@ import pandas as pd
 from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import Interval, mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
-from shift3d.analysis.variants import differing_settings
+from shift3d.analysis.variants import differing_settings, search_label
 from shift3d.evaluation.failure_rules import aspect_deg
 
 _GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings"]
@@ -92,15 +92,8 @@ def pattern_groups(patterns: pd.DataFrame, scores: pd.DataFrame) -> list[tuple[s
             before, after = (part.loc[both[0].index.intersection(both[1].index)] for part in both)
             if len(before):
                 values = changes(before, after)
-                found.setdefault(_label(key), []).extend(_patterns(values, names, places_of(before)))
+                found.setdefault(search_label(*key), []).extend(_patterns(values, names, places_of(before)))
     return list(found.items())
-
-
-def _label(key: tuple[str, str, float, float, str, str]) -> str:
-    mode, search, weight, alpha, detector, settings = key
-    shown = "" if np.isnan(weight) else f", lambda {weight:g}"
-    tail = f", {settings}" if settings else ""
-    return f"{mode.replace('_', ' and ')}, {search}{shown}, alpha {alpha:g}, {detector}{tail}"
 
 
 Changes = dict[str, tuple["pd.Series", "pd.Series"]]

@@ -11,7 +11,7 @@ import pandas as pd
 from shift3d.analysis.results import places_of
 from shift3d.analysis.statistics.intervals import mean_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
-from shift3d.analysis.variants import differing_settings
+from shift3d.analysis.variants import differing_settings, search_label
 from shift3d.errors import InputError
 from shift3d.wording import counted
 
@@ -106,10 +106,8 @@ def retrieval_groups(retrieved: pd.DataFrame) -> list[Kin]:
     counts = solutions.groupby(_GROUP, dropna=False).size()
     found = []
     for key, rows in kept(retrieved).groupby(_GROUP, sort=False, dropna=False):
-        mode, search, weight, alpha, detector, settings, scored_by = key
-        label = f"{mode.replace('_', ' and ')}, {search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
-        label += f", {settings}" if settings else ""
-        found.append(Kin(label, scored_by, rows, int(counts.loc[key])))
+        *search, scored_by = key
+        found.append(Kin(search_label(*search), scored_by, rows, int(counts.loc[key])))
     return found
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 from shift3d.analysis.results import PLACE, places_of, with_places
 from shift3d.analysis.statistics.intervals import mean_interval, ratio_interval
 from shift3d.analysis.tables.table import Table, interval_text, number
-from shift3d.analysis.variants import differing_settings
+from shift3d.analysis.variants import differing_settings, search_label
 
 _TRANSFER_GROUP = ["mode", "search", "lambda", "alpha", "detector", "settings", "scored_by"]
 
@@ -24,18 +24,13 @@ def transfer_table(transfers: pd.DataFrame) -> Table | None:
     placed = placed.assign(settings=differing_settings(placed, ("accuracy", "effects")))
     placed = placed.assign(place=places_of(placed, scene="other_scene"))
     lines = []
-    for (mode, search, weight, alpha, detector, settings, scored_by), rows in placed.groupby(
-        _TRANSFER_GROUP, sort=False, dropna=False
-    ):
+    for (*search, scored_by), rows in placed.groupby(_TRANSFER_GROUP, sort=False, dropna=False):
         before = rows.assign(score=rows["score_baseline"])
         after, fell = _vehicle_mean(rows), mean_interval(rows["score"] < rows["score_baseline"], list(rows["place"]))
         ratio = ratio_interval(rows, before)
-        kind = f"{mode.replace('_', ' and ')}, " if placed["mode"].nunique() > 1 else ""
-        name = f"{kind}{search}, lambda {weight:g}, alpha {alpha:g}, {detector}"
-        name += f", {settings}" if settings else ""
         counts = [str(len(rows)), str(rows["place"].nunique())]
-        means = [number(_vehicle_mean(before)), number(after)]
-        lines.append([name, scored_by, *counts, *means, interval_text(ratio, 2, ""), f"{fell.mean:.0%}"])
+        means = [number(_vehicle_mean(before)), number(after), interval_text(ratio, 2, "")]
+        lines.append([search_label(*search), scored_by, *counts, *means, f"{fell.mean:.0%}"])
     header = ["", "scored by", "placements", "scenes", "baseline", "shape", "ratio", "lower in"]
     return Table("The shapes in scenes that they were not searched in", header, lines)
 

@@ -60,16 +60,12 @@ def _run(arguments: argparse.Namespace) -> int:
     )
     from shift3d.effects.applicability import MEASURED_IMPACT
     from shift3d.store.resolve import as_location
-    from shift3d.store.tables import read_table
+    from shift3d.store.tables import read_final
     from shift3d.sweep.planning.folder import read_plan
 
     folder = as_location(arguments.out)
     sweep = read_plan(folder).sweep
-    if not (folder / "final" / "scores.parquet").is_file():
-        raise InputError("the sweep is not finished", where=str(folder), remedy="Run its command again: it resumes")
-    scores, timings = (
-        read_table(folder / "final" / f"{name}.parquet", name).to_pandas() for name in ("scores", "timings")
-    )
+    scores, timings = (read_final(folder, name).to_pandas() for name in ("scores", "timings"))
     milliseconds = _measured(arguments.times) if arguments.times else effect_milliseconds(scores, timings)
     impacts = effect_impacts(scores, milliseconds)
     lacking = [impact.effect for impact in impacts if impact.effect not in milliseconds]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shift3d.cli.command import Command, writable_folder
-from shift3d.cli.completion import overrides
+from shift3d.cli.completion import key_words, overrides
 from shift3d.cli.outcomes import mirror
 from shift3d.cli.words import take_folders
 from shift3d.errors import InputError
@@ -48,11 +48,6 @@ examples:
   shift3d frontier 'frontier.cases=[{vehicle:suv,range_m:20}]' frontier.repeats=15 --again
 
   python -c "import pandas; print(pandas.read_parquet('outputs/frontier/frontier.parquet'))\""""
-
-
-def frontier_words(prefix: str, **_: Any) -> list[str]:
-    """Completions of a word after ``shift3d frontier``."""
-    return [word for word in ("kitti=",) if word.startswith(prefix)] + overrides(prefix)
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -252,7 +247,7 @@ COMMAND = Command(
     _EPILOG,
     _run,
     words="overrides, kitti=PATH, and out=DIR for the folder to write to",
-    complete=frontier_words,
+    complete=key_words(("kitti",), more=overrides),
     options=_options,
     resumes=True,
 )

@@ -22,14 +22,10 @@ part on stability."""
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--cases", metavar="N", type=_count, default=4, help="hard cases to show (default 4)")
-
-
-def _count(text: str) -> int:
     # A browser draws about 16 views in 3D at once; two are needed for a case.
-    if not text.isdecimal() or not 1 <= int(text) <= 8:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 8")
-    return int(text)
+    parser.add_argument(
+        "--cases", metavar="N", type=int, choices=range(1, 9), default=4, help="hard cases to show (default 4)"
+    )
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -83,7 +83,7 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     from shift3d.analysis.forecast.expected import expected, limit_line
     from shift3d.analysis.mlflow.store_uri import check_tracking
     from shift3d.settings.compose import compose_sweep
-    from shift3d.sweep.drive import run_sweep
+    from shift3d.sweep.drive import run_single, run_sweep
     from shift3d.sweep.planning.folder import default_folder
     from shift3d.sweep.planning.plan import make_plan
     from shift3d.sweep.planning.plan_view import plan_summary
@@ -107,8 +107,6 @@ def run_with(arguments: argparse.Namespace, kind: TaskKind) -> int:
     folder = request.out or default_folder(plan)
     print(plan_summary(plan), flush=True)
     if arguments.task:
-        from shift3d.sweep.single import run_single
-
         print(run_single(plan, kind, arguments.task))
         return 0
     print(f"writing to {folder}", flush=True)

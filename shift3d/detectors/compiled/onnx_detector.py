@@ -8,7 +8,6 @@ library of operators, and no folder to look for further files in.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import importlib.util
 import math
@@ -24,9 +23,7 @@ from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.names import ONNX
 from shift3d.detectors.nms import SuppressedProposals
 from shift3d.errors import InputError
-from shift3d.processor import rounding
-from shift3d.store.atomic import write_atomic
-from shift3d.store.user_cache import source_digest, user_cache
+from shift3d.store.user_cache import keep, kept_file, read_kept, source_digest
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -106,18 +103,12 @@ def onnx_detector(content: bytes, where: str) -> OnnxDetector:
     except Exception as error:  # ONNX Runtime's errors have no other base
         raise InputError(f"ONNX Runtime does not take it: {_line(error)}", where, _GUIDE) from error
     _check_interface(session, where)
-    detector, tried = OnnxDetector(session, where), _note(content, onnxruntime.__version__)
-    if not tried.is_file():  # three whole forward passes: eleven seconds of PointPillars
+    detector, by = OnnxDetector(session, where), (onnxruntime.__version__, source_digest("detectors/compiled"))
+    tried = kept_file("tried_onnx", hashlib.blake2b(content).digest(), *by)
+    if read_kept(tried) is None:  # three whole forward passes: eleven seconds of PointPillars
         _try(detector, where)
-        with contextlib.suppress(InputError, OSError):
-            write_atomic(tried, where.encode())
+        keep(tried, where.encode())
     return detector
-
-
-def _note(content: bytes, version: str) -> Path:
-    """The file which is there once the content has been tried, by a version of ONNX Runtime on this machine."""
-    made_of = (hashlib.blake2b(content).digest(), version, source_digest("detectors/compiled"), rounding())
-    return user_cache() / "tried_onnx" / hashlib.blake2b(repr(made_of).encode(), digest_size=16).hexdigest()
 
 
 def _check_content(content: bytes, where: str) -> None:

@@ -38,6 +38,13 @@ class DeepSdfVehicleConfig(Record):
 VehicleConfig = VehicleSetConfig | DeepSdfVehicleConfig
 
 
+# Settings that belong to some detectors alone.
+_SETTINGS_OF: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("config", "vehicle_class", "sensor_height_m", "intensity"), FOREIGN),
+    **{"module": (OWN,), "file": (ONNX,), "original": (ONNX,)},
+}
+
+
 class DetectorConfig(Record):
     """The detector under attack, and those that score what was found.
 
@@ -61,38 +68,23 @@ class DetectorConfig(Record):
     intensity: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
 
     @model_validator(mode="after")
-    def _a_file_for_the_own(self) -> Self:
-        named = OWN in self.named()
-        if named and self.module is None:
-            raise ValueError("module is null, and your own detector needs a file: detector.module=FILE.py")
-        if not named and self.module is not None:
-            raise ValueError("module means nothing without detector=own or own in scored_by")
-        return self
-
-    @model_validator(mode="after")
-    def _a_config_for_the_foreign(self) -> Self:
-        foreign = [name for name in FOREIGN if name in self.named()]
-        if len(foreign) > 1:
-            raise ValueError("config is of one of openpcdet and mmdet3d: name one of them")
-        if foreign and (self.config is None or self.weights_by_name().get(foreign[0]) is None):
-            raise ValueError(f"{foreign[0]} needs its config and its weights: detector.config=FILE, and weights")
-        beside = (self.config, self.vehicle_class, self.sensor_height_m, self.intensity)
-        if not foreign and any(value is not None for value in beside):
-            remedy = "config, vehicle_class, sensor_height_m and intensity mean nothing"
-            raise ValueError(f"{remedy} without {' or '.join(f'detector={name}' for name in FOREIGN)}")
-        return self
-
-    @model_validator(mode="after")
-    def _a_file_for_the_compiled(self) -> Self:
-        named = ONNX in (self.name, *(self.scored_by or ()))
-        if named and self.file is None:
-            raise ValueError("file is null, and the detector onnx is a file: detector.file=FILE.onnx")
-        if not named and (self.file is not None or self.original is not None):
-            raise ValueError("file and original mean nothing without detector=onnx or onnx in scored_by")
+    def _what_the_named_are_made_of(self) -> Self:
         if self.original == ONNX:
             raise ValueError("original is onnx: name the detector that the file was made from")
         if self.name == ONNX and self.weights is not None:
             raise ValueError("weights means nothing for detector=onnx: give detector.file=FILE.onnx")
+        for key, of in _SETTINGS_OF.items():
+            if getattr(self, key) is not None and not set(of) & set(self.named()):
+                raise ValueError(f"{key} means nothing without {' or '.join(f'detector={name}' for name in of)}")
+        foreign = [name for name in FOREIGN if name in self.named()]
+        if len(foreign) > 1:
+            raise ValueError("config is of one of openpcdet and mmdet3d: name one of them")
+        for key, file in (("module", "FILE.py"), ("config", "FILE"), ("file", "FILE.onnx")):
+            named = [name for name in _SETTINGS_OF[key] if name in self.named()]
+            if named and getattr(self, key) is None:
+                raise ValueError(f"{key} is null, and the detector {named[0]} is made of it: detector.{key}={file}")
+        if foreign and self.weights_by_name().get(foreign[0]) is None:
+            raise ValueError(f"{foreign[0]} needs its weights: detector.weights=FILE, or other_weights.{foreign[0]}")
         return self
 
     def named(self) -> tuple[str, ...]:

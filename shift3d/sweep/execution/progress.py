@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from types import TracebackType
 
 from shift3d.progress_bar import progress_bar
 from shift3d.sweep.execution.worker import Running
@@ -21,21 +20,18 @@ class Progress:
 
     def __init__(self, total: int, finished: int, workers: int) -> None:
         self._failed = 0
-        self._bar = progress_bar(total=total, initial=finished, unit="task", desc=_workers(workers), smoothing=0.05)
+        shown = counted(workers, "worker")
+        self._bar = progress_bar(total=total, initial=finished, unit="task", desc=shown, smoothing=0.05)
 
-    def __enter__(self) -> Progress:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """The bar's last state stays."""
         self._bar.close()
 
     def update(self, done: int, quarantined: int, running: Sequence[Running] = (), workers: int | None = None) -> None:
         """Count finished tasks; zero of both only redraws. running: what is in flight, the oldest first."""
         self._failed += quarantined
         if workers is not None:
-            self._bar.set_description(_workers(workers), refresh=False)
+            self._bar.set_description(counted(workers, "worker"), refresh=False)
         parts = [f"{self._failed} failed"] if self._failed else []
         # Of calls that take a while it is worth knowing which they are.
         parts += [f"{running[0].label} {running[0].seconds:.0f} s"] if running and running[0].seconds >= _LONG_S else []
@@ -48,7 +44,3 @@ class Progress:
     def say(self, text: str) -> None:
         """A line above the bar."""
         self._bar.write(text, file=sys.stderr)
-
-
-def _workers(count: int) -> str:
-    return counted(count, "worker")

@@ -12,8 +12,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from shift3d.sweep.planning.task_ids import in_scene, read_task_scene
+from shift3d.errors import InputError
+from shift3d.sweep.planning.task_ids import TaskScene, in_scene, read_task_scene
 from shift3d.task.spec import TaskSpec
+from shift3d.wording import counted
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,14 @@ class Tasks(Sequence[PlannedTask]):
         """The tasks whose id begins with a text."""
         return self.select(np.flatnonzero(pc.starts_with(self.ids, prefix).to_numpy(zero_copy_only=False)))
 
+    def one(self, prefix: str, where: str) -> PlannedTask:
+        """The task whose id begins with a text. where: for the error. Raises InputError: there is none, or several."""
+        found = self.starting_with(prefix)
+        if len(found) != 1:
+            what = f"{counted(len(found), 'task')} with an id that begins with {prefix!r}"
+            raise InputError(what, where, "The ids are in final/scores.parquet, or: shift3d plan NAME --tasks")
+        return found[0]
+
     def without(self, ids: Collection[str]) -> np.ndarray:
         """Positions of the tasks whose id is not among some, in order."""
         found = pc.is_in(self.ids, value_set=pa.array(list(ids), type=pa.string()))
@@ -125,15 +135,15 @@ class Tasks(Sequence[PlannedTask]):
 
         Returns: the position of each kind's first task, ascending, and of each task its kind.
         """
-        others = self._others[self.task_scene]
+        others = np.array([len(others) for *_, others in self._scenes], dtype=np.int64)[self.task_scene]
         key = self.template.astype(np.int64) * (int(others.max(initial=0)) + 1) + others
         _, first, kind = np.unique(key, return_index=True, return_inverse=True)
         order = np.argsort(first)
         return first[order], np.argsort(order)[kind]
 
     @functools.cached_property
-    def _others(self) -> np.ndarray:
-        return np.array([len(read_task_scene(text)[2]) for text in self.task_scenes.to_pylist()], dtype=np.int64)
+    def _scenes(self) -> list[TaskScene]:
+        return [read_task_scene(text) for text in self.task_scenes.to_pylist()]
 
     def scenes(self) -> list[tuple[str, str]]:
         """The scenes that tasks are in, (data set, name), in the order of their first task."""
@@ -141,14 +151,14 @@ class Tasks(Sequence[PlannedTask]):
         dataset = np.array([names.index(template.dataset) for template in self.templates], dtype=np.int64)
         keys, first = np.unique(dataset[self.template] * len(self.task_scenes) + self.task_scene, return_index=True)
         pairs = (divmod(int(keys[index]), len(self.task_scenes)) for index in np.argsort(first))
-        return list(dict.fromkeys((names[code], self._scene_names[task_scene]) for code, task_scene in pairs))
+        return list(dict.fromkeys((names[code], self._scenes[task_scene][0]) for code, task_scene in pairs))
 
     def ambiguous_scenes(self) -> list[tuple[str, str]]:
         """(data set, name) of scenes that differ in their content although name and `scene_arguments` are the same, as
         frames of two folders do; in the order of their first task. Contents that are not known yet are left out."""
         arguments = [json.dumps(template.scene_arguments, sort_keys=True) for template in self.templates]
         kinds = [(template.dataset, text) for template, text in zip(self.templates, arguments, strict=True)]
-        scenes = [read_task_scene(text)[:2] for text in self.task_scenes.to_pylist()]
+        scenes = [scene[:2] for scene in self._scenes]
         made, known = list(dict.fromkeys(kinds)), list(dict.fromkeys(scenes))
         kind_number, scene_number = ({pair: at for at, pair in enumerate(pairs)} for pairs in (made, known))
         kind = np.array([kind_number[pair] for pair in kinds], dtype=np.int64)[self.template]
@@ -160,10 +170,6 @@ class Tasks(Sequence[PlannedTask]):
             contents.setdefault((key // len(known), name), set()).add(content)
         alike = [(made[at][0], name) for (at, name), hashes in contents.items() if len(hashes - {""}) > 1]
         return list(dict.fromkeys(alike))
-
-    @functools.cached_property
-    def _scene_names(self) -> list[str]:
-        return [read_task_scene(text)[0] for text in self.task_scenes.to_pylist()]
 
     def effects_requested_of(self, ids: Any) -> list[list[str]]:
         """The settings of effects that lead to tasks, by their ids (any sequence that Arrow takes); none for an id of

@@ -23,7 +23,6 @@ from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.schemas import FOLLOW_UPS, GROUP_COLUMNS, SWEPT
 from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.sweep.planning.plan import Plan
-from shift3d.sweep.planning.tasks import TaskGroup
 from shift3d.sweep.results.bev_grids import bev_rows, groups, transfer_rows
 from shift3d.sweep.results.hyperparameters import RULE_KEYS, choice_rows, choose_lambdas
 
@@ -146,13 +145,13 @@ def _auc_rows(scored: pd.DataFrame, plan: Plan) -> list[dict[str, Any]]:
                 "auc": area_under(recall_curve(members["score"])),
                 "scores": len(members),
                 "tasks_scored": members["task_id"].nunique(),
-                "tasks_planned": planned.get(tuple(group[name] for name in _PLAN_GROUP), 0),
+                "tasks_planned": planned.get(tuple(group[name] for name in _PLAN_GROUP), (0, []))[0],
                 "mean_adversarial_loss": _mean(members["adversarial_loss"]),
                 "mean_latent_distance": _mean(members["latent_distance"]),
                 "selected": chosen.get(tuple(group[name] for name in RULE_KEYS), group["lambda"]) == group["lambda"],
             }
         )
-    return rows + _gaps(rows, planned, _planned_methods(plan))
+    return rows + _gaps(rows, planned)
 
 
 def _mean(values: pd.Series) -> float | None:
@@ -160,44 +159,32 @@ def _mean(values: pd.Series) -> float | None:
     return mean if np.isfinite(mean) else None
 
 
-def _planned(plan: Plan) -> dict[tuple[Any, ...], int]:
-    counts: dict[tuple[Any, ...], int] = {}
+_Planned = dict[tuple[Any, ...], tuple[int, list[str]]]
+
+
+def _planned(plan: Plan) -> _Planned:
+    """By group, how many tasks there are and what they score; draws, noisy copies and edits only where asked for."""
+    found: _Planned = {}
     for group in plan.tasks.groups():
-        for key in _group_keys(plan, group):
-            counts[key] = counts.get(key, 0) + group.tasks
-    return counts
-
-
-def _group_keys(plan: Plan, group: TaskGroup) -> list[tuple[Any, ...]]:
-    spec = group.template
-    method = (spec.mode, spec.lambda_, spec.alpha, spec.detector, spec.accuracy, spec.search)
-    both = itertools.product(group.effects_requested, spec.scored_by)
-    return [(plan.sweep, spec.dataset, spec.vehicle, *method, requested, scored_by) for requested, scored_by in both]
-
-
-def _planned_methods(plan: Plan) -> dict[tuple[Any, ...], list[str]]:
-    """By group, what its tasks score; draws, noisy copies and edits only where they were asked for."""
-    methods: dict[tuple[Any, ...], list[str]] = {}
-    for group in plan.tasks.groups():
-        spec = group.template
-        attack = spec.attack
+        spec, attack = group.template, group.template.attack
         optional = {"random": bool(attack.random_replicates), "adversarial_noise": bool(attack.noise_replicates)}
         optional |= {"random_budget": bool(attack.random_search), "edited": bool(attack.edit)}
-        for key in _group_keys(plan, group):
-            known = methods.get(key, [])
-            methods[key] = [n for n in METHODS_OF_MODE[spec.mode] if n in known or optional.get(n, True)]
-    return methods
+        known = (plan.sweep, spec.dataset, spec.vehicle, spec.mode, spec.lambda_, spec.alpha, spec.detector)
+        for last in itertools.product(group.effects_requested, spec.scored_by):
+            key = (*known, spec.accuracy, spec.search, *last)
+            count, methods = found.get(key, (0, []))
+            methods = [n for n in METHODS_OF_MODE[spec.mode] if n in methods or optional.get(n, True)]
+            found[key] = count + group.tasks, methods
+    return found
 
 
-def _gaps(
-    rows: list[dict[str, Any]], planned: dict[tuple[Any, ...], int], methods: dict[tuple[Any, ...], list[str]]
-) -> list[dict[str, Any]]:
+def _gaps(rows: list[dict[str, Any]], planned: _Planned) -> list[dict[str, Any]]:
     """Rows without an AUC for what was planned and has no score at all: a gap is shown, never left out."""
     seen = {(*(row[name] for name in _PLAN_GROUP), row["method"]) for row in rows}
     gaps = []
-    for key, count in planned.items():
+    for key, (count, methods) in planned.items():
         group = dict(zip(_PLAN_GROUP, key))
-        for method in methods[key]:
+        for method in methods:
             if (*key, method) not in seen:
                 empty = {"auc": None, "scores": 0, "tasks_scored": 0, "tasks_planned": count}
                 losses = {"mean_adversarial_loss": None, "mean_latent_distance": None, "selected": False}

@@ -25,7 +25,7 @@ from shift3d.scenes.scene import Scene
 from shift3d.scenes.sets import SceneSet
 from shift3d.store.arrays import write_arrays
 from shift3d.training.detector_scenes import network_points
-from shift3d.training.processes import each
+from shift3d.training.processes import each, threads
 
 # Waymo's second score cut-off. The detectors keep the best 4096 boxes before suppression whatever their score, and
 # where that many lie above 0.1 a lower floor costs nothing and brings nothing.
@@ -104,7 +104,7 @@ def detect_scenes(
         return
     if min(workers, len(names)) > 1:
         open_detector()  # what is wrong with it is said here: a worker that cannot start says nothing
-    with _one_thread():
+    with threads(1):
         hold = partial(_opened, open_detector, open_scenes)
         yield from each(partial(_detect, score_threshold), names, workers, hold)
 
@@ -115,16 +115,6 @@ def _opened(open_detector: Callable[[], Detector], open_scenes: Callable[[], Sce
 
 def _detect(score_threshold: float, opened: tuple[Detector, SceneSet], name: str) -> Answer:
     return detect_frame(*opened, name, score_threshold)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def answers_of(

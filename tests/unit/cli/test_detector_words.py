@@ -7,20 +7,20 @@ from pathlib import Path
 import pytest
 from foreign_cases import CASES
 
-from shift3d.cli.detector_words import detector_files, foreign_layout_of
+from shift3d.cli.detector_words import detector_files
 from shift3d.errors import InputError
 from shift3d.suite.scoring import Scorer
 
 
 def test_words_become_a_scorer(tmp_path: Path) -> None:
     config, weights = CASES["openpcdet-pointpillar"].saved(tmp_path)
-    layout = foreign_layout_of("openpcdet", {"config": str(config), "intensity": "0.5"}, "gate")
+    layout = detector_files("openpcdet", {"config": str(config), "intensity": "0.5"}, "gate").layout
     assert layout is not None and layout["inputs"]["constants"] == [0.5]
     scorer = Scorer("openpcdet", str(weights), None, layout)
     assert scorer.at("float32").name == "openpcdet"
-    other = foreign_layout_of("openpcdet", {"config": str(config)}, "gate")
+    other = detector_files("openpcdet", {"config": str(config)}, "gate").layout
     assert scorer.digest != Scorer("openpcdet", str(weights), None, other).digest
-    assert foreign_layout_of("sst", {"weights": "x"}, "gate") is None
+    assert detector_files("sst", {"weights": "x"}, "gate") == ("x", None, None)
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_words_become_a_scorer(tmp_path: Path) -> None:
 )
 def test_words_that_do_not_belong(name: str, values: dict[str, str], says: str) -> None:
     with pytest.raises(InputError, match=says):
-        foreign_layout_of(name, values, "gate")
+        detector_files(name, values, "gate")
 
 
 @pytest.mark.parametrize(

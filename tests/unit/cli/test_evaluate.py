@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from onnx_files import BOXES, OWN_SOURCE, write_model
 
-from shift3d.cli.commands.detectors.evaluate import evaluate_words
+from shift3d.cli.commands.detectors.evaluate import COMMAND
 from shift3d.cli.main import main
 from shift3d.scenes.sets import StreetScenes
 
@@ -29,7 +29,7 @@ from shift3d.scenes.sets import StreetScenes
         (["detector=pointpillars", "root=x"], "root= means nothing for scenes=street"),
         (["detector=pointpillars", "scenes=kitti", "root=x", "split=val"], "split= means nothing for scenes=kitti"),
         (["detector=pointpillars", "scenes=kitti", "root=nowhere"], "no folder training/velodyne"),
-        (["detector=pointpillars", "split=holdout"], "unknown split 'holdout'"),
+        (["detector=pointpillars", "split=holdout"], "split='holdout' is unknown"),
         (["detector=pointpillars", "count=0"], "count='0' is not a whole number from 1"),
         (["detector=pointpillars", "workers=two"], "workers='two' is not a whole number"),
         (["detector=pointpillars", "score_threshold=1.5"], "score_threshold='1.5' is not in [0, 1)"),
@@ -75,10 +75,11 @@ def test_ones_own_detector_and_its_onnx_file_are_evaluated_alike(
 
 
 def test_completion() -> None:
-    assert evaluate_words("scenes=") == ["scenes=street", "scenes=kitti"]
-    assert "detector=pointpillars" in evaluate_words("detector=")
-    assert evaluate_words("s") == ["scenes=", "sensor=", "split=", "sensor_height_m=", "score_threshold="]
-    assert evaluate_words("root=") == []
+    assert COMMAND.complete is not None
+    assert COMMAND.complete("scenes=") == ["scenes=street", "scenes=kitti"]
+    assert "detector=pointpillars" in COMMAND.complete("detector=")
+    assert COMMAND.complete("s") == ["scenes=", "sensor=", "split=", "sensor_height_m=", "score_threshold="]
+    assert COMMAND.complete("root=") == []
 
 
 def test_one_real_frame_and_the_same_command_again(

@@ -51,7 +51,7 @@ def test_beside_another_detector_any_search_goes() -> None:
         ({"weights": "a.safetensors"}, r"weights means nothing for detector=onnx"),
         ({"original": "onnx"}, r"original is onnx"),
         ({"original": "own"}, r"detector\.module=FILE\.py"),
-        ({"name": "pointpillars"}, r"file and original mean nothing without detector=onnx"),
+        ({"name": "pointpillars"}, r"file means nothing without detector=onnx"),
     ],
 )
 def test_settings_that_do_not_go_together(detector: dict[str, Any], says: str) -> None:

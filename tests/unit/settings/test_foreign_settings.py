@@ -68,11 +68,11 @@ def test_what_is_wrong_is_said_where_a_sweep_is_planned(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"config": None}, "needs its config and its weights"),
-        ({"weights": None}, "needs its config and its weights"),
+        ({"config": None}, r"config is null, and the detector mmdet3d is made of it: detector\.config=FILE"),
+        ({"weights": None}, "mmdet3d needs its weights"),
         ({"scored_by": ["openpcdet"]}, "one of openpcdet and mmdet3d"),
-        ({"name": "pointpillars"}, "mean nothing without detector=openpcdet"),
-        ({"name": "pointpillars", "config": None, "intensity": 1.0}, "mean nothing without"),
+        ({"name": "pointpillars"}, "config means nothing without detector=openpcdet"),
+        ({"name": "pointpillars", "config": None, "intensity": 1.0}, "intensity means nothing without"),
     ],
 )
 def test_what_belongs_together(changes: dict[str, Any], says: str, tmp_path: Path) -> None:

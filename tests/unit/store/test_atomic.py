@@ -64,10 +64,14 @@ def test_leftovers_are_of_this_machine(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_flushed_leaves_the_outcome_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fails(folder: Path) -> None:
-        raise OSError(errno.EIO, "I/O error")
+    flush = atomic._flush
 
-    monkeypatch.setattr(atomic, "_flush_folder", fails)
+    def fails(path: Path) -> None:
+        if path.is_dir():
+            raise OSError(errno.EIO, "I/O error")
+        flush(path)
+
+    monkeypatch.setattr(atomic, "_flush", fails)
     with pytest.raises(UncertainError, match="cannot be flushed"):
         put_if_absent(tmp_path / "entry", b"content")
     assert (tmp_path / "entry").read_bytes() == b"content"

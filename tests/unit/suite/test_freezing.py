@@ -143,14 +143,14 @@ def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> No
     fine[7] |= {"status": "diverged"}  # what it found before counts
     rows = [{**one, **change, "task_id": f"{number:032x}"} for number, change in enumerate([*fine, *faults])]
     rows = [{key: _plain(value) for key, value in row.items()} for row in rows]
-    write_table(tmp_path / "scores.parquet", table_from_rows("scores", rows))
+    write_table(tmp_path / "final" / "scores.parquet", table_from_rows("scores", rows))
     known = read_table(sweep / "final" / "solutions.parquet", "solutions").to_pylist()
     solutions = [
         {**known[0], "task_id": row["task_id"], "method": method}
         for row in rows
         for method in ("baseline", "adversarial")
     ]
-    write_table(tmp_path / "solutions.parquet", table_from_rows("solutions", solutions))
+    write_table(tmp_path / "final" / "solutions.parquet", table_from_rows("solutions", solutions))
     chosen = choose_solutions(as_location(tmp_path), Choice())
     assert len(chosen.hard) == len(chosen.controls) == 20 and chosen.unverified == 0
     assert sum(chosen.left_out.values()) == len(faults) == len(chosen.left_out)
@@ -161,7 +161,7 @@ def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> No
     assert choose_solutions(as_location(tmp_path), Choice(controls=False)).controls.empty
     with pytest.raises(InputError, match="has no method 'random'"):
         choose_solutions(as_location(tmp_path), Choice(method="random"))
-    write_table(tmp_path / "scores.parquet", table_from_rows("scores", rows[-1:]))
+    write_table(tmp_path / "final" / "scores.parquet", table_from_rows("scores", rows[-1:]))
     with pytest.raises(InputError, match="no adversarial object can be frozen: 1 without a score"):
         choose_solutions(as_location(tmp_path), Choice())
 

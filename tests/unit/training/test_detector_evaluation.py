@@ -21,6 +21,7 @@ from shift3d.detectors.base import BevWindow, Detections, Proposals
 from shift3d.errors import InputError
 from shift3d.evaluation.frames import DetectedFrame
 from shift3d.scenes.kitti.scenes import KittiScenes
+from shift3d.settings.schema.scenes import KittiConfig
 from shift3d.training.detector.detect_scenes import detect_frame, detect_scenes
 from shift3d.training.detector_scenes import from_scene, network_points
 
@@ -151,8 +152,8 @@ def test_a_frame_whose_labels_changed_is_evaluated_again(tmp_path: Path, monkeyp
     out = tmp_path / "out"
 
     def rows() -> int:
-        choice = detector_evaluation.KittiChoice(str(tmp_path / "frames"))
-        detector_evaluation.evaluate_detector("pointpillars", choice, out)
+        frames = KittiConfig(kind="kitti", root=str(tmp_path / "frames"), count=None, names=None)
+        detector_evaluation.evaluate_detector("pointpillars", frames, out)
         return int(pq.read_table(out / "truth.parquet").num_rows)
 
     assert rows() == 4 and rows() == 4

@@ -12,7 +12,7 @@ from shift3d.analysis.tables.coverage import coverage_lines, rows_by_status, sta
 from shift3d.analysis.tables.table import Table
 from shift3d.sweep.planning.plan_view import skipped_lines
 from shift3d.sweep.results.hyperparameters import NEARLY_EQUAL
-from shift3d.wording import counted
+from shift3d.wording import counted, duration
 
 _TITLE = "Choice of hyper-parameters"
 _RULE = (
@@ -102,14 +102,8 @@ def _cost(sweep: Sweep) -> list[Block]:
         return [Paragraph("Cost: the sweep has no timings.", "missing")]
     tasks = timings["task_id"].nunique()
     seconds = float(timings.loc[timings["stage"] == "total", "milliseconds"].sum()) / 1e3
-    text = f"{counted(tasks, 'task')} took {_duration(seconds)} on one thread each, {seconds / tasks:.1f} s a task."
+    text = f"{counted(tasks, 'task')} took {duration(seconds)} on one thread each, {duration(seconds / tasks)} a task."
     return [Paragraph(text), Fold("Time by stage", [stage_times(timings, sweep.scores)])]
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def _versions(sweep: Sweep) -> Fold:

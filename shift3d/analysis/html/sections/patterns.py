@@ -65,18 +65,14 @@ def _figures(key: str, label: str, found: list[Pattern]) -> list[Plot]:
         shown = [pattern for pattern in found if pattern.unit == unit]
         if len(shown) < 2:
             continue
-        means = [pattern.change.mean for pattern in shown]
         known = [pattern.change.high < float("inf") for pattern in shown]
         ends = {
             "array": [p.change.high - p.change.mean if k else 0.0 for p, k in zip(shown, known)],
             "arrayminus": [p.change.mean - p.change.low if k else 0.0 for p, k in zip(shown, known)],
         }
+        at = {"x": [p.change.mean for p in shown], "y": [p.name for p in shown]}
         trace = {
-            "type": "scatter",
-            "mode": "markers",
-            "x": means,
-            "y": [pattern.name for pattern in shown],
-            "error_x": {"type": "data", "symmetric": False, **ends},
+            **{"type": "scatter", "mode": "markers", **at, "error_x": {"type": "data", "symmetric": False, **ends}},
             "marker": {"size": 9, "color": COLOURS["adversarial"]},
         }
         layout = {"xaxis": axis(f"change, {unit}", zeroline=True), "yaxis": axis("", autorange="reversed")}

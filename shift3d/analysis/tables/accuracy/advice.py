@@ -50,12 +50,13 @@ def _costs(rows: pd.DataFrame, scenes: str, presets: dict[str, Any]) -> str:
     first = f"On the {scenes} scenes ({rows['renders'].max():,} renderings, {rows['hits'].max():,} hits)"
     if not presets:
         fastest = rows.loc[rows["ms_median"].idxmin()]
-        return f"{first} no preset was measured; the fastest setting, {_timed(fastest)}."
+        took = milliseconds(fastest["ms_median"])
+        return f"{first} no preset was measured; the fastest setting, {fastest['setting']}, takes {took} a rendering."
     ordered = sorted(presets.values(), key=lambda row: float(row["ms_median"]))
     costs = [f"{row['preset']} takes {milliseconds(row['ms_median'])}" for row in ordered[:1]]
     costs += [f"{row['preset']} {milliseconds(row['ms_median'])}" for row in ordered[1:]]
     behind = [str(row["preset"]) for row in ordered if not row["pareto"] and row["preset"] != "paper"]
-    on_front = f" {_and(behind)} {_is(behind)} not on the front." if behind else ""
+    on_front = f" {_and(behind)} {'is' if len(behind) == 1 else 'are'} not on the front." if behind else ""
     return f"{first} {_and(costs)} a rendering.{on_front}"
 
 
@@ -153,7 +154,8 @@ def _knee(rows: pd.DataFrame) -> str:
     if at is None:
         return ""
     row = front.iloc[at]
-    text = f"The front has its knee at {row['setting']} ({_priced(row)})"
+    text = f"The front has its knee at {row['setting']} "
+    text += f"({milliseconds(row['ms_median'])}, error {length(row['error_m'])})"
     if at > 0:
         faster = front.iloc[at - 1]
         text += f": the next faster setting on it, {faster['setting']}, saves "
@@ -206,14 +208,6 @@ def _runs(rows: pd.DataFrame, by: npt.NDArray[np.int64], winner: int) -> list[st
     return parts
 
 
-def _timed(row: Any) -> str:
-    return f"{row['setting']}, takes {milliseconds(row['ms_median'])} a rendering"
-
-
-def _priced(row: Any) -> str:
-    return f"{milliseconds(row['ms_median'])}, error {length(row['error_m'])}"
-
-
 def _share(fraction: float) -> str:
     return share(fraction) if fraction else "none"
 
@@ -221,7 +215,3 @@ def _share(fraction: float) -> str:
 def _and(words: Iterable[str]) -> str:
     *first, last = words
     return f"{', '.join(first)} and {last}" if first else last
-
-
-def _is(words: list[str]) -> str:
-    return "is" if len(words) == 1 else "are"

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from shift3d.cli.command import Command, choice, key_values, share, whole_number, writable_folder
-from shift3d.cli.completion import overrides
+from shift3d.cli.command import Command, choice, key_values, refuse, share, whole_number, writable_folder
+from shift3d.cli.completion import key_words
 from shift3d.cli.detector_words import DETECTOR_KEYS, detector_files
+from shift3d.detectors.names import DETECTOR_NAMES, FOREIGN, ONNX, OWN
 from shift3d.errors import InputError
 
 if TYPE_CHECKING:
-    from shift3d.analysis.detector_evaluation import KittiChoice, StreetChoice
+    from shift3d.settings.schema.scenes import KittiConfig, StreetConfig
 
 _STREET_KEYS = ("sensor", "split", "traffic")
 _KEYS = (
@@ -24,6 +25,7 @@ _VALUES = {
     "split": ("test", "val", "train"),
     "traffic": ("family", "wide", "held_out"),
     "model": ("sdf",),
+    "detector": (*DETECTOR_NAMES, *FOREIGN, OWN, ONNX),
 }
 
 _DESCRIPTION = """\
@@ -53,14 +55,6 @@ examples:
   python -c "import pandas; print(pandas.read_parquet('outputs/evaluate/NAME/metrics.parquet'))\""""
 
 
-def evaluate_words(prefix: str, **_: Any) -> list[str]:
-    """Completions of a word after ``shift3d evaluate``."""
-    key, equals, _value = prefix.partition("=")
-    if not equals:
-        return [f"{name}=" for name in (*_KEYS, "model") if name.startswith(prefix)]
-    return overrides(prefix) if key == "detector" else [f"{key}={value}" for value in _VALUES.get(key, ())]
-
-
 def _run(arguments: argparse.Namespace) -> int:
     if any(word.startswith("model=") for word in arguments.words):
         from shift3d.training.command import evaluate
@@ -69,32 +63,30 @@ def _run(arguments: argparse.Namespace) -> int:
     values = key_values(arguments.words, _KEYS, ("detector",), "evaluate")
     count = whole_number(values, "count", 200, "evaluate") if "count" in values else None
     workers = whole_number(values, "workers", 1, "evaluate")
-    from shift3d.analysis.detector_evaluation import evaluate_detector
+    from shift3d.analysis.detector_evaluation import dataset_of, evaluate_detector
     from shift3d.training.detector.detect_scenes import SCORE_FLOOR
 
     score_threshold = share(values, "score_threshold", SCORE_FLOOR, "evaluate")
 
     scenes = _scenes(values, count)
     name, tail = values["detector"], f"-{count}" if count else ""
-    out = writable_folder(values.get("out", f"outputs/evaluate/{name}-{scenes.dataset}{tail}"))
+    out = writable_folder(values.get("out", f"outputs/evaluate/{name}-{dataset_of(scenes)}{tail}"))
     files = detector_files(name, values, "evaluate")
     print(evaluate_detector(name, scenes, out, *files, workers=workers, score_threshold=score_threshold))
     return 0
 
 
-def _scenes(values: dict[str, str], count: int | None) -> StreetChoice | KittiChoice:
-    from shift3d.analysis.detector_evaluation import KittiChoice, StreetChoice
+def _scenes(values: dict[str, str], count: int | None) -> StreetConfig | KittiConfig:
+    from shift3d.settings.schema.scenes import KittiConfig, StreetConfig
 
     kind = choice(values, "scenes", _VALUES["scenes"], "evaluate")
-    for key in _STREET_KEYS if kind == "kitti" else ("root",):
-        if key in values:
-            raise InputError(f"{key}= means nothing for scenes={kind}", "evaluate", f"Leave out {key}=")
+    refuse(values, _STREET_KEYS if kind == "kitti" else ("root",), f"means nothing for scenes={kind}", "evaluate")
     if kind == "street":
-        sensor, split = values.get("sensor", "mixed"), values.get("split", "test")
-        return StreetChoice(count or 200, sensor, split, traffic=values.get("traffic", "family"))
+        chosen = {key: choice(values, key, _VALUES[key], "evaluate") for key in _STREET_KEYS}
+        return StreetConfig.model_validate({"kind": kind, "seed": 0, "count": count or 200, **chosen})
     if not values.get("root"):
         raise InputError("root= is missing", "evaluate", "Give root=PATH, the folder that holds KITTI's training/")
-    return KittiChoice(values["root"], count)
+    return KittiConfig(kind="kitti", root=values["root"], count=count, names=None)
 
 
 COMMAND = Command(
@@ -105,6 +97,6 @@ COMMAND = Command(
     _run,
     words="detector=NAME [scenes=street|kitti] [count=N] [sensor= split= traffic=] [root=PATH] [weights=FILE] "
     "[module=FILE.py] [file=FILE.onnx] [config=FILE] [score_threshold=P] [workers=N] [out=DIR]; or model=sdf",
-    complete=evaluate_words,
+    complete=key_words((*_KEYS, "model"), _VALUES),
     resumes=True,
 )

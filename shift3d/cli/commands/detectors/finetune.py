@@ -15,7 +15,7 @@ from shift3d.cli.command import Command, flag, key_values, local_path, run_comma
 from shift3d.cli.commands import sweep
 from shift3d.cli.commands.detectors import evaluate, train
 from shift3d.cli.commands.follow_ups import verify
-from shift3d.cli.completion import overrides
+from shift3d.cli.completion import key_words, overrides
 from shift3d.cli.outcomes import mirror
 from shift3d.detectors.names import DETECTOR_NAMES
 from shift3d.errors import InputError
@@ -94,10 +94,6 @@ class _Step:
 
     def __str__(self) -> str:
         return " ".join(shlex.quote(word) for word in ["shift3d", self.command.name, *self.words])
-
-
-def _complete(prefix: str, **_: object) -> list[str]:
-    return [f"{key}=" for key in _KEYS if key.startswith(prefix)] + overrides(prefix)
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -254,7 +250,7 @@ COMMAND = Command(
     _EPILOG,
     _run,
     words="keys below, and overrides of the sweeps",
-    complete=_complete,
+    complete=key_words(_KEYS, more=overrides),
     options=_options,
     resumes=True,
 )

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from shift3d.cli.command import Command, key_values, whole_number, writable_folder
+from shift3d.cli.command import Command, key_values, refuse, whole_number, writable_folder
 from shift3d.cli.completion import key_words
 from shift3d.cli.mesh_words import FRAME_KEYS, FRAME_TEXT, FRAME_VALUES, mesh_frame
 from shift3d.detectors.names import DETECTOR_NAMES
@@ -90,9 +89,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return _train_on_meshes(values)
     if "method" in values and "finetune" not in values:
         raise InputError("method= says which objects of finetune=", where="train", remedy="Give finetune=OUT too")
-    for key in FRAME_KEYS:
-        if key in values:
-            raise InputError(f"{key}= says something about vehicles=", where="train", remedy="Give vehicles=PATH too")
+    refuse(values, FRAME_KEYS, "is for vehicles=", "train")
     model, options = values["model"], _options(values, _recipe_words(fields))
     with _curves(values, model, options) as report:
         began = time.monotonic()
@@ -108,10 +105,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _fine_tune(values: dict[str, str], options: TrainOptions, report: Any) -> Path:
     """Train on a sweep's objects: everything goes to out=."""
-    for key in ("scenes", "root", "count", "inserted"):
-        if key in values:
-            what = f"{key}= means nothing with finetune=, whose sweep has the scenes"
-            raise InputError(what, where="train", remedy=f"Leave out {key}=")
+    nothing = "means nothing with finetune=, whose sweep has the scenes"
+    refuse(values, ("scenes", "root", "count", "inserted"), nothing, "train")
     if values["model"] not in DETECTOR_NAMES:
         raise InputError(f"finetune= is for detectors, not model={values['model']}", "train", "Give model=pointpillars")
     from shift3d.finetuning.tune import fine_tune
@@ -154,7 +149,7 @@ def _options(values: dict[str, str], recipe: dict[str, str] | None = None) -> Tr
 
 @contextmanager
 def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Iterator[Callable[[Any], None] | None]:
-    """What reports a training to its MLflow run, and says once that MLflow is away; None where no run is wanted."""
+    """What reports a training to its MLflow run; None where no run is wanted."""
     uri = values.get("mlflow", _STORE)
     if uri == "none":
         yield None
@@ -181,19 +176,8 @@ def _curves(values: dict[str, str], model: str, options: TrainOptions) -> Iterat
     # One run a folder and command: the same command again goes on with it.
     key = f"{options.out.resolve()} {sorted(words.items())}"
     curves = TrainingCurves(uri, _EXPERIMENT, f"train-{model}", key.replace("'", ""), params)
-    warned = False
-
-    def report(points: Any) -> None:
-        nonlocal warned
-        curves(points)
-        if curves.problem and not warned:
-            warned = True
-            print(f"warning: no curves in MLflow ({uri}): {curves.problem}", file=sys.stderr)
-
-    yield report
+    yield curves
     curves.finish()
-    if curves.problem:
-        print(f"warning: the curves are not all in MLflow ({uri}): {curves.problem}", file=sys.stderr)
 
 
 def _train_on_meshes(values: dict[str, str]) -> int:
@@ -202,7 +186,9 @@ def _train_on_meshes(values: dict[str, str]) -> int:
         what = f"vehicles= is for model=sdf, not model={values['model']}"
         raise InputError(what, where="train", remedy="Give model=sdf")
     wide = values["vehicles"] == "wide"
-    _check_mesh_words(values, wide)
+    refuse(values, [key for key in _SCENE_KEYS if not (wide and key == "count")], "is for detectors", "train")
+    built = "is for mesh files; the wide family is built in metres (a folder of that name: vehicles=./wide)"
+    refuse(values, FRAME_KEYS if wide else (), built, "train")
     frame = None if wide else mesh_frame(values, "train")
     options = _options({**values, "out": values.get("out", "outputs/train-vehicles")})
     with _curves(values, "sdf", options) as report:
@@ -221,17 +207,6 @@ def _train_on_meshes(values: dict[str, str]) -> int:
         f"to their meshes: median {chamfer_cm[len(chamfer_cm) // 2]:.2f} cm, worst {chamfer_cm[-1]:.2f} cm"
     )
     return 0
-
-
-def _check_mesh_words(values: dict[str, str], wide: bool) -> None:
-    """Raises InputError for words that say nothing about training on meshes, or on those of the wide family."""
-    for key in _SCENE_KEYS:
-        if key in values and not (wide and key == "count"):
-            raise InputError(f"{key}= is for detectors", where="train", remedy=f"Leave out {key}=")
-    for key in FRAME_KEYS:
-        if wide and key in values:
-            what = f"{key}= is for mesh files; the wide family is built in metres"
-            raise InputError(what, where="train", remedy=f"Leave out {key}=, or give vehicles=./wide for a folder")
 
 
 COMMAND = Command(

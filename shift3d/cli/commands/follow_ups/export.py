@@ -9,7 +9,6 @@ from shift3d.cli.command import FINISHED, Command, flag, key_values, whole_numbe
 from shift3d.cli.completion import key_words
 from shift3d.errors import InputError
 from shift3d.methods import METHODS
-from shift3d.wording import counted
 
 if TYPE_CHECKING:
     from shift3d.store.location import Location
@@ -41,7 +40,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     out = as_location(arguments.out)
     plan = read_plan(out)
-    task = _one_task(plan.tasks, values["task"], out)
+    task = plan.tasks.one(values["task"], str(out))
     row = _solution(out, task.spec.task_id, values["method"], replicate)
     from shift3d.task.assets import load_assets
     from shift3d.task.follow_ups.export import check_no_export, export_solution
@@ -54,38 +53,25 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _one_task(tasks: Any, prefix: str, out: Location) -> Any:
-    found = tasks.starting_with(prefix)
-    if len(found) != 1:
-        what = f"{counted(len(found), 'task')} with an id that begins with {prefix!r}"
-        raise InputError(what, where=str(out), remedy="The ids are in final/scores.parquet")
-    return found[0]
-
-
 def _solution(out: Location, task_id: str, method: str, replicate: int) -> dict[str, Any]:
     """The solution's row: latent_code, the six columns of its pose, and its keys."""
     import pyarrow.compute as pc
 
     from shift3d.settings.messages import choice_error
-    from shift3d.store.tables import read_table
+    from shift3d.store.tables import read_final
 
-    path = out / "final" / "solutions.parquet"
-    if not path.is_file():
-        raise InputError("the sweep is not finished", where=str(out), remedy="Run its command again: it resumes")
-    table = read_table(path, "solutions")
+    table, where = read_final(out, "solutions"), str(out / "final" / "solutions.parquet")
     rows = table.filter(pc.equal(table["task_id"], task_id)).to_pylist()
     if not rows:
-        raise InputError(
-            f"task {task_id} has no solution", where=str(path), remedy="See status in final/scores.parquet"
-        )
+        raise InputError(f"task {task_id} has no solution", where, "See status in final/scores.parquet")
     methods = list(dict.fromkeys(row["method"] for row in rows))
     if method not in methods:
-        raise choice_error("method", method, methods, str(path))
+        raise choice_error("method", method, methods, where)
     for row in rows:
         if (row["method"], row["replicate"]) == (method, replicate):
             return dict(row)
     count = sum(row["method"] == method for row in rows)
-    raise InputError(f"{method} has no replicate {replicate}", where=str(path), remedy=f"There are {count}, from 0")
+    raise InputError(f"{method} has no replicate {replicate}", where, f"There are {count}, from 0")
 
 
 COMMAND = Command(

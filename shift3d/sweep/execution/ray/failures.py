@@ -38,7 +38,7 @@ def failure_of(ray: Any, error: Exception, node_id: str) -> Failure:
         return Failure("node_lost", f"the machine went away: {text}")
     if isinstance(error, errors.OutOfMemoryError | MemoryError) or "MemoryError" in type(error).__name__:
         return Failure("out_of_memory", f"the worker ran out of memory: {text}")
-    if not _alive(ray, node_id):
+    if not any(node["NodeID"] == node_id and node["Alive"] for node in ray.nodes()):
         return Failure("node_lost", f"the machine went away: {text}")
     if isinstance(error, errors.ActorUnavailableError):
         return Failure("unreachable", f"the worker does not answer: {text}")
@@ -67,7 +67,3 @@ def _plain(text: str) -> str:
     text = " ".join(text.split())
     start = max(text.find("The actor is dead because"), text.find("The actor died because"), 0)
     return text[start:].partition("Some common causes include")[0].strip()[:2_000]
-
-
-def _alive(ray: Any, node_id: str) -> bool:
-    return any(node["NodeID"] == node_id and node["Alive"] for node in ray.nodes())

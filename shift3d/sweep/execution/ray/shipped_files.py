@@ -49,7 +49,11 @@ def unloaded(assets: AssetsSpec, shipped: ShippedFiles) -> AssetsSpec:
     Raises: InputError where nothing can be written.
     """
     travelled = {files: shipped[files] for files in named_files(assets) if files in shipped}
-    missing = {files: contents for files, contents in travelled.items() if not _is_here(files, contents)}
+    missing = {
+        files: contents
+        for files, contents in travelled.items()
+        if not all(_holds(_path(files, name), content) for name, content in contents.items())
+    }
     return with_files_in(assets, {files: _written(contents) for files, contents in missing.items()})
 
 
@@ -62,10 +66,6 @@ def _read(path: Path) -> NDArray[np.uint8]:
         return np.fromfile(path, np.uint8)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy="Check the path") from error
-
-
-def _is_here(files: NamedFiles, contents: Mapping[str, NDArray[np.uint8]]) -> bool:
-    return all(_holds(_path(files, name), content) for name, content in contents.items())
 
 
 def _holds(path: Path, content: NDArray[np.uint8]) -> bool:
