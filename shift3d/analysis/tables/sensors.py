@@ -42,20 +42,23 @@ def _vehicle_mean(rows: pd.DataFrame) -> float:
 MISSED_BELOW = 0.1
 """A vehicle with a lower score is missed. Source: the score that the public Waymo config shows boxes from."""
 _BEAMS = r"-beams_([a-z0-9_]+)"
-_GROUP = ["mode", "method", "detector", "scored_by", "search"]
+_GROUP = ["mode", "method", "detector", "scored_by", "search", "settings"]
 _PAIR = ["street", "vehicle", "lambda", "alpha", "accuracy", "effects", "replicate", *PLACE]
 _METHODS = ("baseline", "adversarial")
 
 
 def paired_scores(scores: pd.DataFrame) -> dict[tuple[str, ...], tuple[pd.DataFrame, pd.DataFrame]]:
-    """Scores and points of objects by sensor: (mode, method, detector, scored_by, search) to two tables.
+    """Scores and points of objects by sensor: (mode, method, detector, scored_by, search, settings) to two tables.
 
-    scores: of ``final/``. A line of a table is one object of one street, a column a sensor's beams, in the order in
-    which they were planned. Baselines are one object; an adversarial one was searched under its own beams.
+    scores: of ``final/``. settings: accuracy and effects in words, where they differ. A line of a table is one object
+    of one street, a column a sensor's beams, in the order in which they were planned. Baselines are one object; an
+    adversarial one was searched under its own beams.
     """
     rows = scores[scores["method"].isin(_METHODS)]
+    settings = differing_settings(rows, ("accuracy", "effects"))
     effects = rows["effects"].map(lambda names: "+".join(names))
-    rows = with_places(rows).assign(beams=rows["scene"].str.extract(_BEAMS, expand=False), effects=effects)
+    rows = with_places(rows).assign(settings=settings, effects=effects)
+    rows = rows.assign(beams=rows["scene"].str.extract(_BEAMS, expand=False))
     # Searches of several lambdas or alphas have one baseline.
     rows = rows.assign(**{name: rows[name].mask(rows["method"] == "baseline", -1.0) for name in ("lambda", "alpha")})
     rows = rows[rows["beams"].notna() & rows["score"].notna()]
@@ -79,7 +82,8 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
     Differences are object by object, intervals redraw whole streets. None where a sweep has one sensor's beams alone.
     """
     lines = []
-    for (mode, method, detector, scored_by, search), (score, points) in paired_scores(scores).items():
+    for (mode, method, detector, scored_by, search, settings), (score, points) in paired_scores(scores).items():
+        label = ", ".join(word for word in (method, mode, search, detector, settings) if word)
         first = score.columns[0]
         for beams in score.columns:
             both = score[[first, beams]].dropna() if beams != first else score[[first]].dropna()
@@ -91,7 +95,7 @@ def sensor_table(scores: pd.DataFrame) -> Table | None:
             difference = "-" if beams == first else interval_text(mean_interval(apart, streets), 3)
             lines.append(
                 [
-                    f"{method}, {mode}, {search}, {detector}",
+                    label,
                     scored_by,
                     str(beams),
                     str(len(both)),

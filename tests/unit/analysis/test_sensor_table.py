@@ -74,12 +74,29 @@ def test_lambdas_share_a_baseline_and_a_task_that_is_missing_moves_no_partner() 
     one = scores()
     ten = one.assign(**{"lambda": one["lambda"] * 10.0, "task_id": "ten-" + one["task_id"]})
     found = paired_scores(pd.concat([one, ten]))
-    assert len(found["shape", "baseline", "p", "p", "descent"][0]) == 6
-    assert len(found["shape", "adversarial", "p", "p", "descent"][0]) == 12
+    assert len(found["shape", "baseline", "p", "p", "descent", ""][0]) == 6
+    assert len(found["shape", "adversarial", "p", "p", "descent", ""][0]) == 12
     fog = one.assign(effects=one["effects"].map(lambda _: ["fog"]), score=0.9, task_id="fog-" + one["task_id"])
     lost = pd.concat([one[~one["task_id"].str.startswith("hdl32-0-")], fog])
-    for score, _ in paired_scores(lost).values():
-        assert set((score["waymo_top"] - score["hdl32"]).dropna().round(9)) == {0.25, 0.0}
+    for (*_, settings), (score, _) in paired_scores(lost).items():
+        fell = set((score["waymo_top"] - score["hdl32"]).dropna().round(9))
+        assert fell == {"no effects": {0.25}, "fog": {0.0}}[settings]
+
+
+def test_effects_have_lines_of_their_own() -> None:
+    dry = scores()
+    fog = dry.assign(
+        effects=dry["effects"].map(lambda _: ["fog"]), score=dry["score"] - 0.1, task_id="f" + dry["task_id"]
+    )
+    table = sensor_table(pd.concat([dry, fog]))
+    assert table is not None
+    found = {(line[0], line[2]): line[5] for line in table.lines if str(line[0]).startswith("baseline, pose")}
+    assert found == {
+        ("baseline, pose, descent, p, no effects", "waymo_top"): "0.625",
+        ("baseline, pose, descent, p, no effects", "hdl32"): "0.350",
+        ("baseline, pose, descent, p, fog", "waymo_top"): "0.525",
+        ("baseline, pose, descent, p, fog", "hdl32"): "0.250",
+    }
 
 
 def test_one_sensor_makes_no_table() -> None:
