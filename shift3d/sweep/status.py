@@ -49,6 +49,11 @@ class StatusWriter:
         self._peak_mb = 0.0
         self._entries = len(log.entries)
         self._committed_unix_s: float | None = None
+        self._left_out: Sequence[str] = ()
+
+    def left_out(self, lines: Sequence[str]) -> None:
+        """Machines that can run no task, a line each."""
+        self._left_out = lines
 
     def finished(self, tasks: int, peak_mb: float) -> None:
         """Tasks that came to an end, one way or the other. peak_mb: memory of the worker that had them."""
@@ -78,6 +83,7 @@ class StatusWriter:
             "committed_unix_s": self._committed_unix_s,
             "running": [{"what": r.label, "seconds": r.seconds, "worker": r.worker} for r in running[:_SHOWN]],
             "running_calls": len(running),
+            "left_out": list(self._left_out[:_SHOWN]),
         }
         try:
             (self._log.folder / _FILE).write_atomic(json.dumps(values, indent=1).encode() + b"\n")
@@ -139,10 +145,11 @@ def _read_progress(folder: Location) -> dict[str, Any] | None:
         numbers = [progress[name] for name in ("written_unix_s", "per_s", "workers", "pid", "running_calls")]
         texts = [progress[name] for name in ("driver", "host", "state")]
         calls = [(str(call["what"]), float(call["seconds"])) for call in progress["running"]]
+        left_out = [str(line) for line in progress.get("left_out", ())]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     sound = all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)
-    return {**progress, "running": calls} if sound else None
+    return {**progress, "running": calls, "left_out": left_out} if sound else None
 
 
 def status_lines(status: SweepStatus) -> str:
@@ -169,6 +176,7 @@ def status_lines(status: SweepStatus) -> str:
         lines += [f"  runs now: {what}, for {_ago(seconds + since)}" for what, seconds in progress["running"]]
         if (more := progress["running_calls"] - len(progress["running"])) > 0:
             lines.append(f"  and {counted(more, 'call')} more")
+    lines += progress["left_out"]
     return "\n".join(lines)
 
 

@@ -32,7 +32,7 @@ def test_the_scarcer_of_the_two_decides_on_each_machine() -> None:
 
 def pool(nodes: list[dict[str, Any]], *overrides: str) -> WorkerPool:
     """For 100 tasks that are known to need 300 MB, on a Ray of these machines where no start ends."""
-    actor = SimpleNamespace(ready=SimpleNamespace(remote=object))
+    actor = SimpleNamespace(ready=SimpleNamespace(remote=object), _actor_id=b"")
     runner = config(*overrides)
     ray = SimpleNamespace(nodes=lambda: nodes)
     return WorkerPool(ray, lambda: actor, runner, runner.worker_memory_mb or 300, 100)
@@ -93,7 +93,8 @@ def test_starts_fail_by_a_defect_or_because_their_machine_went_away(text: str, f
         raise exceptions.ActorDiedError(ActorDiedErrorContext(error_message=text, actor_id=b"0" * 16))
 
     found = pool([node(4, 16)], "runner.workers=3", "runner.address=auto")
-    found._ray = SimpleNamespace(get=get, exceptions=exceptions, nodes=lambda: [node(4, 16)])
+    state = SimpleNamespace(state=SimpleNamespace(actors=lambda _: {}))
+    found._ray = SimpleNamespace(get=get, exceptions=exceptions, nodes=lambda: [node(4, 16)], _private=state)
     found.grow(100)
     ends = [found.started(reference) for reference in found.starting]
     assert len(ends) == 3 and ends[:2] == [None, None]

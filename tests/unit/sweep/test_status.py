@@ -115,3 +115,10 @@ def test_it_is_polled_and_imports_nothing_heavy(folder: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "2 of 2 tasks done" in done.stdout and done.stderr.strip() == "", done.stderr
     assert time.monotonic() - began < 5.0, "well under a second on a machine that does nothing else"
+
+
+def test_machines_that_are_left_out_are_named(folder: Path) -> None:
+    writer = StatusWriter(CommitLog(folder, HASH), 2)
+    writer.left_out(["host-a is left out: /data: no such folder. Mount it"])
+    writer.write([], 1, "finished")
+    assert message(folder).splitlines()[-1] == "host-a is left out: /data: no such folder. Mount it"

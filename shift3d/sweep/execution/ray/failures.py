@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Kind = Literal["crashed", "out_of_memory", "timeout", "node_lost", "unreachable"]
+Kind = Literal["crashed", "out_of_memory", "timeout", "node_lost", "unreachable", "not_loaded"]
 
 _NODE_TEXTS = ("node has died", "node was terminated", "node it ran on", "node died")
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
@@ -59,6 +59,14 @@ def names_lost_machine(ray: Any, error: Exception) -> bool:
         return True
     text = _plain(str(error))
     return any(of_node in text for of_node in _NODE_TEXTS)
+
+
+def machine_of(ray: Any, actor: Any) -> tuple[str, str]:
+    """Ray's id of the machine that an actor was put on, and its name; ("", "") where it was put on none."""
+    address = ray._private.state.actors(actor._actor_id.hex()).get("Address", {})
+    named = {node.get("NodeID"): node.get("NodeManagerHostname") for node in ray.nodes()}
+    node_id = str(address.get("NodeID", ""))
+    return (node_id, named[node_id]) if node_id in named else ("", "")
 
 
 def _plain(text: str) -> str:

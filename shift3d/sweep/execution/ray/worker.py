@@ -5,15 +5,33 @@ from __future__ import annotations
 import dataclasses
 import os
 import socket
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+from shift3d.errors import InputError
 from shift3d.sweep.execution.ray.logbook import Logbook
 from shift3d.sweep.execution.ray.shipped_files import ShippedFiles, unloaded
 from shift3d.sweep.execution.worker import BatchOutcome, Worker
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.tasks import PlannedTask
 from shift3d.task.exchange import AssetsSpec
+
+
+def _load(load: Callable[[AssetsSpec], Any], spec: AssetsSpec, shipped: ShippedFiles) -> Any:
+    """What tasks need, loaded from this machine's files.
+
+    Raises: InputError: whatever it is that fails: a library that is damaged here is this machine's defect, no task's.
+    """
+    try:
+        return load(unloaded(spec, shipped))
+    except InputError:
+        raise
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        what = f"cannot load what tasks need: {type(error).__name__}: {error}"
+        raise InputError(what, f"{last.filename}:{last.lineno}", "Repair shift3d or the file there") from error
 
 
 @dataclass(frozen=True)
@@ -44,7 +62,7 @@ class RayWorker:
         self._tasks = tasks
         # With the first task, whose outcome can say in one line why nothing could be loaded.
         load = kind.load
-        kind = dataclasses.replace(kind, load=lambda spec: load(unloaded(spec, shipped)))
+        kind = dataclasses.replace(kind, load=lambda spec: _load(load, spec, shipped))
         self._logbook = Logbook()
         self._worker = Worker(kind, sweep, assets, command, self._logbook.note)
 
