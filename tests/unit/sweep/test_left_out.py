@@ -18,6 +18,7 @@ from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray import runner as runner_module
 from shift3d.sweep.execution.ray import worker as worker_module
 from shift3d.sweep.execution.ray.runner import RayRunner
+from shift3d.sweep.execution.ray.versions import difference, installed
 from shift3d.sweep.execution.ray.worker import Ready
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.sweep.planning.kind import shift3d_kind
@@ -38,6 +39,7 @@ class Ray:
         self._mounted = mounted
         self._starting = machines if starting is None else starting
         self._actors: dict[str, Any] = {}
+        self.other: dict[str, dict[str, str]] = {}
         self._results: dict[Any, Any] = {}
         self.ran: list[tuple[str, int]] = []
         state = SimpleNamespace(actors=lambda actor: {"Address": {"NodeID": actor}})
@@ -78,7 +80,7 @@ class Ray:
 
     def _ready(self, machine: str) -> Any:
         if machine in self._starting:
-            return Ready(machine, f"host-{machine}:1", 1, "")
+            return Ready(machine, f"host-{machine}:1", 1, "", {**installed(), **self.other.get(machine, {})})
         return exceptions.ActorDiedError(ActorDiedErrorContext(error_message=DIED, actor_id=b"0" * 16))
 
     def _run(self, machine: str, positions: list[int]) -> BatchOutcome:
@@ -152,3 +154,23 @@ def test_whatever_fails_while_assets_are_loaded_is_the_machines_defect() -> None
 
     with pytest.raises(InputError, match=r"test_left_out.py:\d+: .* ImportError: libtorch.so: file too short"):
         worker_module._load(load, AssetsSpec({"kind": "street"}), {})
+
+
+def test_a_machine_with_other_versions_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = Ray("ab", mounted="ab")
+    ray.other["a"] = {"torch": "1.0"}
+    found, runner = outcomes(ray, monkeypatch)
+    assert {machine for machine, _ in ray.ran} == {"b"} and not any(outcome.fatal for outcome in found)
+    assert runner.left_out[0].startswith(
+        f"host-a is left out: has torch 1.0, not {installed()['torch']} as the driver."
+    )
+    ray = Ray("a", mounted="a")
+    ray.other["a"] = {"torch": "1.0"}
+    found, _ = outcomes(ray, monkeypatch)
+    assert str(found[-1].fatal).startswith("host-a: has torch 1.0, not ") and not ray.ran
+
+
+def test_another_build_is_another_version_and_a_source_tree_is_compared_with_none() -> None:
+    here = {"shift3d": "1", "code": "abcd"}
+    assert difference(here, here) is None and difference({**here, "code": ""}, here) is None
+    assert "another build of shift3d: 1234, not abcd" in str(difference({**here, "code": "1234"}, here))

@@ -6,13 +6,14 @@ import dataclasses
 import os
 import socket
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from shift3d.errors import InputError
 from shift3d.sweep.execution.ray.logbook import Logbook
 from shift3d.sweep.execution.ray.shipped_files import ShippedFiles, unloaded
+from shift3d.sweep.execution.ray.versions import installed
 from shift3d.sweep.execution.worker import BatchOutcome, Worker
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.tasks import PlannedTask
@@ -36,12 +37,16 @@ def _load(load: Callable[[AssetsSpec], Any], spec: AssetsSpec, shipped: ShippedF
 
 @dataclass(frozen=True)
 class Ready:
-    """Where a worker runs. node_id: Ray's. process: host and process id. logbook: of its process `pid`."""
+    """Where a worker runs. node_id: Ray's. process: host and process id. logbook: of its process `pid`.
+
+    versions: of what its machine has installed; None: the driver's.
+    """
 
     node_id: str
     process: str
     pid: int
     logbook: str
+    versions: Mapping[str, str] | None = None
 
 
 class RayWorker:
@@ -71,7 +76,8 @@ class RayWorker:
         import ray
 
         pid = os.getpid()
-        return Ready(ray.get_runtime_context().get_node_id(), f"{socket.gethostname()}:{pid}", pid, self._logbook.path)
+        node_id = ray.get_runtime_context().get_node_id()
+        return Ready(node_id, f"{socket.gethostname()}:{pid}", pid, self._logbook.path, installed())
 
     def run(self, positions: Sequence[int], first_attempt: int) -> BatchOutcome:
         """See `Worker.run_batch`."""

@@ -13,6 +13,7 @@ from shift3d.progress_bar import write_line
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray.failures import machine_of, names_lost_machine
 from shift3d.sweep.execution.ray.left_out import FAILED_STARTS, LeftOut
+from shift3d.sweep.execution.ray.versions import difference, installed
 from shift3d.sweep.execution.ray.worker import Ready
 
 # How often the cluster is asked for its size: machines join and leave within minutes.
@@ -144,15 +145,22 @@ class WorkerPool:
         """
         worker = self._starting.pop(reference)
         try:
-            worker.where = self._ray.get(reference)
+            where: Ready = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             if names_lost_machine(self._ray, error):
                 return None
             self._failed += 1
             return self._failed_start(worker, _reason(str(error)))
+        worker.where = where
         if worker.node_id in self.left_out:  # it was on its way there already
             self._ray.kill(worker.actor)
             return None
+        here = installed()
+        if other := difference(where.versions or here, here):
+            self.left_out.add(worker.node_id, worker.host, other)
+            self._ray.kill(worker.actor)
+            nobody = not self._workers and not self.left_out.any_other()
+            return InputError(other.what, worker.host, other.remedy) if nobody else None
         self._failed = 0
         self.left_out.started(worker.node_id)
         self._workers.append(worker)
