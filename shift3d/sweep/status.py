@@ -32,6 +32,8 @@ _FILE = "status.json"
 _EVERY_S = 3.0
 # A driver writes more often than this, a long commit included.
 _SILENT_S = 60.0
+# Clocks of machines that ask for the time agree better than this.
+_CLOCKS_DIFFER_S = 5.0
 _SHOWN = 8
 
 State = Literal["starting", "running", "finished", "interrupted", "stopped"]
@@ -135,8 +137,31 @@ def read_status(folder: LocationLike) -> SweepStatus:
         commits,
         compacted,
         driver,
-        _read_progress(folder),
+        _by_this_clock(folder, _read_progress(folder)),
     )
+
+
+def _by_this_clock(folder: Location, progress: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What a driver wrote, its times as this machine's clock has them.
+
+    One elsewhere that seems silent, or to write in the future, may have a clock that is hours off: whether it writes
+    again tells. That takes some seconds.
+    """
+    if progress is None or progress["state"] not in ("starting", "running") or _is_here(progress):
+        return progress
+    if -_CLOCKS_DIFFER_S <= time.time() - progress["written_unix_s"] <= _SILENT_S:
+        return progress
+    time.sleep(2 * _EVERY_S)
+    again = _read_progress(folder)
+    if again is None or again["written_unix_s"] == progress["written_unix_s"]:
+        return again
+    off = time.time() - again["written_unix_s"]
+    committed = again.get("committed_unix_s")
+    return {**again, "written_unix_s": time.time(), "committed_unix_s": committed and committed + off}
+
+
+def _is_here(progress: dict[str, Any]) -> bool:
+    return bool(progress["host"] == socket.gethostname() and Path("/proc/self").exists())
 
 
 def _read_progress(folder: Location) -> dict[str, Any] | None:
@@ -195,7 +220,7 @@ def _alive(status: SweepStatus, progress: dict[str, Any]) -> str:
         return f"taken over by driver {status.driver}"
     if not awake:
         return str(progress["state"])
-    here = progress["host"] == socket.gethostname() and Path("/proc/self").exists()
+    here = _is_here(progress)
     # Its number may be another process's by now: after a reboot, and in a container that was started again.
     began = _began(progress["pid"]) if here else None
     if here and (began is None or progress.get("pid_began", began) != began):
