@@ -13,7 +13,7 @@ from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep, validate
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray import connection
-from shift3d.sweep.execution.ray.worker_pool import WorkerPool, room_for
+from shift3d.sweep.execution.ray.worker_pool import PooledWorker, WorkerPool, room_for
 
 
 def config(*overrides: str) -> RayRunnerConfig:
@@ -78,6 +78,14 @@ def test_a_cluster_without_room_may_grow_and_says_once_that_nothing_starts(
     assert line.startswith("no worker is ready after 30 s") and "1 CPUs and 100000 MB" in line
     found.grow(100)
     assert capsys.readouterr().err == ""
+    found._workers.append(PooledWorker(object()))
+    found.grow(100)
+    found._workers.clear()
+    found.grow(100)
+    assert capsys.readouterr().err == ""
+    later += 31
+    found.grow(100)
+    assert "no worker is ready after 30 s" in capsys.readouterr().err, "the last one was lost"
 
 
 NODE_DIED = "The actor died because its node has died. Node Id: 0a1b."

@@ -10,6 +10,7 @@ Kind = Literal["crashed", "out_of_memory", "timeout", "node_lost", "unreachable"
 
 _NODE_TEXTS = ("node has died", "node was terminated", "node it ran on", "node died")
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+_NO_MEMORY = "the worker ran out of memory (raise runner.worker_memory_mb or lower runner.workers)"
 _MEMORY_TEXTS = ("out of memory", "out-of-memory", "running low on memory", "OOM")
 
 
@@ -37,13 +38,13 @@ def failure_of(ray: Any, error: Exception, node_id: str) -> Failure:
     if names_lost_machine(ray, error):
         return Failure("node_lost", f"the machine went away: {text}")
     if isinstance(error, errors.OutOfMemoryError | MemoryError) or "MemoryError" in type(error).__name__:
-        return Failure("out_of_memory", f"the worker ran out of memory: {text}")
+        return Failure("out_of_memory", f"{_NO_MEMORY}: {text}")
     if not _alive(ray, node_id):
         return Failure("node_lost", f"the machine went away: {text}")
     if isinstance(error, errors.ActorUnavailableError):
         return Failure("unreachable", f"the worker does not answer: {text}")
     if any(t in text for t in _MEMORY_TEXTS):
-        return Failure("out_of_memory", f"the worker ran out of memory: {text}")
+        return Failure("out_of_memory", f"{_NO_MEMORY}: {text}")
     if isinstance(error, errors.RayTaskError):
         cause = error.cause
         raised = f"{type(cause).__name__}: {cause}"[:2_000]

@@ -89,7 +89,7 @@ class WorkerPool:
         self._failed = 0
         self._looked = 0.0
         self.left_out = LeftOut(ray, config.cpus_per_worker)
-        self._report_at = time.monotonic() + _PATIENCE_S if config.address else float("inf")
+        self._report_at = time.monotonic() + _PATIENCE_S
         self.wanted = self._room()
         if self.wanted < 1:
             settings = "runner.cpus_per_worker" + (" or runner.worker_memory_mb" if config.worker_memory_mb else "")
@@ -109,14 +109,15 @@ class WorkerPool:
         return f"{self._config.cpus_per_worker:g} CPUs{memory}"
 
     def _report_waiting(self, now: float) -> None:
-        """Print one line where no worker is ready after a while: a cluster without room looks like one that is slow."""
+        """Print one line where no worker is ready after a while, at first or after the last one was lost: a cluster
+        without room looks like one that is slow."""
         if self._workers:
-            self._report_at = float("inf")
-        elif self._starting and now >= self._report_at:
+            self._report_at = now + _PATIENCE_S
+        elif self._config.address and self._starting and now >= self._report_at:
             self._report_at = float("inf")
             write_line(
                 f"no worker is ready after {_PATIENCE_S:.0f} s: the cluster has no room for one of {self._demand()} "
-                "(runner.cpus_per_worker, runner.worker_memory_mb), or its machines are starting"
+                "(runner.cpus_per_worker, runner.worker_memory_mb), or its machines are starting, lost or left out"
             )
 
     @property
