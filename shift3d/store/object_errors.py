@@ -64,6 +64,16 @@ def explained(error: Exception, url: str) -> InputError:
     return InputError(f"the store refuses ({first})", url, _CHECK[scheme])
 
 
+def check_endpoint(name: str, value: str) -> None:
+    """Refuse an address without scheme or host: obstore's own code would stop there with a trace of its own.
+
+    name: of the variable.
+    """
+    if not re.fullmatch(r"https?://([^/@\s]+@)?(\[[\da-fA-F:.]+\]|[^/:@\s?#\[\]]+)(:\d{1,5})?(/[^\s?#]*)?", value):
+        remedy = f"Give {name} as https://HOST, or as http://HOST:PORT with AWS_ALLOW_HTTP=true"
+        raise InputError(f"{value!r} is no address of a store", name, remedy)
+
+
 def _request(text: str) -> str:
     host = re.search(r"https?://[^/\s]+", text)
     tries = re.search(r"after (\d+) retries", text)

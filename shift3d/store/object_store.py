@@ -27,12 +27,13 @@ from obstore.store import GCSStore, S3Store
 
 from shift3d.errors import InputError
 from shift3d.store.location import Location, UncertainError
-from shift3d.store.object_errors import explained
+from shift3d.store.object_errors import check_endpoint, explained
 
 if TYPE_CHECKING:
     from obstore.store import RetryConfig
 
 SCHEMES = ("s3", "gs")
+_ENDPOINTS = ("AWS_ENDPOINT", "AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "GOOGLE_BASE_URL")
 _THREADS = 16
 _IN_ONE_PIECE = 32 * 2**20
 _FETCHED_BYTES = 2**20  # least that a read of part of an object fetches
@@ -78,6 +79,9 @@ def _store(scheme: str, bucket: str) -> Any:
 @functools.lru_cache(maxsize=8)
 def _client(scheme: str, bucket: str, process: int, settings: tuple[tuple[str, str], ...]) -> Any:
     prefix, kind = ("AWS_", S3Store) if scheme == "s3" else ("GOOGLE_", GCSStore)
+    for name, value in settings:
+        if name in _ENDPOINTS:
+            check_endpoint(name, value)
     named = {name for name, _ in settings}
     patience: Any = {name: value for name, value in _PATIENCE.items() if f"{prefix}{name.upper()}" not in named}
     with _clear_errors(f"{scheme}://{bucket}"):

@@ -182,6 +182,7 @@ def _run(
                 came += ended
                 progress.update(len(outcome.done), len(outcome.quarantined), running, runner.workers)
                 status.finished(ended, outcome.peak_mb)
+                status.left_out(runner.left_out)
                 status.write(running, runner.workers)
                 if error := outcome.fatal or rule.seen(outcome):
                     raise error

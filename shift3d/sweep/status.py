@@ -32,6 +32,8 @@ _FILE = "status.json"
 _EVERY_S = 3.0
 # A driver writes more often than this, a long commit included.
 _SILENT_S = 60.0
+# Clocks of machines that ask for the time agree better than this.
+_CLOCKS_DIFFER_S = 5.0
 _SHOWN = 8
 
 State = Literal["starting", "running", "finished", "interrupted", "stopped"]
@@ -49,6 +51,11 @@ class StatusWriter:
         self._peak_mb = 0.0
         self._entries = len(log.entries)
         self._committed_unix_s: float | None = None
+        self._left_out: Sequence[str] = ()
+
+    def left_out(self, lines: Sequence[str]) -> None:
+        """Machines that can run no task, a line each."""
+        self._left_out = lines
 
     def finished(self, tasks: int, peak_mb: float) -> None:
         """Tasks that came to an end, one way or the other. peak_mb: memory of the worker that had them."""
@@ -78,6 +85,7 @@ class StatusWriter:
             "committed_unix_s": self._committed_unix_s,
             "running": [{"what": r.label, "seconds": r.seconds, "worker": r.worker} for r in running[:_SHOWN]],
             "running_calls": len(running),
+            "left_out": list(self._left_out[:_SHOWN]),
         }
         try:
             (self._log.folder / _FILE).write_atomic(json.dumps(values, indent=1).encode() + b"\n")
@@ -129,8 +137,31 @@ def read_status(folder: LocationLike) -> SweepStatus:
         commits,
         compacted,
         driver,
-        _read_progress(folder),
+        _by_this_clock(folder, _read_progress(folder)),
     )
+
+
+def _by_this_clock(folder: Location, progress: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What a driver wrote, its times as this machine's clock has them.
+
+    One elsewhere that seems silent, or to write in the future, may have a clock that is hours off: whether it writes
+    again tells. That takes some seconds.
+    """
+    if progress is None or progress["state"] not in ("starting", "running") or _is_here(progress):
+        return progress
+    if -_CLOCKS_DIFFER_S <= time.time() - progress["written_unix_s"] <= _SILENT_S:
+        return progress
+    time.sleep(2 * _EVERY_S)
+    again = _read_progress(folder)
+    if again is None or again["written_unix_s"] == progress["written_unix_s"]:
+        return again
+    off = time.time() - again["written_unix_s"]
+    committed = again.get("committed_unix_s")
+    return {**again, "written_unix_s": time.time(), "committed_unix_s": committed and committed + off}
+
+
+def _is_here(progress: dict[str, Any]) -> bool:
+    return bool(progress["host"] == socket.gethostname() and Path("/proc/self").exists())
 
 
 def _read_progress(folder: Location) -> dict[str, Any] | None:
@@ -139,10 +170,11 @@ def _read_progress(folder: Location) -> dict[str, Any] | None:
         numbers = [progress[name] for name in ("written_unix_s", "per_s", "workers", "pid", "running_calls")]
         texts = [progress[name] for name in ("driver", "host", "state")]
         calls = [(str(call["what"]), float(call["seconds"])) for call in progress["running"]]
+        left_out = [str(line) for line in progress.get("left_out", ())]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     sound = all(isinstance(n, int | float) for n in numbers) and all(isinstance(text, str) for text in texts)
-    return {**progress, "running": calls} if sound else None
+    return {**progress, "running": calls, "left_out": left_out} if sound else None
 
 
 def status_lines(status: SweepStatus) -> str:
@@ -169,6 +201,7 @@ def status_lines(status: SweepStatus) -> str:
         lines += [f"  runs now: {what}, for {duration(seconds + since)}" for what, seconds in progress["running"]]
         if (more := progress["running_calls"] - len(progress["running"])) > 0:
             lines.append(f"  and {counted(more, 'call')} more")
+    lines += progress["left_out"]
     return "\n".join(lines)
 
 
@@ -187,7 +220,7 @@ def _alive(status: SweepStatus, progress: dict[str, Any]) -> str:
         return f"taken over by driver {status.driver}"
     if not awake:
         return str(progress["state"])
-    here = progress["host"] == socket.gethostname() and Path("/proc/self").exists()
+    here = _is_here(progress)
     # Its number may be another process's by now: after a reboot, and in a container that was started again.
     began = _began(progress["pid"]) if here else None
     if here and (began is None or progress.get("pid_began", began) != began):

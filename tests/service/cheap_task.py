@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from shift3d.errors import InputError
 from shift3d.scenes.facts import SceneFacts
 from shift3d.seeding import derive_seed, generator
 from shift3d.settings.catalogue.reading import Catalogue
@@ -27,7 +28,12 @@ POSE = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 
 
 def load(spec: AssetsSpec) -> dict[str, float]:
-    """What scales the scores, from the decoder's file where the settings name a folder of vehicles."""
+    """What scales the scores, from the decoder's file where the settings name a folder of vehicles.
+
+    SHIFT3D_TEST_DATA: a folder that has to be there.
+    """
+    if (data := os.environ.get("SHIFT3D_TEST_DATA")) and not Path(data).is_dir():
+        raise InputError("no such folder", where=data, remedy="Mount it")
     if folder := spec.vehicles["folder"]:
         return {"weight": float((Path(folder) / "sdf.safetensors").read_text())}
     return {"weight": 0.5}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import time
@@ -80,6 +81,41 @@ def test_a_node_that_goes_and_one_that_comes_change_nothing(
     assert set(attempts["outcome"]) <= {"done", "node_lost", "unreachable"}, "a task was charged for its node's end"
     (came,) = there - before
     assert f"{socket.gethostname()}:{came}" in set(attempts.loc[attempts["outcome"] == "done", "worker"])
+
+
+def test_a_node_that_cannot_load_is_left_out_and_named(
+    cluster: Cluster,
+    machines: Path,
+    drivers: Drivers,
+    undisturbed: dict[str, bytes],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for mark in machines.glob("gate*"):
+        mark.unlink()
+    monkeypatch.setenv("SHIFT3D_TEST_DATA", "/nowhere/data")
+    lame = cluster.add_node(**node())
+    try:
+        driver = drivers.start("out", "runner.commit_seconds=0", f"runner.address={cluster.address}")
+        # The others wait at a task until it has failed.
+        status = drivers.folder / "out" / "status.json"
+        deadline = time.monotonic() + 90
+        while not (status.exists() and json.loads(status.read_text()).get("left_out")):
+            assert driver.poll() is None, driver.communicate()[1]
+            assert time.monotonic() < deadline, "no machine is left out"
+            time.sleep(0.1)
+        line = f"{socket.gethostname()} is left out: /nowhere/data: no such folder. Mount it"
+        shown = drivers.run_here(["sweep", "status", str(drivers.folder / "out")])[1]
+        assert line in shown
+        (machines / "gate").touch()
+        output, errors = driver.communicate(timeout=120)
+    finally:
+        cluster.remove_node(lame, allow_graceful=False)
+    assert driver.returncode == 0, errors
+    assert errors.count(line) == 1, errors
+    assert line in output, "the report does not name it"
+    assert drivers.final("out") == undisturbed
+    attempts = pd.read_parquet(drivers.folder / "out" / "final" / "attempts.parquet")
+    assert set(attempts["outcome"]) == {"done", "not_loaded"} and not attempts["quarantined"].any()
 
 
 def test_files_that_only_the_driver_has_travel_to_the_workers(

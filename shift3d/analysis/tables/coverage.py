@@ -118,6 +118,10 @@ def coverage_lines(scores: pd.DataFrame, attempts: pd.DataFrame, planned: int, s
         lines += [f"    {row.task_id}  {row.error}"[:160] for row in quarantined.head(shown).itertuples()]
         if len(quarantined) > shown:
             lines.append(f"    and {len(quarantined) - shown} more")
+    left_out = attempts.loc[attempts["outcome"] == "not_loaded", "error"].drop_duplicates()
+    lines += [f"  {error}" for error in left_out.head(shown)]
+    if len(left_out) > shown:
+        lines.append(f"  and {len(left_out) - shown} more machines")
     return lines
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +21,11 @@ class Runner(Protocol):
     @property
     def workers(self) -> int:
         """How many there are to be, now."""
+        ...
+
+    @property
+    def left_out(self) -> Sequence[str]:
+        """A line of each machine that can run no task."""
         ...
 
     def run(self, positions: np.ndarray, stop: threading.Event) -> Iterator[BatchOutcome]:
@@ -45,6 +50,7 @@ class LocalRunner:
     """This process, one task after the other. A task that hangs is not ended: nobody else is here to do it."""
 
     workers = 1
+    left_out: Sequence[str] = ()
 
     def __init__(self, kind: TaskKind, plan: Plan, batch_seconds: float, tried: dict[int, int]) -> None:
         self._plan = plan

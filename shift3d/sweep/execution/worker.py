@@ -78,8 +78,8 @@ def attempt_row(task_id: str, attempt: int, outcome: str, started_unix_s: float,
     """One row of ``attempts``, of this process.
 
     outcome: done; failed or out_of_memory (the task's exception); crashed, out_of_memory or timeout (its worker's end);
-    bystander (the end of a worker that had other tasks, too); node_lost or unreachable (its machine's). seconds: by a
-    clock that never jumps.
+    bystander (the end of a worker that had other tasks, too); node_lost or unreachable (its machine's);
+    not_loaded (its machine cannot load what tasks need). seconds: by a clock that never jumps.
     """
     return {
         "task_id": task_id,

@@ -192,6 +192,15 @@ def test_a_call_that_was_lost_counts_once_however_many_tasks_it_held(finished: P
     assert "2 attempts failed, in 120 s" in shown
 
 
+def test_a_machine_that_was_left_out_is_named_once(finished: Path) -> None:
+    sweep = read_sweep(finished)
+    line = "host-a is left out: /data: no such folder. Mount it"
+    unloaded = sweep.attempts.drop_duplicates("task_id").assign(outcome="not_loaded", error=line, worker="host-a:1")
+    attempts = pd.concat([unloaded, sweep.attempts])
+    shown = blocks_html(coverage(dataclasses.replace(sweep, attempts=attempts)).blocks)
+    assert shown.count(line) == 1 and "Nothing failed" not in shown
+
+
 @pytest.mark.parametrize("mode", ["shape", "pose", "shape_pose"])
 def test_a_case_says_of_its_shape_and_its_place_what_its_mode_changes(mode: str) -> None:
     def rendered(length_m: float, x_m: float) -> Rendered:

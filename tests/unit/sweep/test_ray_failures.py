@@ -25,7 +25,8 @@ def test_what_the_code_raised_comes_first_and_its_traceback_is_kept() -> None:
 
 
 def test_memory_that_runs_out_in_code_is_no_other_failure() -> None:
-    assert failure_of(RAY, task_error(RuntimeError("CUDA out of memory")), "n").kind == "out_of_memory"
+    failure = failure_of(RAY, task_error(RuntimeError("CUDA out of memory")), "n")
+    assert failure.kind == "out_of_memory" and "raise runner.worker_memory_mb" in failure.what[:80]
 
 
 def test_a_process_that_ends_died() -> None:

@@ -13,7 +13,7 @@ from shift3d.errors import InputError
 from shift3d.settings.compose import compose_sweep, validate
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray import connection
-from shift3d.sweep.execution.ray.worker_pool import WorkerPool, room_for
+from shift3d.sweep.execution.ray.worker_pool import PooledWorker, WorkerPool, room_for
 
 
 def config(*overrides: str) -> RayRunnerConfig:
@@ -32,7 +32,7 @@ def test_the_scarcer_of_the_two_decides_on_each_machine() -> None:
 
 def pool(nodes: list[dict[str, Any]], *overrides: str) -> WorkerPool:
     """For 100 tasks that are known to need 300 MB, on a Ray of these machines where no start ends."""
-    actor = SimpleNamespace(ready=SimpleNamespace(remote=object))
+    actor = SimpleNamespace(ready=SimpleNamespace(remote=object), _actor_id=b"")
     runner = config(*overrides)
     ray = SimpleNamespace(nodes=lambda: nodes)
     return WorkerPool(ray, lambda: actor, runner, runner.worker_memory_mb or 300, 100)
@@ -78,6 +78,14 @@ def test_a_cluster_without_room_may_grow_and_says_once_that_nothing_starts(
     assert line.startswith("no worker is ready after 30 s") and "1 CPUs and 100000 MB" in line
     found.grow(100)
     assert capsys.readouterr().err == ""
+    found._workers.append(PooledWorker(object()))
+    found.grow(100)
+    found._workers.clear()
+    found.grow(100)
+    assert capsys.readouterr().err == ""
+    later += 31
+    found.grow(100)
+    assert "no worker is ready after 30 s" in capsys.readouterr().err, "the last one was lost"
 
 
 NODE_DIED = "The actor died because its node has died. Node Id: 0a1b."
@@ -93,7 +101,8 @@ def test_starts_fail_by_a_defect_or_because_their_machine_went_away(text: str, f
         raise exceptions.ActorDiedError(ActorDiedErrorContext(error_message=text, actor_id=b"0" * 16))
 
     found = pool([node(4, 16)], "runner.workers=3", "runner.address=auto")
-    found._ray = SimpleNamespace(get=get, exceptions=exceptions, nodes=lambda: [node(4, 16)])
+    state = SimpleNamespace(state=SimpleNamespace(actors=lambda _: {}))
+    found._ray = SimpleNamespace(get=get, exceptions=exceptions, nodes=lambda: [node(4, 16)], _private=state)
     found.grow(100)
     ends = [found.started(reference) for reference in found.starting]
     assert len(ends) == 3 and ends[:2] == [None, None]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -115,3 +117,34 @@ def test_it_is_polled_and_imports_nothing_heavy(folder: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "2 of 2 tasks done" in done.stdout and done.stderr.strip() == "", done.stderr
     assert time.monotonic() - began < 5.0, "well under a second on a machine that does nothing else"
+
+
+def test_machines_that_are_left_out_are_named(folder: Path) -> None:
+    writer = StatusWriter(CommitLog(folder, HASH), 2)
+    writer.left_out(["host-a is left out: /data: no such folder. Mount it"])
+    writer.write([], 1, "finished")
+    assert message(folder).splitlines()[-1] == "host-a is left out: /data: no such folder. Mount it"
+
+
+@pytest.mark.parametrize("ahead_s", [-3600.0, 3600.0])
+def test_a_driver_elsewhere_whose_clock_is_an_hour_off_is_known_by_its_next_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead_s: float
+) -> None:
+    unfinished(tmp_path, "running")
+    monkeypatch.setattr(socket, "gethostname", lambda: "elsewhere")
+    monkeypatch.setattr("shift3d.sweep.status._EVERY_S", 0.2)
+    status = tmp_path / "status.json"
+    values = json.loads(status.read_text())
+
+    def write() -> None:
+        now = time.time() + ahead_s
+        status.write_text(json.dumps({**values, "written_unix_s": now, "committed_unix_s": now - 7.0}))
+
+    write()
+    later = threading.Timer(0.2, write)
+    later.start()
+    shown = message(tmp_path)
+    later.join()
+    assert ": running" in shown and "last commit 7 s ago" in shown
+    if ahead_s < 0:
+        assert "silent for 60" in message(tmp_path), "it says nothing more"

@@ -6,10 +6,11 @@ import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Kind = Literal["crashed", "out_of_memory", "timeout", "node_lost", "unreachable"]
+Kind = Literal["crashed", "out_of_memory", "timeout", "node_lost", "unreachable", "not_loaded"]
 
 _NODE_TEXTS = ("node has died", "node was terminated", "node it ran on", "node died")
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+_NO_MEMORY = "the worker ran out of memory (raise runner.worker_memory_mb or lower runner.workers)"
 _MEMORY_TEXTS = ("out of memory", "out-of-memory", "running low on memory", "OOM")
 
 
@@ -37,13 +38,13 @@ def failure_of(ray: Any, error: Exception, node_id: str) -> Failure:
     if names_lost_machine(ray, error):
         return Failure("node_lost", f"the machine went away: {text}")
     if isinstance(error, errors.OutOfMemoryError | MemoryError) or "MemoryError" in type(error).__name__:
-        return Failure("out_of_memory", f"the worker ran out of memory: {text}")
+        return Failure("out_of_memory", f"{_NO_MEMORY}: {text}")
     if not any(node["NodeID"] == node_id and node["Alive"] for node in ray.nodes()):
         return Failure("node_lost", f"the machine went away: {text}")
     if isinstance(error, errors.ActorUnavailableError):
         return Failure("unreachable", f"the worker does not answer: {text}")
     if any(t in text for t in _MEMORY_TEXTS):
-        return Failure("out_of_memory", f"the worker ran out of memory: {text}")
+        return Failure("out_of_memory", f"{_NO_MEMORY}: {text}")
     if isinstance(error, errors.RayTaskError):
         cause = error.cause
         raised = f"{type(cause).__name__}: {cause}"[:2_000]
@@ -59,6 +60,17 @@ def names_lost_machine(ray: Any, error: Exception) -> bool:
         return True
     text = _plain(str(error))
     return any(of_node in text for of_node in _NODE_TEXTS)
+
+
+def machine_of(ray: Any, actor: Any) -> tuple[str, str]:
+    """Ray's id of the machine that an actor was put on, and its name; ("", "") where it was put on none."""
+    try:
+        address = ray._private.state.actors(actor._actor_id.hex()).get("Address", {})
+    except Exception:  # nothing public says it, and Ray's Client (ray://) does not say it at all
+        return "", ""
+    named = {node.get("NodeID"): node.get("NodeManagerHostname") for node in ray.nodes()}
+    node_id = str(address.get("NodeID", ""))
+    return (node_id, named[node_id]) if node_id in named else ("", "")
 
 
 def _plain(text: str) -> str:

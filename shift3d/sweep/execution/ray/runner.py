@@ -5,7 +5,8 @@ What can go wrong with a call and what follows from it (design section 9):
 - the worker died, of several tasks: nobody knows which did it, so each is run again alone, and none is charged;
 - the worker died or ran out of memory, or the task hung, alone: counted against the task, which is quarantined the
   second time;
-- the machine went away: run again, not charged.
+- the machine went away: run again, not charged;
+- the machine cannot load what tasks need: run again elsewhere, not charged. Where no machine can, the sweep ends.
 
 Source: our choice.
 """
@@ -62,7 +63,7 @@ class RayRunner:
         self._watch = Watch(self._ray, config.task_timeout_s)
         self._backlog = Backlog([])
 
-    def _starter(self, kind: TaskKind, config: RayRunnerConfig) -> Callable[[], Any]:
+    def _starter(self, kind: TaskKind, config: RayRunnerConfig) -> Callable[..., Any]:
         # One call in flight each, and a crash is the driver's to handle: Ray itself retries nothing.
         options: dict[str, Any] = {"num_cpus": config.cpus_per_worker, "max_restarts": 0, "max_task_retries": 0}
         if config.worker_memory_mb:
@@ -71,12 +72,18 @@ class RayRunner:
         # A private Ray's workers are on this machine, and read what lies here.
         shipped = self._ray.put(loaded(self._plan.assets) if config.address else {})
         tasks, assets = self._ray.put(self._plan.tasks), self._ray.put(self._plan.assets)
-        return lambda: actor.remote(kind, self._plan.sweep, assets, tasks, self._command, shipped)
+        given = (kind, self._plan.sweep, assets, tasks, self._command, shipped)
+        return lambda **options: (actor.options(**options) if options else actor).remote(*given)
 
     @property
     def workers(self) -> int:
         """Workers there shall be; as machines join and leave, this changes."""
         return self._pool.wanted
+
+    @property
+    def left_out(self) -> list[str]:
+        """See :class:`Runner`."""
+        return self._pool.left_out.lines
 
     def running(self) -> list[Running]:
         """See :class:`Runner`."""
@@ -130,6 +137,9 @@ class RayRunner:
             return (
                 self._failed_call(call, failure_of(self._ray, error, call.worker.node_id)) if wanted else BatchOutcome()
             )
+        if outcome.fatal:
+            return self._not_loaded(call, outcome, outcome.fatal, wanted)
+        self._pool.left_out.show()
         if not wanted:
             return BatchOutcome()
         ran = len(outcome.done) + len(outcome.quarantined)
@@ -137,13 +147,21 @@ class RayRunner:
         self._sizer.finished(ran, outcome.seconds)
         return outcome
 
+    def _not_loaded(self, call: Call, outcome: BatchOutcome, error: InputError, wanted: bool) -> BatchOutcome:
+        """A call's machine cannot load what tasks need: others run them. The outcome itself where there is no other."""
+        line = self._pool.left_out.add(call.worker.node_id, call.worker.host, error)
+        self._pool.lost(call.worker)
+        if not wanted:
+            return BatchOutcome()
+        return self._failed_call(call, Failure("not_loaded", line)) if self._pool.left_out.any_other() else outcome
+
     def _failed_call(self, call: Call, failure: Failure, culprit: int | None = None) -> BatchOutcome:
         """A call ended without a result. culprit: the task that did it, where that is known."""
-        if culprit is None and len(call.positions) == 1:
+        if culprit is None and len(call.positions) == 1 and failure.kind != "not_loaded":
             culprit = call.positions[0]
         self._backlog.tried(call.positions, call.attempt)
         # Where it is known who did it, or that no task did, the others may stay together.
-        apart = culprit is None and failure.kind != "node_lost"
+        apart = culprit is None and failure.kind not in ("node_lost", "not_loaded")
         copied = self._calls.copy_of(call) is not None
         quarantined = self._backlog.failed(call.positions, culprit, failure.charged, apart, copied)
         rows = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,15 +11,16 @@ from typing import Any
 from shift3d.errors import InputError
 from shift3d.progress_bar import write_line
 from shift3d.settings.schema.config import RayRunnerConfig
-from shift3d.sweep.execution.ray.failures import names_lost_machine
+from shift3d.sweep.execution.ray.failures import machine_of, names_lost_machine
+from shift3d.sweep.execution.ray.left_out import FAILED_STARTS, LeftOut
+from shift3d.sweep.execution.ray.versions import difference, installed
 from shift3d.sweep.execution.ray.worker import Ready
 
-# Starts that fail in a row before any worker was ready: a defect of the installation.
-_FAILED_STARTS = 3
 # How often the cluster is asked for its size: machines join and leave within minutes.
 _LOOK_S = 2.0
 # A cluster that has no worker ready after this is reported: it may lack room, or be adding machines.
 _PATIENCE_S = 30.0
+_RAISED = re.compile(r"[\w.]*(Error|Exception)\b")
 
 
 def room_for(nodes: list[dict[str, Any]], cpus: float, memory_mb: float, estimated: bool = True) -> int:
@@ -31,6 +33,12 @@ def room_for(nodes: list[dict[str, Any]], cpus: float, memory_mb: float, estimat
     by_cpu = [int(resources.get("CPU", 0) // cpus) for resources in alive]
     by_memory = [int(resources.get("memory", 0) // (memory_mb * 2**20)) for resources in alive]
     return max(sum(map(min, by_cpu, by_memory)), min(1, sum(by_cpu)) if estimated else 0)
+
+
+def _reason(text: str) -> str:
+    """Of a start that failed: what Python raised last, where that ends Ray's text."""
+    last = text.strip().rpartition("\n")[2]
+    return last[:600] if _RAISED.match(last) else " ".join(text.split())[-600:]
 
 
 @dataclass
@@ -47,6 +55,11 @@ class PooledWorker:
         return self.where.process if self.where else "starting"
 
     @property
+    def host(self) -> str:
+        """Its machine's name."""
+        return self.process.rpartition(":")[0]
+
+    @property
     def node_id(self) -> str:
         """Ray's id of its machine."""
         return self.where.node_id if self.where else ""
@@ -56,13 +69,16 @@ class WorkerPool:
     """Workers, from the first to the last.
 
     Args:
-        start: starts an actor. config: how many there shall be (None: as many as there is room for), and their size.
-        most: no more than this.
+        start: starts an actor with further options of Ray. config: how many there shall be (None: as many as there is
+            room for), and their size. most: no more than this.
+
+    Attributes:
+        wanted: how many there are to be, now. left_out: machines where none is started any more.
 
     Raises: InputError: there is no room for one, and nothing that could make room.
     """
 
-    def __init__(self, ray: Any, start: Callable[[], Any], config: RayRunnerConfig, memory_mb: float, most: int):
+    def __init__(self, ray: Any, start: Callable[..., Any], config: RayRunnerConfig, memory_mb: float, most: int):
         self._ray = ray
         self._start = start
         self._config = config
@@ -72,7 +88,8 @@ class WorkerPool:
         self._workers: list[PooledWorker] = []
         self._failed = 0
         self._looked = 0.0
-        self._report_at = time.monotonic() + _PATIENCE_S if config.address else float("inf")
+        self.left_out = LeftOut(ray, config.cpus_per_worker)
+        self._report_at = time.monotonic() + _PATIENCE_S
         self.wanted = self._room()
         if self.wanted < 1:
             settings = "runner.cpus_per_worker" + (" or runner.worker_memory_mb" if config.worker_memory_mb else "")
@@ -81,7 +98,7 @@ class WorkerPool:
 
     def _room(self) -> int:
         config = self._config
-        room = room_for(self._ray.nodes(), config.cpus_per_worker, self._memory_mb, not config.worker_memory_mb)
+        room = room_for(self.left_out.others(), config.cpus_per_worker, self._memory_mb, not config.worker_memory_mb)
         # A cluster that grows on demand grows by workers that wait for room, so what was asked for is started.
         wanted = config.workers if config.workers and (room or config.address) else room
         return min(wanted, self._most)
@@ -92,14 +109,15 @@ class WorkerPool:
         return f"{self._config.cpus_per_worker:g} CPUs{memory}"
 
     def _report_waiting(self, now: float) -> None:
-        """Print one line where no worker is ready after a while: a cluster without room looks like one that is slow."""
+        """Print one line where no worker is ready after a while, at first or after the last one was lost: a cluster
+        without room looks like one that is slow."""
         if self._workers:
-            self._report_at = float("inf")
-        elif self._starting and now >= self._report_at:
+            self._report_at = now + _PATIENCE_S
+        elif self._config.address and self._starting and now >= self._report_at:
             self._report_at = float("inf")
             write_line(
                 f"no worker is ready after {_PATIENCE_S:.0f} s: the cluster has no room for one of {self._demand()} "
-                "(runner.cpus_per_worker, runner.worker_memory_mb), or its machines are starting"
+                "(runner.cpus_per_worker, runner.worker_memory_mb), or its machines are starting, lost or left out"
             )
 
     @property
@@ -118,7 +136,7 @@ class WorkerPool:
         at_once = 1 if self._failed else self.wanted
         missing = min(self.wanted, tasks) - len(self._workers) - len(self._starting)
         for _ in range(min(missing, at_once - (len(self._starting) if self._failed else 0))):
-            actor = self._start()
+            actor = self._start(**self.left_out.options())
             self._starting[actor.ready.remote()] = PooledWorker(actor)
 
     def started(self, reference: Any) -> InputError | None:
@@ -128,18 +146,36 @@ class WorkerPool:
         """
         worker = self._starting.pop(reference)
         try:
-            worker.where = self._ray.get(reference)
+            where: Ready = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             if names_lost_machine(self._ray, error):
                 return None
             self._failed += 1
-            if self._failed < _FAILED_STARTS or self._workers:
-                return None
-            what = " ".join(str(error).split())[-600:]
-            return InputError(f"no worker starts: {what}", where="runner", remedy="Every machine needs this shift3d")
+            return self._failed_start(worker, _reason(str(error)))
+        worker.where = where
+        if worker.node_id in self.left_out:  # it was on its way there already
+            self._ray.kill(worker.actor)
+            return None
+        here = installed()
+        if other := difference(where.versions or here, here):
+            self.left_out.add(worker.node_id, worker.host, other)
+            self._ray.kill(worker.actor)
+            nobody = not self._workers and not self.left_out.any_other()
+            return InputError(other.what, worker.host, other.remedy) if nobody else None
         self._failed = 0
+        self.left_out.started(worker.node_id)
         self._workers.append(worker)
         return None
+
+    def _failed_start(self, worker: PooledWorker, why: str) -> InputError | None:
+        remedy = "Every machine needs this shift3d"
+        node_id, host = machine_of(self._ray, worker.actor)
+        held = any(other.node_id == node_id for other in self._workers)
+        if node_id and not held and self.left_out.failed_start(node_id):
+            self.left_out.add(node_id, host, InputError(f"no worker starts there: {why}", remedy=remedy))
+        if self._failed < FAILED_STARTS or self._workers or (node_id and self.left_out.any_other()):
+            return None
+        return InputError(f"no worker starts: {why}", where="runner", remedy=remedy)
 
     def idle(self) -> PooledWorker | None:
         """A worker without a call; None where all are busy. Whether it has died meanwhile its next call tells."""

@@ -1,0 +1,176 @@
+"""A machine that cannot run a sweep's tasks is left out while others can; the sweep ends where none can."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import valid_sweeps
+from ray import exceptions
+from ray.core.generated.common_pb2 import ActorDiedErrorContext
+
+from shift3d.errors import InputError
+from shift3d.settings.compose import compose_sweep, validate
+from shift3d.settings.schema.config import RayRunnerConfig
+from shift3d.sweep.execution.ray import runner as runner_module
+from shift3d.sweep.execution.ray import worker as worker_module
+from shift3d.sweep.execution.ray.runner import RayRunner
+from shift3d.sweep.execution.ray.versions import difference, installed
+from shift3d.sweep.execution.ray.worker import Ready
+from shift3d.sweep.execution.worker import BatchOutcome
+from shift3d.sweep.planning.kind import shift3d_kind
+from shift3d.task.exchange import AssetsSpec
+
+DIED = "The actor died.\n  File x.py, line 1\nImportError: no module named shift3d"
+UNMOUNTED = InputError("no such folder", "/data", "Mount it")
+
+
+class Ray:
+    """A cluster of machines of one worker each, by letters. mounted: those that can load. starting: those where workers
+    start; None: all."""
+
+    exceptions = exceptions
+
+    def __init__(self, machines: str, mounted: str, starting: str | None = None) -> None:
+        self._machines = machines
+        self._mounted = mounted
+        self._starting = machines if starting is None else starting
+        self._actors: dict[str, Any] = {}
+        self.other: dict[str, dict[str, str]] = {}
+        self._results: dict[Any, Any] = {}
+        self.ran: list[tuple[str, int]] = []
+        state = SimpleNamespace(actors=lambda actor: {"Address": {"NodeID": actor}})
+        self._private = SimpleNamespace(state=state)
+
+    def nodes(self) -> list[dict[str, Any]]:
+        resources = {"CPU": 1, "memory": 2**36}
+        named = ({"NodeID": name, "NodeManagerHostname": f"host-{name}"} for name in self._machines)
+        return [{"Alive": True, "Resources": resources, **node} for node in named]
+
+    def remote(self, **options: Any) -> Any:
+        return lambda _: SimpleNamespace(remote=self._start, options=self._elsewhere)
+
+    def _elsewhere(self, label_selector: dict[str, str]) -> Any:
+        return SimpleNamespace(remote=lambda *given: self._start(*given, without=label_selector["ray.io/node-id"]))
+
+    def put(self, value: object) -> object:
+        return value
+
+    def actor(self, machine: str) -> Any:
+        return SimpleNamespace(
+            _actor_id=SimpleNamespace(hex=lambda: machine),
+            ready=SimpleNamespace(remote=lambda: self._answer(self._ready(machine))),
+            run=SimpleNamespace(remote=lambda positions, attempt: self._answer(self._run(machine, positions))),
+        )
+
+    def _start(self, *given: Any, without: str = "") -> Any:
+        free = [name for name in self._machines if name not in self._actors and name not in without]
+        actor = self.actor(free[0]) if free else SimpleNamespace(ready=SimpleNamespace(remote=object))
+        if free and free[0] in self._starting:
+            self._actors[free[0]] = actor
+        return actor
+
+    def _answer(self, value: Any) -> Any:
+        reference = object()
+        self._results[reference] = value
+        return reference
+
+    def _ready(self, machine: str) -> Any:
+        if machine in self._starting:
+            return Ready(machine, f"host-{machine}:1", 1, "", {**installed(), **self.other.get(machine, {})})
+        return exceptions.ActorDiedError(ActorDiedErrorContext(error_message=DIED, actor_id=b"0" * 16))
+
+    def _run(self, machine: str, positions: list[int]) -> BatchOutcome:
+        if machine not in self._mounted:
+            return BatchOutcome(fatal=UNMOUNTED)
+        self.ran += [(machine, position) for position in positions]
+        return BatchOutcome(done=[str(position) for position in positions])
+
+    def wait(self, references: list[Any], timeout: float, num_returns: int = 1) -> tuple[list[Any], list[Any]]:
+        """Starts end before calls."""
+        ready = [reference for reference in reversed(references) if reference in self._results][:num_returns]
+        return ready, [reference for reference in references if reference not in ready]
+
+    def get(self, reference: Any) -> Any:
+        if isinstance(result := self._results.pop(reference), Exception):
+            raise result
+        return result
+
+    def kill(self, actor: Any) -> None:
+        self._actors = {name: other for name, other in self._actors.items() if other is not actor}
+
+
+def outcomes(ray: Any, monkeypatch: pytest.MonkeyPatch) -> tuple[list[BatchOutcome], RayRunner]:
+    monkeypatch.setattr(runner_module, "connect", lambda config, left: ray)
+    config = validate(compose_sweep("smoke", ["runner.address=auto"]).base, "test").runner
+    assert isinstance(config, RayRunnerConfig)
+    runner = RayRunner(shift3d_kind(), valid_sweeps.plan(), config, 2)
+    return list(runner.run(np.arange(2), threading.Event())), runner
+
+
+def test_others_run_the_tasks_of_a_machine_that_cannot_load(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ray = Ray("ab", mounted="b")
+    found, runner = outcomes(ray, monkeypatch)
+    assert sorted(ray.ran) == [("b", 0), ("b", 1)]
+    assert not any(outcome.fatal or outcome.quarantined for outcome in found)
+    line = "host-a is left out: /data: no such folder. Mount it"
+    assert list(runner.left_out) == [line] and capsys.readouterr().err.splitlines() == [line]
+    tables = [outcome.tables["attempts"] for outcome in found if outcome.tables]
+    assert [(row["outcome"], row["error"]) for table in tables for row in table.to_pylist()] == [("not_loaded", line)]
+
+
+def test_where_no_machine_can_load_the_sweep_ends_with_the_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found, _ = outcomes(Ray("ab", mounted=""), monkeypatch)
+    assert [str(outcome.fatal) for outcome in found if outcome.fatal] == [str(UNMOUNTED)]
+    assert found[-1].fatal and capsys.readouterr().err == "", "the error says it"
+
+
+def test_a_machine_where_no_worker_starts_is_left_out(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ray = Ray("ab", mounted="ab", starting="b")
+    found, runner = outcomes(ray, monkeypatch)
+    assert {machine for machine, _ in ray.ran} == {"b"} and not any(outcome.fatal for outcome in found)
+    (line,) = runner.left_out
+    why = "no worker starts there: ImportError: no module named shift3d. Every machine needs this shift3d"
+    assert line == f"host-a is left out: {why}"
+
+
+def test_where_no_worker_starts_anywhere_the_sweep_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, _ = outcomes(Ray("ab", mounted="ab", starting=""), monkeypatch)
+    assert "no worker starts" in str(found[-1].fatal)
+
+
+def test_whatever_fails_while_assets_are_loaded_is_the_machines_defect() -> None:
+    def load(_: AssetsSpec) -> object:
+        raise ImportError("libtorch.so: file too short")
+
+    with pytest.raises(InputError, match=r"test_left_out.py:\d+: .* ImportError: libtorch.so: file too short"):
+        worker_module._load(load, AssetsSpec({"kind": "street"}), {})
+
+
+def test_a_machine_with_other_versions_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = Ray("ab", mounted="ab")
+    ray.other["a"] = {"torch": "1.0"}
+    found, runner = outcomes(ray, monkeypatch)
+    assert {machine for machine, _ in ray.ran} == {"b"} and not any(outcome.fatal for outcome in found)
+    assert runner.left_out[0].startswith(
+        f"host-a is left out: has torch 1.0, not {installed()['torch']} as the driver."
+    )
+    ray = Ray("a", mounted="a")
+    ray.other["a"] = {"torch": "1.0"}
+    found, _ = outcomes(ray, monkeypatch)
+    assert str(found[-1].fatal).startswith("host-a: has torch 1.0, not ") and not ray.ran
+
+
+def test_another_build_is_another_version_and_a_source_tree_is_compared_with_none() -> None:
+    here = {"shift3d": "1", "code": "abcd"}
+    assert difference(here, here) is None and difference({**here, "code": ""}, here) is None
+    assert "another build of shift3d: 1234, not abcd" in str(difference({**here, "code": "1234"}, here))
