@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 from benchmarks.results import Results
 from benchmarks.timing import Timing
@@ -31,7 +32,7 @@ def bench_effects(bench: Results, quick: bool) -> None:
     assert not isinstance(placement, NoPlacement)
     problems = {"": build_problem(plain, assets, placement.theta)}
     for effect in NEEDS:
-        spec = TaskSpec(**{**vars(plain), "effects": (effect,), "effect_settings": STATED})
+        spec = replace(plain, effects=(effect,), effect_settings=STATED)
         problems[effect] = build_problem(spec, assets, placement.theta)
     spent: dict[str, list[float]] = {effect: [] for effect in problems}
     hits = 0
