@@ -104,7 +104,12 @@ def test_coverage_names_what_did_not_run() -> None:
         {"task_id": ["a", "a", "b"], "score": [0.5, 0.5, None], "status": ["ok", "ok", "no_placement"]}
     )
     attempts = pd.DataFrame(
-        {"task_id": ["a", "b", "c"], "quarantined": [False, False, True], "error": [None, None, "ValueError: no root"]}
+        {
+            "task_id": ["a", "b", "c"],
+            "outcome": ["done", "done", "failed"],
+            "quarantined": [False, False, True],
+            "error": [None, None, "ValueError: no root"],
+        }
     )
     assert coverage_lines(scores, attempts, planned=3) == [
         "1 of 3 tasks scored",

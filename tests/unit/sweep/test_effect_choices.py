@@ -85,12 +85,9 @@ def test_an_effect_without_data_is_refused_with_what_would_supply_it() -> None:
 
 
 def test_settings_of_effects_as_an_axis_and_a_task_that_two_of_them_share() -> None:
-    plan = plan_of("effects=auto,none,[rain,range_noise]", "effects.range_noise_m=0.02", "effects.rain_mm_h=25")
+    plan = plan_of("effects=auto,none,[rain]", "effects.rain_mm_h=25")
     requested = {(task.spec.scene, task.spec.effects): task.effects_requested for task in plan.tasks}
-    assert requested["south", ()] == ("none",) and requested["south", ("rain", "range_noise")] == (
-        "auto",
-        "rain+range_noise",
-    )
+    assert requested["south", ()] == ("none",) and requested["south", ("rain",)] == ("auto", "rain")
 
 
 def test_scenes_are_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
