@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 import os
 import platform
+from collections.abc import Iterable
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
@@ -133,20 +134,25 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 def _environment() -> dict[str, Any]:
     """What ran it: for the reader, and for whoever asks why two machines differ."""
-    versions = {}
-    for name in _LIBRARIES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "absent"
     return {
         "shift3d": shift3d.__version__,
         "python": platform.python_version(),
         "platform": platform.platform(),
         "machine": platform.machine(),
         "cpus": os.cpu_count(),
-        "libraries": versions,
+        "libraries": library_versions(_LIBRARIES),
     }
+
+
+def library_versions(names: Iterable[str]) -> dict[str, str]:
+    """What is installed here, by name; "absent" where nothing is."""
+    versions = {}
+    for name in names:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "absent"
+    return versions
 
 
 def read_plan(folder: LocationLike) -> Plan:

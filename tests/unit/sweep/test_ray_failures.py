@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import ray.exceptions
 
+import shift3d
 from shift3d.sweep.execution.ray.failures import failure_of
 
 RAY = SimpleNamespace(exceptions=ray.exceptions, nodes=lambda: [{"NodeID": "n", "Alive": True}])
@@ -14,6 +16,12 @@ RAY = SimpleNamespace(exceptions=ray.exceptions, nodes=lambda: [{"NodeID": "n", 
 def task_error(cause: Exception) -> ray.exceptions.RayTaskError:
     where = "\x1b[36mray::Worker.run()\x1b[39m (pid=7, ip=127.0.0.1)\n  File 'mine.py', line 3\n"
     return ray.exceptions.RayTaskError("run", f"{where}{type(cause).__name__}: {cause}", cause)
+
+
+def test_what_ray_keeps_private_is_used_in_one_file() -> None:
+    package = Path(shift3d.__file__).parent
+    users = [file.name for file in package.rglob("*.py") if "ray._private" in file.read_text(encoding="utf-8")]
+    assert users == ["connection.py"]
 
 
 def test_what_the_code_raised_comes_first_and_its_traceback_is_kept() -> None:

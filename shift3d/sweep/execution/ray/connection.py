@@ -162,3 +162,14 @@ def _on_loopback() -> Iterator[None]:
             del os.environ[name]
         else:
             os.environ[name] = former
+
+
+def node_of(ray: Any, actor: Any) -> tuple[str, str]:
+    """Ray's id of the machine that an actor was put on, and its name; ("", "") where it was put on none."""
+    try:
+        address = ray._private.state.actors(actor._actor_id.hex()).get("Address", {})
+    except Exception:  # nothing public says it, and Ray's Client (ray://) does not say it at all
+        return "", ""
+    named = {node.get("NodeID"): node.get("NodeManagerHostname") for node in ray.nodes()}
+    node_id = str(address.get("NodeID", ""))
+    return (node_id, named[node_id]) if node_id in named else ("", "")

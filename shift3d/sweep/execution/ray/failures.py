@@ -62,17 +62,6 @@ def names_lost_machine(ray: Any, error: Exception) -> bool:
     return any(of_node in text for of_node in _NODE_TEXTS)
 
 
-def machine_of(ray: Any, actor: Any) -> tuple[str, str]:
-    """Ray's id of the machine that an actor was put on, and its name; ("", "") where it was put on none."""
-    try:
-        address = ray._private.state.actors(actor._actor_id.hex()).get("Address", {})
-    except Exception:  # nothing public says it, and Ray's Client (ray://) does not say it at all
-        return "", ""
-    named = {node.get("NodeID"): node.get("NodeManagerHostname") for node in ray.nodes()}
-    node_id = str(address.get("NodeID", ""))
-    return (node_id, named[node_id]) if node_id in named else ("", "")
-
-
 def _plain(text: str) -> str:
     """What Ray says, without the ids before it, and without the advice after it: that names the out-of-memory killer
     among what may have happened to any process that was killed, which proves nothing."""

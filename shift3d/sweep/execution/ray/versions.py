@@ -8,10 +8,11 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib.metadata import PackageNotFoundError, distribution
 
 import shift3d
 from shift3d.errors import InputError
+from shift3d.sweep.planning.folder import library_versions
 
 _LIBRARIES = ("torch", "numpy", "scipy", "trimesh", "embreex")
 _NAMES = {"code": "another build of shift3d:"}
@@ -20,13 +21,9 @@ _NAMES = {"code": "another build of shift3d:"}
 def installed() -> Mapping[str, str]:
     """Versions by name. A library's build, behind the plus sign, is left out. code: a digest of shift3d's own files,
     "" where it was not installed from a wheel."""
-    versions = {"shift3d": shift3d.__version__, "Python": ".".join(platform.python_version_tuple()[:2])}
-    for name in _LIBRARIES:
-        try:
-            versions[name] = version(name).partition("+")[0]
-        except PackageNotFoundError:
-            versions[name] = "absent"
-    return {**versions, "code": _code()}
+    libraries = {name: version.partition("+")[0] for name, version in library_versions(_LIBRARIES).items()}
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"shift3d": shift3d.__version__, "Python": python, **libraries, "code": _code()}
 
 
 def _code() -> str:

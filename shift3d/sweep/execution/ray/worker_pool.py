@@ -11,7 +11,8 @@ from typing import Any
 from shift3d.errors import InputError
 from shift3d.progress_bar import write_line
 from shift3d.settings.schema.config import RayRunnerConfig
-from shift3d.sweep.execution.ray.failures import machine_of, names_lost_machine
+from shift3d.sweep.execution.ray.connection import node_of
+from shift3d.sweep.execution.ray.failures import names_lost_machine
 from shift3d.sweep.execution.ray.left_out import FAILED_STARTS, LeftOut
 from shift3d.sweep.execution.ray.versions import difference, installed
 from shift3d.sweep.execution.ray.worker import Ready
@@ -169,7 +170,7 @@ class WorkerPool:
 
     def _failed_start(self, worker: PooledWorker, why: str) -> InputError | None:
         remedy = "Every machine needs this shift3d"
-        node_id, host = machine_of(self._ray, worker.actor)
+        node_id, host = node_of(self._ray, worker.actor)
         held = any(other.node_id == node_id for other in self._workers)
         if node_id and not held and self.left_out.failed_start(node_id):
             self.left_out.add(node_id, host, InputError(f"no worker starts there: {why}", remedy=remedy))
