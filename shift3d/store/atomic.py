@@ -44,7 +44,8 @@ def write_atomic(path: Path, write: bytes | Callable[[Path], None]) -> None:
             _fill(temporary, write)
             temporary.replace(path)
         finally:
-            temporary.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # what failed before is the error
+                temporary.unlink(missing_ok=True)
         _flush(path.parent)
 
 

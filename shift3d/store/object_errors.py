@@ -69,7 +69,9 @@ def check_endpoint(name: str, value: str) -> None:
 
     name: of the variable.
     """
-    if not re.fullmatch(r"https?://([^/@\s]+@)?(\[[\da-fA-F:.]+\]|[^/:@\s?#\[\]]+)(:\d{1,5})?(/[^\s?#]*)?", value):
+    form = r"https?://([^/@\s]+@)?(\[[\da-fA-F:.]+\]|[^/:@\s?#\[\]]+)(:(?P<port>\d+))?(/[^\s?#]*)?"
+    found = re.fullmatch(form, value)
+    if found is None or int(found["port"] or 0) > 65_535:
         remedy = f"Give {name} as https://HOST, or as http://HOST:PORT with AWS_ALLOW_HTTP=true"
         raise InputError(f"{value!r} is no address of a store", name, remedy)
 

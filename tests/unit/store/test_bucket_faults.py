@@ -188,7 +188,9 @@ def test_large_tables_and_their_bytes(bucket: Location, monkeypatch: pytest.Monk
     assert failure.value.where == f"{bucket}/absent.parquet"
 
 
-@pytest.mark.parametrize("address", ["minio:9000", "localhost", "https://", "http://127.0.0.1:port", "", "http://a b"])
+@pytest.mark.parametrize(
+    "address", ["minio:9000", "localhost", "https://", "http://127.0.0.1:port", "http://h:65536", "", "http://a b"]
+)
 def test_an_endpoint_that_is_no_address_is_one_line(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", address)
     with pytest.raises(InputError, match=r"AWS_ENDPOINT_URL: .* no address of a store\. Give AWS_ENDPOINT_URL"):

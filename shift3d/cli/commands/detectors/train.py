@@ -89,7 +89,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return _train_on_meshes(values)
     if "method" in values and "finetune" not in values:
         raise InputError("method= says which objects of finetune=", where="train", remedy="Give finetune=OUT too")
-    refuse(values, FRAME_KEYS, "is for vehicles=", "train")
+    refuse(values, FRAME_KEYS, "is for meshes, and vehicles=PATH is not given", "train")
     model, options = values["model"], _options(values, _recipe_words(fields))
     with _curves(values, model, options) as report:
         began = time.monotonic()
