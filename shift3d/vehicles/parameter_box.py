@@ -6,7 +6,8 @@ the metadata, under the vehicle's facts, as "parameters".
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.seeding import generator
 from shift3d.vehicles.vehicle import CODE_LENGTH, described, read_tensors, tensor_of
 
 
@@ -30,6 +32,27 @@ class BoxOfParameters:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     names: tuple[str, ...]
+
+
+def kind_and_number(name: str) -> tuple[str, int]:
+    """("camper", 3) of "camper-3", the third vehicle drawn of its kind; of a name without a number itself and 0."""
+    found = re.fullmatch(r"(.+)-([1-9][0-9]{0,5})", name)
+    return (found[1], int(found[2])) if found else (name, 0)
+
+
+def drawn_box(kind: str, box: BoxOfParameters, number: int) -> BoxOfParameters:
+    """A kind's ranges with the vehicle of a number in them, each of its parameters uniform over its range.
+
+    Source: our choice; `attack.search=random` draws so too.
+    """
+    return replace(box, start=generator("drawn vehicle", kind, number).uniform(box.low, box.high))
+
+
+def drawn_code(code: NDArray[np.float32], box: BoxOfParameters, drawn: BoxOfParameters) -> NDArray[np.float32]:
+    """The code (d,) of a drawn vehicle. code: of the vehicle whose box is `box`."""
+    # Row by row: a product of matrices rounds otherwise on another processor, and the code enters a task's id.
+    moved = ((drawn.start - box.start)[:, None] * box.basis).sum(axis=0)
+    return np.asarray(code + moved, np.float32)
 
 
 def parameter_tensors(name: str, box: BoxOfParameters) -> dict[str, NDArray[np.float32]]:

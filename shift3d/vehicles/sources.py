@@ -1,4 +1,4 @@
-"""Where a sweep's vehicles come from: a set of vehicle files, or the codes of a DeepSDF experiment."""
+"""Where a sweep's vehicles come from; a set of vehicle files is one such source."""
 
 from __future__ import annotations
 
@@ -13,35 +13,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.vehicles.mesh_frame import MeshFrame
+from shift3d.vehicles.measured import decoded_corners, framed
 from shift3d.vehicles.names import WIDE
-from shift3d.vehicles.parameter_box import BoxOfParameters, parametric_vehicles, read_parameters
+from shift3d.vehicles.parameter_box import (
+    BoxOfParameters,
+    drawn_box,
+    drawn_code,
+    kind_and_number,
+    parametric_vehicles,
+    read_parameters,
+)
 from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles, family_vehicles
 
 # A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
 if TYPE_CHECKING:
-    from torch import Tensor
 
     from shift3d.sdf.decoder import Decoder
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
-    from shift3d.sdf.foreign import Experiment
 
 _T = TypeVar("_T")
-MEASURED_RESOLUTION = 129
-"""Grid nodes along the unit sphere's cube when a vehicle's box is measured; 257 gives the same to 2 mm."""
-_SHORTEST_CODE = 1e-6  # trained codes are some tenths long; shorter ones were never trained
-_ROUNDED_M = 3  # decimals: sizes enter a task's id, and machines differ in the last bits
 
 
 class VehicleSource(Protocol):
     """Vehicles by name, and the decoder that draws them."""
 
     def names(self) -> list[str]:
-        """Every vehicle's name, in a fixed order."""
+        """Every vehicle's name, in a fixed order; of those drawn from a kind's ranges the kind alone."""
         ...
 
     def vehicle(self, name: str) -> Vehicle:
-        """One of them. Raises InputError for an unknown name."""
+        """One of them, or one drawn from a kind that is made of parameters. Raises InputError for an unknown name."""
         ...
 
     def codes(self) -> NDArray[np.float32]:
@@ -117,11 +118,14 @@ def set_folder(folder: Path | str | None, setting: str = "vehicle.folder") -> Pa
 class VehicleSet(VehicleSource):
     """A folder with vehicles.safetensors and their decoder, sdf.safetensors.
 
-    None: the five vehicles that ship. "wide": those that ship with a parametric decoder.
+    None: the five vehicles that ship. "wide": those that ship with a parametric decoder. Where a vehicle NAME is made
+    of parameters, there are NAME-1, NAME-2, ... too, drawn at random from its ranges; the first call for one takes two
+    seconds.
     """
 
     def __init__(self, folder: Path | str | None = None) -> None:
         self._folder = set_folder(folder)
+        self._drawn: dict[str, Vehicle] = {}
 
     @functools.cached_property
     def _vehicles(self) -> dict[str, Vehicle]:
@@ -130,8 +134,19 @@ class VehicleSet(VehicleSource):
     def names(self) -> list[str]:
         return list(self._vehicles)
 
+    def _kind(self, name: str) -> tuple[str, int]:
+        """See `kind_and_number`; a vehicle of the folder may itself be called so."""
+        kind, number = kind_and_number(name)
+        return (kind, number) if name not in self._vehicles and kind in self._parametric else (name, 0)
+
     def vehicle(self, name: str) -> Vehicle:
-        return _known(name, self._vehicles, self._folder)
+        kind, number = self._kind(name)
+        found = known(kind, self._vehicles, self._folder)
+        if number and name not in self._drawn:
+            code = drawn_code(found.latent_code, self.parameters(kind), self.parameters(name))
+            corners = decoded_corners(code, self.decoder(), found.sdf_R_object)
+            self._drawn[name] = framed(name, found.body_type, code, found.scale_m, found.sdf_R_object, *corners)
+        return self._drawn[name] if number else found
 
     def codes(self) -> NDArray[np.float32]:
         return np.stack([found.latent_code for found in family_vehicles(self._folder / DEFAULT_VEHICLES.name)])
@@ -141,18 +156,24 @@ class VehicleSet(VehicleSource):
         return parametric_vehicles(self._folder / DEFAULT_VEHICLES.name)
 
     def is_parametric(self, name: str) -> bool:
-        return name in self._parametric
+        return self._kind(name)[0] in self._parametric
 
     def parameters(self, name: str) -> BoxOfParameters:
-        return read_parameters(self._folder / DEFAULT_VEHICLES.name, name)
+        kind, number = self._kind(name)
+        box = read_parameters(self._folder / DEFAULT_VEHICLES.name, kind)
+        return drawn_box(kind, box, number) if number else box
 
     def kinds(self) -> list[str]:
         return self.names()
 
-    def decoder(self) -> Decoder:
+    @functools.cached_property
+    def _decoder(self) -> Decoder:
         from shift3d.sdf.decoder import load_decoder
 
         return load_decoder(self._folder / "sdf.safetensors")
+
+    def decoder(self) -> Decoder:
+        return self._decoder
 
     def decoder_hash(self) -> str:
         path = self._folder / "sdf.safetensors"
@@ -162,144 +183,8 @@ class VehicleSet(VehicleSource):
         return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
 
 
-class DeepSdfVehicles(VehicleSource):
-    """The instances of a DeepSDF experiment, each scaled to a length and measured as the decoder draws it.
-
-    Args:
-        folder: in the original layout. checkpoint: "latest", or an epoch.
-        forward, up: axes of the sdf frame. The default is ShapeNet's, as pictures of the decoded surfaces show.
-        length_m: from nose to tail, of every vehicle, or by the beginning of a name (the longest that fits), with
-            "default" for the others. Normalised meshes have no size of their own.
-        code_norm: mean length that the experiment's codes are scaled to, the decoder's code columns inversely; None
-            leaves them as trained. No shape depends on it, but the attack does: alpha and lambda are in code units, and
-            the paper does not say how long its codes are. conf/ has 1.5, our choice. The codes of the 57 real cars are
-            0.59 long as trained, and a unit of code then moves their surface by 0.9 m (root mean square), against
-            0.35 m for the shipped vehicles: five steps led to twice the code's length off the car. At 1.5 a unit
-            moves both kinds of surface alike; it was chosen for that, not by what an attack then reaches.
-
-    Raises: InputError for an axis or a length that cannot be used.
-    Source: SHIFT3D, Setup ("manually scaled each baseline object" to realistic dimensions).
-    """
-
-    def __init__(
-        self,
-        folder: Path | str,
-        checkpoint: str = "latest",
-        forward: str = "-z",
-        up: str = "+y",
-        length_m: float | Mapping[str, float] = 4.5,
-        code_norm: float | None = None,
-    ) -> None:
-        self._folder = Path(folder).expanduser()
-        self._checkpoint, self._code_norm = checkpoint, code_norm
-        self._forward, self._up = forward, up
-        self._lengths = {"": length_m} if isinstance(length_m, float | int) else dict(length_m)
-        self._lengths = {"" if key == "default" else key: float(length) for key, length in self._lengths.items()}
-        for length in self._lengths.values():
-            MeshFrame(forward, up, length_m=length)
-        self._measured: dict[str, Vehicle] = {}
-
-    @functools.cached_property
-    def _experiment(self) -> Experiment:
-        from shift3d.sdf.foreign import load_experiment
-
-        return load_experiment(self._folder, self._checkpoint)
-
-    @functools.cached_property
-    def _code_scale(self) -> float:
-        """Factor from codes as trained to codes as used."""
-        if self._code_norm is None:
-            return 1.0
-        mean = float(self._experiment.codes.double().norm(dim=1).mean())
-        if mean < _SHORTEST_CODE:
-            what = f"its codes are {mean:g} long on average, too short to be scaled to {self._code_norm:g}"
-            raise InputError(what, where=str(self._folder), remedy="Give vehicle.code_norm=null, or trained codes")
-        return self._code_norm / mean
-
-    @functools.cached_property
-    def _scaled(self) -> Decoder | DeepSdfNetwork:
-        decoder, factor = self._experiment.decoder, self._code_scale
-        return decoder if factor == 1.0 else decoder.with_code_scale(factor)
-
-    def names(self) -> list[str]:
-        return list(self._experiment.instances)
-
-    def codes(self) -> NDArray[np.float32]:
-        codes: NDArray[np.float32] = (self._experiment.codes * self._code_scale).numpy().astype(np.float32)
-        return codes
-
-    def is_parametric(self, name: str) -> bool:
-        return False
-
-    def kinds(self) -> list[str]:
-        what = "each vehicle of a DeepSDF checkpoint has to be decoded before a search can turn to it"
-        raise InputError(what, f"{self._folder}, attack.space=family", "Give attack.space=pca or free")
-
-    def parameters(self, name: str) -> BoxOfParameters:
-        what, remedy = "the codes of a DeepSDF checkpoint are made of no parameters", "Give attack.space=pca or free"
-        raise InputError(what, f"{self._folder}, attack.space=parameters", remedy)
-
-    def decoder(self) -> Decoder | DeepSdfNetwork:
-        """See `VehicleSource`. The same object every time."""
-        return self._scaled
-
-    def decoder_hash(self) -> str:
-        from shift3d.sdf.foreign import experiment_files
-
-        digest = hashlib.blake2b(repr(self._code_norm).encode(), digest_size=16)
-        for path in experiment_files(self._folder, self._checkpoint):
-            digest.update(hashlib.blake2b(path.read_bytes(), digest_size=16).digest())
-        return digest.hexdigest()
-
-    def vehicle(self, name: str) -> Vehicle:
-        """See `VehicleSource`. The first call for a name decodes its surface: some seconds.
-
-        The origin of its object frame is the centre of the decoded box, and its size the box's, to the millimetre.
-        """
-        if name not in self._measured:
-            index = _known(name, {name: i for i, name in enumerate(self.names())}, self._folder)
-            code = self._experiment.codes[index] * self._code_scale
-            self._measured[name] = self._measure(name, code)
-        return self._measured[name]
-
-    def _measure(self, name: str, code: Tensor) -> Vehicle:
-        from shift3d.sdf.meshes import extract_mesh
-
-        length_m = self._length_of(name)
-        sdf_R_object = MeshFrame(self._forward, self._up, length_m=length_m).object_R_file().T
-        mesh = extract_mesh(self._scaled.field(code), MEASURED_RESOLUTION)
-        decoded = np.asarray(mesh.vertices, np.float64) @ sdf_R_object
-        low, high = decoded.min(axis=0), decoded.max(axis=0)
-        self._check_direction(high - low, sdf_R_object, name)
-        scale_m = round(float(length_m / (high - low)[0]), 4)
-        size = np.round((high - low) * scale_m, _ROUNDED_M)
-        centre = np.round((low + high) / 2.0 * scale_m, _ROUNDED_M) / scale_m
-        return Vehicle(
-            name=name,
-            body_type=name.split("_")[0],
-            latent_code=code.numpy().astype(np.float32),
-            scale_m=scale_m,
-            sdf_R_object=sdf_R_object,
-            sdf_t_object=sdf_R_object @ centre,
-            size_m=(float(size[0]), float(size[1]), float(size[2])),
-        )
-
-    def _length_of(self, name: str) -> float:
-        fitting = [key for key in self._lengths if name.startswith(key)]
-        if not fitting:
-            what = f"vehicle.length_m says nothing about {name}"
-            raise InputError(what, where=str(self._folder), remedy="Add default=4.5 to it")
-        return self._lengths[max(fitting, key=len)]
-
-    def _check_direction(self, extent: NDArray[np.float64], sdf_R_object: NDArray[np.float64], name: str) -> None:
-        longest = int(np.argmax(extent))
-        if longest != 0:
-            axis = "xyz"[int(np.argmax(np.abs(sdf_R_object[:, longest])))]
-            what = f"{name} is longest along {axis}, not along vehicle.forward={self._forward}"
-            raise InputError(what, where=str(self._folder), remedy=f"Give vehicle.forward=+{axis} or -{axis}")
-
-
-def _known(name: str, found: Mapping[str, _T], folder: Path) -> _T:
+def known(name: str, found: Mapping[str, _T], folder: Path) -> _T:
+    """What has a name. Raises InputError for an unknown one, listing some. folder: whose names they are."""
     if name not in found:
         first = ", ".join(list(found)[:12])
         more = f", ... ({len(found)} in all)" if len(found) > 12 else ""

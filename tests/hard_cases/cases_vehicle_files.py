@@ -18,10 +18,10 @@ from safetensors.numpy import load_file, save_file
 from valid_weights import NETWORKS, VEHICLES, write_experiment, write_vehicles
 
 from shift3d.sdf.samples import signed_distance
+from shift3d.vehicles.deepsdf_vehicles import DeepSdfVehicles
 from shift3d.vehicles.mesh_files import read_mesh
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.repair import repaired
-from shift3d.vehicles.sources import DeepSdfVehicles
 from shift3d.vehicles.vehicle import Vehicle, baseline_vehicles
 
 AREA = "vehicle files"

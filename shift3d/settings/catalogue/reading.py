@@ -67,7 +67,8 @@ class Catalogue:
 
 def vehicle_source(config: VehicleConfig) -> VehicleSource:
     """The vehicles that settings describe, whatever their ``name``. Files are read when something is asked of it."""
-    from shift3d.vehicles.sources import DeepSdfVehicles, VehicleSet
+    from shift3d.vehicles.deepsdf_vehicles import DeepSdfVehicles
+    from shift3d.vehicles.sources import VehicleSet
 
     if isinstance(config, VehicleSetConfig):
         return VehicleSet(config.folder)
@@ -223,7 +224,10 @@ def _entries(config: Config, scenes: SceneSet, preview: bool) -> tuple[tuple[Sce
 
 
 class _VehicleHashes(Mapping[str, str]):
-    """Name to hash, worked out when it is asked for: a vehicle of an experiment has to be decoded for it."""
+    """Name to hash, worked out when it is asked for: a vehicle of an experiment has to be decoded for it.
+
+    It lists the source's names; a vehicle drawn from a kind has a hash and is not listed.
+    """
 
     def __init__(self, source: VehicleSource) -> None:
         self._source = source
@@ -231,8 +235,6 @@ class _VehicleHashes(Mapping[str, str]):
     def __getitem__(self, name: str) -> str:
         from shift3d.vehicles.sources import vehicle_hash
 
-        if name not in self._source.names():
-            raise KeyError(name)
         return vehicle_hash(self._source.vehicle(name))
 
     def __iter__(self) -> Iterator[str]:

@@ -23,6 +23,7 @@ from shift3d.sweep.planning.tasks import Tasks
 from shift3d.sweep.planning.tasks_builder import TasksBuilder
 from shift3d.task.exchange import AssetsSpec
 from shift3d.task.spec import BUDGET_RULE, AttackSpec, PlacementSpec, TaskSpec
+from shift3d.vehicles.parameter_box import kind_and_number
 
 # Begins what a sweep's hash is taken of. It was the schema version once, and stays: a folder that an older
 # program began is the same sweep.
@@ -150,11 +151,13 @@ def _assets(config: Config, catalogue: Catalogue) -> AssetsSpec:
 
 
 def _vehicle_name(config: Config, catalogue: Catalogue, where: str) -> str:
-    """A vehicle by its name, or by a beginning of it that is no other's."""
+    """A vehicle by its name, or by a beginning of it that is no other's; the number of a drawn one behind it."""
     name, names, where = config.vehicle.name, list(catalogue.vehicles), f"{where}, vehicle.name"
-    fitting = [found for found in names if found.startswith(name)]
-    if name in names or len(fitting) == 1:
-        return name if name in names else fitting[0]
+    kind, number = kind_and_number(name)
+    for beginning, behind in ((name, ""), (kind, f"-{number}")):
+        fitting = [beginning] if beginning in names else [found for found in names if found.startswith(beginning)]
+        if len(fitting) == 1:
+            return fitting[0] + behind
     if fitting:
         what = f"{len(fitting)} vehicles have a name that begins with {name!r}"
         raise InputError(what, where=where, remedy=f"One of: {', '.join(fitting)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from by_hand import BOTH_LAMBDAS, VEHICLES, catalogue
 
 from shift3d.errors import InputError
 from shift3d.settings.catalogue.compiled import require_score_only
-from shift3d.settings.catalogue.reading import Catalogue
+from shift3d.settings.catalogue.reading import Catalogue, read_catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.schema.config import Config
 from shift3d.store.schemas import SCHEMA_VERSION
@@ -70,6 +71,15 @@ def test_unknown_scene_and_vehicle() -> None:
     assert {task.spec.vehicle for task in short.tasks} == {"beach_wagon"}
     one = make_plan(compose_sweep("default", ["scene=south"]), catalogue)[0]
     assert {task.spec.scene for task in one.tasks} == {"south"}
+
+
+def test_a_vehicle_drawn_from_a_kind_is_planned_by_the_beginning_of_the_kinds_name() -> None:
+    wide = compose_sweep("smoke", ["vehicle=wide", "vehicle.name=cam-2", "scenes.count=1"])
+    preview = functools.partial(read_catalogue, preview=True)
+    (task, *_) = make_plan(wide, preview)[0].tasks
+    assert task.spec.vehicle == "camper-2"
+    with pytest.raises(InputError, match=r"unknown vehicle 'lorry-2'"):
+        make_plan(compose_sweep("smoke", ["vehicle=wide", "vehicle.name=lorry-2", "scenes.count=1"]), preview)
 
 
 def test_what_is_loaded_is_shared_between_tasks_that_need_the_same() -> None:

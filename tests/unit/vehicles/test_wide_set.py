@@ -13,7 +13,8 @@ from shift3d.errors import InputError
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.vehicles.family.split import SPLIT
 from shift3d.vehicles.names import WIDE
-from shift3d.vehicles.sources import VehicleSet, set_folder, space_hash
+from shift3d.vehicles.sources import VehicleSet, set_folder, space_hash, vehicle_hash
+from shift3d.vehicles.vehicle import vehicle_mesh
 
 
 @pytest.fixture(scope="module")
@@ -73,3 +74,30 @@ def test_vehicles_of_codes_alone_have_no_parameters() -> None:
         InputError, match=r"'suv' is made of no parameters\. Give vehicle=wide, or attack\.space=pca or free"
     ):
         VehicleSet().parameters("suv")
+
+
+def test_a_vehicle_drawn_from_a_kind_lies_in_its_ranges_and_is_the_same_everywhere(wide: VehicleSet) -> None:
+    kind, box, drawn = wide.vehicle("trailer"), wide.parameters("trailer"), wide.vehicle("trailer-2")
+    own = wide.parameters("trailer-2")
+    assert wide.is_parametric("trailer-2") and "trailer-2" not in wide.names()
+    assert ((own.low <= own.start) & (own.start <= own.high)).all() and (own.start != box.start).any()
+    from_kind = parameter_space(torch.from_numpy(kind.latent_code), box)
+    u = parameter_space(torch.from_numpy(drawn.latent_code), own).start
+    torch.testing.assert_close(from_kind.code(u), torch.from_numpy(drawn.latent_code), rtol=0.0, atol=1e-6)
+    surface = vehicle_mesh(drawn, wide.decoder(), resolution=129)
+    np.testing.assert_allclose(np.ptp(surface.vertices, axis=0), drawn.size_m, atol=1e-3)
+    np.testing.assert_allclose(np.mean(surface.bounds, axis=0), 0.0, atol=1e-3)
+    again = VehicleSet(WIDE)
+    assert vehicle_hash(again.vehicle("trailer-2")) == vehicle_hash(drawn)
+    assert vehicle_hash(again.vehicle("trailer-1")) != vehicle_hash(drawn)
+
+
+def test_only_kinds_made_of_parameters_are_drawn_from() -> None:
+    with pytest.raises(InputError, match=r"unknown vehicle 'suv-1'.*Choose from coupe"):
+        VehicleSet().vehicle("suv-1")
+
+
+@pytest.mark.parametrize("name", ["trailer-0", "trailer-", "trailer-02", "lorry-1", "trailer-1-1"])
+def test_a_name_that_counts_no_drawn_vehicle_is_unknown(wide: VehicleSet, name: str) -> None:
+    with pytest.raises(InputError, match=f"unknown vehicle '{name}'"):
+        wide.vehicle(name)
