@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from shift3d.analysis.results import one_baseline
 from shift3d.analysis.statistics.intervals import Interval, difference_interval
 from shift3d.analysis.tables.table import Table, interval_text
 from shift3d.errors import InputError
@@ -108,17 +107,20 @@ def left_out(objects: pd.DataFrame) -> str | None:
 def rules_objects(sweep: Sweep) -> pd.DataFrame:
     """Every scored baseline, random and adversarial object with all that a rule may be about, a row a detector.
 
-    Sizes are NaN where shapes were not measured; a pose task changes none, and its objects have the baseline's.
+    Sizes are NaN where shapes were not measured; a pose task changes none, and its objects have the baseline's. A
+    baseline that tasks share is one object, and so is a vehicle that no step of a search has changed.
     """
     rows = sweep.scored
     rows = rows[rows["method"].isin(_METHODS)].drop_duplicates(["task_id", "scored_by", "method", "replicate"])
-    same = ["dataset", "scene", "vehicle", "detector", "scored_by", "accuracy", "x_m", "y_m", "yaw_rad", "score"]
-    rows = one_baseline(rows, same)
     posed = rows["mode"] == "pose"
     rows = rows.assign(shape=rows["method"].mask(posed, "baseline"), copy=rows["replicate"].mask(posed, 0))
     sizes = sweep.shapes[["task_id", "method", "replicate", *_SIZES]]
     sizes = sizes.rename(columns={"method": "shape", "replicate": "copy"}).drop_duplicates(["task_id", "shape", "copy"])
     rows = rows.merge(sizes, on=["task_id", "shape", "copy"], how="left")
+    pose = ["x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad"]
+    rows = rows.drop_duplicates(
+        ["dataset", "scene", "vehicle", "detector", "scored_by", "accuracy", *pose, *_SIZES, "score"]
+    )
     tilt = np.degrees(np.maximum(rows["pitch_rad"].abs(), rows["roll_rad"].abs()))
     aspect = aspect_deg(rows["x_m"].to_numpy(), rows["y_m"].to_numpy(), rows["yaw_rad"].to_numpy())
     return rows.assign(tilt_deg=tilt, aspect_deg=aspect)

@@ -17,6 +17,8 @@ from shift3d.store.log_entries import read_log
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.sweep.results.final import write_final
 
+SIZES = ("length_m", "width_m", "height_m", "clearance_m")
+
 
 def drawn(count: int = 400) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(0)
@@ -148,12 +150,27 @@ def test_the_objects_of_a_sweep_have_their_own_sizes_and_those_of_a_pose_the_veh
     assert rows["aspect_deg"].between(0, 90).all()
 
 
-def test_tasks_of_one_place_have_one_baseline(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_what_tasks_share_and_what_no_step_changed_is_one_object(tmp_path) -> None:  # type: ignore[no-untyped-def]
     folder = tmp_path / "sweep"
     valid_sweeps.write_sweep(folder)
     write_final(folder, read_plan(folder), read_log(folder))
     sweep = read_sweep(folder)
+    searched = sweep.scores["method"] == "adversarial"
     again = sweep.scores.assign(task_id="again-" + sweep.scores["task_id"])
-    twice = dataclasses.replace(sweep, scores=pd.concat([sweep.scores, again], ignore_index=True))
-    one, two = (rules_objects(each)["method"].value_counts() for each in (sweep, twice))
+    lower = again.assign(score=again["score"].where(~searched, 0.9 * again["score"]))
+    one, same, two = (
+        rules_objects(dataclasses.replace(sweep, scores=scores))["method"].value_counts()
+        for scores in (sweep.scores, *(pd.concat([sweep.scores, more], ignore_index=True) for more in (again, lower)))
+    )
+    assert same.to_dict() == one.to_dict()
     assert two["baseline"] == one["baseline"] and two["adversarial"] == 2 * one["adversarial"]
+    rows = sweep.scores.set_index(["task_id", "scored_by", "method", "replicate"])
+    pose = ["score", "x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad"]
+    for task, by in rows.loc[(slice(None), slice(None), "adversarial"), :].index.droplevel([2, 3]):
+        rows.loc[(task, by, "adversarial", 0), pose] = rows.loc[(task, by, "baseline", 0), pose].to_numpy()
+    unchanged = dataclasses.replace(
+        sweep,
+        scores=rows.reset_index()[sweep.scores.columns],
+        shapes=sweep.shapes[sweep.shapes["method"] == "baseline"].assign(**dict.fromkeys(SIZES, math.nan)),
+    )
+    assert "adversarial" not in set(rules_objects(unchanged)["method"])
