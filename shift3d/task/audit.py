@@ -48,16 +48,21 @@ class Audit:
 
 
 def score_and_audit(
-    spec: TaskSpec, assets: Assets, problem: AttackProblem, candidate: Candidate, nearby: Nearby | None = None
+    spec: TaskSpec,
+    assets: Assets,
+    problem: AttackProblem,
+    candidate: Candidate,
+    nearby: Nearby | None = None,
+    known: Scored | None = None,
 ) -> tuple[Scored, Audit | None]:
     """A candidate's scores by every detector of the task, and the audit of its rendering where its method has one.
 
-    nearby: what scores of noisy copies start from.
+    nearby: what scores of noisy copies start from. known: the scores of the same object, where it has been scored.
     """
     others = {name: assets.detector_of(name, score_precision(spec)) for name in spec.scored_by[1:]}
     start_from = nearby if candidate.method in SCORED_NEARBY else None
     radius_m = spec.attack.detection_radius_m
-    scored = score_object(problem, candidate.code, candidate.theta, radius_m, others, start_from)
+    scored = known or score_object(problem, candidate.code, candidate.theta, radius_m, others, start_from)
     # The reference would only be held against itself.
     audited = candidate.method in AUDITED and problem.settings != REFERENCE
     return scored, audit(spec, assets, problem, candidate, scored) if audited else None

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from shift3d.attack.baselines import noise_codes, random_code, random_pose
@@ -56,9 +57,10 @@ def run_task(spec: TaskSpec, assets: Assets) -> TaskResult:
         nearby = Nearby()
         for candidate in _candidates(spec, problem, searched, assets, rows):
             there = _there(spec, assets, problem, candidate.vehicle)
-            scored, checked = score_and_audit(spec, assets, there, candidate, nearby)
-            nearby.note(candidate.method, scored)
-            rows.add(candidate, problem.code0, scored, checked, _naturalness(spec, assets, candidate, rows))
+            known = replace(scored, milliseconds={}) if candidate.is_same_object(unchanged) else None
+            found, checked = score_and_audit(spec, assets, there, candidate, nearby, known)
+            nearby.note(candidate.method, found)
+            rows.add(candidate, problem.code0, found, checked, _naturalness(spec, assets, candidate, rows))
             if spec.transfer_scenes and candidate.method == "adversarial":
                 _put_elsewhere(spec, assets, candidate, rows)
         for method, replicate in _planned(spec):
@@ -71,11 +73,11 @@ def _naturalness(spec: TaskSpec, assets: Assets, candidate: Candidate, rows: Row
     """How natural a candidate's shape is; None for noisy copies, and where the task measures none."""
     if candidate.method == "adversarial_noise" or (measures := assets.naturalness(spec)) is None:
         return None
-    if spec.mode == "pose" or candidate.method == "baseline":
+    vehicle, code = candidate.vehicle or assets.vehicle(spec), candidate.code.detach().float()
+    if candidate.vehicle is None and torch.equal(code, torch.from_numpy(vehicle.latent_code)):
         return assets.naturalness_of(spec, spec.vehicle)
     start = time.perf_counter()
-    vehicle = candidate.vehicle or assets.vehicle(spec)
-    found = measures.of_code(vehicle, assets.decoder, candidate.code.detach().float())
+    found = measures.of_code(vehicle, assets.decoder, code)
     rows.time(candidate.method, "naturalness", 1e3 * (time.perf_counter() - start))
     return found
 

@@ -52,6 +52,11 @@ class Candidate:
     status: str = "ok"
     vehicle: Vehicle | None = None
 
+    def is_same_object(self, other: Candidate) -> bool:
+        """Whether code, pose and frame are another's, to the bit."""
+        same = torch.equal(self.code, other.code) and torch.equal(self.theta, other.theta)
+        return same and self.vehicle is other.vehicle
+
 
 @dataclass(frozen=True)
 class Answer:
