@@ -15,6 +15,10 @@ from shift3d.task.run import run_task
 from shift3d.task.spec import PlacementSpec, TransferScene
 
 
+METHODS = ("baseline", "adversarial")
+BOTH = ("pointpillars", "sst_small")
+
+
 def baseline_stages(result: TaskResult) -> dict[str, float]:
     return {row["stage"]: row["milliseconds"] for row in result.timings if row["method"] == "baseline"}
 
@@ -34,6 +38,16 @@ def test_the_second_task_spends_nothing_on_it_and_finds_what_it_would_alone(
     assert sum(baseline_stages(second).values()) == 0.0
     assert moved.transfers and without_times(first) == without_times(moved)
     assert without_times(second) == without_times(pose)
+
+
+def test_a_search_without_a_step_is_its_baseline_scored_once(assets: Assets) -> None:
+    spec = make_spec(attack=replace(SHORT, steps=0, random_replicates=0, noise_replicates=0), scored_by=BOTH)
+    result = run_task(spec, assets)
+    baseline, found = ([row for row in result.scores if row["method"] == method] for method in METHODS)
+    assert [row["score"] for row in found] == [row["score"] for row in baseline]
+    assert len(found) == 2 and found[0]["audited_beams"] > 0
+    stages = {method: {row["stage"] for row in result.timings if row["method"] == method} for method in METHODS}
+    assert "scored_by_sst_small" in stages["baseline"] - stages["adversarial"]
 
 
 def test_a_place_is_looked_for_once_a_worker(assets: Assets) -> None:
