@@ -60,15 +60,17 @@ class Running:
 class BatchOutcome:
     """What a batch came to.
 
-    done, quarantined: task ids in the order they were run. tables: segment tables by name.
-    errors: of each quarantined one. fatal: why no task can be run at all (assets cannot be loaded); the sweep stops
-    with it. peak_mb: the most memory that the worker's process has had, 10^6 bytes.
+    done, quarantined: task ids in the order they were run. tables: segment tables by name. errors: of each quarantined
+    one. unread: those quarantined whose files could not be read or written. fatal: why no task can be run at all
+    (assets cannot be loaded); the sweep stops with it. peak_mb: the most memory that the worker's process has had,
+    10^6 bytes.
     """
 
     done: list[str] = field(default_factory=list)
     quarantined: list[str] = field(default_factory=list)
     tables: dict[str, pa.Table] = field(default_factory=dict)
     errors: list[str] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
     fatal: InputError | None = None
     seconds: float = 0.0
     peak_mb: float = 0.0
@@ -149,6 +151,8 @@ class Worker:
             (outcome.done if rows.done else outcome.quarantined).append(rows.task_id)
             if not rows.done:
                 outcome.errors.append(rows.attempts[-1]["error"])
+            if rows.unread:
+                outcome.unread.append(rows.task_id)
         outcome.seconds = time.perf_counter() - began
         outcome.peak_mb = _peak_mb()
         if outcome.seconds > _GIVES_BACK_S:
@@ -187,6 +191,7 @@ class Worker:
                 row |= _failure(error, quarantined)
                 rows.attempts.append(with_command(row, self._command) if quarantined else row)
                 if quarantined:
+                    rows.unread = io
                     return rows
                 if io:
                     time.sleep(_IO_PAUSE_S[tries - 1])
@@ -253,6 +258,7 @@ class _Rows:
 
     task_id: str
     done: bool = False
+    unread: bool = False
     result: dict[str, list[Row]] = field(default_factory=dict)
     attempts: list[Row] = field(default_factory=list)
 

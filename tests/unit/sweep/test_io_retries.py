@@ -17,6 +17,7 @@ from shift3d.sweep.execution.worker import Worker
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.plan import Plan
 from shift3d.task.exchange import TaskResult
+from shift3d.task.spec import TaskSpec
 
 
 @pytest.fixture
@@ -66,3 +67,15 @@ def test_what_is_missing_or_damaged_is_not_waited_for(
     reader = lambda: read_bytes(LocalLocation(tmp_path / "frame"), "frame")  # noqa: E731
     assert outcomes(suv_plan, [error, error], reader) == ["failed", "failed"]
     assert pauses == []
+
+
+def test_of_tasks_that_fail_those_that_files_failed_are_told_from_others(suv_plan: Plan, pauses: list[float]) -> None:
+    errors = {suv_plan.tasks[0].spec.task_id: OSError(errno.EIO, "Input/output error")}
+
+    def run(spec: TaskSpec, assets: object) -> TaskResult:
+        raise errors.get(spec.task_id, ArithmeticError("no root"))
+
+    kind = TaskKind(run=run, load=lambda _: None, catalogue=lambda _: None)  # type: ignore[arg-type, return-value]
+    assets = [dataclasses.replace(one, threads=1) for one in suv_plan.assets]
+    outcome = Worker(kind, suv_plan.sweep, assets).run_batch([suv_plan.tasks[0], suv_plan.tasks[1]])
+    assert len(outcome.quarantined) == 2 and outcome.unread == list(errors)

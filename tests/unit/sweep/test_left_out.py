@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from types import SimpleNamespace
 from typing import Any
@@ -13,18 +14,23 @@ from ray import exceptions
 from ray.core.generated.common_pb2 import ActorDiedErrorContext
 
 from shift3d.errors import InputError
+from shift3d.scenes.facts import SceneFacts
+from shift3d.settings.catalogue.scene_entries import SceneEntry
 from shift3d.settings.compose import compose_sweep, validate
 from shift3d.settings.schema.config import RayRunnerConfig
 from shift3d.sweep.execution.ray import runner as runner_module
 from shift3d.sweep.execution.ray import worker as worker_module
+from shift3d.sweep.execution.ray.left_out import UNREAD_SCENES, LeftOut
 from shift3d.sweep.execution.ray.runner import RayRunner
 from shift3d.sweep.execution.ray.versions import difference, installed
 from shift3d.sweep.execution.ray.worker import Ready
 from shift3d.sweep.execution.worker import BatchOutcome
 from shift3d.sweep.planning.kind import shift3d_kind
+from shift3d.sweep.planning.plan import Plan, make_plan
 from shift3d.task.exchange import AssetsSpec
 
 DIED = "The actor died.\n  File x.py, line 1\nImportError: no module named shift3d"
+EIO = "OSError: [Errno 5] Input/output error: '/data/frame'"
 UNMOUNTED = InputError("no such folder", "/data", "Mount it")
 
 
@@ -41,6 +47,8 @@ class Ray:
         self._actors: dict[str, Any] = {}
         self.other: dict[str, dict[str, str]] = {}
         self._results: dict[Any, Any] = {}
+        self.broken = ""
+        self.ids: list[str] = []
         self.ran: list[tuple[str, int]] = []
         state = SimpleNamespace(actors=lambda actor: {"Address": {"NodeID": actor}})
         self._private = SimpleNamespace(state=state)
@@ -87,6 +95,10 @@ class Ray:
         if machine not in self._mounted:
             return BatchOutcome(fatal=UNMOUNTED)
         self.ran += [(machine, position) for position in positions]
+        if machine in self.broken:
+            ids = [self.ids[position] for position in positions]
+            # Each is tried four times, with pauses.
+            return BatchOutcome(quarantined=ids, unread=ids, errors=[EIO] * len(ids), seconds=10.5 * len(ids))
         return BatchOutcome(done=[str(position) for position in positions])
 
     def wait(self, references: list[Any], timeout: float, num_returns: int = 1) -> tuple[list[Any], list[Any]]:
@@ -103,12 +115,23 @@ class Ray:
         self._actors = {name: other for name, other in self._actors.items() if other is not actor}
 
 
-def outcomes(ray: Any, monkeypatch: pytest.MonkeyPatch) -> tuple[list[BatchOutcome], RayRunner]:
+def outcomes(
+    ray: Ray, monkeypatch: pytest.MonkeyPatch, plan: Plan | None = None
+) -> tuple[list[BatchOutcome], RayRunner]:
     monkeypatch.setattr(runner_module, "connect", lambda config, left: ray)
     config = validate(compose_sweep("smoke", ["runner.address=auto"]).base, "test").runner
     assert isinstance(config, RayRunnerConfig)
-    runner = RayRunner(shift3d_kind(), valid_sweeps.plan(), config, 2)
-    return list(runner.run(np.arange(2), threading.Event())), runner
+    plan = plan or valid_sweeps.plan()
+    ray.ids = plan.tasks.ids.to_pylist()
+    runner = RayRunner(shift3d_kind(), plan, config, len(plan.tasks))
+    return list(runner.run(np.arange(len(plan.tasks)), threading.Event())), runner
+
+
+def plan_of_scenes(count: int) -> Plan:
+    """A task a scene."""
+    scenes = tuple(SceneEntry(name, "street-hdl64", name, SceneFacts(name)) for name in map(str, range(count)))
+    composed = compose_sweep("smoke", ["vehicle=suv", "mode=shape"])
+    return make_plan(composed, lambda config: dataclasses.replace(valid_sweeps.catalogue(config), scenes=scenes))[0]
 
 
 def test_others_run_the_tasks_of_a_machine_that_cannot_load(
@@ -146,6 +169,31 @@ def test_a_machine_where_no_worker_starts_is_left_out(
 def test_where_no_worker_starts_anywhere_the_sweep_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     found, _ = outcomes(Ray("ab", mounted="ab", starting=""), monkeypatch)
     assert "no worker starts" in str(found[-1].fatal)
+
+
+def test_a_machine_whose_files_fail_scene_after_scene_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = Ray("abc", mounted="abc")
+    ray.broken = "a"
+    found, runner = outcomes(ray, monkeypatch, plan_of_scenes(40))
+    failed = [name for outcome in found for name in outcome.quarantined]
+    assert len(failed) == UNREAD_SCENES and sum(len(outcome.done) for outcome in found) == 40 - UNREAD_SCENES
+    (line,) = runner.left_out
+    assert line.startswith("host-a is left out: tasks of 3 scenes in a row failed there: " + EIO)
+    assert not any(outcome.fatal for outcome in found)
+
+
+def test_where_the_files_of_every_machine_fail_the_last_one_is_not_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = Ray("ab", mounted="ab")
+    ray.broken = "ab"
+    found, runner = outcomes(ray, monkeypatch, plan_of_scenes(12))
+    assert len(runner.left_out) == 1 and sum(len(outcome.quarantined) for outcome in found) == 12
+
+
+def test_damaged_scenes_here_and_there_leave_no_machine_out() -> None:
+    left_out = LeftOut(Ray("ab", mounted="ab"), 1.0)
+    assert not any(left_out.unread("a", {scene}, done=False) for scene in ("1", "1", "2", "1"))
+    assert not left_out.unread("a", set(), done=True) and not left_out.unread("a", {"3", "4"}, done=False)
+    assert left_out.unread("a", {"5"}, done=False)
 
 
 def test_whatever_fails_while_assets_are_loaded_is_the_machines_defect() -> None:

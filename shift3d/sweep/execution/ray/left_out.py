@@ -1,7 +1,8 @@
 """Machines that cannot run a sweep's tasks: no worker is started there any more, and a line of each says why.
 
 A machine is left out where a worker could not load what tasks need (its data are not mounted, its disk is full), where
-several starts of workers failed, or where other versions are installed. One that is started again counts as another.
+tasks of several scenes in a row could not read or write a file, where several starts of workers failed, or where other
+versions are installed. One that is started again counts as another.
 
 Source: our choice.
 """
@@ -17,6 +18,8 @@ from shift3d.progress_bar import write_line
 
 # Starts that fail on a machine: a defect of its installation.
 FAILED_STARTS = 3
+# Scenes in a row that a machine cannot read or write: one or two may themselves be damaged.
+UNREAD_SCENES = 3
 _NODE_ID = "ray.io/node-id"
 
 
@@ -32,6 +35,7 @@ class LeftOut:
         self._cpus = cpus
         self._ids: set[str] = set()
         self._failed: Counter[str] = Counter()
+        self._unread: dict[str, set[str]] = {}
         self._shown = 0
         self.lines: list[str] = []
 
@@ -55,6 +59,14 @@ class LeftOut:
         """A start on a machine went well: earlier ones that failed are forgotten."""
         del self._failed[node_id]
 
+    def unread(self, node_id: str, scenes: set[str], done: bool) -> bool:
+        """Count the scenes of tasks that a machine's file system or network failed. Whether these were too many.
+
+        done: it finished others meanwhile, and earlier ones are forgotten.
+        """
+        self._unread[node_id] = scenes | (set() if done else self._unread.get(node_id, set()))
+        return len(self._unread[node_id]) >= UNREAD_SCENES
+
     def show(self) -> None:
         """Print the lines that are new, once others run tasks: where none does, the sweep's own error says it."""
         for line in self.lines[self._shown :]:
@@ -65,9 +77,10 @@ class LeftOut:
         """Machines that are there and not left out, as Ray describes them."""
         return [node for node in self._ray.nodes() if node["Alive"] and node.get("NodeID") not in self._ids]
 
-    def any_other(self) -> bool:
-        """Whether another machine has the CPUs for a worker."""
-        return any(node["Resources"].get("CPU", 0) >= self._cpus for node in self.others())
+    def any_other(self, than: str = "") -> bool:
+        """Whether another machine, and another than one that is not left out, has the CPUs for a worker."""
+        others = (node["Resources"] for node in self.others() if node.get("NodeID") != than)
+        return any(resources.get("CPU", 0) >= self._cpus for resources in others)
 
     def options(self) -> Mapping[str, Any]:
         """Of an actor, so that it is started elsewhere."""

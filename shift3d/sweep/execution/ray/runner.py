@@ -6,7 +6,8 @@ What can go wrong with a call and what follows from it (design section 9):
 - the worker died or ran out of memory, or the task hung, alone: counted against the task, which is quarantined the
   second time;
 - the machine went away: run again, not charged;
-- the machine cannot load what tasks need: run again elsewhere, not charged. Where no machine can, the sweep ends.
+- the machine cannot load what tasks need: run again elsewhere, not charged. Where no machine can, the sweep ends;
+- the machine's files fail tasks of three scenes in a row: the next ones run elsewhere, where there is another machine.
 
 Source: our choice.
 """
@@ -26,6 +27,7 @@ from shift3d.sweep.execution.backlog import Backlog, BatchSizer
 from shift3d.sweep.execution.ray.calls import Call, Calls
 from shift3d.sweep.execution.ray.connection import connect
 from shift3d.sweep.execution.ray.failures import Failure, failure_of
+from shift3d.sweep.execution.ray.left_out import UNREAD_SCENES
 from shift3d.sweep.execution.ray.shipped_files import loaded
 from shift3d.sweep.execution.ray.watch import Watch
 from shift3d.sweep.execution.ray.worker import RayWorker
@@ -33,6 +35,7 @@ from shift3d.sweep.execution.ray.worker_pool import WorkerPool
 from shift3d.sweep.execution.worker import BatchOutcome, Running, attempt_row
 from shift3d.sweep.planning.kind import TaskKind, reproduce_command, with_command
 from shift3d.sweep.planning.plan import Plan
+from shift3d.wording import counted
 
 _HEARTBEAT_S = 0.5
 
@@ -139,6 +142,7 @@ class RayRunner:
             )
         if outcome.fatal:
             return self._not_loaded(call, outcome, outcome.fatal, wanted)
+        self._leave_unreadable(call, outcome)
         self._pool.left_out.show()
         if not wanted:
             return BatchOutcome()
@@ -146,6 +150,18 @@ class RayRunner:
         self._calls.finished(call, ran, outcome.seconds)
         self._sizer.finished(ran, outcome.seconds)
         return outcome
+
+    def _leave_unreadable(self, call: Call, outcome: BatchOutcome) -> None:
+        """Tasks of several scenes in a row could not read or write a file: another machine may."""
+        worker, left_out = call.worker, self._pool.left_out
+        scenes = {self._plan.tasks[at].spec.scene for at in call.positions if self._id(at) in outcome.unread}
+        too_many = left_out.unread(worker.node_id, scenes, bool(outcome.done))
+        if worker.node_id in left_out:
+            self._pool.lost(worker)
+        elif too_many and left_out.any_other(worker.node_id):
+            what = f"tasks of {counted(UNREAD_SCENES, 'scene')} in a row failed there: {outcome.errors[-1]}"
+            remedy = "Repair it, and give those tasks back with --retry-quarantined"
+            self._pool.leave(worker.node_id, worker.host, InputError(what, remedy=remedy))
 
     def _not_loaded(self, call: Call, outcome: BatchOutcome, error: InputError, wanted: bool) -> BatchOutcome:
         """A call's machine cannot load what tasks need: others run them. The outcome itself where there is no other."""

@@ -178,6 +178,12 @@ class WorkerPool:
             return None
         return InputError(f"no worker starts: {why}", where="runner", remedy=remedy)
 
+    def leave(self, node_id: str, host: str, error: InputError) -> None:
+        """Leave a machine out, and end its workers as soon as they have no call."""
+        self.left_out.add(node_id, host, error)
+        for worker in [other for other in self._workers if other.node_id == node_id and not other.running]:
+            self.lost(worker)
+
     def idle(self) -> PooledWorker | None:
         """A worker without a call; None where all are busy. Whether it has died meanwhile its next call tells."""
         return next((worker for worker in self._workers if not worker.running), None)
