@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from shift3d.analysis.tables.table import Table
+from shift3d.analysis.variants import differing_settings
 from shift3d.methods import METHODS
 
 MEANINGS = {
@@ -21,7 +22,7 @@ MEANINGS = {
     "the beams on the object, and a little off its pose (1 cm, 0.1 degrees), in every draw; the baseline gets the same "
     "draws",
 }
-_GROUP = ["method", "mode", "lambda", "scored_by"]
+_GROUP = ["method", "mode", "lambda", "scored_by", "settings"]
 
 
 def stability_lines(verification: pd.DataFrame) -> str:
@@ -34,14 +35,18 @@ def stability_lines(verification: pd.DataFrame) -> str:
 
 
 def stability_table(verification: pd.DataFrame) -> Table:
-    """Solutions scored again, by method, mode, lambda and the detector that scored them."""
+    """Solutions scored again: a line a method, mode, lambda, scoring detector and other settings that differ."""
+    alpha = [f"alpha {value:g}" for value in verification["alpha"]]
+    settings = differing_settings(verification.assign(alpha=alpha), ("search", "alpha", "detector", "accuracy"))
     lines = []
-    for (method, mode, weight, scored_by), rows in verification.groupby(_GROUP, sort=False, dropna=False):
+    for key, rows in verification.assign(settings=settings).groupby(_GROUP, sort=False, dropna=False):
+        method, mode, weight, scored_by, other = key
         unstable = int((~rows["stable"]).sum())
         difference = (rows["score"] - rows["score_reference"]).abs().max()
         again = (rows["score"] == rows["score_again"]).mean()
         shares = f"{1 - unstable / len(rows):.1%}", f"{difference:.1e}", f"{again:.0%}", f"{rows['robust'].mean():.0%}"
-        group = [METHODS.get(method, method), mode, "-" if math.isnan(weight) else f"{weight:g}", scored_by]
+        name = ", ".join(filter(None, [METHODS.get(method, method), other]))
+        group = [name, mode, "-" if math.isnan(weight) else f"{weight:g}", scored_by]
         lines.append([*group, str(len(rows)), str(unstable), *shares])
     header = ["method", "mode", "lambda", "scored by", *MEANINGS]
     return Table("Scored again at reference accuracy", header, lines)

@@ -9,7 +9,7 @@ import pytest
 
 from shift3d.analysis.html.pages import write_stability_page
 from shift3d.analysis.tables.accuracy.cost import diagnostics
-from shift3d.analysis.tables.stability import stability_lines
+from shift3d.analysis.tables.stability import stability_lines, stability_table
 
 
 def verification(unstable: int, stable: int) -> pd.DataFrame:
@@ -18,6 +18,7 @@ def verification(unstable: int, stable: int) -> pd.DataFrame:
         bad = index < unstable
         rows.append(
             {"task_id": f"task{index:02d}", "vehicle": "suv", "scene": "street", "mode": "shape", "lambda": 1.0}
+            | {"search": "descent", "alpha": 0.01, "detector": "pointpillars", "accuracy": "standard"}
             | {"scored_by": "pointpillars", "method": "adversarial", "replicate": 0, "score": 0.3}
             | {"score_again": 0.3, "score_reference": 0.5 if bad else 0.3001, "margin": 0.5, "stable": not bad}
             | {"least_margin_noise": 0.4, "least_margin_nearby": 0.4, "robust": index % 2 == 0}
@@ -42,6 +43,16 @@ def test_every_unstable_solution_is_counted_and_named_with_its_cause(tmp_path: P
     assert page.count("of its &lt;300&gt; hits 9 missed") == 12 and "a &lt;sweep&gt;" in page and "<300>" not in page
     again = write_stability_page(tmp_path / "again.html", "a <sweep>", scores(non_finite=[0]), frame).read_text()
     assert page == again
+
+
+def test_solutions_of_other_settings_have_lines_of_their_own() -> None:
+    one = verification(unstable=1, stable=3)
+    both = pd.concat([one, verification(unstable=0, stable=4).assign(search="evolution", alpha=0.1)])
+    lines = stability_table(both).lines
+    assert [line[0] for line in lines] == ["adversarial, descent, alpha 0.01", "adversarial, evolution, alpha 0.1"]
+    assert [line[4:6] for line in lines] == [["4", "1"], ["4", "0"]]
+    (alone,) = stability_table(one).lines
+    assert alone[0] == "adversarial"
 
 
 def test_nothing_unstable_is_said_so(tmp_path: Path) -> None:
