@@ -5,12 +5,14 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from shift3d.detectors.names import FOREIGN, ONNX
 from shift3d.errors import InputError
+from shift3d.progress_bar import progress_bar
 from shift3d.settings import messages
 from shift3d.settings.catalogue.detector_files import detector_layouts, require_in_grid, require_used
 from shift3d.settings.catalogue.reading import Catalogue
@@ -88,7 +90,10 @@ def make_plan(composed: Composed, catalogue_of: Callable[[Config], Catalogue]) -
     detectors: list[DetectorConfig] = []
     decided = EffectChoices()
     layouts = Layouts(builder, decided, where)
-    for config in expand(composed):
+    several = math.prod(len(axis.values) for axis in composed.axes)
+    # Vehicles that have to be decoded take seconds each.
+    combinations = progress_bar(expand(composed), desc="planning", total=several, leave=False, delay=5.0)
+    for config in combinations:
         first = first or config
         key = _assets_key(config)
         if key not in catalogues:
