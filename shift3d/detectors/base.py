@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -65,6 +66,7 @@ class Detector(Protocol):
         """Smallest window whose proposals with anchor centres within radius_m equal the full scene's."""
         ...
 
+    @abstractmethod
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
         """Score every anchor. points: (N, 3). Differentiable w.r.t. points, through the logits."""
         ...

@@ -51,7 +51,6 @@ class Pillars:
 
 
 def full_window(grid: Grid) -> BevWindow:
-    """The window that is the whole grid."""
     return BevWindow(0, 0, grid.num_x, grid.num_y, 0, 0, grid.num_x, grid.num_y)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -85,16 +83,8 @@ def suppress(
 class SuppressedProposals(Detector):
     """A detector whose boxes are its proposals after suppression."""
 
-    @abstractmethod
-    def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
-        """See `Detector`."""
-
     def detect(
-        self,
-        points: Tensor,
-        window: BevWindow | None = None,
-        score_threshold: float = 0.1,
-        iou_threshold: float = 0.25,
+        self, points: Tensor, window: BevWindow | None = None, score_threshold: float = 0.1, iou_threshold: float = 0.25
     ) -> Detections:
         """Boxes after suppression, best first; at most 4096 before and 500 after. Not differentiable.
 

@@ -13,9 +13,8 @@ from shift3d.detectors.incremental.inference import IncrementalInference, WholeW
 from shift3d.detectors.incremental.pillars import IncrementalPillars
 from shift3d.detectors.incremental.sparse_backbone import SparseBackbone
 from shift3d.detectors.incremental.tokens import IncrementalTokens
-from shift3d.detectors.models.heads import proposal_indices
-from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
-from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
+from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic, proposal_indices
+from shift3d.detectors.models.pillar_detectors import PillarBackboneNet
 from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.nms import SuppressedProposals
 from shift3d.errors import InputError
@@ -47,20 +46,13 @@ class TrainedDetector(SuppressedProposals):
         """
         if not all(isfinite(value) for value in (*centre_xy, radius_m)):
             raise InputError(f"no disc of {radius_m:g} m around {centre_xy}", where="detector window")
-        spans = []
-        for centre, origin, cells in (
-            (centre_xy[0], self.grid.x_min_m, self.grid.num_x),
-            (centre_xy[1], self.grid.y_min_m, self.grid.num_y),
-        ):
-            spans.append(self._span((centre - origin) / self.grid.cell_m, radius_m / self.grid.cell_m, cells))
-        if None in spans:
-            raise InputError(
-                f"no detector cell within {radius_m:g} m of ({centre_xy[0]:g}, {centre_xy[1]:g})",
-                where="detector window",
-                remedy="choose a centre inside the detector's range",
-            )
-        (x0, nx, cx0, cnx), (y0, ny, cy0, cny) = (span for span in spans if span is not None)
-        return BevWindow(x0, y0, nx, ny, cx0, cy0, cnx, cny)
+        grid, radius = self.grid, radius_m / self.grid.cell_m
+        x = self._span((centre_xy[0] - grid.x_min_m) / grid.cell_m, radius, grid.num_x)
+        y = self._span((centre_xy[1] - grid.y_min_m) / grid.cell_m, radius, grid.num_y)
+        if x is None or y is None:
+            what = f"no detector cell within {radius_m:g} m of ({centre_xy[0]:g}, {centre_xy[1]:g})"
+            raise InputError(what, where="detector window", remedy="choose a centre inside the detector's range")
+        return BevWindow(*(part for pair in zip(x, y) for part in pair))
 
     def _span(self, centre: float, radius: float, cells: int) -> tuple[int, int, int, int] | None:
         low, high = max(0, floor(centre - radius)), min(cells, ceil(centre + radius))

@@ -126,9 +126,8 @@ def choose(wanted: str | Sequence[str], scene: SceneFacts, detector: DetectorFac
         if name not in NEEDS:
             raise InputError(f"unknown effect {name!r}", "effects", f"Known: auto, none, {', '.join(NEEDS)}")
         if not NEEDS[name].present(scene):
-            raise InputError(
-                f"scene {scene.scene_id} has no data for {name}: {NEEDS[name].lacking}", "effects", NEEDS[name].remedy
-            )
+            what = f"scene {scene.scene_id} has no data for {name}: {NEEDS[name].lacking}"
+            raise InputError(what, "effects", NEEDS[name].remedy)
     impacts = measured_impact()
     return [
         Choice(name, True, "asked for", impacts[name].milliseconds if name in impacts else None)

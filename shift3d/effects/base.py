@@ -176,7 +176,7 @@ class Effect(ABC):
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
         """Why this scene calls for the effect, in a few words with figures; None where it does not.
 
-        Asked only where the scene has what the effect needs (`effects.applicability.NEEDS`).
+        Asked only where the scene, and the detector, have what the effect needs (`effects.applicability.NEEDS`).
         """
 
     @abstractmethod

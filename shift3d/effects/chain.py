@@ -109,9 +109,10 @@ class EffectChain:
         """
         vehicle = self.context.vehicle
         core = render(self.beams, field, theta, vehicle, settings, warm, space)
-        if self._keeps_first_hits():
-            return core
-        insertion = Insertion(self.beams, core, field, theta, vehicle, settings, self.cast.shift_m, space)
+        cast = self.cast
+        if not self._footprints and not self._returns and cast.shift_m is None and cast.no_return is None:
+            return core  # nothing acts on what comes back, and every row is a point of the scene
+        insertion = Insertion(self.beams, core, field, theta, vehicle, settings, cast.shift_m, space)
         spent: dict[str, float] = {}
         returns = self._object_returns(insertion)
         for name, footprint in self._footprints:
@@ -124,11 +125,6 @@ class EffectChain:
             returns = step(returns)
             spent[name] = 1e3 * (time.perf_counter() - start)
         return self._merged(core, returns, spent)
-
-    def _keeps_first_hits(self) -> bool:
-        """Whether nothing acts on what comes back, and every row is a point of the scene."""
-        cast = self.cast
-        return not self._footprints and not self._returns and cast.shift_m is None and cast.no_return is None
 
     def _object_returns(self, insertion: Insertion) -> Returns:
         """What beams on the object bring back, if nothing else happens."""
@@ -147,18 +143,9 @@ class EffectChain:
         shift = self.cast.shift_m
         points = cast_points if shift is None else cast_points + shift[row]
         yes = torch.ones(len(row), dtype=torch.bool)
-        reflectance = self.context.reflectance
-        return Returns(
-            row,
-            points,
-            self._origins()[row],
-            directions,
-            yes,
-            yes,
-            cosine,
-            albedo,
-            None if reflectance is None else reflectance[row],
-        )
+        known = self.context.reflectance
+        reflectance = None if known is None else known[row]
+        return Returns(row, points, self._origins()[row], directions, yes, yes, cosine, albedo, reflectance)
 
     def _scene_returns(self) -> Returns:
         """The scene's own points, and rows without a return without a return."""
@@ -168,17 +155,8 @@ class EffectChain:
         returned = beams.carries if no_return is None else beams.carries & ~no_return
         reflectance = self.context.reflectance
         albedo = torch.full((count,), SCENE_ALBEDO, dtype=torch.float64) if reflectance is None else reflectance
-        return Returns(
-            torch.arange(count),
-            self._resting().double(),
-            self._origins(),
-            beams.directions,
-            none,
-            returned,
-            torch.ones(count, dtype=torch.float64),
-            albedo,
-            reflectance,
-        )
+        row, points, ones = torch.arange(count), self._resting().double(), torch.ones(count, dtype=torch.float64)
+        return Returns(row, points, self._origins(), beams.directions, none, returned, ones, albedo, reflectance)
 
     def _resting(self) -> Tensor:
         """(N, 3) the rows without the object, dtype of the scene's points; beams without a return far out."""

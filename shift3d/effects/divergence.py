@@ -76,19 +76,6 @@ def strongest(range_m: Tensor, power: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class _Echoes:
-    """Of C beams, 7 sub-rays each, the axis first: (C, 7), float64 but on_object.
-
-    range_m: differentiable. light: weight * albedo * cosine. cosine: of incidence; 1 off the object.
-    """
-
-    range_m: Tensor
-    light: Tensor
-    cosine: Tensor
-    on_object: Tensor
-
-
-@dataclass(frozen=True)
 class _Verdict:
     """What C beams bring back: (C,).
 
@@ -102,18 +89,22 @@ class _Verdict:
     albedo: Tensor
 
     @staticmethod
-    def of(echoes: _Echoes) -> _Verdict:
-        """The strongest group of merged echoes. Nothing to notice (no power at all): not the object's."""
-        power = echoes.light / echoes.range_m.detach().square()
-        kept = strongest(echoes.range_m.detach(), power)
-        ours = kept & echoes.on_object
+    def of(range_m: Tensor, light: Tensor, cosine: Tensor, on_object: Tensor) -> _Verdict:
+        """The strongest group of merged echoes. Nothing to notice (no power at all): not the object's.
+
+        Args, each (C, 7), of the axis and six sub-rays:
+            range_m: differentiable. light: weight * albedo * cosine. cosine: of incidence; 1 off the object.
+        """
+        power = light / range_m.detach().square()
+        kept = strongest(range_m.detach(), power)
+        ours = kept & on_object
         total, of_object = (power * kept).sum(1), (power * ours).sum(1)
         object_wins = (of_object > 0) & (of_object >= 0.5 * total)
         weight = power * kept / torch.where(object_wins, total, 1.0)[:, None]
         share = power * ours / torch.where(object_wins, of_object, 1.0)[:, None]
-        cosine = torch.where(object_wins, (share * echoes.cosine).sum(1), 1.0)
-        albedo = (echoes.light * ours).sum(1) / cosine
-        return _Verdict(object_wins, ours.all(1), (weight * echoes.range_m).sum(1), cosine, albedo)
+        mean_cosine = torch.where(object_wins, (share * cosine).sum(1), 1.0)
+        albedo = (light * ours).sum(1) / mean_cosine
+        return _Verdict(object_wins, ours.all(1), (weight * range_m).sum(1), mean_cosine, albedo)
 
 
 @dataclass(frozen=True)
@@ -127,14 +118,14 @@ class _Footprint:
         rows = at_silhouettes(insertion, self.angle_rad)
         if len(rows) == 0:
             return returns
-        verdict = _Verdict.of(self._echoes(rows, returns, insertion))
+        verdict = self._verdict(rows, returns, insertion)
         was_hit = insertion.rendering.hit_mask[rows]
         result = _moved(returns, rows, was_hit & verdict.object_wins & ~verdict.whole, verdict)
         known = rows < len(self.context.scene.points)
         result = self._returned_to_scene(result, rows[was_hit & ~verdict.object_wins & known])
         return self._with_gained(result, rows, ~was_hit & verdict.object_wins, verdict, insertion)
 
-    def _echoes(self, rows: Tensor, returns: Returns, insertion: Insertion) -> _Echoes:
+    def _verdict(self, rows: Tensor, returns: Returns, insertion: Insertion) -> _Verdict:
         """Cast the sub-rays of rows (C,); the axis has been. Differentiable through the ranges."""
         beams, count = insertion.beams, len(rows)
         starts, axis, ends = beams.origins[rows], beams.directions[rows], beams.ranges_m[rows]
@@ -149,7 +140,7 @@ class _Footprint:
         cosine[on_object] = cosine_of_incidence(directions[on_object], points, insertion.metric(), insertion.theta)
         albedo = self._scene_albedo(rows)[:, None].repeat(1, 7)
         albedo[on_object] = albedo_of(points, insertion.theta.detach(), insertion.vehicle)
-        return _Echoes(range_m, albedo * cosine / 7.0, cosine, on_object)
+        return _Verdict.of(range_m, albedo * cosine / 7.0, cosine, on_object)
 
     def _returned_to_scene(self, returns: Returns, rows: Tensor) -> Returns:
         """Rows that are the scene's again: their own points."""

@@ -27,9 +27,9 @@ class NoReturnCast(Effect):
     name = "no_return_beams"
     kind: Kind = "cast"
 
-    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """See `Effect`. The facts do not tell where the beams point, so any is a reason."""
-        return f"{scene.no_return_beams} beams without a return may meet the object" if scene.no_return_beams else None
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
+        """Always: the facts do not tell where the beams point."""
+        return f"{scene.no_return_beams} beams without a return may meet the object"
 
     def bind(self, context: EffectContext) -> CastStep:
         no_return = context.scene.no_return

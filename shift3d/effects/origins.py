@@ -20,9 +20,9 @@ class Origins(Effect):
     name = "origins"
     kind: Kind = "cast"
 
-    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """See `Effect`. However small the distance between the places: the facts do not tell it."""
-        return "its beams start in more than 1 place" if scene.origins > 1 else None
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
+        """Always, however small the distance between the places: the facts do not tell it."""
+        return "its beams start in more than 1 place"
 
     def bind(self, context: EffectContext) -> CastStep:
         scene = context.scene

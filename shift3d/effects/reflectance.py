@@ -32,10 +32,8 @@ class Reflectance(Effect):
     kind: Kind = "returns"
     reads_incidence = True
 
-    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Where the detector reads it and the scene has it."""
-        if not (detector.reads_reflectance and scene.has_reflectance):
-            return None
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
+        """Always."""
         return f"{detector.name} reads reflectance: moved points would report what they met before"
 
     def bind(self, context: EffectContext) -> ReturnsStep:

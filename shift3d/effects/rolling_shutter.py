@@ -12,7 +12,7 @@ from torch import Tensor
 
 from shift3d.effects.base import Cast, CastStep, Effect, EffectContext, Kind
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
-from shift3d.scenes.labels import Conditions
+from shift3d.scenes.scene import Conditions
 
 ASSUMED_NOISE_M = 0.02
 """Range noise of a sensor that states none. Our choice: what data sheets of spinning sensors give."""

@@ -25,10 +25,8 @@ class SecondReturns(Effect):
     name = "second_returns"
     kind: Kind = "returns"
 
-    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Where beams have more than one return that can be paired."""
-        if scene.returns <= 1 or not scene.has_pixels:
-            return None
+    def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str:
+        """Always."""
         return f"{scene.returns} returns a beam: an opaque object in front of them sends back 1"
 
     def bind(self, context: EffectContext) -> ReturnsStep:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from shift3d.errors import InputError
-from shift3d.scenes.labels import Conditions
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 
 

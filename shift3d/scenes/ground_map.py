@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.errors import InputError
+from shift3d.scenes.listing import require_array
 
 _NEAR_M, _FAR_M = 4.0, 12.0
 _BAND_M, _LAYER_M, _REFINED_M = 0.35, 0.05, 0.15
@@ -111,10 +111,9 @@ class GroundMap:
 
     def validate(self, where: str) -> None:
         """Refuse grids of another shape or type. Raises InputError: naming the field."""
-        for name, values, dtype in (("height_m", self.height_m, np.float32), ("drivable", self.drivable, np.bool_)):
-            if values is not None and (values.shape != (CELLS, CELLS) or values.dtype != dtype):
-                what = f"{values.dtype} {values.shape}"
-                raise InputError(what, f"{where}, ground_map.{name}", f"Give {np.dtype(dtype).name} (240, 240)")
+        require_array(self.height_m, (CELLS, CELLS), np.float32, f"{where}, ground_map.height_m")
+        if self.drivable is not None:
+            require_array(self.drivable, (CELLS, CELLS), np.bool_, f"{where}, ground_map.drivable")
 
 
 def _cell(metres: float) -> int:

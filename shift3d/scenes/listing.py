@@ -1,9 +1,10 @@
-"""What readers of recorded scenes share: names, files read as bytes and text, and bounds of what is metres."""
+"""What readers of recorded scenes share: names, files and what is wrong with them, bounds of what is metres."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
-from itertools import islice
+import contextlib
+import io
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,9 @@ from shift3d.store.location import Location
 from shift3d.wording import counted
 
 UNITS_REMEDY = "Convert the file: coordinates and ranges are metres, angles radians"
-_NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
-
-
+_AGAIN = "Copy it again"
 _MISSING_REMEDY = "Add it, or leave the scene out"
+_NEAREST_MEDIAN_M, _FARTHEST_MEDIAN_M, _FARTHEST_M = 0.5, 150.0, 1e4
 
 
 def read_bytes(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> bytes:
@@ -38,7 +38,49 @@ def read_lines(file: Location, kind: str, remedy: str = _MISSING_REMEDY) -> list
     try:
         return read_bytes(file, kind, remedy).decode().splitlines()
     except UnicodeDecodeError as error:
-        raise InputError(f"the {kind} is no text", str(file), "Copy it again") from error
+        raise InputError(f"the {kind} is no text", str(file), _AGAIN) from error
+
+
+@contextlib.contextmanager
+def opened(file: Location, kind: str, *bad: type[Exception]) -> Iterator[Any]:
+    """A binary file, open. kind: what it is, for errors. bad: what is raised beside OSError where it is damaged.
+
+    Raises InputError: it is missing, cannot be read, or one of `bad` is raised while it is open.
+    """
+    damaged: tuple[type[Exception], ...] = (OSError, *bad)
+    try:
+        with contextlib.closing(file.open()) as handle:
+            yield handle
+    except FileNotFoundError as error:
+        raise InputError(f"the {kind} is missing", str(file), _MISSING_REMEDY) from error
+    except damaged as error:
+        raise InputError(f"not a readable {kind} ({' '.join(str(error).split())[:120]})", str(file), _AGAIN) from error
+
+
+def read_array(file: Location) -> NDArray[Any]:
+    """The array of a .npy file. Raises InputError: it is missing, damaged, an archive, or no numbers."""
+    content = read_bytes(file, ".npy file")
+    try:
+        array = np.load(io.BytesIO(content), allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        what = f"not a readable .npy file of numbers ({' '.join(str(error).split())[:80]})"
+        raise InputError(what, str(file), _AGAIN) from error
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+        what = f"{getattr(array, 'dtype', 'an archive')}, not an array of numbers"
+        raise InputError(what, str(file), "Give a float32 array")
+    return array
+
+
+def read_records(file: Location, kind: str, columns: int) -> NDArray[np.float32]:
+    """(N, columns) of a file of little-endian float32, N at least 1.
+
+    Raises InputError: as `read_bytes`, and where it is empty or its last row is cut short.
+    """
+    raw, size = read_bytes(file, kind), 4 * columns
+    if not raw or len(raw) % size:
+        what = f"{counted(len(raw), 'byte')} is not a whole number of {size}-byte points"
+        raise InputError(what, str(file), "The file is truncated: copy it again.")
+    return np.frombuffer(raw, dtype="<f4").reshape(-1, columns).astype(np.float32)
 
 
 def refuse_not_finite(rows: NDArray[Any], where: str, remedy: str = "Repair or drop those rows") -> None:
@@ -47,6 +89,14 @@ def refuse_not_finite(rows: NDArray[Any], where: str, remedy: str = "Repair or d
     if bad.any():
         what = f"{counted(int(bad.sum()), 'row')} with NaN or infinity, first is row {int(bad.argmax())}"
         raise InputError(what, where, remedy)
+
+
+def require_array(values: NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic], where: str) -> None:
+    """Refuse an array of another shape or type. Raises InputError: saying which is wanted."""
+    if values.shape != shape:
+        raise InputError(f"shape {values.shape}", where, f"Give {shape}")
+    if values.dtype != dtype:
+        raise InputError(f"dtype {values.dtype}", where, f"Cast it to {np.dtype(dtype).name}")
 
 
 def first_few(names: Collection[str]) -> str:
@@ -63,19 +113,9 @@ def names_in(folder: Location) -> list[str]:
         return []
 
 
-def chosen(found: Iterable[str], names: Sequence[str] | None, where: str, count: int | None = None) -> list[str]:
-    """The names asked for, in the order asked; None: the first `count` that are found, all of them without one.
-
-    Raises InputError: a name that was not found, or nothing at all.
-    """
-    known = list(islice(found, count if names is None else None))
-    for name in names or ():
-        if name not in known:
-            remedy = f"Choose from: {first_few(known)}" if known else "Check its name"
-            raise InputError(f"no scene {name!r}", where, remedy)
-    if not known:
-        raise InputError("no scenes", where, "Give another folder")
-    return known if names is None else list(names)
+def stems_in(folder: Location, suffix: str) -> list[str]:
+    """Names without their suffix of the files in a folder that have it, in order; none where there is no folder."""
+    return [name.removesuffix(suffix) for name in names_in(folder) if name.endswith(suffix)]
 
 
 def require_metres(ranges_m: NDArray[np.floating], where: str) -> None:
@@ -85,7 +125,7 @@ def require_metres(ranges_m: NDArray[np.floating], where: str) -> None:
     Raises InputError: naming the first row, or the median. Source: our choice of the bounds.
     """
     if not (finite := np.isfinite(ranges_m)).all():
-        raise InputError(f"row {int(finite.argmin())} is not finite", where, "Copy it again")
+        raise InputError(f"row {int(finite.argmin())} is not finite", where, _AGAIN)
     if not ranges_m.any():
         raise InputError("no point with a positive range", where, "Use another frame")
     bad = ~(np.abs(ranges_m) <= _FARTHEST_M)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Sequence
 
@@ -12,20 +11,12 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.ground_map import search_ground_z
-from shift3d.scenes.listing import (
-    chosen,
-    first_few,
-    names_in,
-    read_bytes,
-    read_lines,
-    refuse_not_finite,
-    require_metres,
-)
+from shift3d.scenes.listing import first_few, names_in, read_array, read_lines, refuse_not_finite, require_metres
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.scenes.scene import Labels, Scene
 from shift3d.scenes.sets import RecordedScenes, from_one_place
 from shift3d.store.location import Location
-from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.resolve import LocationLike
 
 _CLASSES = {
     "vehicle": """vehicle motor_vehicle regular_vehicle large_vehicle big_vehicle other_vehicle emergency_vehicle
@@ -93,30 +84,35 @@ class OpenPcdetScenes(RecordedScenes):
         reflectance_max: float | None = None,
         keep_bad: bool = False,
     ) -> None:
-        self.root, self.sensor_m, self.ground_z_m = as_location(root), tuple(sensor_m), ground_z_m
-        self.reflectance_max = reflectance_max
+        super().__init__(root, names, count, keep_bad)
+        self.sensor_m, self.ground_z_m, self.reflectance_max = tuple(sensor_m), ground_z_m, reflectance_max
+        self._split = split
         inside = names_in(self.root)
         if "points" not in inside:
             raise InputError("no folder points/", str(self.root), "Give the folder that holds points/ and labels/")
         self._has_labels = "labels" in inside
+        self.names()
+
+    def _found_in(self) -> str:
+        return str(self.root / "points")
+
+    def _found(self) -> list[str]:
         files = (self.root / "points").names()
         found = [name.removesuffix(".npy") for name in files if name.endswith(".npy")]
         if files and not found:
-            raise InputError(f"no .npy file among {first_few(files)}", str(self.root / "points"), _CONVERT)
-        if split is not None:
-            listed = self._listed_in(split)
-            absent = sorted(set(listed) - set(found))
-            if absent and not keep_bad:
-                raise InputError(f"no frame points/{absent[0]}.npy", str(self.root / "ImageSets" / f"{split}.txt"),
-                                 "Add the frame, or leave it out of the list")  # fmt: skip
-            found = listed
-        if names is not None and keep_bad:
-            found = [*found, *names]
-        self._listed = chosen(found, names, str(self.root / "points"))[:count]
+            raise InputError(f"no .npy file among {first_few(files)}", self._found_in(), _CONVERT)
+        if self._split is None:
+            return found
+        listed_in = self.root / "ImageSets" / f"{self._split}.txt"
+        listed = _listed_in(listed_in)
+        absent = sorted(set(listed) - set(found))
+        if absent and not self.keep_bad:
+            remedy = "Add the frame, or leave it out of the list"
+            raise InputError(f"no frame points/{absent[0]}.npy", str(listed_in), remedy)
+        return listed
 
     def _read(self, name: str) -> Scene:
-        if name not in self._listed:
-            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._listed)}")
+        self._require_listed(name)
         file = self.root / "points" / f"{name}.npy"
         values = _read_points(file)
         sensor = np.array(self.sensor_m, dtype=np.float64)
@@ -136,14 +132,6 @@ class OpenPcdetScenes(RecordedScenes):
     def _made_of(self, name: str) -> tuple[Sequence[float | None], Sequence[Location]]:
         files = (self.root / "points" / f"{name}.npy", self.root / "labels" / f"{name}.txt")
         return (*self.sensor_m, self.ground_z_m, self.reflectance_max, self._has_labels), files
-
-    def _listed_in(self, split: str) -> list[str]:
-        file = self.root / "ImageSets" / f"{split}.txt"
-        words = [line.strip() for line in read_lines(file, "list of frames", "Add it, or give no scenes.split")]
-        found = list(dict.fromkeys(word for word in words if word))
-        if not found:
-            raise InputError("it lists no frames", str(file), "Give another scenes.split, or null")
-        return found
 
     def _ground(self, points: NDArray[np.float32], file: Location) -> float:
         if self.ground_z_m is not None:
@@ -178,21 +166,22 @@ class OpenPcdetScenes(RecordedScenes):
         return Labels(stacked, classes, count_in_boxes(points, stacked), tuple(names))
 
 
+def _listed_in(file: Location) -> list[str]:
+    words = [line.strip() for line in read_lines(file, "list of frames", "Add it, or give no scenes.split")]
+    found = list(dict.fromkeys(word for word in words if word))
+    if not found:
+        raise InputError("it lists no frames", str(file), "Give another scenes.split, or null")
+    return found
+
+
 def _read_points(file: Location) -> NDArray[np.float64]:
     """(N, C) float64 of a .npy file, C >= 3. Raises InputError: it is missing, damaged, or something else."""
-    content = read_bytes(file, "frame")
-    try:
-        values = np.load(io.BytesIO(content), allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(
-            f"not a readable .npy file of numbers ({str(error)[:80]})", str(file), "Copy it again"
-        ) from error
-    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.shape[1] < 3 or values.dtype.kind not in "fiu":
-        shape = getattr(values, "shape", "no shape")
-        raise InputError(f"{shape}, not rows of x, y, z and reflectance", str(file), "Give a float32 array (N, 4)")
+    values = read_array(file)
+    if values.ndim != 2 or values.shape[1] < 3:
+        what = f"{values.shape}, not rows of x, y, z and reflectance"
+        raise InputError(what, str(file), "Give a float32 array (N, 4)")
     refuse_not_finite(values, str(file))
-    numbers: NDArray[np.float64] = values.astype(np.float64)
-    return numbers
+    return values.astype(np.float64)
 
 
 def _box(words: Sequence[str], where: str) -> NDArray[np.float64]:

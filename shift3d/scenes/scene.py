@@ -1,4 +1,4 @@
-"""The record of one LiDAR sweep that everything downstream reads."""
+"""The record of one LiDAR sweep that everything downstream reads: points, labels, conditions of the recording."""
 
 from __future__ import annotations
 
@@ -10,12 +10,104 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.geometry.boxes import validate_boxes
 from shift3d.scenes.ground_map import GroundMap
-from shift3d.scenes.labels import Conditions, Labels
-from shift3d.scenes.listing import refuse_not_finite
+from shift3d.scenes.listing import refuse_not_finite, require_array
 from shift3d.scenes.sensor import NoReturnBeams, SensorModel
 
-__all__ = ["Conditions", "Labels", "Scene"]
+WEATHERS = ("dry", "rain", "fog", "snow")
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Labelled objects of one scene.
+
+    Attributes:
+        boxes: (M, 7) float64, scene frame: x, y, z of the geometric centre, dx, dy, dz, heading
+            counter-clockwise from +x; metres and radians.
+        classes: M names of shift3d: "vehicle", "pedestrian", "cyclist", "other".
+        num_points: (M,) int32, points of the scene inside each box.
+        names: M names as the data set itself gives them ("Car", "Van", ...); empty where it gives none.
+        kinds: M body types with attributes ("sedan", "suv+roof_box"; "" for what is no vehicle); empty where unknown.
+    """
+
+    boxes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
+    classes: tuple[str, ...] = ()
+    num_points: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    names: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+
+    def of_class(self, name: str) -> NDArray[np.float64]:
+        """Boxes (K, 7) of one class, in label order."""
+        return self.boxes[self.mask(name)]
+
+    def mask(self, name: str) -> NDArray[np.bool_]:
+        """(M,) bool: which labels are of one class."""
+        return np.array([label == name for label in self.classes], dtype=np.bool_)
+
+    def validate(self, where: str) -> None:
+        """Refuse labels that do not fit together.
+
+        Args:
+            where: the scene, named in the error.
+
+        Raises InputError: naming the field, the row and the remedy.
+        """
+        validate_boxes(self.boxes, f"{where}, labels.boxes")
+        count = len(self.boxes)
+        for name, one in (("classes", "class"), ("names", "name"), ("kinds", "kind")):
+            values = getattr(self, name)
+            if len(values) != count and (values or name == "classes"):
+                remedy = f"Give one {one} a box" + ("." if name == "classes" else ", or none at all.")
+                raise InputError(f"{len(values)} {name} for {count} boxes", f"{where}, labels.{name}", remedy)
+        if self.num_points.shape != (count,):
+            what = f"shape {self.num_points.shape} for {count} boxes"
+            raise InputError(what, f"{where}, labels.num_points", "Give one count a box.")
+        if (self.num_points < 0).any():
+            row = int(np.argmax(self.num_points < 0))
+            what = f"row {row} is {self.num_points[row]}"
+            raise InputError(what, f"{where}, labels.num_points", "Counts start at 0.")
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What an effect may ask about the recording.
+
+    Attributes:
+        weather: one of :data:`WEATHERS`.
+        rain_mm_h: rain rate; 0 where it does not rain.
+        snow_mm_h: rate of snowfall as melted water; 0 where it does not snow.
+        visibility_m: meteorological optical range; infinite in clear air.
+        ego_velocity_m_s: (vx, vy, vz) of the sensor in the scene frame; None where unknown.
+        weather_in_points: whether the points carry the weather already, as those of a recording do. Effects then
+            change the object's points alone.
+        motion_compensated: whether points are given where they were at time 0 in the frame of the sensor at time 0
+            (origins then follow the sensor); otherwise each is given in the frame of the sensor as it fired.
+    """
+
+    weather: str = "dry"
+    rain_mm_h: float = 0.0
+    snow_mm_h: float = 0.0
+    visibility_m: float = float("inf")
+    ego_velocity_m_s: tuple[float, float, float] | None = None
+    weather_in_points: bool = True
+    motion_compensated: bool = True
+
+    def validate(self, where: str) -> None:
+        """Refuse conditions out of range. Raises InputError: naming the field and the remedy."""
+        if self.weather not in WEATHERS:
+            what = f"unknown weather {self.weather!r}"
+            raise InputError(what, f"{where}, conditions.weather", f"Choose from {', '.join(WEATHERS)}.")
+        for name in ("rain_mm_h", "snow_mm_h"):
+            rate = getattr(self, name)
+            if not 0.0 <= rate < float("inf"):
+                raise InputError(f"{rate} mm/h", f"{where}, conditions.{name}", "Give a finite rate of at least 0.")
+        if not self.visibility_m > 0.0:
+            what = f"{self.visibility_m} m"
+            raise InputError(what, f"{where}, conditions.visibility_m", "Give a positive distance (inf: clear).")
+        if self.ego_velocity_m_s is not None and not np.isfinite(self.ego_velocity_m_s).all():
+            what = f"{self.ego_velocity_m_s}"
+            raise InputError(what, f"{where}, conditions.ego_velocity_m_s", "Give finite numbers, or None.")
 
 
 @dataclass(frozen=True)
@@ -78,22 +170,22 @@ class Scene:
         if not len(self.points):
             raise InputError("no points", f"{where}, points", "Use another frame.")
         for name, values, dtype, columns in self._fields():
-            _check_field(f"{where}, {name}", values, dtype, len(self.points), columns)
+            shape = (len(self.points),) if columns is None else (len(self.points), columns)
+            require_array(values, shape, dtype, f"{where}, {name}")
+            if np.issubdtype(dtype, np.floating):
+                refuse_not_finite(values, f"{where}, {name}", "Repair or drop those rows in the file.")
         if not np.isfinite(self.ground_z_m):
             raise InputError(f"{self.ground_z_m}", f"{where}, ground_z_m", "Give a finite height in metres.")
         if not self.has_beam.any():
             raise InputError("no point with a positive range", f"{where}, points", "Use another frame.")
-        if self.reflectance is not None and ((self.reflectance < 0) | (self.reflectance > 1)).any():
-            row = int(np.argmax((self.reflectance < 0) | (self.reflectance > 1)))
+        if self.reflectance is not None and (beyond := (self.reflectance < 0) | (self.reflectance > 1)).any():
+            row = int(beyond.argmax())
             raise InputError(f"row {row} is {self.reflectance[row]}", f"{where}, reflectance", "Scale it to 0..1.")
         self.labels.validate(where)
         self.conditions.validate(where)
-        if self.sensor is not None:
-            self.sensor.validate(where)
-        if self.no_return is not None:
-            self.no_return.validate(where)
-        if self.ground_map is not None:
-            self.ground_map.validate(where)
+        for part in (self.sensor, self.no_return, self.ground_map):
+            if part is not None:
+                part.validate(where)
 
     def content_hash(self) -> str:
         """BLAKE2b-128 hex digest of everything in the record: equal content gives equal digests anywhere.
@@ -115,13 +207,9 @@ class Scene:
         digest.update(json.dumps(header, sort_keys=True).encode())
         arrays = [(name, values) for name, values, _, _ in self._fields()]
         arrays += [("boxes", self.labels.boxes), ("num_points", self.labels.num_points)]
-        if self.no_return is not None:
-            arrays += [
-                (f"silent.{name}", values) for name, values in vars(self.no_return).items() if values is not None
-            ]
-        if self.ground_map is not None:
-            parts = vars(self.ground_map).items()
-            arrays += [(f"ground_map.{name}", values) for name, values in parts if values is not None]
+        for prefix, part in (("silent", self.no_return), ("ground_map", self.ground_map)):
+            if part is not None:
+                arrays += [(f"{prefix}.{name}", values) for name, values in vars(part).items() if values is not None]
         for name, values in arrays:
             little = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
             digest.update(f"|{name}:{little.dtype.str}:{little.shape}|".encode())
@@ -140,15 +228,3 @@ class Scene:
             ("in_no_label_zone", self.in_no_label_zone, np.bool_, None),
         ]
         return [(name, values, dtype, columns) for name, values, dtype, columns in fields if values is not None]
-
-
-def _check_field(
-    where: str, values: NDArray[np.generic], dtype: type[np.generic], count: int, columns: int | None
-) -> None:
-    shape = (count,) if columns is None else (count, columns)
-    if values.shape != shape:
-        raise InputError(f"shape {values.shape}", where, f"Give {shape}, one row a point.")
-    if values.dtype != dtype:
-        raise InputError(f"dtype {values.dtype}", where, f"Cast it to {np.dtype(dtype).name}.")
-    if np.issubdtype(dtype, np.floating):
-        refuse_not_finite(values, where, "Repair or drop those rows in the file.")

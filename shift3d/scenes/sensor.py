@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.scenes.listing import refuse_not_finite, require_array
 
 
 @dataclass(frozen=True)
@@ -58,22 +59,12 @@ class NoReturnBeams:
     def validate(self, where: str) -> None:
         """Refuse beams without a direction. Raises InputError: naming the field, the row and the remedy."""
         count = len(self.directions)
-        for name, values, shape in (
-            ("origins", self.origins, (count, 3)),
-            ("directions", self.directions, (count, 3)),
-            ("time_s", self.time_s, (count,)),
-        ):
-            if values is None:
-                continue
-            if values.shape != shape or values.dtype != np.float32:
-                raise InputError(
-                    f"{values.dtype} {values.shape}", f"{where}, no_return.{name}", f"Give float32 {shape}."
-                )
-            if not np.isfinite(values).all():
-                raise InputError("NaN or infinity", f"{where}, no_return.{name}", "Repair or drop those rows.")
+        wanted = (("origins", self.origins, (count, 3)), ("directions", self.directions, (count, 3)))
+        for name, values, shape in (*wanted, ("time_s", self.time_s, (count,))):
+            if values is not None:
+                require_array(values, shape, np.float32, f"{where}, no_return.{name}")
+                refuse_not_finite(values, f"{where}, no_return.{name}")
         length = np.linalg.norm(self.directions.astype(np.float64), axis=1)
-        if (np.abs(length - 1.0) > 1e-3).any():
-            row = int(np.argmax(np.abs(length - 1.0) > 1e-3))
-            raise InputError(
-                f"row {row} has length {length[row]:.4g}", f"{where}, no_return.directions", "Give unit vectors."
-            )
+        if (off := np.abs(length - 1.0) > 1e-3).any():
+            what = f"row {int(off.argmax())} has length {length[off.argmax()]:.4g}"
+            raise InputError(what, f"{where}, no_return.directions", "Give unit vectors.")

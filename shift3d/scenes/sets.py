@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.scenes.listing import first_few
 from shift3d.scenes.scene import Scene
 from shift3d.scenes.street.options import PLAIN, StreetOptions, check_traffic
+from shift3d.store.resolve import LocationLike, as_location
 
 if TYPE_CHECKING:
     from shift3d.scenes.facts import SceneFacts
@@ -73,15 +77,55 @@ class SceneSet(Protocol):
 
 
 class RecordedScenes(ABC):
-    """A `SceneSet` of files: nothing is known of a scene but by these. Objects are placed all around, if not said."""
+    """A `SceneSet` of files: nothing is known of a scene but by these. Objects are placed all around, if not said.
+
+    Args:
+        root: folder or bucket.
+        names: of the scenes to use, in this order; None: all that are found.
+        count: the first so many; those after them are not looked for.
+        keep_bad: list scenes that are named and not found, too; loading one raises InputError.
+    """
 
     dataset: str
     placement_sector_rad: tuple[float, float] = (0.0, float(np.pi))
-    _listed: list[str]
+
+    def __init__(self, root: LocationLike, names: Sequence[str] | None, count: int | None, keep_bad: bool) -> None:
+        self.root, self._count, self.keep_bad = as_location(root), count, keep_bad
+        self._wanted = None if names is None else list(names)[:count]
 
     def names(self) -> list[str]:
-        """Names of the scenes. Raises InputError: files that list them are damaged, or an unknown one is wanted."""
+        """Names of the scenes.
+
+        Raises InputError: files that list them are damaged, an unknown one is wanted, or there are none.
+        """
         return list(self._listed)
+
+    @functools.cached_property
+    def _listed(self) -> list[str]:
+        wanted = self._wanted
+        if wanted and self.keep_bad:
+            return wanted
+        found = list(islice(self._found(), self._count if wanted is None else None))
+        if missing := sorted(set(wanted or ()) - set(found)):
+            remedy = f"Choose from: {first_few(found)}" if found else "Check its name"
+            raise InputError(f"no scene {missing[0]!r}", self._found_in(), remedy)
+        listed = found if wanted is None else wanted
+        if not listed:
+            raise InputError("no scenes", self._found_in(), "Give another folder")
+        return listed
+
+    @abstractmethod
+    def _found(self) -> Iterable[str]:
+        """Names of the scenes that are there, in order; of those that are wanted at least these."""
+
+    @abstractmethod
+    def _found_in(self) -> str:
+        """Where scenes are looked for, for errors."""
+
+    def _require_listed(self, name: str) -> None:
+        """Raises InputError: the set has no scene of this name."""
+        if name not in self._listed:
+            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._listed)}")
 
     def load(self, name: str) -> Scene:
         """One scene. Raises InputError: naming the file, the line, row or key in it, and the remedy."""
@@ -141,9 +185,8 @@ class StreetScenes:
             if value not in choices:
                 raise InputError(f"unknown {field} {value!r}", "street scenes", f"Choose from {', '.join(choices)}.")
         if count < 1 or start < 0 or seed < 0:
-            raise InputError(
-                f"count={count}, start={start}, seed={seed}", "street scenes", "Give count >= 1, start >= 0, seed >= 0."
-            )
+            what = f"count={count}, start={start}, seed={seed}"
+            raise InputError(what, "street scenes", "Give count >= 1, start >= 0, seed >= 0.")
         check_traffic(options.traffic, split)
         self.sensor, self.seed, self.count, self.split, self.start = sensor, seed, count, split, start
         self.options = options
@@ -189,7 +232,6 @@ class StreetScenes:
         return own, own._name(int(name.split("-")[3]))
 
     def configured(self, name: str) -> tuple[str, SceneFacts] | None:
-        """See `SceneSet`."""
         from shift3d.scenes.street.assemble import street_facts
 
         sensor = self._sensor_of(int(name.split("-")[3]))

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from benchmarks.world import SHORT, make_spec, open_assets, streets
 
-from shift3d.scenes.labels import Labels
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Labels, Scene
 from shift3d.sweep.execution.worker import Worker
 from shift3d.sweep.planning.kind import TaskKind
 from shift3d.sweep.planning.tasks import PlannedTask

@@ -168,8 +168,7 @@ def _try(detector: OnnxDetector, where: str) -> None:
 def _inside(boxes: NDArray[Any], window: BevWindow) -> NDArray[np.bool_]:
     """(A,) bool: the centre lies in the window's core."""
     x, y = boxes[:, 0] - window.core_x0, boxes[:, 1] - window.core_y0
-    found: NDArray[np.bool_] = (x >= 0) & (x < window.core_num_x) & (y >= 0) & (y < window.core_num_y)
-    return found
+    return (x >= 0) & (x < window.core_num_x) & (y >= 0) & (y < window.core_num_y)
 
 
 def _check_answer(boxes: NDArray[Any], scores: NDArray[Any], where: str) -> None:

@@ -15,7 +15,7 @@ from shift3d.detectors.compiled.onnx_detector import require_packages
 from shift3d.detectors.grid import full_window
 from shift3d.detectors.models.anchor_heads import AnchorHeads
 from shift3d.detectors.models.network import DetectorNet
-from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
+from shift3d.detectors.models.pillar_detectors import PillarBackboneNet
 from shift3d.errors import InputError
 
 OPSET = 18

@@ -67,11 +67,9 @@ class ForeignDetector:
         return self._inner.window_for((-y, x) if self._frame.turned else (x, y), radius_m)
 
     def proposals(self, points: Tensor, window: BevWindow | None = None) -> Proposals:
-        """See `Detector`."""
         return _proposals_back(self._inner.proposals(_to_model(points, self._frame), window), self._frame)
 
     def incremental(self, window: BevWindow) -> IncrementalInference:
-        """See `TrainedDetector.incremental`."""
         return _Incremental(self._inner.incremental(window), self._frame)
 
     def detect(
@@ -97,12 +95,10 @@ class _Incremental:
     def proposals(
         self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
     ) -> Proposals:
-        """See `IncrementalInference`."""
         found = self._inner.proposals(_to_model(points, self._frame), window, requires_grad)
         return _proposals_back(found, self._frame)
 
     def fork(self) -> _Incremental:
-        """See `IncrementalInference`."""
         return _Incremental(self._inner.fork(), self._frame)
 
 

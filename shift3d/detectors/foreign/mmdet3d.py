@@ -12,7 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from shift3d.detectors.foreign.layout import Anchor, AnchorHead, Branch, CentreHead, Layout, PillarInputs
-from shift3d.detectors.foreign.parts import Choices, backbone_of, channel_values, frame_of, grid_of, vehicle_class
+from shift3d.detectors.foreign.parts import (
+    Choices,
+    backbone_of,
+    branch_names,
+    channel_values,
+    frame_of,
+    grid_of,
+    vehicle_class,
+)
 from shift3d.detectors.foreign.python_config import read_python_config
 from shift3d.detectors.foreign.values import Section
 from shift3d.detectors.grid import Grid
@@ -222,10 +230,7 @@ def _centre(head: Section, choices: Choices, grid: Grid, spec: BackboneSpec) -> 
 
 def _branches(table: Section) -> list[Branch]:
     """Those of boxes, offset, height, size and turn first. Each is given as (outputs, layers)."""
-    order = [name for name, _ in _BOX_BRANCHES]
-    if surplus := sorted(set(table.values) - {*order, "vel"}):
-        table.refuse(f"a branch {surplus[0]!r}")
-    found = {name: table.wholes(name, 2) for name in (*order, *(["vel"] if table.has("vel") else []))}
+    found = {name: table.wholes(name, 2) for name in branch_names(table, [name for name, _ in _BOX_BRANCHES])}
     for name, wanted in _BOX_BRANCHES:
         if found[name][0] != wanted:
             table.refuse(f"{name} has {found[name][0]} outputs, not {wanted}")

@@ -18,9 +18,8 @@ from shift3d.detectors.grid import Grid, Pillars, core_cells
 from shift3d.detectors.models.anchor_heads import AnchorConvolutions
 from shift3d.detectors.models.centre_heads import decode_centres
 from shift3d.detectors.models.folding import folded_linear, folded_sequence
-from shift3d.detectors.models.heads import BoxHeads, map_rows
-from shift3d.detectors.models.network import Precision, arithmetic
-from shift3d.detectors.models.pillar_backbone import PillarBackboneNet, core_in_window, to_dense
+from shift3d.detectors.models.network import BoxHeads, Precision, arithmetic, map_rows
+from shift3d.detectors.models.pillar_detectors import PillarBackboneNet, core_in_window, to_dense
 from shift3d.detectors.models.pillar_net import decorate
 
 

@@ -12,8 +12,16 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from shift3d.detectors.foreign.layout import Anchor, AnchorHead, Branch, CentreHead, Layout, PillarInputs
-from shift3d.detectors.foreign.parts import Choices, backbone_of, channel_values, frame_of, grid_of, vehicle_class
-from shift3d.detectors.foreign.values import Section
+from shift3d.detectors.foreign.parts import (
+    Choices,
+    backbone_of,
+    branch_names,
+    channel_values,
+    frame_of,
+    grid_of,
+    vehicle_class,
+)
+from shift3d.detectors.foreign.values import Section, merged
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.backbone import BackboneSpec
 from shift3d.errors import InputError
@@ -41,26 +49,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
 def _with_bases(values: dict[str, Any], path: Path, depth: int) -> dict[str, Any]:
     if depth > 20:
         raise InputError(f"{_BASE} does not end", str(path), "Remove the circle")
-    merged: dict[str, Any] = {}
-    if (name := values.get(_BASE)) is not None:
-        merged = read_yaml(_base_file(str(name), path))
-    for key, value in values.items():
-        if key == _BASE:
-            continue
-        if not isinstance(value, dict):
-            merged[key] = value
-            continue
-        under, over = merged.get(key), _with_bases(value, path, depth + 1)
-        merged[key] = _merged(under, over) if isinstance(under, dict) else over
-    return merged
-
-
-def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    result = dict(under)
-    for key, value in over.items():
-        below = result.get(key)
-        result[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
-    return result
+    name = values.get(_BASE)
+    under = {} if name is None else read_yaml(_base_file(str(name), path))
+    tables = {key: _with_bases(value, path, depth + 1) for key, value in values.items() if isinstance(value, dict)}
+    return merged(under, {key: tables.get(key, value) for key, value in values.items() if key != _BASE})
 
 
 def _base_file(name: str, path: Path) -> Path:
@@ -193,15 +185,13 @@ def _centre(head: Section, classes: tuple[str, ...], vehicle: str, spec: Backbon
         head.refuse("CLASS_NAMES_EACH_HEAD does not name each of CLASS_NAMES once")
     head.section("TARGET_ASSIGNER_CONFIG").expect("FEATURE_MAP_STRIDE", spec.out_stride)
     separate = head.section("SEPARATE_HEAD_CFG")
-    table, order = separate.section("HEAD_DICT"), [name for name, _ in _BOX_BRANCHES]
-    if surplus := sorted(set(table.values) - {*order, "vel"}):
-        table.refuse(f"a branch {surplus[0]!r}")
+    table = separate.section("HEAD_DICT")
+    parts = {name: table.section(name) for name in branch_names(table, [name for name, _ in _BOX_BRANCHES])}
     for name, outputs in _BOX_BRANCHES:
-        table.section(name).expect("out_channels", outputs)
-    parts = [table.section(name) for name in (*order, *(["vel"] if table.has("vel") else []))]
+        parts[name].expect("out_channels", outputs)
     branches = [
-        Branch(name=part.path.rpartition(".")[2], outputs=part.whole("out_channels"), layers=part.whole("num_conv"))
-        for part in parts
+        Branch(name=name, outputs=part.whole("out_channels"), layers=part.whole("num_conv"))
+        for name, part in parts.items()
     ]
     shared = head.whole("SHARED_CONV_CHANNEL")
     task = next(index for index, names in enumerate(tasks) if vehicle in names)

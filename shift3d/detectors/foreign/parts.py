@@ -81,6 +81,13 @@ def channel_values(channels: Sequence[str], data_set: str, choices: Choices, sec
     return tuple(value for name in channels if (value := values[name]) is not None)
 
 
+def branch_names(table: Section, boxes: Sequence[str]) -> list[str]:
+    """Names of a centre head's branches: those of boxes first. Raises InputError: another than these and "vel"."""
+    if surplus := sorted(set(table.values) - {*boxes, "vel"}):
+        table.refuse(f"a branch {surplus[0]!r}")
+    return [*boxes, *(["vel"] if table.has("vel") else [])]
+
+
 def grid_of(bounds: Sequence[float], voxel: Sequence[float], spec: BackboneSpec, section: Section) -> Grid:
     """The grid of a range (x, y, z, x, y, z) and a voxel, metres.
 

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from shift3d.detectors.foreign.values import Unread
+from shift3d.detectors.foreign.values import Unread, merged
 from shift3d.errors import InputError
 
-_BASE, _DELETE = "_base_", "_delete_"
+_BASE = "_base_"
 _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -55,20 +55,7 @@ def _read(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     under: dict[str, Any] = {}
     for name in reader.bases():
         under |= _read((path.parent / name).resolve(), (*above, path))
-    return _merged(under, reader.with_base(under))
-
-
-def _merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    result = dict(under)
-    for key, value in over.items():
-        below = result.get(key)
-        if not isinstance(value, dict):
-            result[key] = value
-            continue
-        value = dict(value)
-        keep = not value.pop(_DELETE, False)
-        result[key] = _merged(below if keep and isinstance(below, dict) else {}, value)
-    return result
+    return merged(under, reader.with_base(under))
 
 
 class _Reader:
@@ -92,7 +79,6 @@ class _Reader:
                 raise InputError(what, where, "Write the config with literals: configs are never run")
 
     def bases(self) -> list[str]:
-        """Names of the base files."""
         found = [value for name, value in self._assigned if name == _BASE]
         value = self._value(found[-1]) if found else []
         names = [value] if isinstance(value, str) else value

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from torch import Tensor
 
@@ -61,9 +61,9 @@ def entries(layout: Layout) -> Iterator[Entry]:
         yield from _centre_head(layout.head, channels, names, prefix + names.heads)
 
 
-def _norm(name: str, channels: int, target: str | None) -> Iterator[Entry]:
+def _norm(name: str, channels: int, target: str) -> Iterator[Entry]:
     for part in _NORM:
-        yield Entry(f"{name}.{part}", (channels,), None if target is None else f"{target}.{part}")
+        yield Entry(f"{name}.{part}", (channels,), f"{target}.{part}")
 
 
 def _encoder(layout: Layout, name: str) -> Iterator[Entry]:
@@ -102,9 +102,9 @@ def _ups(layout: Layout, name: str) -> Iterator[Entry]:
         yield from _norm(f"{there}.1", outputs, f"{here}.1")
 
 
-def _layer(name: str, shape: Shape, target: str | None, pick: Callable[[Tensor], Tensor] | None) -> Iterator[Entry]:
+def _layer(name: str, shape: Shape, target: str, pick: Callable[[Tensor], Tensor] | None) -> Iterator[Entry]:
     for part, size in (("weight", shape), ("bias", shape[:1])):
-        yield Entry(f"{name}.{part}", size, None if target is None else f"{target}.{part}", pick)
+        yield Entry(f"{name}.{part}", size, f"{target}.{part}", pick)
 
 
 def _anchor_head(head: AnchorHead, channels: int, names: _Names, name: str) -> Iterator[Entry]:
@@ -137,33 +137,30 @@ def _centre_head(head: CentreHead, channels: int, names: _Names, name: str) -> I
         return part if head.sine_first else part.flip(0)
 
     for task, classes in enumerate(head.tasks):
-        for number, branch in enumerate(head.branches):
-            target = f"tower.boxes.{number}" if task == head.task and number < 4 else None
-            there = f"{name}.{names.tasks}.{task}.{branch.name}"
-            yield from _stack(head, there, branch, names, target, turn if number == 3 else None)
         heat = Branch(name=head.heat.name, outputs=classes, layers=head.heat.layers)
-        target = "tower.classes" if task == head.task else None
-        yield from _stack(head, f"{name}.{names.tasks}.{task}.{heat.name}", heat, names, target, vehicle)
+        stacks = [(branch, f"tower.boxes.{number}", number < 4) for number, branch in enumerate(head.branches)]
+        for branch, target, kept in (*stacks, (heat, "tower.classes", True)):
+            pick = {"tower.boxes.3": turn, "tower.classes": vehicle}.get(target)
+            for entry in _stack(head, f"{name}.{names.tasks}.{task}.{branch.name}", branch, names, target, pick):
+                yield entry if kept and task == head.task else replace(entry, target=None)
 
 
 def _stack(
-    head: CentreHead, name: str, branch: Branch, names: _Names, target: str | None,
+    head: CentreHead, name: str, branch: Branch, names: _Names, target: str,
     pick: Callable[[Tensor], Tensor] | None,
 ) -> Iterator[Entry]:  # fmt: skip
     layer, norm = names.stacked
     channels = head.shared
     for index in range(branch.layers - 1):
-        here = None if target is None else f"{target}.{3 * index}"
-        yield from _before_norm(head, f"{name}.{index}.{layer}", (head.hidden, channels, 3, 3), here)
-        here = None if target is None else f"{target}.{3 * index + 1}"
-        yield from _norm(f"{name}.{index}.{norm}", head.hidden, here)
+        shape = (head.hidden, channels, 3, 3)
+        yield from _before_norm(head, f"{name}.{index}.{layer}", shape, f"{target}.{3 * index}")
+        yield from _norm(f"{name}.{index}.{norm}", head.hidden, f"{target}.{3 * index + 1}")
         channels = head.hidden
     last = branch.layers - 1
-    here = None if target is None else f"{target}.{3 * last}"
-    yield from _layer(f"{name}.{last}", (branch.outputs, channels, 3, 3), here, pick)
+    yield from _layer(f"{name}.{last}", (branch.outputs, channels, 3, 3), f"{target}.{3 * last}", pick)
 
 
-def _before_norm(head: CentreHead, name: str, shape: Shape, target: str | None) -> Iterator[Entry]:
+def _before_norm(head: CentreHead, name: str, shape: Shape, target: str) -> Iterator[Entry]:
     """A convolution before a norm, with a bias where the head has them."""
     both = _layer(name, shape, target, None)
     yield next(both)

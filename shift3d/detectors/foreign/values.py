@@ -10,6 +10,8 @@ from typing import Any, NoReturn
 from shift3d.errors import InputError
 
 _REQUIRED: Any = object()
+DELETE = "_delete_"
+"""In a table of mmdetection3d's: nothing of the table under it is kept."""
 
 
 @dataclass(frozen=True)
@@ -19,6 +21,18 @@ class Unread:
     text: str
     file: str
     line: int
+
+
+def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """A config over its base: tables are merged, all else is replaced."""
+    result = dict(under)
+    for key, value in over.items():
+        if isinstance(value, dict):
+            below = result.get(key)
+            kept = below if isinstance(below, dict) and not value.get(DELETE, False) else {}
+            value = merged(kept, {name: part for name, part in value.items() if name != DELETE})
+        result[key] = value
+    return result
 
 
 @dataclass(frozen=True)
@@ -34,7 +48,6 @@ class Section:
         raise InputError(f"{self.path}: {what}" if self.path else what, self.file, remedy)
 
     def has(self, name: str) -> bool:
-        """Whether a value is there and is not None."""
         return self.values.get(name) is not None
 
     def get(self, name: str, default: Any = _REQUIRED) -> Any:
@@ -60,21 +73,18 @@ class Section:
                 self.refuse(f"{name} is there")
 
     def section(self, name: str, default: Mapping[str, Any] = _REQUIRED) -> Section:
-        """A table within this one."""
         value = self.get(name, default)
         if not isinstance(value, Mapping):
             self._wrong(name, value, "a table")
         return Section(value, self.file, self._name(name))
 
     def sections(self, name: str) -> list[Section]:
-        """A list of tables."""
         values = self.sequence(name)
         if not all(isinstance(value, Mapping) for value in values):
             self._wrong(name, values, "a list of tables")
         return [Section(value, self.file, f"{self._name(name)}[{i}]") for i, value in enumerate(values)]
 
     def number(self, name: str, default: Any = _REQUIRED) -> float:
-        """A finite number."""
         return self._number(name, self.get(name, default))
 
     def whole(self, name: str, default: Any = _REQUIRED) -> int:
@@ -82,21 +92,18 @@ class Section:
         return self._whole(name, self.get(name, default))
 
     def text(self, name: str, default: Any = _REQUIRED) -> str:
-        """A text."""
         value = self.get(name, default)
         if not isinstance(value, str):
             self._wrong(name, value, "a text")
         return value
 
     def flag(self, name: str, default: Any = _REQUIRED) -> bool:
-        """True or false."""
         value = self.get(name, default)
         if not isinstance(value, bool):
             self._wrong(name, value, "true or false")
         return value
 
     def numbers(self, name: str, count: int | None = None, default: Any = _REQUIRED) -> tuple[float, ...]:
-        """Finite numbers, `count` of them."""
         return tuple(self._number(name, value) for value in self.sequence(name, default, count))
 
     def wholes(self, name: str, count: int | None = None, default: Any = _REQUIRED) -> tuple[int, ...]:
@@ -104,14 +111,12 @@ class Section:
         return tuple(self._whole(name, value) for value in self.sequence(name, default, count))
 
     def texts(self, name: str) -> tuple[str, ...]:
-        """A list of texts."""
         values = self.sequence(name)
         if not all(isinstance(value, str) for value in values):
             self._wrong(name, values, "a list of texts")
         return tuple(values)
 
     def rows(self, name: str, width: int) -> list[tuple[float, ...]]:
-        """A list of lists of `width` numbers."""
         rows = [Section({name: row}, self.file, self.path) for row in self.sequence(name)]
         return [row.numbers(name, width) for row in rows]
 

@@ -10,8 +10,7 @@ from torch import Tensor
 from torch.nn.functional import linear
 
 from shift3d.detectors.incremental.active_sites import ActiveSites, MapShape, SiteIndices, pooled, reached, whole_set
-from shift3d.detectors.incremental.sparse_backbone import ROWS_AT_ONCE, SparseBackbone
-from shift3d.detectors.incremental.sparse_backward import SparseBackward
+from shift3d.detectors.incremental.sparse_backbone import ROWS_AT_ONCE, SparseBackbone, SparseBackward
 from shift3d.processor import pad_to_bucket
 
 

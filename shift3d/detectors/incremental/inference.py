@@ -53,7 +53,6 @@ class WholeWindow:
     def proposals(
         self, points: Tensor, window: BevWindow | None = None, requires_grad: Tensor | None = None
     ) -> Proposals:
-        """See `IncrementalInference`."""
         return self._detector.proposals(points, window or self._window)
 
     def fork(self) -> WholeWindow:

@@ -18,12 +18,10 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Proposals
 from shift3d.detectors.incremental.activation_cache import ActivationCache
-from shift3d.detectors.incremental.active_sites import ActiveSites, SiteIndices, empty_set
+from shift3d.detectors.incremental.active_sites import ActiveSites, PointSites, SiteIndices, contains, empty_set
 from shift3d.detectors.incremental.inference import copied_but_for
-from shift3d.detectors.incremental.point_sites import PointSites, contains
-from shift3d.detectors.incremental.sparse_backbone import SparseBackbone
-from shift3d.detectors.incremental.sparse_backward import SparseBackward
-from shift3d.detectors.models.pillar_backbone import PillarBackboneNet
+from shift3d.detectors.incremental.sparse_backbone import SparseBackbone, SparseBackward
+from shift3d.detectors.models.pillar_detectors import PillarBackboneNet
 
 Plain = Callable[[Tensor, BevWindow], Proposals]
 Boxed = Callable[[Tensor, Tensor, BevWindow], Proposals]
@@ -83,7 +81,6 @@ class IncrementalPillars:
         return self._boxed(logits, rows, window)
 
     def fork(self) -> IncrementalPillars:
-        """See `IncrementalInference`."""
         return copied_but_for(self, self._net, self._cells, self._plain, self._boxed)
 
     def _look_at(self, window: BevWindow) -> _Rectangle:

@@ -16,9 +16,15 @@ import torch
 from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Proposals
-from shift3d.detectors.incremental.active_sites import ActiveSites, SiteIndices, empty_set, whole_set
+from shift3d.detectors.incremental.active_sites import (
+    ActiveSites,
+    PointSites,
+    SiteIndices,
+    contains,
+    empty_set,
+    whole_set,
+)
 from shift3d.detectors.incremental.inference import copied_but_for
-from shift3d.detectors.incremental.point_sites import PointSites, contains
 from shift3d.detectors.models.sst import SstNet
 from shift3d.detectors.models.token_windows import Tokens
 
@@ -107,7 +113,6 @@ class IncrementalTokens:
         return self._answer(self._net.core_features(features, self._tokens(cells), [window]), window)
 
     def fork(self) -> IncrementalTokens:
-        """See `IncrementalInference`."""
         return copied_but_for(self, self._net, self._plain, self._answer)
 
     def _needed(self, window: BevWindow) -> list[ActiveSites]:

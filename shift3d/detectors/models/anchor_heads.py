@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid, core_cells
-from shift3d.detectors.models.heads import BoxHeads
+from shift3d.detectors.models.network import BoxHeads
 
 DIRECTION_OFFSET_RAD = pi / 4
 """Bin 0 is heading in [pi/4, 5 pi/4). Put there so that no bin ends at an anchor's heading. Source: SECOND's
@@ -124,7 +124,6 @@ class AnchorHeads(AnchorConvolutions):
 
     @property
     def anchors(self) -> AnchorSpec:
-        """Size and headings of the anchors."""
         length, width, height = (float(value) for value in self.anchor_size_m)
         return AnchorSpec((length, width, height), self.headings_rad)
 

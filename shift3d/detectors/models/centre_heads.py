@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid, core_cells
-from shift3d.detectors.models.heads import BoxHeads
+from shift3d.detectors.models.network import BoxHeads
 
 CENTRE_CODES = 8
 """Offset from the cell's centre in x and y (cells), z (metres), log of the three sizes (metres), sine and cosine."""

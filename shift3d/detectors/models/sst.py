@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import WAYMO_GRID, Grid, Pillars
+from shift3d.detectors.grid import WAYMO_GRID, Pillars
 from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, AnchorHeads, AnchorSpec
 from shift3d.detectors.models.folding import folded_linear, folded_sequence
 from shift3d.detectors.models.network import DetectorNet, Precision, arithmetic
@@ -63,11 +63,11 @@ class SstNet(DetectorNet):
     result does not depend on the order of the points (the public code shuffles, and drops in training).
     """
 
-    def __init__(self, spec: SstSpec = SST_SPEC, grid: Grid = WAYMO_GRID, anchors: AnchorSpec = WAYMO_ANCHORS) -> None:
+    def __init__(self, spec: SstSpec = SST_SPEC, anchors: AnchorSpec = WAYMO_ANCHORS) -> None:
         super().__init__()
         self.name = spec.name
         self.spec = spec
-        self.grid = grid
+        self.grid = WAYMO_GRID
         self.channels = spec.transformer.width
         width = spec.transformer.width
         self.encoder = VoxelEncoder(spec.encoder_hidden, width)

@@ -33,13 +33,12 @@ class Tokens:
 
 @dataclass(frozen=True)
 class Bucket:
-    """Windows padded to one length: slots [start, start + windows * length).
+    """Windows padded to one length: windows * length slots, behind those of the bucket before.
 
     padding: (windows, 1, 1, length) bool, True where a key is a token and False where it is padding, or None
     when every slot holds a token.
     """
 
-    start: int
     windows: int
     length: int
     padding: Tensor | None
@@ -59,10 +58,8 @@ class WindowGroups:
     place: Tensor
 
     def to(self, device: torch.device) -> WindowGroups:
-        """The same groups with their tensors on a device."""
         buckets = tuple(
-            Bucket(b.start, b.windows, b.length, None if b.padding is None else b.padding.to(device))
-            for b in self.buckets
+            Bucket(b.windows, b.length, None if b.padding is None else b.padding.to(device)) for b in self.buckets
         )
         return WindowGroups(buckets, self.slot_token.to(device), self.token_slot.to(device), self.place.to(device))
 
@@ -93,7 +90,7 @@ def group_by_window(tokens: Tokens, window: int, shift: int, lengths: tuple[int,
         rows = np.where(filled, starts[chosen, None] + column_of[None], 0)
         tokens_of = np.where(filled, order[rows], order.size)
         mask = None if filled.all() else torch.from_numpy(filled).view(chosen.size, 1, 1, length)
-        buckets.append(Bucket(slot_token.size, chosen.size, length, mask))
+        buckets.append(Bucket(chosen.size, length, mask))
         slot_token = np.concatenate((slot_token, tokens_of.reshape(-1)))
     token_slot = np.empty(order.size, dtype=np.int64)
     is_token = slot_token < order.size
@@ -127,8 +124,7 @@ def _take(rows: Tensor, index: Tensor) -> Tensor:
     if not len(rows):
         return rows.new_zeros(len(index), rows.shape[1])
     taken = rows.index_select(0, index.clamp_max(len(rows) - 1))
-    filled: Tensor = taken.index_fill_(0, torch.nonzero(index == len(rows)).squeeze(1), 0.0)
-    return filled
+    return taken.index_fill_(0, torch.nonzero(index == len(rows)).squeeze(1), 0.0)
 
 
 def gather_rows(rows: Tensor, index: Tensor, inverse: Tensor) -> Tensor:

@@ -59,11 +59,8 @@ def load_weights(net: DetectorNet, path: Path) -> DetectorNet:
         found = tuple(state[name].shape) if name in state else None
         wanted = tuple(expected[name].shape) if name in expected else None
         if found != wanted:
-            raise InputError(
-                f"tensor {name} has shape {found}, the network has {wanted}",
-                where=str(path),
-                remedy="use weights trained for these settings",
-            )
+            what = f"tensor {name} has shape {found}, the network has {wanted}"
+            raise InputError(what, where=str(path), remedy="use weights trained for these settings")
         if wrong := wrong_values(name, state[name], expected[name]):
             raise InputError(f"tensor {name} {wrong}", where=str(path), remedy="copy it again, or train again")
     net.load_state_dict(state)

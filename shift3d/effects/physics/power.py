@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from shift3d.effects.base import EffectContext, Returns
-from shift3d.scenes.labels import Conditions
+from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
 
 OVERLAP_FROM_M, OVERLAP_TO_M = 0.9, 1.0
@@ -28,19 +28,17 @@ def overlap(range_m: Tensor) -> Tensor:
     return ((range_m - OVERLAP_FROM_M) / (OVERLAP_TO_M - OVERLAP_FROM_M)).clamp(0.0, 1.0)
 
 
-def echo_power(albedo: Tensor, cosine: Tensor, range_m: Tensor, extinction_per_m: float = 0.0) -> Tensor:
-    """Power of echoes, albedo * cosine * xi(R) * exp(-2 alpha R) / R^2, up to the sensor's constant.
+def echo_power(albedo: Tensor, cosine: Tensor, range_m: Tensor) -> Tensor:
+    """Power of echoes in clear air, albedo * cosine * xi(R) / R^2, up to the sensor's constant.
 
     Args:
         albedo: (K,) in [0, 1]. cosine: (K,) of incidence, in [0, 1]. range_m: (K,), metres.
-        extinction_per_m: alpha.
 
-    Returns: (K,) in 1/m^2; 0 nearer than 0.9 m, whatever the range. Differentiable w.r.t. the first three.
+    Returns: (K,) in 1/m^2; 0 nearer than 0.9 m, whatever the range. Differentiable w.r.t. all three.
 
     Source: reference equations of echo power (Rasshofer et al. 2011); constant as in `least_power`.
     """
-    transmission = torch.exp(-2.0 * extinction_per_m * range_m)
-    return albedo * cosine * overlap(range_m) * transmission / range_m.clamp(min=OVERLAP_FROM_M) ** 2
+    return albedo * cosine * overlap(range_m) / range_m.clamp(min=OVERLAP_FROM_M) ** 2
 
 
 def least_power(limit_range_m: float) -> float:

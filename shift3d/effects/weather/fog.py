@@ -13,15 +13,7 @@ from torch import Tensor
 
 from shift3d.effects.base import EffectContext, Returns, ReturnsStep, WeatherEffect, unchanged
 from shift3d.effects.physics.pairing import BeamReturns
-from shift3d.effects.physics.power import (
-    LEAST_LOSS,
-    OVERLAP_FROM_M,
-    PowerLimit,
-    echo_power,
-    loss,
-    overlap,
-    reach_m,
-)
+from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss, overlap, reach_m
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
 
 PULSE_S = 20e-9
@@ -156,8 +148,6 @@ class Fog(WeatherEffect):
         """Where a hundredth of the light is lost as far as there is something to see, and that shows: in reflectance,
         at the sensor's limit, or because fog outshines surfaces."""
         visibility_m = scene.conditions.visibility_m
-        if not math.isfinite(visibility_m):
-            return None
         extinction, reach = extinction_per_m(visibility_m), reach_m(scene.conditions)
         if loss(extinction, reach) < LEAST_LOSS:
             return None

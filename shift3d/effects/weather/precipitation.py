@@ -17,7 +17,7 @@ from shift3d.effects.physics import power as law
 from shift3d.effects.physics.pairing import BeamReturns
 from shift3d.effects.physics.power import LEAST_LOSS, OVERLAP_FROM_M, PowerLimit, echo_power, loss
 from shift3d.scenes.facts import DetectorFacts, SceneFacts
-from shift3d.scenes.labels import Conditions
+from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sensor import SensorModel
 
 EXIT_M, DIVERGENCE_RAD = 0.01, 2e-3
@@ -87,8 +87,7 @@ class Crossings:
 
     def width_m(self, range_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Diameter of the beam."""
-        width: NDArray[np.float64] = EXIT_M + self.divergence_rad * range_m
-        return width
+        return EXIT_M + self.divergence_rad * range_m
 
     def least_mm(self, power: NDArray[np.float64], range_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Diameter of the smallest particle that sends back such power; infinite where none is wide enough.
@@ -97,8 +96,7 @@ class Crossings:
         """
         seen = law.overlap(torch.from_numpy(range_m)).numpy() * np.exp(-2.0 * self.particles.extinction_per_m * range_m)
         share = power * range_m**2 / np.maximum(self.particles.albedo * seen, 1e-300)
-        smallest: NDArray[np.float64] = np.where(share <= 1.0, 1e3 * self.width_m(range_m) * np.sqrt(share), np.inf)
-        return smallest
+        return np.where(share <= 1.0, 1e3 * self.width_m(range_m) * np.sqrt(share), np.inf)
 
     def nearest(
         self, power: NDArray[np.float64], range_m: NDArray[np.float64], arrival: NDArray[np.float64]

@@ -83,10 +83,9 @@ class WetGround(WeatherEffect):
     reads_incidence = False
 
     def applicability(self, scene: SceneFacts, detector: DetectorFacts) -> str | None:
-        """Rain that is not in the points yet, ground in view, and a limit below which its echoes are lost."""
+        """Where rain is not in the points yet, and ground is in view."""
         conditions = scene.conditions
-        known = scene.ground_in_view and scene.sensor.limit_range_m is not None
-        if conditions.rain_mm_h == 0.0 or conditions.weather_in_points or not known:
+        if conditions.weather_in_points or not scene.ground_in_view:
             return None
         cosine = torch.tensor([1.73 / _TYPICAL_M], dtype=torch.float64)
         share = float(wet_albedo(torch.tensor([_DRY_ALBEDO], dtype=torch.float64), cosine)) / _DRY_ALBEDO

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes, validate_boxes
 from shift3d.geometry.rigid import from_quaternion, heading_of, interpolated, inverse
-from shift3d.scenes.labels import Labels
+from shift3d.scenes.listing import opened, stems_in
+from shift3d.scenes.scene import Labels
 from shift3d.store.location import Location
 
 _AGAIN = "Copy it again"
@@ -26,37 +27,30 @@ def feather_table(file: Location, columns: Sequence[str]) -> pa.Table:
 
     Raises InputError: the file is missing, no Feather file or cut short, lacks a column, or has no rows.
     """
-    try:
-        with contextlib.closing(file.open()) as handle:
-            names = pa.ipc.open_file(handle).schema.names
-            missing = [name for name in columns if name not in names]
-            if missing:
-                raise InputError(f"no column {missing[0]}", str(file), "Give the data set's own file")
-            handle.seek(0)
-            table = feather.read_table(handle, columns=list(columns), memory_map=False)
-    except FileNotFoundError as error:
-        raise InputError("the file is missing", str(file), "Copy it, or leave the scene out") from error
-    except (pa.ArrowException, OSError) as error:
-        what = f"not a readable Feather file ({' '.join(str(error).split())[:120]})"
-        raise InputError(what, str(file), _AGAIN) from error
+    with opened(file, "Feather file", pa.ArrowException) as handle:
+        missing = sorted(set(columns) - set(pa.ipc.open_file(handle).schema.names))
+        if missing:
+            raise InputError(f"no column {missing[0]}", str(file), "Give the data set's own file")
+        handle.seek(0)
+        table = feather.read_table(handle, columns=list(columns), memory_map=False)
     if not table.num_rows:
         raise InputError("the table has no rows", str(file), f"{_AGAIN}, or leave it out")
     return table
 
 
-def column(table: pa.Table, name: str, dtype: type[np.generic], file: Location) -> NDArray[np.generic]:
+def column(table: pa.Table, name: str, dtype: type[np.generic], file: Location) -> NDArray[Any]:
     """One column of numbers, (rows,), cast to a dtype. Raises InputError: it is no numbers, or has gaps."""
     found = table[name]
     number = pa.types.is_integer(found.type) or pa.types.is_floating(found.type)
     if found.null_count or not number:
         raise InputError(f"column {name} has gaps or is no numbers", str(file), _AGAIN)
-    values: NDArray[np.generic] = found.to_numpy().astype(dtype)
+    values: NDArray[Any] = found.to_numpy().astype(dtype)
     return values
 
 
 def poses(table: pa.Table, file: Location) -> NDArray[np.float64]:
     """(rows, 4, 4) of the columns qw, qx, qy, qz, tx_m, ty_m, tz_m. Raises InputError: one is no pose."""
-    numbers = np.stack([column(table, name, np.float64, file) for name in _POSE], axis=1).astype(np.float64)
+    numbers = np.stack([column(table, name, np.float64, file) for name in _POSE], axis=1)
     return from_quaternion(numbers[:, :4], numbers[:, 4:], str(file))
 
 
@@ -97,30 +91,27 @@ class Sweep:
 
 
 def sweep_file(log: Location, timestamp: int) -> Location:
-    """The file of a sweep."""
     return log / "sensors" / "lidar" / f"{timestamp}.feather"
 
 
 def timestamps(log: Location) -> list[int]:
     """Starts of a log's sweeps, nanoseconds, ascending."""
-    stems = (name.removesuffix(".feather") for name in (log / "sensors" / "lidar").names() if name.endswith(".feather"))
-    return sorted(int(stem) for stem in stems if stem.isdecimal())
+    return sorted(int(stem) for stem in stems_in(log / "sensors" / "lidar", ".feather") if stem.isdecimal())
 
 
 def read_sweep(log: Location, timestamp: int) -> Sweep:
     """Raises InputError: the file is missing, damaged, or its laser numbers are not those of two LiDARs."""
     file = sweep_file(log, timestamp)
     table = feather_table(file, ("x", "y", "z", "intensity", "laser_number", "offset_ns"))
-    points = np.stack([column(table, name, np.float32, file) for name in ("x", "y", "z")], axis=1).astype(np.float32)
-    laser = column(table, "laser_number", np.int64, file).astype(np.int64)
+    points = np.stack([column(table, name, np.float32, file) for name in ("x", "y", "z")], axis=1)
+    laser = column(table, "laser_number", np.int64, file)
     if laser.min() < 0 or laser.max() >= 2 * BEAMS_A_LIDAR:
-        raise InputError(
-            f"laser numbers up to {laser.max()}, 0 to 63 expected", str(file), "Give the data set's own file"
-        )
-    intensity = column(table, "intensity", np.float32, file).astype(np.float32)
+        what = f"laser numbers up to {laser.max()}, 0 to 63 expected"
+        raise InputError(what, str(file), "Give the data set's own file")
+    intensity: NDArray[np.float32] = column(table, "intensity", np.float32, file)
     if intensity.max() > 255.0 or not intensity.min() >= 0.0:
         raise InputError("an intensity that is not 0 to 255", str(file), "Give the data set's own file")
-    offset_ns = column(table, "offset_ns", np.int64, file).astype(np.int64)
+    offset_ns = column(table, "offset_ns", np.int64, file)
     if offset_ns.min() < 0 or not _SHORTEST_NS <= offset_ns.max() <= _LONGEST_NS:
         what = f"firing times from {offset_ns.min():,} to {offset_ns.max():,} ns, where a sweep takes 0.1 s"
         raise InputError(what, str(file), "Convert the file: offset_ns counts nanoseconds from the sweep's start")
@@ -138,17 +129,11 @@ def lidar_mounts(log: Location) -> tuple[Float, Float]:
     return mounts[names.index(UP), :3, 3], mounts[names.index(DOWN), :3, 3]
 
 
-def ego_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64]) -> Float:
-    """(N, 4, 4) from the vehicle at each of the times after a sweep's start to the vehicle at its start.
+def city_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64] = _AT_ONCE) -> Float:
+    """(N, 4, 4) of the vehicle in the city at each of the times after a sweep's start.
 
     Raises InputError: the poses are missing, damaged, out of order, or of another time.
     """
-    result: Float = inverse(city_SE3_ego(log, timestamp)[0]) @ city_SE3_ego(log, timestamp, offset_ns)
-    return result
-
-
-def city_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64] = _AT_ONCE) -> Float:
-    """(N, 4, 4) of the vehicle in the city at each of the times after a sweep's start. Raises: as `ego_SE3_ego`."""
     times, city = _city_poses(log)
     for offset in (0, int(offset_ns.max())):
         if np.abs(times - (timestamp + offset)).min() > _FARTHEST_NS:
@@ -160,7 +145,7 @@ def city_SE3_ego(log: Location, timestamp: int, offset_ns: NDArray[np.int64] = _
 def ego_velocity_m_s(log: Location, timestamp: int) -> tuple[float, float, float] | None:
     """Of the vehicle over the tenth of a second after a sweep's start, its frame there; None where no pose is later.
 
-    Raises: as `ego_SE3_ego`.
+    Raises: as `city_SE3_ego`.
     """
     times, city = _city_poses(log)
     later = min(_TENTH_NS, int(times[-1]) - timestamp)
@@ -179,7 +164,7 @@ def _city_poses(log: Location) -> tuple[NDArray[np.int64], Float]:
     """Times (K,), nanoseconds, ascending, and poses (K, 4, 4) of the vehicle in the city."""
     file = _poses_file(log)
     table = feather_table(file, ("timestamp_ns", *_POSE))
-    times = column(table, "timestamp_ns", np.int64, file).astype(np.int64)
+    times = column(table, "timestamp_ns", np.int64, file)
     order = np.argsort(times, kind="stable")
     return times[order], poses(table, file)[order]
 
@@ -204,7 +189,7 @@ def read_labels(log: Location, timestamp: int, points: NDArray[np.float32], offs
         return Labels()
     placed = poses(table, file)
     sizes = np.stack([column(table, f"{edge}_m", np.float64, file) for edge in ("length", "width", "height")], axis=1)
-    boxes = np.concatenate((placed[:, :3, 3] - offset, sizes.astype(np.float64), heading_of(placed)[:, None]), axis=1)
+    boxes = np.concatenate((placed[:, :3, 3] - offset, sizes, heading_of(placed)[:, None]), axis=1)
     validate_boxes(boxes, f"{file}, sweep {timestamp}")
     names = tuple(str(name) for name in table["category"].to_pylist())
     for name in names:

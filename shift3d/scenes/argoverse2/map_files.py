@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from typing import Any
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse, moved
 from shift3d.scenes.ground_map import GroundMap
-from shift3d.scenes.listing import names_in
+from shift3d.scenes.listing import names_in, opened, read_array
 from shift3d.store.location import Location
 
 Float = NDArray[np.float64]
@@ -51,10 +50,7 @@ def read_ground_map(log: Location, city_SE3_scene: Float) -> GroundMap | None:
 
 def _heights(file: Location, placed_by: Location, centre_m: Float) -> Float:
     """(N, 3) middles of the raster's cells near a place (x, y), city frame: raster = s (R city + t), truncated."""
-    try:
-        raster = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"not a readable array ({' '.join(str(error).split())[:80]})", str(file), _AGAIN) from error
+    raster = read_array(file)
     values = _json(placed_by)
     try:
         rotation, shift = (np.array(values[name], dtype=np.float64) for name in "Rt")
@@ -65,7 +61,7 @@ def _heights(file: Location, placed_by: Location, centre_m: Float) -> Float:
             raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError("no R of 4 numbers, t of 2 and s, all finite", str(placed_by), _AGAIN) from error
-    if raster.ndim != 2 or raster.dtype.kind not in "fiu" or not scale > 0.0:
+    if raster.ndim != 2 or not scale > 0.0:
         what = f"an array of {raster.dtype}, shape {raster.shape}, at scale {scale}"
         raise InputError(what, str(file), _AGAIN)
     reach = _REACH_M * scale
@@ -94,10 +90,8 @@ def _outlines(file: Location) -> list[Float]:
 
 
 def _json(file: Location) -> dict[str, Any]:
-    try:
-        values = json.loads(file.read_bytes())
-    except (OSError, ValueError) as error:
-        raise InputError("not a readable JSON file", str(file), _AGAIN) from error
+    with opened(file, "JSON file", ValueError, RecursionError) as handle:
+        values = json.loads(handle.read())
     if not isinstance(values, dict):
         raise InputError("no JSON object", str(file), _AGAIN)
     return values

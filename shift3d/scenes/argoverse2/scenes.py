@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from shift3d.errors import InputError
-from shift3d.geometry.rigid import moved
+from shift3d.geometry.rigid import inverse, moved
 from shift3d.scenes.argoverse2.log import (
     Sweep,
     city_SE3_ego,
-    ego_SE3_ego,
     ego_velocity_m_s,
     lidar_mounts,
     read_labels,
@@ -22,12 +20,11 @@ from shift3d.scenes.argoverse2.log import (
 )
 from shift3d.scenes.argoverse2.map_files import map_files, read_ground_map
 from shift3d.scenes.ground_map import estimate_ground_z
-from shift3d.scenes.labels import Conditions
-from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.listing import first_few, names_in, require_metres
+from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sets import RecordedScenes
 from shift3d.store.location import Location
-from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.resolve import LocationLike
 
 VEHICLE_HEIGHT_M = 0.33  # of the vehicle frame's origin, the rear axle, above the ground
 _SPLITS = ("val", "train", "test")
@@ -64,8 +61,8 @@ class Argoverse2Scenes(RecordedScenes):
         every: int = 1,
         keep_bad: bool = False,
     ) -> None:
-        self.root, self.every, self.keep_bad, self._count = as_location(root), every, keep_bad, count
-        self._wanted = None if names is None else list(names)[:count]
+        super().__init__(root, names, count, keep_bad)
+        self.every = every
         inside = names_in(self.root)
         own = {self.root.absolute().name: self.root}  # the name of "." is empty
         self._logs = own if "sensors" in inside else {name: self.root / name for name in inside}
@@ -99,24 +96,21 @@ class Argoverse2Scenes(RecordedScenes):
         mounts = log / "calibration" / "egovehicle_SE3_sensor.feather"
         return (), (sweep_file(log, timestamp), *shared, mounts, *map_files(log))
 
-    @functools.cached_property
-    def _listed(self) -> list[str]:  # type: ignore[override]
-        if self._wanted is not None and self.keep_bad:
-            return list(self._wanted)
-        try:
-            return chosen(self._sweeps(), self._wanted, str(self.root), self._count)
-        except InputError:
-            if splits := [name for name in _SPLITS if name in self._logs]:
-                what, remedy = "a data set, not one of its splits", f"Give {self.root / splits[0]}"
-                raise InputError(what, str(self.root), remedy) from None
-            raise
+    def _found_in(self) -> str:
+        return str(self.root)
 
-    def _sweeps(self) -> Iterator[str]:
+    def _found(self) -> Iterator[str]:
         requested = None if self._wanted is None else {name.rpartition("-")[0] for name in self._wanted}
-        every = self.every if requested is None else 1
+        every, bare = self.every if requested is None else 1, True
         for log, place in self._logs.items():
             if requested is None or log in requested:
-                yield from (f"{log}-{timestamp}" for timestamp in timestamps(place)[::every])
+                for timestamp in timestamps(place)[::every]:
+                    bare = False
+                    yield f"{log}-{timestamp}"
+        splits = [name for name in _SPLITS if name in self._logs]
+        if bare and splits:
+            what, remedy = "a data set, not one of its splits", f"Give {self.root / splits[0]}"
+            raise InputError(what, str(self.root), remedy)
 
     def _split(self, name: str) -> tuple[Location, int]:
         log, _, timestamp = name.rpartition("-")
@@ -128,6 +122,6 @@ class Argoverse2Scenes(RecordedScenes):
 def _origins(log: Location, timestamp: int, sweep: Sweep, up: np.ndarray, down: np.ndarray) -> np.ndarray:
     """(N, 3) float64 where each point's LiDAR was as it fired, vehicle frame at the sweep's start."""
     times, which = np.unique(sweep.offset_ns, return_inverse=True)
-    poses = ego_SE3_ego(log, timestamp, times)
+    poses = inverse(city_SE3_ego(log, timestamp)[0]) @ city_SE3_ego(log, timestamp, times)
     mounts = np.where(sweep.is_up[:, None], up, down)
     return moved(mounts, poses[which])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import corners_3d
-from shift3d.scenes.listing import read_bytes, read_lines, refuse_not_finite, require_metres
+from shift3d.scenes.listing import read_lines, read_records, refuse_not_finite, require_metres
 from shift3d.scenes.reflectance import full_reflectance
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.wording import counted
@@ -36,6 +36,7 @@ FARTHEST_M = 1e4
 IMAGE_SIZE = (1242, 375)  # pixels; frames differ by a few, and the images are not needed otherwise
 SMALLEST_M = 0.01  # labels are written to the centimetre
 _ROTATION_TOLERANCE = 0.02  # of the rows' products: files are written to 7 digits
+_COPY = "Copy the calibration file again."
 _RESCALE = "Set scenes.reflectance_max to what the files call full reflectance (255, 65535, ...; null: 1)"
 _LARGEST_PIXEL = 1e6  # of a projection's entries: focal lengths are some hundred pixels
 
@@ -64,8 +65,7 @@ class Calibration:
         For average precision: a detection outside may be right and yet has no label to match.
         """
         pixels, depth = self.pixels(np.asarray(boxes)[:, :3])
-        result: NDArray[np.bool_] = (pixels[:, 0] >= 0) & (pixels[:, 0] < IMAGE_SIZE[0]) & (depth > 0.0)
-        return result
+        return (pixels[:, 0] >= 0) & (pixels[:, 0] < IMAGE_SIZE[0]) & (depth > 0.0)
 
     def height_px(self, boxes: NDArray[np.floating]) -> Float:
         """Height in the image of boxes (M, 7), cut at its upper and lower edge: (M,) float64, pixels.
@@ -124,14 +124,7 @@ def read_points(
     Raises InputError: where the file is missing, empty, not a whole number of 16-byte records, holds NaN or infinity,
     ranges that are no metres (`require_metres`), or reflectances on another scale.
     """
-    raw = read_bytes(as_location(path), "frame")
-    if not raw or len(raw) % 16:
-        raise InputError(
-            f"{counted(len(raw), 'byte')} is not a whole number of 16-byte points",
-            str(path),
-            "The file is truncated: copy it again.",
-        )
-    values = np.frombuffer(raw, dtype="<f4").reshape(-1, 4).astype(np.float32)
+    values = read_records(as_location(path), "frame", 4)
     refuse_not_finite(values, str(path))
     require_metres(np.linalg.norm(values[:, :3].astype(np.float64), axis=1), str(path))
     stated = 1.0 if reflectance_max is None else reflectance_max
@@ -153,17 +146,14 @@ def read_calibration(path: LocationLike) -> Calibration:
         shape = _CALIB_SHAPES[key]
         values = _numbers(rest.split(), f"{path}, line {number} ({key})")
         if len(values) != shape[0] * shape[1]:
-            raise InputError(
-                f"{counted(len(values), 'number')} for {key}, {shape[0] * shape[1]} expected",
-                f"{path}, line {number}",
-                "Copy the calibration file again.",
-            )
+            what = f"{counted(len(values), 'number')} for {key}, {shape[0] * shape[1]} expected"
+            raise InputError(what, f"{path}, line {number}", _COPY)
         if key in found:
             raise InputError(f"{key} is there twice", f"{path}, line {number}", "Remove the one that is wrong.")
         found[key] = np.array(values).reshape(shape)
     missing = [key for key in _CALIB_SHAPES if key not in found]
     if missing:
-        raise InputError(f"no line {missing[0]}:", str(path), "Copy the calibration file again.")
+        raise InputError(f"no line {missing[0]}:", str(path), _COPY)
     return _checked(found, path)
 
 
@@ -176,13 +166,13 @@ def _checked(found: dict[str, Float], path: LocationLike) -> Calibration:
         # The determinant alone would admit diag(2, 0.5, 1), and every box would be stretched by it.
         askew = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not (askew <= _ROTATION_TOLERANCE and np.linalg.det(rotation) > 0.0):
-        raise InputError("R0_rect · Tr_velo_to_cam is no rotation", str(path), "Copy the calibration file again.")
+        raise InputError("R0_rect · Tr_velo_to_cam is no rotation", str(path), _COPY)
     if not np.abs(camera_T_lidar[:3, 3]).max() <= FARTHEST_M:
-        raise InputError("Tr_velo_to_cam moves by kilometres", str(path), "Copy the calibration file again.")
+        raise InputError("Tr_velo_to_cam moves by kilometres", str(path), _COPY)
     projection = found["P2"]
     camera = projection[0, 0] > 0.0 and projection[1, 1] > 0.0 and np.abs(projection).max() <= _LARGEST_PIXEL
     if not (camera and np.abs(projection[2, :3] - (0.0, 0.0, 1.0)).max() <= _ROTATION_TOLERANCE):
-        raise InputError("P2 is no projection of a rectified camera", str(path), "Copy the calibration file again.")
+        raise InputError("P2 is no projection of a rectified camera", str(path), _COPY)
     return Calibration(projection, camera_T_lidar)
 
 
@@ -199,9 +189,8 @@ def read_labels(path: LocationLike, calibration: Calibration) -> list[KittiLabel
         if len(columns) not in (_LABEL_COLUMNS, _LABEL_COLUMNS + 1):
             raise InputError(f"{counted(len(columns), 'column')}, 15 expected", where, "Repair or remove that line.")
         if columns[0] not in CLASSES:
-            raise InputError(
-                f"unknown class {columns[0][:40]!r}", where, f"Known are {', '.join(CLASSES)} and DontCare."
-            )
+            what = f"unknown class {columns[0][:40]!r}"
+            raise InputError(what, where, f"Known are {', '.join(CLASSES)} and DontCare.")
         values = _numbers(columns[1:], where)
         if not SMALLEST_M <= min(values[7:10]) <= max(values[7:10]) <= FARTHEST_M:
             raise InputError(f"box size {tuple(values[7:10])} (h, w, l)", where, "Sizes must be positive, in metres.")
@@ -217,9 +206,8 @@ def read_ground_z(path: LocationLike) -> float:
     words = " ".join(read_lines(as_location(path), "ground file")).split()
     values = _numbers(words, str(path))
     if len(values) != 1 or abs(values[0]) > FARTHEST_M:
-        raise InputError(
-            f"{counted(len(values), 'number')}, one height in metres expected", str(path), "Export the frame again."
-        )
+        what = f"{counted(len(values), 'number')}, one height in metres expected"
+        raise InputError(what, str(path), "Export the frame again.")
     return values[0]
 
 

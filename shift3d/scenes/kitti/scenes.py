@@ -20,11 +20,11 @@ from shift3d.scenes.kitti.files import (
     read_labels,
     read_points,
 )
-from shift3d.scenes.listing import first_few, names_in
+from shift3d.scenes.listing import names_in, stems_in
 from shift3d.scenes.scene import Labels, Scene
 from shift3d.scenes.sets import RecordedScenes, from_one_place
 from shift3d.store.location import Location
-from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.resolve import LocationLike
 
 NOMINAL_GROUND_Z_M = -1.73  # over the labelled sample frames the estimate lies between -1.80 and -1.63
 _NOMINAL_WITHIN_M = 0.2  # there the estimate around the nominal height has the whole layer of the ground
@@ -58,33 +58,32 @@ class KittiScenes(RecordedScenes):
         reflectance_max: float | None = None,
         keep_bad: bool = False,
     ) -> None:
-        root = as_location(root)
+        super().__init__(root, names, None, keep_bad)
         self.reflectance_max = reflectance_max
-        self.folder = root if "velodyne" in names_in(root) else root / "training"
+        self.folder = self.root if "velodyne" in names_in(self.root) else self.root / "training"
         parts = names_in(self.folder)
         for part in ("velodyne", "calib"):
             if part not in parts:
-                raise InputError(
-                    f"no folder training/{part}", str(root), "Give the folder that holds KITTI's training/ folder."
-                )
+                remedy = "Give the folder that holds KITTI's training/ folder."
+                raise InputError(f"no folder training/{part}", str(self.root), remedy)
         self._labels_in = self.folder / "label_2" if "label_2" in parts else None
-        found = _stems(self.folder / "velodyne", ".bin")
-        if keep_bad:
-            found |= _stems(self._labels_in, ".txt") if names is None else set(names)
-        if names is None:
-            self._refuse_orphans(found)
-        for name in names or ():
-            if name not in found:
-                raise InputError(
-                    f"no frame {name!r}", str(self.folder / "velodyne"), f"Choose from: {first_few(found)}."
-                )
-        self._listed = sorted(found) if names is None else list(names)
-        if not self._listed:
-            raise InputError("no frames (*.bin)", str(self.folder / "velodyne"), "Give a folder with KITTI frames.")
+        self.names()
+
+    def _found_in(self) -> str:
+        return str(self.folder / "velodyne")
+
+    def _found(self) -> list[str]:
+        frames = set(stems_in(self.folder / "velodyne", ".bin"))
+        labelled = set() if self._labels_in is None else set(stems_in(self._labels_in, ".txt"))
+        orphans = sorted(labelled - frames)
+        if orphans and self._wanted is None and not self.keep_bad:
+            what = f"no frame velodyne/{orphans[0]}.bin"
+            remedy = "Add the frame, remove the label file, or list the frames to use in scenes.names."
+            raise InputError(what, str(self.folder / "label_2" / f"{orphans[0]}.txt"), remedy)
+        return sorted(frames | labelled if self.keep_bad else frames)
 
     def _read(self, name: str) -> Scene:
-        if name not in self._listed:
-            raise InputError(f"unknown scene {name!r}", "KITTI scenes", f"Choose from: {first_few(self._listed)}.")
+        self._require_listed(name)
         points, reflectance = read_points(self.folder / "velodyne" / f"{name}.bin", self.reflectance_max)
         ground = self.folder / GROUND / f"{name}.txt"
         return Scene(
@@ -125,15 +124,6 @@ class KittiScenes(RecordedScenes):
             names=tuple(row.name for row in rows),
         )
 
-    def _refuse_orphans(self, found: set[str]) -> None:
-        orphans = sorted(_stems(self._labels_in, ".txt") - found)
-        if orphans:
-            raise InputError(
-                f"no frame velodyne/{orphans[0]}.bin",
-                str(self.folder / "label_2" / f"{orphans[0]}.txt"),
-                "Add the frame, remove the label file, or list the frames to use in scenes.names.",
-            )
-
 
 def _ground_z(points: NDArray[np.float32]) -> float:
     """Height of the ground, metres, by the rule of `KittiScenes`. Source: our choice."""
@@ -141,8 +131,3 @@ def _ground_z(points: NDArray[np.float32]) -> float:
     if found is None or abs(found - NOMINAL_GROUND_Z_M) <= _NOMINAL_WITHIN_M:
         return estimate_ground_z(points, NOMINAL_GROUND_Z_M)
     return found
-
-
-def _stems(folder: Location | None, suffix: str) -> set[str]:
-    names = [] if folder is None else folder.names()
-    return {name.removesuffix(suffix) for name in names if name.endswith(suffix)}

@@ -55,7 +55,7 @@ def frame_files(
 
 
 def label_line(kind: str, box: NDArray[np.float64]) -> str:
-    """A box (7,) of a class as a line of a label file, the inverse of `kitti_files.lidar_box`.
+    """A box (7,) of a class as a line of a label file, the inverse of `files.lidar_box`.
 
     Occlusion is 3, unknown; the box in the image is cut at its edges, and empty for what the camera does not see.
     """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse, moved
 from shift3d.scenes.ground_map import estimate_ground_z
-from shift3d.scenes.labels import Conditions
-from shift3d.scenes.listing import chosen, first_few, names_in, read_bytes, require_metres
-from shift3d.scenes.nuscenes.annotations import boxes_of, read_annotations, read_weather
-from shift3d.scenes.nuscenes.tables import LidarFile, Poses, Release
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.listing import first_few, names_in, read_records, require_metres, stems_in
+from shift3d.scenes.nuscenes.tables import LidarFile, Poses, Release, boxes_of, read_annotations, read_weather
+from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sets import RecordedScenes
 from shift3d.store.location import Location
-from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.resolve import LocationLike
 
 Float = NDArray[np.float64]
 
@@ -63,14 +61,13 @@ class NuScenesScenes(RecordedScenes):
         sweeps: int = 1,
         keep_bad: bool = False,
     ) -> None:
-        self.root, self.sweeps, self.keep_bad, self._count = as_location(root), sweeps, keep_bad, count
-        self._wanted = None if names is None else list(names)[:count]
+        super().__init__(root, names, count, keep_bad)
+        self.sweeps = sweeps
         self._tables = _tables(self.root, version)
-        self._stems = [] if self._tables else _stems(self.root)
+        self._stems = [] if self._tables else stems_in(self.root, _SUFFIX)
         if self._tables is None and not self._stems:
-            raise InputError(
-                f"neither tables v1.0-*/ nor *{_SUFFIX} files", str(self.root), "Give the folder that holds them"
-            )
+            what = f"neither tables v1.0-*/ nor *{_SUFFIX} files"
+            raise InputError(what, str(self.root), "Give the folder that holds them")
 
     def _read(self, name: str) -> Scene:
         if self._tables is None:
@@ -112,13 +109,11 @@ class NuScenesScenes(RecordedScenes):
     def _table_names(self) -> list[str]:
         return [] if self._tables is None else self._tables.names()
 
-    @functools.cached_property
-    def _listed(self) -> list[str]:  # type: ignore[override]
-        found = list(self._stems if self._tables is None else self._release.key_frames)
-        if self._wanted is not None and self.keep_bad:
-            return list(self._wanted)
-        where = str(self.root if self._tables is None else self._tables / "sample_data.json")
-        return chosen(found, self._wanted, where)[: self._count]
+    def _found_in(self) -> str:
+        return str(self.root if self._tables is None else self._tables / "sample_data.json")
+
+    def _found(self) -> Iterable[str]:
+        return self._stems if self._tables is None else self._release.key_frames
 
     @functools.cached_property
     def _release(self) -> Release:
@@ -141,13 +136,11 @@ class NuScenesScenes(RecordedScenes):
 
     @functools.cached_property
     def _annotations(self) -> dict[str, list[dict[str, object]]]:
-        assert self._tables is not None
-        return read_annotations(self._tables, self._needed)
+        return read_annotations(self._release.folder, self._needed)
 
     @functools.cached_property
     def _weather(self) -> dict[str, str]:
-        assert self._tables is not None
-        return read_weather(self._tables, self._needed)
+        return read_weather(self._release.folder, self._needed)
 
     def _files(self, name: str) -> list[LidarFile]:
         """Of the key frame, then of the sweeps before it."""
@@ -158,8 +151,7 @@ class NuScenesScenes(RecordedScenes):
         return files
 
     def _alone(self, name: str) -> Scene:
-        if name not in self._listed:
-            raise InputError(f"unknown scene {name!r}", str(self.root), f"Choose from: {first_few(self._listed)}")
+        self._require_listed(name)
         values = _lidar_rows(_stem_file(self.root, name))
         points = moved(values[:, :3], _SIDEWAYS).astype(np.float32)
         return _scene(name, points, np.zeros_like(points), _reflectance(values))
@@ -174,10 +166,6 @@ def _tables(root: Location, version: str | None) -> Location | None:
     if len(found) > 1:
         raise InputError(f"{len(found)} versions of tables", str(root), f"Give one: scenes.version={found[0]}")
     return root / found[0] if found else None
-
-
-def _stems(root: Location) -> list[str]:
-    return [name.removesuffix(_SUFFIX) for name in names_in(root) if name.endswith(_SUFFIX)]
 
 
 def _stem_file(root: Location, stem: str) -> Location:
@@ -209,10 +197,7 @@ def _sweep(
 
 def _lidar_rows(file: Location) -> NDArray[np.float32]:
     """(N, 5) x, y, z, intensity, ring of a LiDAR file. Raises InputError: it is missing, damaged, or in other units."""
-    raw = read_bytes(file, "LiDAR file")
-    if not raw or len(raw) % 20:
-        raise InputError(f"{len(raw)} bytes are not a whole number of 20-byte points", str(file), "Copy it again")
-    values = np.frombuffer(raw, dtype="<f4").reshape(-1, 5).astype(np.float32)
+    values = read_records(file, "LiDAR file", 5)
     require_metres(np.linalg.norm(values[:, :3].astype(np.float64), axis=1), str(file))
     if not ((values[:, 3] >= 0.0) & (values[:, 3] <= 255.0)).all():
         raise InputError("an intensity that is not 0 to 255", str(file), "Copy it again")
@@ -220,8 +205,7 @@ def _lidar_rows(file: Location) -> NDArray[np.float32]:
 
 
 def _reflectance(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    scaled: NDArray[np.float32] = values[:, 3] / np.float32(255.0)
-    return scaled
+    return values[:, 3] / np.float32(255.0)
 
 
 def _scene(

@@ -1,10 +1,10 @@
-"""The tables of a release: read row by row, what is needed is kept."""
+"""The tables of a release: read row by row, what is needed is kept; poses, boxes and weather in them."""
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,13 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.geometry.rigid import from_quaternion
+from shift3d.geometry.boxes import count_in_boxes
+from shift3d.geometry.rigid import from_quaternion, heading_of
+from shift3d.scenes.listing import opened
+from shift3d.scenes.scene import Labels
 from shift3d.store.location import Location
 
 _SENSOR = "LIDAR_TOP"
 _PIECE = 2**20
 _AGAIN = "Copy it again"
 Row = dict[str, Any]
+_TEXTS = ("sample_token", "filename", "prev", "ego_pose_token", "calibrated_sensor_token")
 
 
 def table_rows(file: Location) -> Iterator[Row]:
@@ -28,27 +32,25 @@ def table_rows(file: Location) -> Iterator[Row]:
     Raises InputError: the file is missing, cut short, or something else.
     """
     decoder, text = json.JSONDecoder(), ""
-    try:
-        with contextlib.closing(file.open()) as handle, io.TextIOWrapper(handle, "utf-8") as reader:
-            while piece := reader.read(_PIECE):
-                text += piece
-                at = 0
-                while True:
-                    at = _next(text, at)
-                    if text[at : at + 1] == "]":
-                        return
-                    try:
-                        row, at = decoder.raw_decode(text, at)
-                    except ValueError:  # the rest of the row is not here yet
-                        break
-                    if not isinstance(row, dict):
-                        raise InputError(f"a row is {str(row)[:40]!r}, not an object", str(file), _AGAIN)
-                    yield row
-                text = text[at:]
-    except FileNotFoundError as error:
-        raise InputError("the table is missing", str(file), "Copy the release's tables again") from error
-    except (OSError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"not a readable table ({str(error)[:80]})", str(file), _AGAIN) from error
+    with (
+        opened(file, "table", UnicodeDecodeError, RecursionError) as handle,
+        io.TextIOWrapper(handle, "utf-8") as reader,
+    ):
+        while piece := reader.read(_PIECE):
+            text += piece
+            at = 0
+            while True:
+                at = _next(text, at)
+                if text[at : at + 1] == "]":
+                    return
+                try:
+                    row, at = decoder.raw_decode(text, at)
+                except ValueError:  # the rest of the row is not here yet
+                    break
+                if not isinstance(row, dict):
+                    raise InputError(f"a row is {str(row)[:40]!r}, not an object", str(file), _AGAIN)
+                yield row
+            text = text[at:]
     raise InputError("the table is cut short, or is no JSON array", str(file), _AGAIN)
 
 
@@ -78,10 +80,10 @@ class LidarFile:
 
     sample: str
     filename: str
-    time_us: int
     previous: str
     pose: str
     mount: str
+    time_us: int
 
 
 @dataclass
@@ -102,16 +104,12 @@ class Release:
         file = folder / "sample_data.json"
         lidar, key_frames = {}, []
         for token, row in indexed(file, lambda row: f"/{_SENSOR}/" in str(row.get("filename"))).items():
-            found = LidarFile(
-                str(_of(row, "sample_token", file)),
-                str(_of(row, "filename", file)),
-                _time_us(row, file),
-                str(_of(row, "prev", file)),
-                str(_of(row, "ego_pose_token", file)),
-                str(_of(row, "calibrated_sensor_token", file)),
-            )
+            if missing := [name for name in (*_TEXTS, "is_key_frame", "timestamp") if name not in row]:
+                raise InputError(f"row {token} has no {missing[0]}", str(file), _AGAIN)
+            sample, filename, previous, pose, mount = (str(row[name]) for name in _TEXTS)
+            found = LidarFile(sample, filename, previous, pose, mount, _time_us(row, file))
             lidar[token] = found
-            if _of(row, "is_key_frame", file):
+            if row["is_key_frame"]:
                 key_frames.append((found.time_us, found.sample, token))
         return Release(folder, lidar, {sample: token for _, sample, token in sorted(key_frames)})
 
@@ -147,14 +145,75 @@ def pose_of(row: Mapping[str, Any], where: str) -> NDArray[np.float64]:
 
 
 def _time_us(row: Row, file: Location) -> int:
-    value = _of(row, "timestamp", file)
+    value = row["timestamp"]
     try:
         return int(value)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"row {row.get('token')} has timestamp {str(value)[:40]}", str(file), _AGAIN) from error
 
 
-def _of(row: Row, name: str, file: Location) -> Any:
-    if name not in row:
-        raise InputError(f"row {row.get('token')} has no {name}", str(file), _AGAIN)
-    return row[name]
+_CYCLES = ("vehicle.bicycle", "vehicle.motorcycle")
+
+
+def class_of(category: str) -> str:
+    """The class here of a category's name, such as ``vehicle.car``: two-wheelers count as cyclists."""
+    if category in _CYCLES:
+        return "cyclist"
+    return {"vehicle": "vehicle", "human": "pedestrian"}.get(category.partition(".")[0], "other")
+
+
+def read_annotations(folder: Location, samples: set[str]) -> dict[str, list[dict[str, Any]]]:
+    """Annotations of samples by sample, each with its ``category``; empty where the release has none (test split).
+
+    The category is None where its row or the instance's is missing: `boxes_of` refuses such an annotation.
+
+    Raises InputError: a table is missing or damaged.
+    """
+    found: dict[str, list[dict[str, Any]]] = {sample: [] for sample in samples}
+    for row in table_rows(folder / "sample_annotation.json"):
+        if (sample := str(row.get("sample_token"))) in found:
+            found[sample].append(row)
+    wanted = {str(row.get("instance_token")) for rows in found.values() for row in rows}
+    if not wanted:
+        return found
+    instances = indexed(folder / "instance.json", lambda row: str(row.get("token")) in wanted)
+    categories = indexed(folder / "category.json")
+    for row in (row for rows in found.values() for row in rows):
+        instance = instances.get(str(row.get("instance_token")), {})
+        row["category"] = categories.get(str(instance.get("category_token")), {}).get("name")
+    return found
+
+
+def boxes_of(
+    rows: list[dict[str, Any]], scene_SE3_global: NDArray[np.float64], points: NDArray[np.float32], where: str
+) -> Labels:
+    """Boxes in the scene's frame; counts are those of the points (N, 3) given. Raises InputError: a row is no box."""
+    boxes = np.zeros((len(rows), 7))
+    for index, row in enumerate(rows):
+        here = f"{where}, row {row.get('token')}"
+        if row["category"] is None:
+            raise InputError("it has no category", here, "Copy the release's tables again")
+        try:
+            width, length, height = (float(edge) for edge in row["size"])
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise InputError("no size of 3 numbers", here, "Copy it again") from error
+        placed = scene_SE3_global @ pose_of(row, here)
+        boxes[index] = [*placed[:3, 3], length, width, height, float(heading_of(placed))]
+    names = tuple(str(row["category"]) for row in rows)
+    return Labels(boxes, tuple(class_of(name) for name in names), count_in_boxes(points, boxes), names)
+
+
+_RAIN = re.compile(r"\brain(y|ing|s)?\b", re.IGNORECASE)  # neither train nor terrain; "after rain" is rain
+
+
+def read_weather(folder: Location, samples: set[str]) -> dict[str, str]:
+    """ "rain" or "dry" of samples, by the words with which their drives are described.
+
+    Raises InputError: a table is missing or damaged.
+    """
+    rows = indexed(folder / "sample.json", lambda row: str(row.get("token")) in samples)
+    drives = indexed(folder / "scene.json")
+    descriptions = {
+        name: str(drives.get(str(row.get("scene_token")), {}).get("description", "")) for name, row in rows.items()
+    }
+    return {name: "rain" if _RAIN.search(descriptions.get(name, "")) else "dry" for name in samples}

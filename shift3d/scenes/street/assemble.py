@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.scenes.facts import SceneFacts
-from shift3d.scenes.labels import Conditions, Labels
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Conditions, Labels, Scene
 from shift3d.scenes.sensor import SensorModel
 from shift3d.scenes.street.behind import second_returns
 from shift3d.scenes.street.build.fleet import fleet_of
@@ -19,11 +18,10 @@ from shift3d.scenes.street.build.item import LABELLED
 from shift3d.scenes.street.build.layout import Layout, sample_layout
 from shift3d.scenes.street.build.pool import POOL_SIZES
 from shift3d.scenes.street.build.world import PlacedVehicle, World
-from shift3d.scenes.street.echoes import Echoes, no_return_beams
 from shift3d.scenes.street.options import PLAIN, StreetOptions
 from shift3d.scenes.street.raycast import Sweep
-from shift3d.scenes.street.returns import Paint, finish, sensor_model
-from shift3d.scenes.street.sensors import BEAMS, SENSORS, Mount, Sensor, companions, sensor_named, side_sensors
+from shift3d.scenes.street.returns import Echoes, Paint, finish, no_return_beams, sensor_model
+from shift3d.scenes.street.sensors import BEAMS, SENSORS, Mount, Sensor, companions, side_sensors
 from shift3d.seeding import generator
 
 
@@ -188,7 +186,7 @@ def street_facts(scene_id: str, sensor_name: str, options: StreetOptions) -> Sce
     A made scene may differ in two numbers that decide nothing: ``no_return_beams`` are here those that the sensor drops
     at random, ``scan_s`` is that of the whole turn in float32. On a street the ground is always in view.
     """
-    sensor = seeing(sensor_named(sensor_name), options)
+    sensor = seeing(SENSORS[sensor_name], options)
     heads = companions(sensor, options.ego_speed_m_s)
     times = sensor.firing_times_s().astype(np.float32)
     beams = len(sensor.elevations_rad) * sensor.columns * (1 + len(heads))

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.scenes.street.build.world import World
 from shift3d.scenes.street.raycast import Float, Hits, Sweep
-from shift3d.scenes.street.returns import Paint, finish
+from shift3d.scenes.street.returns import Cells, Paint, finish
 from shift3d.scenes.street.shapes import Material
 
 SEPARATION_M = 1.0
 """Echoes nearer together than this are one to the sensor (our choice: the length in space of a pulse of 7 ns)."""
 _SIDES = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # of a beam's cone: left, right, up, down
-
-Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
 def second_returns(
@@ -47,9 +47,8 @@ def second_returns(
     cell = np.concatenate((through, edge))
     share = np.concatenate((through_share, edge_share))
     order = np.argsort(cell, kind="stable")
-    names = ("range_m", "item", "material", "cosine")
-    joined = {name: np.concatenate((getattr(through_hits, name), getattr(edge_hits, name)))[order] for name in names}
-    second_range_m, reflectance, second_kept = finish(Hits(sweep.sensor, **joined), paint, rng, share[order])
+    joined = [np.concatenate(parts)[order] for parts in zip(_parts(through_hits), _parts(edge_hits))]
+    second_range_m, reflectance, second_kept = finish(Hits(sweep.sensor, *joined), paint, rng, share[order])
     cell = cell[order]
     second_kept &= second_range_m - range_m.reshape(-1)[cell] >= SEPARATION_M
     row, column = np.unravel_index(cell[second_kept], kept.shape)
@@ -92,12 +91,15 @@ def _past_edges(
         hits.append(side)
     ranges = np.stack([side.range_m for side in hits])
     nearest, each = ranges.argmin(axis=0), np.arange(len(cell))
-    names = ("range_m", "item", "material", "cosine")
-    chosen = {name: np.stack([getattr(side, name) for side in hits])[nearest, each] for name in names}
-    met = np.isfinite(chosen["range_m"])
+    met = np.isfinite(ranges).any(axis=0)
+    chosen = [np.stack(parts)[nearest, each][met] for parts in zip(*map(_parts, hits))]
     # Of the axis and four sides, those that pass the edge and meet something.
     share = np.isfinite(ranges).sum(axis=0) / (len(_SIDES) + 1)
-    return cell[met], Hits(sweep.sensor, **{name: values[met] for name, values in chosen.items()}), share[met]
+    return cell[met], Hits(sweep.sensor, *chosen), share[met]
+
+
+def _parts(hits: Hits) -> tuple[NDArray[Any], ...]:
+    return hits.range_m, hits.item, hits.material, hits.cosine
 
 
 def _beside_a_step(sweep: Sweep) -> NDArray[np.bool_]:
@@ -128,8 +130,7 @@ def _aside(axis: Float, left: float, up: float) -> Float:
     """(N, 3) unit vectors at right angles to the beams, to the left of them or upwards."""
     flat = np.hypot(axis[:, 0], axis[:, 1])
     leftwards = np.stack((-axis[:, 1], axis[:, 0], np.zeros(len(axis))), axis=1) / flat[:, None]
-    aside: Float = left * leftwards + up * np.cross(axis, leftwards)
-    return aside
+    return left * leftwards + up * np.cross(axis, leftwards)
 
 
 def _starts(sweep: Sweep, column: NDArray[np.intp]) -> Float:

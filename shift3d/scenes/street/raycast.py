@@ -11,7 +11,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from shift3d.scenes.street.sensors import AT_ORIGIN, Mount, Sensor, sensor_named
+from shift3d.scenes.street.sensors import AT_ORIGIN, BY_NAME, Mount, Sensor
 from shift3d.scenes.street.shapes import Material
 
 Float32 = NDArray[np.float32]
@@ -50,7 +50,7 @@ class Intersector:
 @lru_cache(maxsize=4)
 def beam_directions(sensor_name: str) -> Float32:
     """(rows, columns, 3) unit directions of a sensor's beams in its own frame, top row first."""
-    sensor = sensor_named(sensor_name)
+    sensor = BY_NAME[sensor_name]
     elevation = np.asarray(sensor.elevations_rad)[:, None]
     azimuth = sensor.azimuths_rad()[None]
     directions = np.stack(
@@ -76,6 +76,30 @@ class Hits:
     item: NDArray[np.int32]
     material: NDArray[np.uint8]
     cosine: Float32
+
+    @staticmethod
+    def none(sensor: Sensor, count: int) -> Hits:
+        """Hits of `count` beams that have met nothing yet."""
+        return Hits(sensor, *_nothing((count,)))
+
+    def enter(self, beams: NDArray[np.intp], found: FirstHits, item: int | NDArray[np.int32]) -> None:
+        """Take the hits of some beams, numbers (K,) of the flattened arrays, where they are nearer than what is there.
+
+        item: one for all of them, or (K,).
+        """
+        range_m, material, cosine = found
+        nearer = range_m < self.range_m.reshape(-1)[beams]
+        target = beams[nearer]
+        self.range_m.reshape(-1)[target] = range_m[nearer]
+        self.material.reshape(-1)[target] = material[nearer]
+        self.cosine.reshape(-1)[target] = cosine[nearer]
+        self.item.reshape(-1)[target] = item if isinstance(item, int) else item[nearer]
+
+
+def _nothing(shape: tuple[int, ...]) -> tuple[Float32, NDArray[np.int32], NDArray[np.uint8], Float32]:
+    """What `Hits` has of beams that have met nothing: range, item, material, cosine."""
+    ranges, items = np.full(shape, np.inf, dtype=np.float32), np.full(shape, -2, dtype=np.int32)
+    return ranges, items, np.zeros(shape, dtype=np.uint8), np.ones(shape, dtype=np.float32)
 
 
 @dataclass
@@ -104,16 +128,7 @@ class Sweep(Hits):
         origins = np.array(mount.origin_m)[None]
         if mount.speed_m_s:
             origins = origins + mount.speed_m_s * sensor.firing_times_s()[:, None] * np.array([1.0, 0.0, 0.0])
-        return cls(
-            sensor,
-            np.full(shape, np.inf, dtype=np.float32),
-            np.full(shape, -2, dtype=np.int32),
-            np.zeros(shape, dtype=np.uint8),
-            np.ones(shape, dtype=np.float32),
-            mount,
-            directions,
-            origins,
-        )
+        return cls(sensor, *_nothing(shape), mount, directions, origins)
 
     def window(self, centre: Float, radius_m: float) -> tuple[slice, NDArray[np.intp]]:
         """Rows and columns of the beams that can meet a sphere (scene frame)."""
@@ -152,37 +167,15 @@ class Sweep(Hits):
         directions = self.directions.reshape(-1, 3)
         starts = self.starts(len(self.directions), np.arange(self.sensor.columns)).astype(np.float32)
         range_m, face, cosine = mesh.first_hit(_each(starts, directions), directions)
-        closer = range_m < self.range_m.reshape(-1)
-        self.range_m.reshape(-1)[closer] = range_m[closer]
-        self.item.reshape(-1)[closer] = item[face[closer]]
-        self.material.reshape(-1)[closer] = material[face[closer]]
-        self.cosine.reshape(-1)[closer] = cosine[closer]
+        self.enter(np.arange(len(directions)), (range_m, material[face], cosine), item[face])
 
     def cast_near(self, centre: Float, radius_m: float, hit: Hit, item: int) -> None:
         """Cast the beams that can meet a sphere (scene frame) at what it holds."""
         rows, columns = self.window(centre, radius_m)
         directions = self.directions[rows][:, columns].reshape(-1, 3)
         if len(directions):
-            starts = self.starts(rows.stop - rows.start, columns)
-            self._merge(rows, columns, *hit(starts, directions), item)
-
-    def _merge(
-        self,
-        rows: slice,
-        columns: NDArray[np.intp],
-        range_m: Float32,
-        material: NDArray[np.uint8],
-        cosine: Float32,
-        item: int,
-    ) -> None:
-        shape = (rows.stop - rows.start, len(columns))
-        index_row, index_column = np.nonzero(range_m.reshape(shape) < self.range_m[rows][:, columns])
-        flat = index_row * shape[1] + index_column
-        target = (index_row + rows.start, columns[index_column])
-        self.range_m[target] = range_m[flat]
-        self.item[target] = item
-        self.material[target] = material[flat]
-        self.cosine[target] = cosine[flat]
+            beams = (np.arange(rows.start, rows.stop)[:, None] * self.sensor.columns + columns).reshape(-1)
+            self.enter(beams, hit(self.starts(rows.stop - rows.start, columns), directions), item)
 
 
 def hit_instance(

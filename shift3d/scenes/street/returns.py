@@ -1,16 +1,20 @@
-"""From first hits to returns: noise along the beam, rounding, drop-out, reflectance."""
+"""From first hits to returns: noise along the beam, rounding, drop-out, reflectance; and returns as a scene's rows."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shift3d.scenes.sensor import SensorModel
-from shift3d.scenes.street.raycast import Hits
+from shift3d.scenes.sensor import NoReturnBeams, SensorModel
+from shift3d.scenes.street.raycast import Float32, Hits, Sweep
 from shift3d.scenes.street.sensors import Sensor
 from shift3d.scenes.street.shapes import ALBEDO, Material
+
+Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Row and column of beams, (K,) each."""
 
 # Received power, albedo * cosine / range^2 in 1/m^2, at which half of the returns are lost; and the width of
 # the transition in factors of e. The ground then fades out between 45 and 65 m, as it does in KITTI frames.
@@ -81,3 +85,77 @@ def _per_item(sweep: Hits, values: dict[int, float], otherwise: NDArray[np.float
         own[number + 2] = value
     image = own[sweep.item + 2]
     return np.where(np.isnan(image), otherwise[sweep.material], image)
+
+
+@dataclass(frozen=True)
+class Echoes:
+    """Returns of one turn, or of several one after the other.
+
+    Attributes:
+        points, origins: (K, 3) float32 in the frame the scene is given in; origins a view of one row where they can.
+        reflectance, time_s: (K,) float32. pixel: (K, 2) int32, row and column in the sensor's range image.
+    """
+
+    points: Float32
+    origins: Float32
+    reflectance: Float32
+    time_s: Float32
+    pixel: NDArray[np.int32]
+
+    @staticmethod
+    def of(sweep: Sweep, cells: Cells, range_m: Float32, reflectance: Float32, compensated: bool) -> Echoes:
+        """Returns of some beams of a sweep.
+
+        Args:
+            cells: row and column of each; range_m, reflectance: (K,).
+            compensated: points as they were at time 0; otherwise in the frame of the sensor as it fires.
+        """
+        row, column = cells
+        points = (sweep.directions[row, column] * range_m[:, None]).astype(np.float32)
+        starts = _origins_of_columns(sweep, compensated)
+        if starts.any():  # not for the origin: adding zero turns -0.0 into 0.0
+            points = (points + starts[column if len(starts) > 1 else 0]).astype(np.float32)
+        pixel = np.stack(cells, axis=1).astype(np.int32)
+        times = sweep.sensor.firing_times_s()[column].astype(np.float32)
+        return Echoes(points, _origins(starts, column), reflectance, times, pixel)
+
+    @staticmethod
+    def of_kept(
+        sweep: Sweep, kept: NDArray[np.bool_], range_m: Float32, reflectance: Float32, compensated: bool
+    ) -> Echoes:
+        """Those of a sweep that were kept, row by row; arguments (rows, columns)."""
+        row, column = np.nonzero(kept)
+        return Echoes.of(sweep, (row, column), range_m[kept], reflectance[kept], compensated)
+
+    @staticmethod
+    def joined(parts: Sequence[Echoes]) -> Echoes:
+        if len(parts) == 1:
+            return parts[0]
+        joined = {name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])}
+        origins = joined["origins"]
+        if not (origins != origins[:1]).any():
+            joined["origins"] = np.broadcast_to(origins[:1].copy(), origins.shape)
+        return Echoes(**joined)
+
+
+def no_return_beams(sweeps: Sequence[tuple[Sweep, NDArray[np.bool_]]], compensated: bool) -> NoReturnBeams:
+    """The beams of sweeps, each with what it kept (rows, columns), that brought nothing back, row by row."""
+    origins, directions, times = [], [], []
+    for sweep, kept in sweeps:
+        row, column = np.nonzero(~kept)
+        directions.append(sweep.directions[row, column])
+        origins.append(_origins(_origins_of_columns(sweep, compensated), column))
+        times.append(sweep.sensor.firing_times_s()[column].astype(np.float32))
+    together = origins[0] if len(origins) == 1 else np.concatenate(origins)
+    return NoReturnBeams(together, np.concatenate(directions), np.concatenate(times))
+
+
+def _origins_of_columns(sweep: Sweep, compensated: bool) -> NDArray[np.float64]:
+    """(1, 3) or (columns, 3): where beams start in the frame that points are given in."""
+    return sweep.origins_m if compensated else np.array(sweep.mount.origin_m)[None]
+
+
+def _origins(starts: NDArray[np.float64], column: NDArray[np.intp]) -> Float32:
+    if len(starts) == 1:
+        return np.broadcast_to(starts.astype(np.float32), (len(column), 3))
+    return starts[column].astype(np.float32)

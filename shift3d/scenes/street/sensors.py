@@ -115,13 +115,8 @@ _AV2_LOWER = replace(
 )
 _AV2_APART_M = 0.115
 """Source: the calibration of an Argoverse 2 log: heights of 1.640 and 1.525 m, the lower head turned about x."""
-_BY_NAME = {**BEAMS, SHORT32.name: SHORT32, _AV2_LOWER.name: _AV2_LOWER}
+BY_NAME = {**BEAMS, SHORT32.name: SHORT32, _AV2_LOWER.name: _AV2_LOWER}
 _CORNERS = ((2.0, 1.0, 45.0), (2.0, -1.0, -45.0), (-3.6, 1.0, 135.0), (-3.6, -1.0, -135.0))  # x, y, degrees
-
-
-def sensor_named(name: str) -> Sensor:
-    """One of the sensors; KeyError for an unknown name."""
-    return _BY_NAME[name]
 
 
 def companions(main: Sensor, speed_m_s: float) -> list[tuple[Sensor, Mount]]:

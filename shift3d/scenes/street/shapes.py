@@ -117,7 +117,6 @@ def _unit_sphere() -> tuple[Float, Int]:
 
 
 def ellipsoid(radii: tuple[float, float, float], at: tuple[float, float, float], material: Material) -> Part:
-    """A coarse ellipsoid about ``at``."""
     vertices, faces = _unit_sphere()
     return Part(vertices * np.array(radii) + np.array(at), faces, material)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import count_in_boxes
 from shift3d.geometry.rigid import validate_rigid
-from shift3d.scenes.labels import Labels
+from shift3d.scenes.scene import Labels
 from shift3d.scenes.waymo.range_image import LaserCalibration, filled_poses, vehicle_beams, vehicle_SE3_pixels
 from shift3d.scenes.waymo.tables import FRAME, LASER, SEGMENT, Component, by_key, numbers
 from shift3d.store.location import Location
@@ -61,28 +61,27 @@ def read_frame(root: Location, segment: str, timestamp: int, lasers: Sequence[st
     lidar = component_file(root, "lidar", segment)
     columns = [LASER, *(f"{image}.{part}" for image in _IMAGES for part in ("values", "shape"))]
     rows = _by_laser(lidar, columns, timestamp)
-    calibrations = read_calibrations(root, segment)
-    frames = []
-    for number in sorted(LASERS[name] for name in lasers):
+    chosen, frames = sorted(LASERS[name] for name in lasers), []
+    calibrations = read_calibrations(root, segment, chosen)
+    for number in chosen:
         where = f"{lidar.file}, laser {number} at {timestamp}"
         first, second = (_image(_row(rows, number, lidar, timestamp), name, 4, where) for name in _IMAGES)
         if first.shape != second.shape:
             raise InputError(f"range images of {first.shape} and {second.shape} for its two returns", where, _PAIR)
         if not np.isfinite([first[..., 0], second[..., 0]]).all():
             raise InputError("a range that is not finite", where, "Copy the component again")
-        calibration = calibrations.get(number)
-        if calibration is None:
-            of = str(component_file(root, "lidar_calibration", segment).file)
-            raise InputError(f"no row of laser {number}", of, _PAIR)
         shape = (first.shape[0], first.shape[1])
         pixels = _pixels(root, segment, timestamp, shape) if number == _TOP else None
-        origins, directions = vehicle_beams(calibration, shape, pixels, where)
+        origins, directions = vehicle_beams(calibrations[number], shape, pixels, where)
         frames.append(LaserFrame(number, (first, second), origins, directions))
     return frames
 
 
-def read_calibrations(root: Location, segment: str) -> dict[int, LaserCalibration]:
-    """Lasers by number. Raises InputError: the component is missing, unreadable, or has a laser twice."""
+def read_calibrations(root: Location, segment: str, wanted: Sequence[int]) -> dict[int, LaserCalibration]:
+    """Lasers by number.
+
+    Raises InputError: the component is missing or unreadable, has a laser twice, or lacks one that is wanted.
+    """
     component = component_file(root, "lidar_calibration", segment)
     columns = [LASER, _EXTRINSIC, *(f"{_INCLINATION}.{part}" for part in ("min", "max", "values"))]
     found = {}
@@ -97,6 +96,8 @@ def read_calibrations(root: Location, segment: str) -> dict[int, LaserCalibratio
             raise InputError("neither beam inclinations nor their limits", where, "Copy the component again")
         limits = (float("nan") if low is None else float(low), float("nan") if high is None else float(high))
         found[number] = LaserCalibration(extrinsic, limits, numbers(beams, None, where) if has_table else None)
+    if missing := [number for number in wanted if number not in found]:
+        raise InputError(f"no row of laser {missing[0]}", str(component.file), _PAIR)
     return found
 
 

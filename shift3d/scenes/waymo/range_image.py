@@ -1,4 +1,4 @@
-"""Range images to beams and points, and back.
+"""Range images to beams.
 
 Frames: ``laser`` (the sensor's own), ``vehicle`` (x forward, y left, z up, at the frame's time), ``global``.
 
@@ -46,8 +46,7 @@ def inclinations(laser: LaserCalibration, height: int, where: str) -> Float:
         raise InputError(what, where, "Pair components of one segment")
     if not (np.abs(beams) < np.pi / 2).all():
         raise InputError("a beam inclination that is no angle in radians", where, "Copy the calibration again")
-    top_down: Float = beams[::-1].astype(np.float64)
-    return top_down
+    return beams[::-1].astype(np.float64)
 
 
 def filled_poses(poses: NDArray[np.floating], where: str) -> Float:
@@ -86,8 +85,7 @@ def vehicle_SE3_pixels(poses: Float, global_SE3_vehicle: Float) -> Float:
     pixels = np.zeros((*poses.shape[:2], 4, 4))
     pixels[..., :3, :3] = rotation_of_angles(poses[..., 0], poses[..., 1], poses[..., 2])
     pixels[..., :3, 3], pixels[..., 3, 3] = poses[..., 3:], 1.0
-    result: Float = inverse(global_SE3_vehicle) @ pixels
-    return result
+    return inverse(global_SE3_vehicle) @ pixels
 
 
 def vehicle_beams(
@@ -116,15 +114,3 @@ def vehicle_beams(
         return np.broadcast_to(extrinsic[:3, 3], directions.shape), directions
     origins = pixels[..., :3, :3] @ extrinsic[:3, 3] + pixels[..., :3, 3]
     return origins, np.einsum("hwij,hwj->hwi", pixels[..., :3, :3], directions)
-
-
-def range_image(
-    points: NDArray[np.floating], origins: NDArray[np.floating], pixel: NDArray[np.integer], shape: tuple[int, int]
-) -> Float:
-    """(H, W) ranges of points (N, 3) from their origins (N, 3) at their pixels (N, 2) row, column; 0 elsewhere.
-
-    The inverse of reading an image of one laser and one return.
-    """
-    image = np.zeros(shape)
-    image[pixel[:, 0], pixel[:, 1]] = np.linalg.norm(np.asarray(points, np.float64) - origins, axis=1)
-    return image

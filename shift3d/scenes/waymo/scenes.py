@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.geometry.rigid import inverse
 from shift3d.scenes.ground_map import estimate_ground_z
-from shift3d.scenes.labels import Conditions, Labels
-from shift3d.scenes.listing import chosen, first_few, names_in, require_metres
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.listing import first_few, names_in, require_metres, stems_in
+from shift3d.scenes.scene import Conditions, Labels, Scene
 from shift3d.scenes.sensor import NoReturnBeams
 from shift3d.scenes.sets import RecordedScenes
 from shift3d.scenes.waymo.frame import (
@@ -27,7 +26,7 @@ from shift3d.scenes.waymo.frame import (
     read_weather,
 )
 from shift3d.store.location import Location
-from shift3d.store.resolve import LocationLike, as_location
+from shift3d.store.resolve import LocationLike
 
 COMPONENTS = ("lidar", "lidar_calibration", "lidar_pose", "vehicle_pose")
 """What a frame is made of. A folder may lack labels (`lidar_box`) and weather (`stats`), a segment of it may not."""
@@ -67,27 +66,26 @@ class WaymoScenes(RecordedScenes):
         every: int = 1,
         keep_bad: bool = False,
     ) -> None:
-        self.root = as_location(root)
-        self.lasers, self.every, self.keep_bad, self._count = tuple(lasers), every, keep_bad, count
+        super().__init__(root, names, count, keep_bad)
+        self.lasers, self.every = tuple(lasers), every
         unknown = [name for name in lasers if name not in LASERS]
         if unknown or not lasers:
-            raise InputError(
-                f"unknown laser {(unknown or ['none at all'])[0]!r}", "Waymo", f"Known: {', '.join(LASERS)}"
-            )
+            what = f"unknown laser {(unknown or ['none at all'])[0]!r}"
+            raise InputError(what, "Waymo", f"Known: {', '.join(LASERS)}")
         if len(set(self.lasers)) < len(self.lasers):
             what = f"a laser twice in scenes.lasers=[{','.join(self.lasers)}]"
             raise InputError(what, "Waymo", "Name each laser once")
-        self._wanted = None if names is None else list(names)[:count]
-        if "lidar" not in self._names_in(self.root):
-            raise InputError(
-                "no component lidar/", str(self.root), "Give the folder that holds lidar/, lidar_pose/, ..."
-            )
+        if "lidar" not in self._components:
+            what = "no component lidar/"
+            raise InputError(what, str(self.root), "Give the folder that holds lidar/, lidar_pose/, ...")
 
     def _read(self, name: str) -> Scene:
         segment, timestamp = self._split(name)
         frames = read_frame(self.root, segment, timestamp, self.lasers)
-        offset = self._origin(segment)
+        top = LASERS["TOP"]
+        offset = read_calibrations(self.root, segment, [top])[top].vehicle_SE3_laser[:3, 3]  # of a scene's origin
         where = f"{component_file(self.root, 'lidar', segment).file}, frame {timestamp}"
+        has_labels, has_weather = "lidar_box" in self._components, "stats" in self._components
         parts = [_returns(frame, number, offset) for frame in frames for number in (0, 1)]
         points, origins, intensity, zone, pixel, number = (np.concatenate(part) for part in zip(*parts, strict=True))
         require_metres(np.linalg.norm(points - origins, axis=1), where)
@@ -99,11 +97,14 @@ class WaymoScenes(RecordedScenes):
             points=points,
             origins=origins,
             ground_z_m=estimate_ground_z(points, -float(offset[2])),
-            labels=read_labels(self.root, segment, timestamp, points, offset) if self._has("lidar_box") else Labels(),
+            labels=read_labels(self.root, segment, timestamp, points, offset) if has_labels else Labels(),
             reflectance=np.tanh(np.maximum(intensity, 0.0)),
             return_number=number,
             range_image_index=pixel,
-            conditions=self._conditions(segment, timestamp),
+            conditions=Conditions(
+                weather=read_weather(self.root, segment, timestamp) if has_weather else "dry",
+                ego_velocity_m_s=self._velocity(segment, timestamp),
+            ),
             no_return=_no_return(frames, offset),
             in_no_label_zone=zone,
         )
@@ -112,18 +113,15 @@ class WaymoScenes(RecordedScenes):
         segment, parts = name.rpartition("-")[0] or name, (*COMPONENTS, *_OPTIONAL)
         return self.lasers, [component_file(self.root, part, segment).file for part in parts]
 
-    @functools.cached_property
-    def _listed(self) -> list[str]:  # type: ignore[override]
-        segments = self._segments()
+    def _found_in(self) -> str:
+        return str(self.root / "lidar")
+
+    def _found(self) -> Iterator[str]:
+        """Some segments at a time."""
+        segments = self._segments
         if self._wanted is not None:
             requested = {name.rpartition("-")[0] or name for name in self._wanted}
             segments = [segment for segment in segments if segment in requested]
-            if self.keep_bad:
-                return list(self._wanted)
-        return chosen(self._frames(segments), self._wanted, str(self.root / "lidar"), self._count)
-
-    def _frames(self, segments: Sequence[str]) -> Iterator[str]:
-        """Names of the frames of segments, some segments at a time."""
         for start in range(0, len(segments), _SEGMENTS_AT_ONCE):
             for names in self.root.each(self._frames_of, segments[start : start + _SEGMENTS_AT_ONCE]):
                 yield from names
@@ -139,40 +137,19 @@ class WaymoScenes(RecordedScenes):
 
     def _split(self, name: str) -> tuple[str, int]:
         segment, _, timestamp = name.rpartition("-")
-        if not timestamp.isdecimal() or not segment or segment not in self._segments():
-            if name in self._segments():  # listed although it is bad: say now what is wrong with it
+        if not timestamp.isdecimal() or segment not in self._segments:
+            if name in self._segments:  # listed although it is bad: say now what is wrong with it
                 component_file(self.root, "lidar", name).timestamps()
-            raise InputError(f"unknown scene {name!r}", str(self.root), f"Segments: {first_few(self._segments())}")
+            raise InputError(f"unknown scene {name!r}", str(self.root), f"Segments: {first_few(self._segments)}")
         return segment, int(timestamp)
 
-    def _segments(self) -> list[str]:
-        files = self._names_in(self.root / "lidar")
-        return [name.removesuffix(".parquet") for name in files if name.endswith(".parquet")]
-
-    def _names_in(self, folder: Location) -> list[str]:
-        """What lies in a folder, asked once."""
-        if str(folder) not in self._folders:
-            self._folders[str(folder)] = names_in(folder)
-        return self._folders[str(folder)]
+    @functools.cached_property
+    def _components(self) -> list[str]:
+        return names_in(self.root)
 
     @functools.cached_property
-    def _folders(self) -> dict[str, list[str]]:
-        return {}
-
-    def _has(self, component: str) -> bool:
-        return component in self._names_in(self.root)
-
-    def _origin(self, segment: str) -> NDArray[np.float64]:
-        """(3,) the TOP laser in the vehicle frame, metres: where scenes have their origin."""
-        found = read_calibrations(self.root, segment)
-        if LASERS["TOP"] not in found:
-            of = str(component_file(self.root, "lidar_calibration", segment).file)
-            raise InputError("no row of laser 1 (TOP)", of, "Copy it again")
-        return found[LASERS["TOP"]].vehicle_SE3_laser[:3, 3]
-
-    def _conditions(self, segment: str, timestamp: int) -> Conditions:
-        weather = read_weather(self.root, segment, timestamp) if self._has("stats") else "dry"
-        return Conditions(weather=weather, ego_velocity_m_s=self._velocity(segment, timestamp))
+    def _segments(self) -> list[str]:
+        return stems_in(self.root / "lidar", ".parquet")
 
     def _velocity(self, segment: str, timestamp: int) -> tuple[float, float, float] | None:
         """Of the vehicle, from its pose to that of the frame after it (of the last one: before it)."""

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
+from shift3d.scenes.listing import opened
 from shift3d.store.location import Location
 
 SEGMENT, FRAME, LASER = "key.segment_context_name", "key.frame_timestamp_micros", "key.laser_name"
@@ -65,19 +66,12 @@ class Component:
     @contextlib.contextmanager
     def _opened(self, columns: Sequence[str]) -> Iterator[pq.ParquetFile]:
         """The open file; what goes wrong while it is open is said in one line."""
-        try:
-            with contextlib.closing(self.file.open()) as handle:
-                parquet = pq.ParquetFile(handle, buffer_size=_BUFFER_BYTES)
-                missing = [name for name in columns if name not in parquet.schema_arrow.names]
-                if missing:
-                    raise InputError(f"no column {missing[0]}", str(self.file), "Give version 2 of the data set")
-                yield parquet
-        except FileNotFoundError as error:
-            remedy = "Copy the component, or leave the segment out"
-            raise InputError("the component's file is missing", str(self.file), remedy) from error
-        except (pa.ArrowException, OSError) as error:
-            what = f"not a readable Parquet file ({' '.join(str(error).split())[:120]})"
-            raise InputError(what, str(self.file), _AGAIN) from error
+        with opened(self.file, "Parquet file", pa.ArrowException) as handle:
+            parquet = pq.ParquetFile(handle, buffer_size=_BUFFER_BYTES)
+            missing = [name for name in columns if name not in parquet.schema_arrow.names]
+            if missing:
+                raise InputError(f"no column {missing[0]}", str(self.file), "Give version 2 of the data set")
+            yield parquet
 
     def _checked(self, table: pa.Table) -> pa.Table:
         for found in table[SEGMENT].unique().to_pylist():

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.anchor_heads import AnchorHeads, anchor_boxes, direction_bins, encode_boxes
-from shift3d.detectors.models.heads import BoxHeads
+from shift3d.detectors.models.network import BoxHeads
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.recipe import Recipe
 

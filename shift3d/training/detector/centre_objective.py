@@ -12,7 +12,7 @@ from torch import Tensor
 from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.centre_heads import encode_centres
-from shift3d.detectors.models.heads import BoxHeads
+from shift3d.detectors.models.network import BoxHeads
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.recipe import Recipe
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from shift3d.detectors.grid import Grid
-from shift3d.detectors.models.heads import BoxHeads
+from shift3d.detectors.models.network import BoxHeads
 from shift3d.training.detector.anchor_objective import AnchorObjective
 from shift3d.training.detector.centre_objective import CentreObjective
 from shift3d.training.detector.crops import Crop

@@ -14,7 +14,7 @@ from shift3d.detectors.models.anchor_heads import (
     direction_bins,
     encode_boxes,
 )
-from shift3d.detectors.models.heads import proposal_indices
+from shift3d.detectors.models.network import proposal_indices
 
 SMALL = BevWindow(20, 40, 8, 12, 24, 44, 4, 4)
 

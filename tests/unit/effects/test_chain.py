@@ -14,8 +14,7 @@ from shift3d.errors import InputError
 from shift3d.render import Beams, preset, render
 from shift3d.render.rendering import Rendering
 from shift3d.scenes.facts import EffectSettings
-from shift3d.scenes.labels import Conditions
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import NoReturnBeams
 
 FRAME = SHAPENET_FRAME

@@ -7,13 +7,13 @@ import pytest
 import torch
 from analytic_fields import Frame, in_frame, sphere
 
+from shift3d.effects.applicability import NEEDS
 from shift3d.effects.base import Cast, EffectContext
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
 from shift3d.effects.no_return_beams import EFFECT
 from shift3d.render import Beams, preset
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
-from shift3d.scenes.labels import Conditions
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import NoReturnBeams
 
 FRAME = Frame(size_m=(2.0, 2.0, 2.0), scale_m=2.5)
@@ -124,4 +124,4 @@ def test_applies_by_how_many_there_are() -> None:
     detector = DetectorFacts("any")
     reason = EFFECT.applicability(SceneFacts.of(scene_of()), detector)
     assert reason is not None and "60" in reason
-    assert EFFECT.applicability(SceneFacts.of(scene_of(no_return=0)), detector) is None
+    assert not NEEDS["no_return_beams"].present(SceneFacts.of(scene_of(no_return=0)))

@@ -5,6 +5,7 @@ import pytest
 import torch
 from analytic_fields import Frame, in_frame, sphere
 
+from shift3d.effects.applicability import choose
 from shift3d.effects.base import Cast, EffectContext
 from shift3d.effects.chain import EffectChain
 from shift3d.effects.origins import EFFECT
@@ -74,5 +75,5 @@ def test_places_that_agree_row_by_row_give_the_beams_of_one_place() -> None:
 
 def test_applies_where_places_differ() -> None:
     detector = DetectorFacts("any")
-    assert EFFECT.applicability(SceneFacts.of(scene_of(TWO[:1])), detector) is None
-    assert EFFECT.applicability(SceneFacts.of(scene_of(TWO)), detector) is not None
+    assert not choose("auto", SceneFacts.of(scene_of(TWO[:1])), detector)
+    assert [choice.effect for choice in choose("auto", SceneFacts.of(scene_of(TWO)), detector)] == ["origins"]

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from analytic_fields import Frame
 
+from shift3d.effects.applicability import choose
 from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.physics.materials import PAINT_ALBEDO
 from shift3d.effects.reflectance import EFFECT
@@ -102,7 +103,7 @@ def test_it_carries_no_gradient():
 def test_applies_where_a_detector_reads_what_the_scene_has():
     with_it, without = (SceneFacts.of(context_of(20, known).scene) for known in (True, False))
     reader, coordinates = DetectorFacts("sst", reads_reflectance=True), DetectorFacts("pointpillars")
-    reason = EFFECT.applicability(with_it, reader)
-    assert reason is not None and "sst" in reason
-    assert EFFECT.applicability(with_it, coordinates) is None
-    assert EFFECT.applicability(without, reader) is None
+    (reason,) = (choice.reason for choice in choose("auto", with_it, reader) if choice.effect == "reflectance")
+    assert "sst" in reason
+    for scene, detector in ((with_it, coordinates), (without, reader)):
+        assert all(choice.effect != "reflectance" for choice in choose("auto", scene, detector))

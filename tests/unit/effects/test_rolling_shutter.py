@@ -13,8 +13,7 @@ from shift3d.effects.chain import EffectChain
 from shift3d.effects.rolling_shutter import ASSUMED_NOISE_M, EFFECT, relative_velocity
 from shift3d.render import Beams, preset
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
-from shift3d.scenes.labels import Conditions
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Conditions, Scene
 from shift3d.scenes.sensor import SensorModel
 
 FRAME = Frame(size_m=(1.0, 3.0, 3.0), scale_m=2.5)

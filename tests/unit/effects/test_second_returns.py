@@ -7,6 +7,7 @@ import pytest
 import torch
 from analytic_fields import Frame, box, in_frame
 
+from shift3d.effects.applicability import NEEDS
 from shift3d.effects.base import EffectContext, Returns
 from shift3d.effects.chain import NO_RETURN_M, EffectChain
 from shift3d.effects.second_returns import EFFECT
@@ -173,4 +174,4 @@ def test_applies_where_beams_have_more_than_one_return():
     assert "2 returns" in (EFFECT.applicability(SceneFacts.of(two), detector) or "")
     one = dataclasses.replace(two, return_number=np.zeros(2, np.uint8))
     for scene in (one, dataclasses.replace(two, return_number=None), dataclasses.replace(two, range_image_index=None)):
-        assert EFFECT.applicability(SceneFacts.of(scene), detector) is None
+        assert not NEEDS["second_returns"].present(SceneFacts.of(scene))

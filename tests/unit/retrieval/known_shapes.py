@@ -9,8 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from shift3d.retrieval.subspace import Subspace
-from shift3d.scenes.labels import Labels
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Labels, Scene
 from shift3d.vehicles.sources import VehicleSet
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ import pytest
 from shift3d.errors import InputError
 from shift3d.scenes.argoverse2 import log as argoverse2
 from shift3d.scenes.kitti import files as kitti
-from shift3d.scenes.nuscenes.annotations import class_of as nuscenes_class_of
+from shift3d.scenes.nuscenes.tables import class_of as nuscenes_class_of
 from shift3d.scenes.openpcdet import OpenPcdetScenes, class_of
 from shift3d.scenes.waymo import frame as waymo
 
@@ -148,7 +148,7 @@ def with_nan() -> np.ndarray:
         (lambda root: (root / "labels" / "000001.txt").unlink(), r"label file is missing.*labels/ away"),
         (points(frame()[:0]), r"no point with a positive range"),
         (points(frame()[:, :2]), r"not rows of x, y, z"),
-        (points(np.array([["a", "b", "c"]])), r"not rows of x, y, z"),
+        (points(np.array([["a", "b", "c"]])), r"not an array of numbers"),
         (points(np.array([[{}, 1, 2]], dtype=object)), r"not a readable \.npy"),
         (points(with_nan()), r"with NaN or infinity, first is row 7"),
         (points(frame() * (1000, 1000, 1000, 1)), r"range of .*metres"),

@@ -12,9 +12,8 @@ from shift3d.scenes.street.behind import SEPARATION_M, second_returns
 from shift3d.scenes.street.build.item import Item, stand_on
 from shift3d.scenes.street.build.things import Leaves
 from shift3d.scenes.street.build.world import World
-from shift3d.scenes.street.echoes import Echoes
 from shift3d.scenes.street.raycast import Hits, Intersector, Sweep, hit_instance, hit_leaves
-from shift3d.scenes.street.returns import Paint, finish, sensor_model
+from shift3d.scenes.street.returns import Echoes, Paint, finish, sensor_model
 from shift3d.scenes.street.sensors import AT_ORIGIN, HDL64, SHORT32, WAYMO_TOP, Mount, Sensor
 from shift3d.scenes.street.shapes import ALBEDO, Material, Part, box, ellipsoid
 

@@ -9,7 +9,7 @@ import pytest
 
 from shift3d.effects.applicability import NEEDS, choose
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
-from shift3d.scenes.labels import Conditions
+from shift3d.scenes.scene import Conditions
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.options import StreetOptions
 

@@ -10,8 +10,7 @@ import pytest
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.geometry.iou import iou_bev
-from shift3d.scenes.labels import Labels
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Labels, Scene
 from shift3d.scenes.sets import StreetScenes
 from shift3d.scenes.street.assemble import street_scene
 from shift3d.scenes.street.build.fleet import fleet_of

@@ -11,7 +11,7 @@ from by_hand import catalogue
 from shift3d.effects.applicability import NEEDS, Choice, choose
 from shift3d.errors import InputError
 from shift3d.scenes.facts import DetectorFacts, EffectSettings, SceneFacts
-from shift3d.scenes.labels import Conditions
+from shift3d.scenes.scene import Conditions
 from shift3d.settings.catalogue.reading import Catalogue
 from shift3d.settings.compose import compose_sweep
 from shift3d.settings.schema.config import Config

@@ -8,8 +8,7 @@ from torch import Tensor
 
 from shift3d.detectors.base import BevWindow, Detections, Detector, Proposals
 from shift3d.errors import InputError
-from shift3d.scenes.labels import Labels
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Labels, Scene
 from shift3d.scenes.sets import SceneSet
 
 GROUND_Z_M = -1.73

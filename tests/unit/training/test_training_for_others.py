@@ -22,8 +22,7 @@ from shift3d.detectors.models.sst import SstNet, SstSpec
 from shift3d.detectors.models.window_transformer import TransformerSpec
 from shift3d.errors import InputError
 from shift3d.scenes.kitti.scenes import KittiScenes
-from shift3d.scenes.labels import Labels
-from shift3d.scenes.scene import Scene
+from shift3d.scenes.scene import Labels, Scene
 from shift3d.training import command
 from shift3d.training.checkpoints import read_checkpoint
 from shift3d.training.compute import Compute, choose_compute

@@ -57,12 +57,10 @@ class Ground:
     mount_height_m: float
 
     def to_road(self, x: Float, y: Float) -> tuple[Float, Float]:
-        """Scene (x, y) to road (u, v)."""
         cos, sin = np.cos(self.road_heading_rad), np.sin(self.road_heading_rad)
         return cos * x + sin * y, cos * y - sin * x + self.ego_v_m
 
     def to_scene(self, u: Float, v: Float) -> tuple[Float, Float]:
-        """Road (u, v) to scene (x, y)."""
         cos, sin = np.cos(self.road_heading_rad), np.sin(self.road_heading_rad)
         v = v - self.ego_v_m
         return cos * u - sin * v, sin * u + cos * v

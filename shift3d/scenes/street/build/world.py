@@ -15,16 +15,7 @@ from shift3d.scenes.street.build.item import LABELLED, OWN_CAR_M, Item, stand_on
 from shift3d.scenes.street.build.layout import Layout
 from shift3d.scenes.street.build.pool import PoolVehicle
 from shift3d.scenes.street.build.things import LOOKS, Leaves
-from shift3d.scenes.street.raycast import (
-    Float,
-    Float32,
-    Hit,
-    Hits,
-    Intersector,
-    Sweep,
-    hit_instance,
-    hit_leaves,
-)
+from shift3d.scenes.street.raycast import Float, Hit, Hits, Intersector, Sweep, hit_instance, hit_leaves
 from shift3d.scenes.street.sensors import Sensor
 from shift3d.scenes.street.shapes import Mesh, Part, merge
 from shift3d.seeding import generator
@@ -115,18 +106,12 @@ class World:
         """
         begins = starts + from_m[:, None] * directions
         range_m, face, cosine = self.mesh.first_hit(begins.astype(np.float32), directions.astype(np.float32))
-        met = face >= 0
-        hits = Hits(
-            sensor,
-            range_m,
-            np.where(met, self.item[face], -2).astype(np.int32),
-            np.where(met, self.material[face], 0).astype(np.uint8),
-            cosine,
-        )
+        hits = Hits.none(sensor, len(starts))
+        hits.enter(np.arange(len(starts)), (range_m, self.material[face], cosine), self.item[face])
         for number, centre, radius_m, hit in self._things(rng):
             near = _near(begins, directions, centre, radius_m)
             if len(near):
-                _nearer(hits, near, *hit(begins[near], directions[near]), number)
+                hits.enter(near, hit(begins[near], directions[near]), number)
         hits.range_m = (hits.range_m + from_m).astype(np.float32)
         return hits
 
@@ -139,16 +124,6 @@ def _near(starts: Float, directions: Float, centre: Float, radius_m: float) -> N
     return np.flatnonzero(apart <= radius_m**2)
 
 
-def _nearer(
-    hits: Hits, rows: NDArray[np.intp], range_m: Float32, material: NDArray[np.uint8], cosine: Float32, item: int
-) -> None:
-    """Enter hits of one item on some rows where they are nearer than what is there."""
-    nearer = range_m < hits.range_m[rows]
-    target = rows[nearer]
-    hits.range_m[target], hits.material[target] = range_m[nearer], material[nearer]
-    hits.cosine[target], hits.item[target] = cosine[nearer], item
-
-
 def _in_the_way(layout: Layout, driven_m: float) -> NDArray[np.bool_]:
     """(items,) bool: which stand on the floor that the own car drives over, driven_m ahead of it."""
     if not driven_m:
@@ -158,7 +133,6 @@ def _in_the_way(layout: Layout, driven_m: float) -> NDArray[np.bool_]:
 
 
 def _stand(ground: Ground, item: Item, number: int, vehicle: PoolVehicle) -> PlacedVehicle:
-    """A vehicle on its four wheels."""
     length, width, height = vehicle.size_m
     cos, sin = np.cos(item.heading_rad), np.sin(item.heading_rad)
     along = np.array([0.3, 0.3, -0.3, -0.3]) * length
