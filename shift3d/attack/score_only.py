@@ -44,12 +44,7 @@ def draw_best(
     return trials.result(best_step(trials.trace))
 
 
-def evolve(
-    problem: AttackProblem,
-    search: Search,
-    evaluations: int,
-    rng: np.random.Generator,
-) -> AttackResult:
+def evolve(problem: AttackProblem, search: Search, evaluations: int, rng: np.random.Generator) -> AttackResult:
     """CMA-ES from the baseline on the loss alone; a candidate beyond the hard constraints is projected first.
 
     An invalid candidate ranks behind every valid one of its generation.

@@ -15,11 +15,7 @@ from shift3d.analysis.tables.table import Cell, Table, number
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA
 from shift3d.wording import counted
 
-OBJECTS = {
-    "baseline": "unchanged",
-    "adversarial": "found against vanilla",
-    ADAPTIVE: "found against the model itself",
-}
+OBJECTS = {"baseline": "unchanged", "adversarial": "found against vanilla", ADAPTIVE: "found against the model itself"}
 SCENE_SETS = {
     "held_out": "same vehicles, held-out streets",
     "other_vehicles": "other body types, held-out streets",

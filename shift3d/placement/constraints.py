@@ -145,11 +145,7 @@ def is_clear(theta: Tensor, others: Tensor | None, clear_m: float) -> bool:
 
 
 def snap_to_ground(
-    field: ObjectField,
-    points: Tensor,
-    theta: Tensor,
-    size_m: Tensor,
-    reach_m: float = 0.3,
+    field: ObjectField, points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3
 ) -> Tensor | None:
     """The pose with z moved until the object just touches the original points; None if that takes too far.
 

@@ -34,14 +34,7 @@ from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.picture import write_side_by_side
-from shift3d.vehicles.vehicle_set import (
-    FACTS_FILE,
-    RESOLUTION,
-    VEHICLES_FILE,
-    FittedVehicle,
-    fitted,
-    write_vehicle_set,
-)
+from shift3d.vehicles.vehicle_set import FACTS_FILE, RESOLUTION, VEHICLES_FILE, FittedVehicle, fitted, write_vehicle_set
 
 STEPS = 5_000
 POINTS_A_STEP = 2_750
@@ -141,12 +134,7 @@ def mesh_recipe(shapes: MeshShapes, steps: int) -> SdfRecipe:
 
 
 def train_on_meshes(
-    path: Path | str,
-    frame: MeshFrame,
-    out: Path,
-    compute: Compute,
-    steps: int = STEPS,
-    report: Report | None = None,
+    path: Path | str, frame: MeshFrame, out: Path, compute: Compute, steps: int = STEPS, report: Report | None = None
 ) -> list[float]:
     """Train a decoder of the published size on the meshes at a path, or go on; leave the vehicle set in `out`.
 
