@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
 _CHANGED = "Restore it from a copy, or freeze the suite again: scores on other objects cannot be compared"
-_BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
+BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
+"""Columns of an object's box, scene frame."""
 
 
 def blake2b(content: bytes) -> str:
@@ -82,10 +83,8 @@ class FrozenSuite:
         row = self.objects[self.objects["background"] == name].iloc[0]
         scene = self._frames(int(row["frames"])).load(row["scene"])
         if scene.content_hash() != row["scene_hash"]:
-            what = "is another frame than the suite was frozen with"
-            raise InputError(
-                what, f"scene {row['scene']}", "Give root=PATH of the same data, or freeze the suite again"
-            )
+            remedy = "Give root=PATH of the same data, or freeze the suite again"
+            raise InputError("is another frame than the suite was frozen with", f"scene {row['scene']}", remedy)
         return scene.points
 
     def _frames(self, number: int) -> SceneSet:
@@ -107,7 +106,7 @@ class FrozenSuite:
 
 def box_of(row: Mapping[str, Any]) -> NDArray[np.float64]:
     """The object's box (7,), network frame: z measured from the ground."""
-    box = np.array([float(row[name]) for name in _BOX])
+    box = np.array([float(row[name]) for name in BOX])
     box[2] -= float(row["ground_z_m"])
     return box
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -74,8 +73,8 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
     kept = cache / f"{source}.npz"
     if not kept.is_file():
         tasks = [(file, frame, samples, seed) for file in files]
-        with ProcessPoolExecutor(min(processes, len(files))) as pool:
-            parts = list(tqdm(pool.map(_sampled, tasks), total=len(tasks), desc="sampling meshes", mininterval=5.0))
+        work = each(_sampled, tasks, processes)
+        parts = list(tqdm(work, total=len(tasks), desc="sampling meshes", mininterval=5.0))
         _keep(kept, parts, files, hashes)
     with np.load(kept, allow_pickle=False) as data:
         facts = json.loads(str(data["facts"]))
