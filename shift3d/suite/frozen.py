@@ -121,7 +121,8 @@ def read_suite(folder: LocationLike, root: str | None = None) -> FrozenSuite:
     folder = as_location(folder)
     path = folder / "suite.json"
     manifest = read_manifest(path)
-    if _digest(manifest) != manifest.get("digest") or "objects.parquet" not in manifest.get("files", {}):
+    digest = json.loads(manifest_bytes(manifest))["digest"]
+    if digest != manifest.get("digest") or "objects.parquet" not in manifest.get("files", {}):
         raise InputError("was changed after the suite was frozen", str(path), _CHANGED)
     for name, digest in manifest["files"].items():
         _checked(folder / name, digest)
@@ -146,10 +147,6 @@ def read_manifest(path: Location) -> dict[str, Any]:
         remedy = "Use the version of shift3d that wrote it, or freeze the suite again"
         raise InputError(what, str(path), remedy)
     return dict(manifest)
-
-
-def _digest(manifest: Mapping[str, Any]) -> str:
-    return str(json.loads(manifest_bytes(manifest))["digest"])
 
 
 def _checked(file: Location, digest: str) -> bytes:
