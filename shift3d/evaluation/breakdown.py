@@ -50,12 +50,12 @@ class Area:
     number: int
 
 
-def overall_areas(frames: Sequence[DetectedFrame], draws: int = DRAWS) -> dict[tuple[str, str], Area]:
+def overall_areas(frames: Sequence[DetectedFrame]) -> dict[tuple[str, str], Area]:
     """AP and APH over all vehicles by (measure, view), as in `breakdown`.
 
     The same frames are drawn whatever was detected in them, so that two detectors' values are paired.
     """
-    weights = frame_weights(len(frames), draws)
+    weights = frame_weights(len(frames))
     found: dict[tuple[str, str], Area] = {}
     everything = Group("all", "all")
     for view in VIEWS:
