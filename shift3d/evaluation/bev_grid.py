@@ -31,8 +31,8 @@ def bev_grid(xy_m: npt.ArrayLike, before: npt.ArrayLike, after: npt.ArrayLike) -
     """Mean reduction of the detection score by cell.
 
     Args:
-        xy_m: (N, 2) where each vehicle was put, scene frame, metres. Cells are squares whose corners lie at multiples of
-            `CELL_SIZE_M`; one holds its lower edges.
+        xy_m: (N, 2) where each vehicle was put, scene frame, metres. Corners of cells lie at multiples of
+            `CELL_SIZE_M`; a cell holds its lower edges.
         before, after: (N,) scores of the original and of the changed vehicle.
 
     Raises: ValueError: shapes that differ, a position or a score that is not finite.

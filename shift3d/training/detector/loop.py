@@ -24,7 +24,7 @@ from shift3d.training.detector.objective import batch_loss, each_field, objectiv
 from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle
-from shift3d.training.progress import CurvePoint, Report, stop_on_signal
+from shift3d.training.progress import CurvePoint, Report, mean_values, stop_on_signal
 
 
 def recompute_statistics(net: DetectorNet, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> None:
@@ -166,7 +166,7 @@ def train_on_scenes(
             run.steps_by_device[compute.name] = run.steps_by_device.get(compute.name, 0) + 1
             bar.update()
             if run.done % CURVE_STEPS == 0 or run.done == end:
-                run.curve.append((run.done, _mean(recent)))
+                run.curve.append((run.done, mean_values(recent)))
                 recent = []
             if run.done % checkpoint_every == 0 or run.done == end or stop.is_set():
                 run.save(report)
@@ -178,11 +178,6 @@ def train_on_scenes(
     if run.done == recipe.steps == recipe.all_steps:  # no steps for the heads: only the statistics are taken
         _settle(run, crops.of_statistics())
     return run.net.eval().requires_grad_(True)
-
-
-def _mean(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Mean of each value over steps."""
-    return {name: sum(part[name] for part in parts) / len(parts) for name in parts[-1]}
 
 
 def _settle(run: _Run, crops: Iterator[Crop]) -> None:
