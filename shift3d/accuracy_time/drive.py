@@ -109,14 +109,10 @@ def _cases(group: SceneGroup, plan: FrontierPlan, assets: Assets) -> Iterator[Ca
 
 def _truth(path: Path, case: Case, plan: FrontierPlan, assets: Assets, tell: Tell) -> Truth:
     tell(f"{case.name}: truth", 0.0, False)
-    known = path.is_file()
-    if known:
-        truth = read_truth(path)
-    else:
-        truth = make_truth(case, assets, plan.reference, plan.search, plan.descent_steps)
-        write_truth(path, truth)
+    if not (known := path.is_file()):
+        write_truth(path, make_truth(case, assets, plan.reference, plan.search, plan.descent_steps))
     tell(f"{case.name}: truth", _TRUTH_SECONDS, known)
-    return truth
+    return read_truth(path)
 
 
 def _identity(case: Case, plan: FrontierPlan, assets: Assets, group: SceneGroup) -> str:

@@ -65,6 +65,7 @@ def _row(setting: Setting, scenes: str, cases: Sequence[MeasuredCase]) -> Row:
     looks = [result.look for result in results]
     outcomes = looks + [result.displaced for result in results if result.displaced is not None]
     attacked = [score for result in results if result.attack is not None for score in result.attack["scores"]]
+    changes = [outcome["score"] - outcome["true_score"] for outcome in outcomes]
     times = np.array([quartiles(result.samples_ms) for result in results]).mean(0)
     return {
         "setting": setting.name,
@@ -84,7 +85,8 @@ def _row(setting: Setting, scenes: str, cases: Sequence[MeasuredCase]) -> Row:
         **_errors(outcomes),
         "gradient_cosine": min(value for look in looks for value in look["cosines"]),
         "gradient_norm_ratio": max((value for look in looks for value in look["norm_ratios"]), key=_off),
-        **_scores(outcomes),
+        "score_delta": fmean(map(abs, changes)),
+        "auc_delta": fmean(changes),
         "detector_ms_median": fmean(_median(result.steps, "detector_ms") for result in results),
         "step_ms_median": fmean(_median(result.steps, "step_ms") for result in results),
         "attack_score": fmean(attacked) if attacked else None,
@@ -113,11 +115,6 @@ def _errors(outcomes: Sequence[Outcome]) -> Row:
         "residual_max_m": max(outcome["residual_m"] for outcome in outcomes),
         "unresolved_beams": total("unresolved"),
     }
-
-
-def _scores(outcomes: Sequence[Outcome]) -> Row:
-    changes = [outcome["score"] - outcome["true_score"] for outcome in outcomes]
-    return {"score_delta": fmean(abs(change) for change in changes), "auc_delta": fmean(changes)}
 
 
 def _median(steps: Sequence[Outcome], name: str) -> float:

@@ -13,21 +13,13 @@ from shift3d.placement.constraints import check
 _ATTEMPTS = 60
 
 
-def random_direction(dimension: int, rng: np.random.Generator) -> np.ndarray:
-    """(dimension,) unit vector, uniform on the sphere."""
-    while True:
-        vector = rng.standard_normal(dimension)
-        length = float(np.linalg.norm(vector))
-        if length > 0:
-            return np.asarray(vector / length)
-
-
 def random_code(baseline_code: Tensor, radius: float, rng: np.random.Generator) -> Tensor:
     """A code (d,) on the sphere of the adversarial code's radius around z0, in the dtype of z0.
 
     Source: SHIFT3D, Adversarial Shape Generation Results (random shapes at the same latent distance).
     """
-    direction = torch.as_tensor(random_direction(len(baseline_code), rng), dtype=torch.float64)
+    normal = rng.standard_normal(len(baseline_code))
+    direction = torch.from_numpy(normal / np.linalg.norm(normal))
     return (baseline_code.detach().double() + radius * direction).to(baseline_code.dtype)
 
 
@@ -41,13 +33,7 @@ def noise_codes(code: Tensor, sigma: float, count: int, rng: np.random.Generator
 
 
 def random_pose(problem: AttackProblem, rng: np.random.Generator, limits: PoseLimits = PAPER_LIMITS) -> Tensor | None:
-    """A random pose (6,) from the attack's own feasible set; None if no draw is valid.
-
-    Shift uniform in the disc, yaw uniform, pitch and roll uniform in the limits, z on the ground, and drawn
-    again until the realism constraints hold.
-
-    Source: SHIFT3D, Adversarial Pose Generation Results ("random pose perturbations with the same constraints").
-    """
+    """A `drawn_pose` (6,) on the ground, drawn again until the realism constraints hold; None if no draw is valid."""
     metric = problem.metric(problem.code0.detach())
     for _ in range(_ATTEMPTS):
         theta = snapped(drawn_pose(problem.theta0, rng, limits), problem, metric, limits)

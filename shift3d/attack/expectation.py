@@ -68,12 +68,7 @@ def descend_expectation(
 
 
 def _turn_to_best_start(
-    trials: Trials,
-    problem: AttackProblem,
-    search: Search,
-    starts: int,
-    rng: np.random.Generator,
-    family: Family | None,
+    trials: Trials, problem: AttackProblem, search: Search, starts: int, rng: np.random.Generator, family: Family | None
 ) -> Search:
     """Try the baseline and draws from the kinds in turn; go on with the kind of the best, whose search it returns."""
     trials.evaluate(search.start, False)

@@ -30,7 +30,7 @@ def descend(
     Source: SHIFT3D, Algorithm 1 (plain descent, 40 steps, alpha 0.01); the way back is our choice.
     """
     trials = Trials(problem, search, on_step, every_step=selection_window > 0)
-    variable, diverged = search.start.detach(), False
+    variable = search.start.detach()
     for step in range(steps + 1):
         gradient = trials.evaluate(variable, step < steps)
         if gradient is None:
@@ -40,9 +40,8 @@ def descend(
         else:
             variable = search.project(trials.back())
         if not bool(torch.isfinite(variable).all()):
-            diverged = True
-            break
-    return trials.result(best_step(trials.trace, selection_window), diverged)
+            return trials.result(best_step(trials.trace, selection_window), diverged=True)
+    return trials.result(best_step(trials.trace, selection_window))
 
 
 def best_step(trace: Sequence[StepRecord], selection_window: int = 0) -> int:

@@ -96,9 +96,9 @@ def is_near(boxes: np.ndarray, box: np.ndarray, radius_m: float) -> np.ndarray:
     return np.asarray(np.hypot(*(boxes[:, :2] - box[:2]).T) < radius_m)
 
 
-def proposal_score(proposals: Proposals, box: np.ndarray, radius_m: float = DETECTION_RADIUS_M) -> float:
+def proposal_score(proposals: Proposals, box: np.ndarray) -> float:
     """Highest score of a proposal near the object before suppression: what a trace shows at no cost."""
-    near = is_near(proposals.boxes.detach().double().numpy(), box, radius_m)
+    near = is_near(proposals.boxes.detach().double().numpy(), box, DETECTION_RADIUS_M)
     return float(torch.sigmoid(proposals.logits.detach()[torch.from_numpy(near)].max())) if near.any() else 0.0
 
 

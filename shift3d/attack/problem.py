@@ -211,10 +211,8 @@ def measure(
     detected = time.perf_counter()
     # Whether the scene hides the object is asked of its first hits: fog is no reason to call a place impossible.
     seen = rendering.first_hits.object_points
-    metric = problem.metric(code)
-    around = rendering.first_hits.box
-    obstacles, size = problem.obstacles_at(theta), problem.size_m
-    held = check(metric, obstacles, theta, size, seen, problem.limits, problem.others, around)
+    metric, obstacles, around = problem.metric(code), problem.obstacles_at(theta), rendering.first_hits.box
+    held = check(metric, obstacles, theta, problem.size_m, seen, problem.limits, problem.others, around)
     by_effect = {f"effect_{name}": spent for name, spent in rendering.milliseconds.items()}
     spent = {
         "render": 1e3 * (rendered - start) - sum(by_effect.values()),

@@ -44,12 +44,7 @@ def draw_best(
     return trials.result(best_step(trials.trace))
 
 
-def evolve(
-    problem: AttackProblem,
-    search: Search,
-    evaluations: int,
-    rng: np.random.Generator,
-) -> AttackResult:
+def evolve(problem: AttackProblem, search: Search, evaluations: int, rng: np.random.Generator) -> AttackResult:
     """CMA-ES from the baseline on the loss alone; a candidate beyond the hard constraints is projected first.
 
     An invalid candidate ranks behind every valid one of its generation.
@@ -73,15 +68,12 @@ def evolve(
     left = evaluations
     while left > 0:
         candidates = strategy.ask()
-        if len(candidates) > left:
-            for vector in candidates[:left]:
-                trials.evaluate(_projected(search, vector), False)
-            break
-        tried = [_projected(search, vector) for vector in candidates]
+        tried = [_projected(search, vector) for vector in candidates[:left]]
         for variable in tried:
             trials.evaluate(variable, False)
-        strategy.tell([variable.double().numpy() for variable in tried], _ranked(trials.trace[-len(tried) :]))
         left -= len(tried)
+        if len(tried) == len(candidates):
+            strategy.tell([variable.double().numpy() for variable in tried], _ranked(trials.trace[-len(tried) :]))
     return trials.result(best_step(trials.trace))
 
 

@@ -77,8 +77,8 @@ def attack_shape(
 
 def on_ground(code: Tensor, problem: AttackProblem, snap_m: float) -> Tensor:
     """theta0 (6,) with its height on the ground under the shape of a code; theta0 where there is none in reach."""
-    if snap_m == 0:
-        return problem.theta0
     start = problem.theta0
+    if snap_m == 0:
+        return start
     found = snap_to_ground(problem.metric(code.detach()), problem.obstacles_at(start), start, problem.size_m, snap_m)
-    return problem.theta0 if found is None else found
+    return start if found is None else found

@@ -39,6 +39,11 @@ def free_space(code0: Tensor) -> CodeSpace:
     return CodeSpace(code0, lambda code: code, lambda code: code, draw)
 
 
+def _linear(code0: Tensor, start: Tensor, basis: Tensor) -> Callable[[Tensor], Tensor]:
+    """Coordinates (k,) to codes: z0 at `start`, and basis (k, d) by what they differ from it."""
+    return lambda u: (code0.detach().double() + (u - start) @ basis).to(code0.dtype)
+
+
 KIN = 0.5
 """Standard deviation of draws about a known code, in those of all known codes; our choice: a vehicle much like it."""
 
@@ -60,9 +65,6 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
     start = torch.from_numpy(((code0.detach().double().numpy() - mean) @ axes.T) / spread)
     radius = max(ball_radius(components), float(start.norm()))
 
-    def code(u: Tensor) -> Tensor:
-        return (code0.detach().double() + (u - start) @ basis).to(code0.dtype)
-
     def project(u: Tensor) -> Tensor:
         length = float(u.norm())
         return u * (radius / length) if length > radius else u
@@ -71,7 +73,7 @@ def pca_space(code0: Tensor, codes: NDArray[np.float32], components: int, where:
         drawn = torch.from_numpy(rng.standard_normal(components))
         return project(start + KIN * drawn if near else drawn)
 
-    return CodeSpace(start, code, project, draw)
+    return CodeSpace(start, _linear(code0, start, basis), project, draw)
 
 
 def parameter_space(code0: Tensor, box: BoxOfParameters) -> CodeSpace:
@@ -83,13 +85,10 @@ def parameter_space(code0: Tensor, box: BoxOfParameters) -> CodeSpace:
     basis = half[:, None] * torch.from_numpy(box.basis.astype(np.float64))
     start = (torch.from_numpy(box.start) - middle) / half
 
-    def code(u: Tensor) -> Tensor:
-        return (code0.detach().double() + (u - start) @ basis).to(code0.dtype)
-
     def draw(rng: np.random.Generator, distance: float) -> Tensor:
         return torch.from_numpy(rng.uniform(-1.0, 1.0, len(start)))
 
-    return CodeSpace(start, code, lambda u: u.clamp(-1.0, 1.0), draw)
+    return CodeSpace(start, _linear(code0, start, basis), lambda u: u.clamp(-1.0, 1.0), draw)
 
 
 def edited_code(code0: Tensor, box: BoxOfParameters, edit: str, where: str) -> Tensor:

@@ -27,15 +27,13 @@ class BevGrid:
     mean_reduction: FloatArray
 
 
-def bev_grid(
-    xy_m: npt.ArrayLike, before: npt.ArrayLike, after: npt.ArrayLike, cell_size_m: float = CELL_SIZE_M
-) -> BevGrid:
+def bev_grid(xy_m: npt.ArrayLike, before: npt.ArrayLike, after: npt.ArrayLike) -> BevGrid:
     """Mean reduction of the detection score by cell.
 
     Args:
-        xy_m: (N, 2) where each vehicle was put, scene frame, metres. A cell holds its lower edges.
+        xy_m: (N, 2) where each vehicle was put, scene frame, metres. Corners of cells lie at multiples of
+            `CELL_SIZE_M`; a cell holds its lower edges.
         before, after: (N,) scores of the original and of the changed vehicle.
-        cell_size_m: edge of a square cell; the corners lie at its multiples.
 
     Raises: ValueError: shapes that differ, a position or a score that is not finite.
 
@@ -47,12 +45,12 @@ def bev_grid(
         raise ValueError(f"{len(xy)} positions with {old.shape} and {new.shape} scores")
     if not all(np.isfinite(values).all() for values in (xy, old, new)):
         raise ValueError("positions and scores must be finite")
-    cells, index = np.unique(np.floor(xy / cell_size_m).astype(np.int64), axis=0, return_inverse=True)
+    cells, index = np.unique(np.floor(xy / CELL_SIZE_M).astype(np.int64), axis=0, return_inverse=True)
     index = index.reshape(-1)
     count = np.bincount(index, minlength=len(cells)).astype(np.int64)
 
     def mean(values: FloatArray) -> FloatArray:
         return np.bincount(index, weights=values, minlength=len(cells)) / count
 
-    corners = cells.astype(np.float64) * cell_size_m
+    corners = cells.astype(np.float64) * CELL_SIZE_M
     return BevGrid(corners, count, mean(old), mean(new), mean(old - new))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -13,19 +12,13 @@ from shift3d.evaluation.frames import VIEWS, DetectedFrame, compare
 from shift3d.evaluation.groups import Group, aspect, groups_of
 from shift3d.evaluation.intervals import DRAWS, frame_weights, interval, weighted_median
 from shift3d.evaluation.vehicles import ERRORS, VehicleRows, vehicle_rows
-from shift3d.evaluation.waymo import (
-    LEVELS,
-    SCORE_CUTOFFS,
-    Assignment,
-    CutoffCounts,
-    WaymoRules,
-    assign,
-    curve_of,
-    cutoff_counts,
-)
+from shift3d.evaluation.waymo import LEVELS, SCORE_CUTOFFS, Assignment, assign, curve_of, cutoff_counts
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
+Statistic = Callable[[Floats, Floats], float | None]
+"""Of errors and the weights of their frames."""
 
 IOU = 0.7
 
@@ -57,16 +50,17 @@ class Area:
     number: int
 
 
-def overall_areas(frames: Sequence[DetectedFrame], draws: int = DRAWS) -> dict[tuple[str, str], Area]:
+def overall_areas(frames: Sequence[DetectedFrame]) -> dict[tuple[str, str], Area]:
     """AP and APH over all vehicles by (measure, view), as in `breakdown`.
 
     The same frames are drawn whatever was detected in them, so that two detectors' values are paired.
     """
-    weights = frame_weights(len(frames), draws)
+    weights = frame_weights(len(frames))
     found: dict[tuple[str, str], Area] = {}
+    everything = Group("all", "all")
     for view in VIEWS:
-        assigned = [assign(compare(frame, view), IOU, *Group("all", "all").range_m) for frame in frames]
-        areas = _group_areas(Group("all", "all"), assigned, weights)
+        assigned = [assign(compare(frame, view), IOU, *everything.range_m) for frame in frames]
+        areas = _group_areas(everything, assigned, weights)
         found |= {(measure, view): area for measure, area in areas.items()}
     return found
 
@@ -108,12 +102,12 @@ def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Float
             wrong = np.array([own == group.name for own in aspect(found.boxes)], dtype=np.float64)
         elif group.by in ("points", "body", "attribute"):
             wrong = np.full(len(found.scores), share)
-        counts.append(cutoff_counts(assignment, WaymoRules("LEVEL_1"), among, wrong))
-    stacked = np.array([count.table for count in counts]).reshape(-1, 4, len(SCORE_CUTOFFS))
-    numbers = np.array([count.num_truth for count in counts])
+        counts.append(cutoff_counts(assignment, "LEVEL_1", among=among, share=wrong))
+    stacked = np.array([table for table, _ in counts]).reshape(-1, 4, len(SCORE_CUTOFFS))
+    numbers = np.array([float(number) for _, number in counts])
 
     def areas(drawn: Floats) -> tuple[float | None, float | None]:
-        curve = curve_of(CutoffCounts(np.tensordot(drawn, stacked, 1), float(drawn @ numbers)))
+        curve = curve_of(np.tensordot(drawn, stacked, 1), float(drawn @ numbers))
         return curve.average_precision, curve.average_precision_heading
 
     values, number = areas(np.ones(len(counts))), int(numbers.sum())
@@ -126,39 +120,32 @@ def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floa
     low, high = group.range_m
     eligible &= (rows.range_m >= low) & (rows.range_m < high)
     found = eligible & rows.matched
-    of_frame = rows.frame
 
-    def share(hit: Flags, of: Flags) -> Callable[[Floats], float | None]:
-        above = np.bincount(of_frame[hit & of], minlength=num_frames)
-        below = np.bincount(of_frame[of], minlength=num_frames)
-        return lambda drawn: float(drawn @ above / (drawn @ below)) if drawn @ below > 0 else None
+    def row(measure: str, statistic: str, number: int, of: Callable[[Floats], float | None]) -> BreakdownRow:
+        value = of(np.ones(num_frames)) if number else None
+        low, high = interval(map(of, weights) if number else ())
+        return BreakdownRow(group.by, group.name, measure, statistic, value, low, high, number)
+
+    def share(measure: str, statistic: str, hit: Flags, of: Flags) -> BreakdownRow:
+        above = np.bincount(rows.frame[hit & of], minlength=num_frames)
+        below = np.bincount(rows.frame[of], minlength=num_frames)
+
+        def fraction(drawn: Floats) -> float | None:
+            return float(drawn @ above / (drawn @ below)) if drawn @ below > 0 else None
+
+        return row(measure, statistic, int(of.sum()), fraction)
+
+    def spread(name: str, statistic: str, of_errors: Statistic, errors: Floats, owner: Ints) -> BreakdownRow:
+        return row(f"error_{name}", statistic, len(errors), lambda drawn: of_errors(errors, drawn[owner]))
 
     for text, overlap in (("BEV 0.7", rows.iou_bev), ("3D 0.7", rows.iou_3d)):
-        yield _row(
-            group, "recall", text, share(rows.matched & (overlap >= IOU), eligible), weights, int(eligible.sum())
-        )
-    yield _row(group, "recall", "BEV 0.5", share(rows.matched, eligible), weights, int(eligible.sum()))
-    yield _row(group, "flips", "share", share(rows.flipped, found), weights, int(found.sum()))
+        yield share("recall", text, rows.matched & (overlap >= IOU), eligible)
+    yield share("recall", "BEV 0.5", rows.matched, eligible)
+    yield share("flips", "share", rows.flipped, found)
     for column, name in enumerate(ERRORS):
         order = np.flatnonzero(found)[np.argsort(rows.errors[found, column], kind="stable")]
-        errors, owner = rows.errors[order, column], of_frame[order]
         for statistic, of_errors in (("median", weighted_median), ("mean", _mean), ("std", _std)):
-            spread = partial(_spread, of_errors, errors, owner)
-            yield _row(group, f"error_{name}", statistic, spread, weights, len(order))
-
-
-def _row(
-    group: Group, measure: str, statistic: str, of: Callable[[Floats], float | None], weights: Floats, number: int
-) -> BreakdownRow:
-    value = of(np.ones(weights.shape[1])) if number else None
-    low, high = interval(map(of, weights) if number else ())
-    return BreakdownRow(group.by, group.name, measure, statistic, value, low, high, number)
-
-
-def _spread(
-    of_errors: Callable[[Floats, Floats], float | None], errors: Floats, owner: npt.NDArray[np.int64], drawn: Floats
-) -> float | None:
-    return of_errors(errors, drawn[owner])
+            yield spread(name, statistic, of_errors, rows.errors[order, column], rows.frame[order])
 
 
 def _mean(values: Floats, weights: Floats) -> float | None:

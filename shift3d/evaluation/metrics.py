@@ -9,7 +9,7 @@ import numpy as np
 
 from shift3d.evaluation.average_precision import PrecisionRecall, greedy_curve, match_frame
 from shift3d.evaluation.frames import VIEWS, Comparison, DetectedFrame, View, compare
-from shift3d.evaluation.waymo import LEVELS, WaymoRules, assign, waymo_curve
+from shift3d.evaluation.waymo import LEVELS, assign, waymo_curve
 
 IOU_THRESHOLDS = (0.7, 0.5)
 # Waymo's own bins are the last three; a sensor's labels end at 75 m.
@@ -62,9 +62,9 @@ def _waymo(comparisons: Sequence[Comparison], view: View, iou_threshold: float) 
     for range_m in RANGES_M:
         assignments = [assign(comparison, iou_threshold, *range_m) for comparison in comparisons]
         for level in LEVELS:
-            curve = waymo_curve(assignments, WaymoRules(level))
+            curve = waymo_curve(assignments, level)
             yield Metric("waymo", view, level, iou_threshold, *range_m, curve)
-        strict = waymo_curve(assignments, WaymoRules("LEVEL_1", credit_harder=False))
+        strict = waymo_curve(assignments, "LEVEL_1", credit_harder=False)
         yield Metric("waymo_strict", view, "LEVEL_1", iou_threshold, *range_m, strict)
 
 

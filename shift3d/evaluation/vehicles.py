@@ -81,13 +81,13 @@ def _of_frame(index: int, frame: DetectedFrame) -> VehicleRows:
         if overlap.size and overlap.max() >= MATCH_IOU:
             match[int(overlap.argmax())] = number
     kept = np.flatnonzero(truth.counts & (truth.num_points >= 1))
-    boxes, match = truth.boxes[kept], match[kept]
-    has, paired = match >= 0, found.boxes[np.maximum(match, 0)] if len(found.boxes) else np.full((len(kept), 7), np.nan)
-    errors, flipped = _errors(boxes, paired)
-    own = np.arange(len(kept))
-    volume = iou_3d(paired, boxes)[own, own] if len(found.boxes) else np.zeros(len(kept))
-    area = comparison.overlap[np.maximum(match, 0), kept] if len(found.boxes) else np.zeros(len(kept))
-    score = found.scores[np.maximum(match, 0)] if len(found.boxes) else np.zeros(len(kept))
+    boxes, has = truth.boxes[kept], match[kept] >= 0
+    matched = match[kept[has]]
+    score, errors = np.full(len(kept), np.nan), np.full((len(kept), 7), np.nan)
+    area, volume, flipped = np.zeros(len(kept)), np.zeros(len(kept)), np.zeros(len(kept), dtype=bool)
+    score[has], area[has] = found.scores[matched], comparison.overlap[matched, kept[has]]
+    volume[has] = np.diagonal(iou_3d(found.boxes[matched], boxes[has]))
+    errors[has], flipped[has] = _errors(boxes[has], found.boxes[matched])
     return VehicleRows(
         np.full(len(kept), index, dtype=np.int64),
         kept.astype(np.int64),
@@ -95,11 +95,11 @@ def _of_frame(index: int, frame: DetectedFrame) -> VehicleRows:
         truth.num_points[kept],
         aspect(boxes),
         tuple(truth.kinds[row] for row in kept) if truth.kinds else ("",) * len(kept),
-        np.where(has, score, np.nan),
-        np.where(has, area, 0.0),
-        np.where(has, volume, 0.0),
-        has & flipped,
-        np.where(has[:, None], errors, np.nan),
+        score,
+        area,
+        volume,
+        flipped,
+        errors,
     )
 
 
@@ -107,11 +107,7 @@ def _errors(truth: Floats, found: Floats) -> tuple[Floats, Flags]:
     """(M, 7) errors of boxes found for boxes, one for one, and which are turned by more than a quarter."""
     offset, cos, sin = found[:, :2] - truth[:, :2], np.cos(truth[:, 6]), np.sin(truth[:, 6])
     along, across = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
-    turn = _wrapped(found[:, 6] - truth[:, 6])
+    turn = np.mod(found[:, 6] - truth[:, 6] + np.pi, 2 * np.pi) - np.pi
     axis = np.mod(turn + np.pi / 2, np.pi) - np.pi / 2
     rest = found[:, 2:6] - truth[:, 2:6]
     return np.column_stack((along, across, rest, axis)), np.asarray(np.abs(turn) > np.pi / 2)
-
-
-def _wrapped(angle: Floats) -> Floats:
-    return np.asarray(np.mod(angle + np.pi, 2 * np.pi) - np.pi)

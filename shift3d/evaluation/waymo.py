@@ -30,19 +30,6 @@ LEVELS = {"LEVEL_1": 6, "LEVEL_2": 1}
 
 
 @dataclass(frozen=True)
-class WaymoRules:
-    """What counts.
-
-    level: "LEVEL_1" or "LEVEL_2". credit_harder: what becomes of a detection that is assigned to an object of
-    LEVEL_2 while LEVEL_1 is evaluated. True: it is right, as in Waymo's library (whose recall is then right ones
-    over right ones plus missed LEVEL_1 objects). False: it is neither right nor wrong.
-    """
-
-    level: str = "LEVEL_1"
-    credit_harder: bool = True
-
-
-@dataclass(frozen=True)
 class Assignment:
     """A frame's detections within a range and what each is assigned to, at every score cut-off.
 
@@ -89,62 +76,59 @@ def _best_assignment(weights: Floats) -> Ints:
     return matched
 
 
-@dataclass(frozen=True)
-class CutoffCounts:
-    """What became of detections and objects at the 101 score cut-offs, sums over frames.
-
-    table: (4, 101) float64: right detections, wrong ones, missed objects, and the heading accuracies of the right
-    ones. num_truth: objects to find.
-    """
-
-    table: Floats
-    num_truth: float
-
-
 def cutoff_counts(
-    assignment: Assignment, rules: WaymoRules, among: Flags | None = None, share: Floats | None = None
-) -> CutoffCounts:
-    """The counts of one frame.
+    assignment: Assignment,
+    level: str,
+    credit_harder: bool = True,
+    among: Flags | None = None,
+    share: Floats | None = None,
+) -> tuple[Floats, int]:
+    """What became of one frame's detections and objects at the 101 score cut-offs, and how many objects to find.
 
+    level: "LEVEL_1" or "LEVEL_2". credit_harder: what becomes of a detection that is assigned to an object of
+    LEVEL_2 while LEVEL_1 is evaluated. True: it is right, as in Waymo's library (whose recall is then right ones
+    over right ones plus missed LEVEL_1 objects). False: it is neither right nor wrong.
     among: (M,) bool, the objects that are asked for; a detection of another one is neither right nor wrong. None: all.
     share: (K,) float64 in [0, 1], how much each detection counts where it is wrong. None: 1.
+    Returns: (4, 101) float64: right detections, wrong ones, missed objects, and the heading accuracies of the right
+        ones. Of several frames both are summed.
     """
     truth = assignment.comparison.truth
     among = np.ones(len(truth.counts), dtype=bool) if among is None else among
-    eligible = truth.counts & (truth.num_points >= LEVELS[rules.level]) & among
-    rewarded = truth.counts & among if rules.credit_harder else eligible
+    eligible = truth.counts & (truth.num_points >= LEVELS[level]) & among
+    rewarded = truth.counts & among if credit_harder else eligible
     share = np.ones(len(assignment.comparison.found.scores)) if share is None else share
     counted = {number: _count(assignment, number, eligible, rewarded, share) for number in assignment.matched}
     table = np.array([counted[number] for number in assignment.num_found.tolist()], dtype=np.float64).T
-    return CutoffCounts(table, float(eligible.sum()))
+    return table, int(eligible.sum())
 
 
-def waymo_curve(assignments: Iterable[Assignment], rules: WaymoRules) -> PrecisionRecall:
-    """Precision and recall at the 101 cut-offs over all frames, and the areas AP and APH."""
-    counts = [cutoff_counts(assignment, rules) for assignment in assignments]
-    table = sum((count.table for count in counts), start=np.zeros((4, len(SCORE_CUTOFFS))))
-    return curve_of(CutoffCounts(table, sum(count.num_truth for count in counts)))
+def waymo_curve(assignments: Iterable[Assignment], level: str, credit_harder: bool = True) -> PrecisionRecall:
+    """The curve over all frames; arguments as of `cutoff_counts`."""
+    counts = [cutoff_counts(assignment, level, credit_harder) for assignment in assignments]
+    table = sum((own for own, _ in counts), start=np.zeros((4, len(SCORE_CUTOFFS))))
+    return curve_of(table, sum(number for _, number in counts))
 
 
-def curve_of(counts: CutoffCounts) -> PrecisionRecall:
-    """Precision and recall at the 101 cut-offs, and the areas AP and APH.
+def curve_of(table: Floats, num_truth: float) -> PrecisionRecall:
+    """Precision and recall at the 101 cut-offs of `cutoff_counts`, and the areas AP and APH.
 
     APH: each right detection enters the precision with its heading accuracy; recall is not weighted. Where recall is
     0, precision is 1. AP and APH are None without an object to find.
     """
-    right, wrong, missed, heading = counts.table
+    right, wrong, missed, heading = table
     tiny = np.finfo(np.float64).tiny  # right ones may be a fraction where frames are weighted
     recall = right / np.maximum(right + missed, tiny)
     precision = np.where(right == 0, 1.0, right / np.maximum(right + wrong, tiny))
     heading_precision = np.where(right == 0, 1.0, heading / np.maximum(right + wrong, tiny))
     return PrecisionRecall(
-        area_with_gaps(recall, precision) if counts.num_truth else None,
-        area_with_gaps(recall, heading_precision) if counts.num_truth else None,
+        area_with_gaps(recall, precision) if num_truth else None,
+        area_with_gaps(recall, heading_precision) if num_truth else None,
         SCORE_CUTOFFS,
         recall,
         precision,
         heading_precision,
-        int(counts.num_truth),
+        int(num_truth),
     )
 
 

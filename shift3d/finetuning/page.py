@@ -15,11 +15,7 @@ from shift3d.analysis.tables.table import Cell, Table, number
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA
 from shift3d.wording import counted
 
-OBJECTS = {
-    "baseline": "unchanged",
-    "adversarial": "found against vanilla",
-    ADAPTIVE: "found against the model itself",
-}
+OBJECTS = {"baseline": "unchanged", "adversarial": "found against vanilla", ADAPTIVE: "found against the model itself"}
 SCENE_SETS = {
     "held_out": "same vehicles, held-out streets",
     "other_vehicles": "other body types, held-out streets",
@@ -103,19 +99,16 @@ def finetune_page(
     )
     short: list[Block] = [gains_table(table), Terms(_MEANINGS), Fold("Every seed", [seeds_table(table)])]
     made: list[Block] = [Terms(_facts(provenance)), *(Paragraph(command) for command in commands)]
-    sections = [
-        Section("gains", "Before and after", short),
-        Section("curves", "Threshold-recall curves", [Panels(_panels(scores))]),
-        Section("made", "How it was made", made),
-    ]
-    return document("Fine-tuning on adversarial objects", sections, lead, plotly_library())
-
-
-def _panels(scores: pd.DataFrame) -> list[Plot]:
-    return [
+    curves = [
         _panel(f"curve-{index}", str(scene_set), str(objects), own)
         for index, ((scene_set, objects), own) in enumerate(scores.groupby(["scene_set", "objects"], sort=False))
     ]
+    sections = [
+        Section("gains", "Before and after", short),
+        Section("curves", "Threshold-recall curves", [Panels(curves)]),
+        Section("made", "How it was made", made),
+    ]
+    return document("Fine-tuning on adversarial objects", sections, lead, plotly_library())
 
 
 def _panel(key: str, scene_set: str, objects: str, rows: pd.DataFrame) -> Plot:

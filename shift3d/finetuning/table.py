@@ -77,8 +77,7 @@ def _aucs(scores: pd.DataFrame) -> Iterator[dict[str, Any]]:
 def _interval(name: str, values: pd.Series, places: pd.Series) -> dict[str, float | None]:
     found = mean_interval(values, list(places))
     low, high = (end if np.isfinite(end) else None for end in (found.low, found.high))
-    prefix = f"{name}_" if name else ""
-    return {name or "value": found.mean, f"{prefix}low": low, f"{prefix}high": high}
+    return _columns(name, found.mean, low, high)
 
 
 def natural_rows(areas: Mapping[tuple[str, int | None], Mapping[tuple[str, str], Area]]) -> list[dict[str, Any]]:
@@ -108,7 +107,11 @@ def _mean_area(name: str, areas: Sequence[Area], before: Area | None) -> dict[st
     values = [float(area.value or 0.0) for area in areas]
     value = sum(values) / len(values) - float((before.value if before else 0.0) or 0.0)
     drawn = np.mean([_known(area) for area in areas], axis=0) - (_known(before) if before else 0.0)
-    low, high = interval(drawn[np.isfinite(drawn)])
+    return _columns(name, value, *interval(drawn[np.isfinite(drawn)]))
+
+
+def _columns(name: str, value: float, low: float | None, high: float | None) -> dict[str, float | None]:
+    """name: "gain", or "" for the value itself."""
     prefix = f"{name}_" if name else ""
     return {name or "value": value, f"{prefix}low": low, f"{prefix}high": high}
 

@@ -105,11 +105,7 @@ BATCH = 2
 
 
 def fine_tune(
-    detector: str,
-    sweep: LocationLike,
-    options: TrainOptions,
-    method: str = "adversarial",
-    report: Report | None = None,
+    detector: str, sweep: LocationLike, options: TrainOptions, method: str = "adversarial", report: Report | None = None
 ) -> Path:
     """Train one epoch over the stable objects of a verified sweep, or go on from where an interrupted one stopped.
 

@@ -48,11 +48,9 @@ class WideReference:
     resolution_m: float = 0.06
 
     def identity(self) -> dict[str, Any]:
-        """See `ReferenceSource`."""
         return {"kind": "wide", "members": self.members_count, "seed": self.seed, "resolution_m": self.resolution_m}
 
     def members(self) -> Sequence[Build]:
-        """See `ReferenceSource`."""
         return [
             functools.partial(_wide_member, index, self.seed, self.resolution_m) for index in range(self.members_count)
         ]
@@ -87,12 +85,10 @@ class MeshReference:
     frame: MeshFrame
 
     def identity(self) -> dict[str, Any]:
-        """See `ReferenceSource`."""
         files = [[file.name, digest] for digest, file in self._files().items()]
         return {"kind": "meshes", "frame": vars(self.frame), "files": files}
 
     def members(self) -> Sequence[Build]:
-        """See `ReferenceSource`."""
         return [functools.partial(_read, file.name, file.path, self.frame) for file in self._files().values()]
 
     def _files(self) -> dict[str, MeshFile]:
@@ -128,11 +124,9 @@ class SetReference:
         return folder / VEHICLES_FILE, folder / DECODER_FILE
 
     def identity(self) -> dict[str, Any]:
-        """See `ReferenceSource`."""
         return {"kind": "set", "files": [hashlib.sha256(file.read_bytes()).hexdigest() for file in self._files()]}
 
     def members(self) -> Sequence[Build]:
-        """See `ReferenceSource`."""
         from shift3d.vehicles.vehicle import family_vehicles
 
         vehicles, decoder = self._files()

@@ -82,9 +82,7 @@ def distances(
     """Metric distances (M',) of the points near the object, and their places (M', 3), object frame.
 
     Args:
-        field: metric distance in the object frame.
-        points: (M, 3) float64, scene frame.
-        theta: (6,) pose.
+        field: metric distance in the object frame. points: (M, 3) float64, scene frame. theta: (6,) pose.
         size_m: (3,) size of the baseline's box. reach_m: how far from it points count.
         box: that holds the object, where it is known: points near it count as well. A shape under attack may outgrow
             its baseline's box.
@@ -111,13 +109,9 @@ def check(
     """Hold one object against the limits.
 
     Args:
-        field: metric distance in the object frame.
-        points: (M, 3) float64 ORIGINAL returns near the object, scene frame.
-        theta: (6,) pose.
-        size_m: (3,) size of the baseline's box.
+        points: ORIGINAL returns near the object. field, theta, size_m, box: see `distances`.
         object_points: returns on the object after rendering.
         others: (M, 2) centres of other vehicles, scene frame, metres.
-        box: verified box of the object, object frame, where it is known.
 
     Contact is asked of points under the object alone: below its centre, within its baseline's length and width. A wall
     or a kerb beside it carries nothing.
@@ -145,20 +139,13 @@ def is_clear(theta: Tensor, others: Tensor | None, clear_m: float) -> bool:
 
 
 def snap_to_ground(
-    field: ObjectField,
-    points: Tensor,
-    theta: Tensor,
-    size_m: Tensor,
-    reach_m: float = 0.3,
+    field: ObjectField, points: Tensor, theta: Tensor, size_m: Tensor, reach_m: float = 0.3
 ) -> Tensor | None:
     """The pose with z moved until the object just touches the original points; None if that takes too far.
 
     A distance is 1-Lipschitz, so lowering the object by its clearance cannot push it through a point: the
     iteration z <- z - min g comes down from above and, inside, climbs out. It follows the few lowest points, and all of
-    them again where those touch.
-
-    Args:
-        reach_m: largest change of z.
+    them again where those touch. reach_m: largest change of z.
 
     Source: our choice: the paper places with a six-dof pose and leaves the method open.
     """

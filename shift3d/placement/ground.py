@@ -78,14 +78,12 @@ def ground_under(
     """
     points = points[np.abs(points[:, 0] - centre_xy[0]) <= _WIDER[-1] * radius_m]  # few of a scan: the rest is cheap
     offset = points[:, :2] - np.asarray(centre_xy)
-    found = fit_ground(points, centre_xy, nominal_z_m, radius_m)
-    if found is not None:
-        around = np.hypot(offset[:, 0], offset[:, 1]) <= radius_m
-        if found.is_lowest(np.column_stack((offset[around], points[around, 2]))):
-            return found
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    found, around = fit_ground(points, centre_xy, nominal_z_m, radius_m), distance <= radius_m
+    if found is not None and found.is_lowest(np.column_stack((offset[around], points[around, 2]))):
+        return found
     if not thorough:
         return None
-    distance = np.hypot(offset[:, 0], offset[:, 1])
     # Ground rises from its nominal height by no more than the steepest slope all the way.
     near = distance <= _WIDER[-1] * radius_m
     near &= np.abs(points[:, 2] - nominal_z_m) < 0.6 + MAX_SLOPE * math.hypot(*centre_xy)

@@ -98,88 +98,20 @@ def refusals(rejected: Mapping[str, int]) -> str:
     return ", ".join(f"{REFUSALS[name]} {count}" for name, count in ordered)
 
 
-def place(
-    beams: Beams,
-    ground_z_m: float,
-    sdf: Field,
-    vehicle: VehicleFrame,
-    rng: np.random.Generator,
-    limits: PlacementLimits = ANYWHERE,
-    constraints: Constraints = PAPER_CONSTRAINTS,
-    settings: RenderSettings = STANDARD,
-    others: Tensor | None = None,
-    ground_map: GroundMap | None = None,
-    unlabelled: np.ndarray | None = None,
-) -> Placement | NoPlacement:
-    """A random place that satisfies every constraint.
-
-    Range and azimuth are uniform in the limits, heading in [0, 2 pi); height, pitch and roll follow the
-    ground under the wheels, then the object is lowered or raised (at most 6 cm) until it just touches a
-    return. Cheap tests come first: ground seen, nothing standing there, enough beams that could meet the box.
-    Where far places keep failing for want of points (300 returns at 35 m do not exist with 64 beams), the range is
-    drawn nearer: after each quarter of the attempts the interval beyond min_range_m is halved.
-
-    Places where no ground was found are searched for it again, thoroughly, if no other one served: so a scene with room
-    on plain ground has the places that it has without that search.
-
-    `others` (M, 2) are the centres of the scene's own vehicles, to stay clear of, and `unlabelled` (Z, 2) points where
-    the data set labels nothing, so that a vehicle there would be none of them.
-    With a `ground_map` the footprint's corners stand where it allows, and its heights take the place of ground_z_m.
-    Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
-    """
-    metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
-    size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
-    site = Site(beams, ground_z_m, others, ground_map, unlabelled)
-    rejected: Counter[str] = Counter()
-
-    def stand(draw: tuple[float, float, float], thorough: bool) -> tuple[Tensor, ConstraintCheck, Rendering] | str:
-        on_ground = pose_on_ground(draw, site, size, constraints, thorough)
-        if isinstance(on_ground, str):
-            return on_ground
-        theta = snap_to_ground(metric, _near(beams, on_ground, size), on_ground, size, reach_m=0.06)
-        if theta is None:
-            return "contact"
-        with torch.no_grad():
-            rendering = render(beams, sdf, theta, vehicle, settings)
-        held = check(metric, _near(beams, theta, size), theta, size, rendering.object_points, constraints)
-        if not held.valid:
-            return "points" if not held.points_ok else "overlap" if not held.overlap_ok else "contact"
-        return theta, held, rendering
-
-    unseen = []
-    for attempt in range(1, limits.attempts + 1):
-        outcome = stand(draw := drawn_place(rng, limits, attempt), thorough=False)
-        if not isinstance(outcome, str):
-            return Placement(*outcome, attempt, dict(rejected))
-        rejected[outcome] += 1
-        unseen += [draw] if outcome == "ground" else []
-    for draw in unseen:
-        rejected["ground"] -= 1
-        outcome = stand(draw, thorough=True)
-        if not isinstance(outcome, str):
-            return Placement(*outcome, limits.attempts, dict(+rejected))
-        rejected[outcome] += 1
-    return NoPlacement(limits.attempts, dict(+rejected))
-
-
-def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int) -> tuple[float, float, float]:
-    """(x, y, yaw) of one attempt; always three numbers from rng, whatever becomes of them."""
-    halvings = (attempt - 1) * 4 // limits.attempts
-    reach = (limits.max_range_m - limits.min_range_m) / 2**halvings
-    range_m = limits.min_range_m + reach * rng.random()
-    azimuth = limits.sector[0] + limits.sector[1] * (2.0 * rng.random() - 1.0)
-    return range_m * math.cos(azimuth), range_m * math.sin(azimuth), 2.0 * math.pi * rng.random()
-
-
 @dataclass(frozen=True)
 class Site:
-    """What a place is judged by: beams, and the rest as `place` takes it."""
+    """What a place is judged by.
+
+    beams: of the scene. others: (M, 2) centres of the scene's own vehicles, to stay clear of. ground_map: its heights
+    take the place of ground_z_m, and a footprint's corners stand where it allows. unlabelled: (Z, 2) points where the
+    data set labels nothing, so that a vehicle there would be none of them.
+    """
 
     beams: Beams
     ground_z_m: float
-    others: Tensor | None
-    ground_map: GroundMap | None
-    unlabelled: np.ndarray | None
+    others: Tensor | None = None
+    ground_map: GroundMap | None = None
+    unlabelled: np.ndarray | None = None
 
     @functools.cached_property
     def returns(self) -> np.ndarray:
@@ -207,6 +139,71 @@ class Site:
             return True
         box = np.array([[draw[0], draw[1], 0.0, *size.tolist(), draw[2]]])
         return all(self.ground_map.allows(float(x), float(y)) for x, y in corners_bev(box)[0])
+
+
+def place(
+    site: Site,
+    sdf: Field,
+    vehicle: VehicleFrame,
+    rng: np.random.Generator,
+    limits: PlacementLimits = ANYWHERE,
+    constraints: Constraints = PAPER_CONSTRAINTS,
+    settings: RenderSettings = STANDARD,
+) -> Placement | NoPlacement:
+    """A random place that satisfies every constraint.
+
+    Range and azimuth are uniform in the limits, heading in [0, 2 pi); height, pitch and roll follow the
+    ground under the wheels, then the object is lowered or raised (at most 6 cm) until it just touches a
+    return. Cheap tests come first: ground seen, nothing standing there, enough beams that could meet the box.
+    Where far places keep failing for want of points (300 returns at 35 m do not exist with 64 beams), the range is
+    drawn nearer: after each quarter of the attempts the interval beyond min_range_m is halved.
+
+    Places where no ground was found are searched for it again, thoroughly, if no other one served: so a scene with room
+    on plain ground has the places that it has without that search.
+
+    Deterministic for a given rng state. Source: SHIFT3D, Setup and Hyper-parameters; the sampling is our choice.
+    """
+    metric = ObjectField.of(sdf, vehicle, settings.dtype, settings.batch)
+    size = torch.as_tensor(np.asarray(vehicle.size_m, dtype=np.float64))
+    rejected: Counter[str] = Counter()
+
+    def stand(draw: tuple[float, float, float], thorough: bool) -> tuple[Tensor, ConstraintCheck, Rendering] | str:
+        on_ground = pose_on_ground(draw, site, size, constraints, thorough)
+        if isinstance(on_ground, str):
+            return on_ground
+        theta = snap_to_ground(metric, _near(site.beams, on_ground, size), on_ground, size, reach_m=0.06)
+        if theta is None:
+            return "contact"
+        with torch.no_grad():
+            rendering = render(site.beams, sdf, theta, vehicle, settings)
+        held = check(metric, _near(site.beams, theta, size), theta, size, rendering.object_points, constraints)
+        if not held.valid:
+            return "points" if not held.points_ok else "overlap" if not held.overlap_ok else "contact"
+        return theta, held, rendering
+
+    unseen = []
+    for attempt in range(1, limits.attempts + 1):
+        outcome = stand(draw := drawn_place(rng, limits, attempt), thorough=False)
+        if not isinstance(outcome, str):
+            return Placement(*outcome, attempt, dict(rejected))
+        rejected[outcome] += 1
+        unseen += [draw] if outcome == "ground" else []
+    for draw in unseen:
+        rejected["ground"] -= 1
+        outcome = stand(draw, thorough=True)
+        if not isinstance(outcome, str):
+            return Placement(*outcome, limits.attempts, dict(+rejected))
+        rejected[outcome] += 1
+    return NoPlacement(limits.attempts, dict(+rejected))
+
+
+def drawn_place(rng: np.random.Generator, limits: PlacementLimits, attempt: int) -> tuple[float, float, float]:
+    """(x, y, yaw) of one attempt; always three numbers from rng, whatever becomes of them."""
+    halvings = (attempt - 1) * 4 // limits.attempts
+    reach = (limits.max_range_m - limits.min_range_m) / 2**halvings
+    range_m = limits.min_range_m + reach * rng.random()
+    azimuth = limits.sector[0] + limits.sector[1] * (2.0 * rng.random() - 1.0)
+    return range_m * math.cos(azimuth), range_m * math.sin(azimuth), 2.0 * math.pi * rng.random()
 
 
 def pose_on_ground(

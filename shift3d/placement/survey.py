@@ -12,9 +12,7 @@ from torch import Tensor
 
 from shift3d.placement.constraints import Constraints
 from shift3d.placement.sampling import PlacementLimits, Site, drawn_place, pose_on_ground, refusals
-from shift3d.render.beams import Beams
 from shift3d.render.culling import clip_to_box, object_rays
-from shift3d.scenes.ground_map import GroundMap
 
 CAR_SIZE_M = (4.5, 1.8, 1.5)
 FREE = "free"
@@ -44,22 +42,13 @@ class Survey:
         return f"{counts[FREE]} of {len(self.outcomes)} free" + (f"; {refused}" if refused else "")
 
 
-def survey(
-    beams: Beams,
-    ground_z_m: float,
-    limits: PlacementLimits,
-    constraints: Constraints,
-    others: Tensor | None = None,
-    ground_map: GroundMap | None = None,
-    unlabelled: NDArray[np.floating] | None = None,
-) -> Survey:
+def survey(site: Site, limits: PlacementLimits, constraints: Constraints) -> Survey:
     """Try as many places as `limits` allow attempts, with the tests of `sampling.place` that need no rendering.
 
     A free place may still be refused for a shape: it may touch nothing, reach into something, or return fewer points
     than beams meet its box. Deterministic. Source: our choice.
     """
     size, whole = torch.tensor(CAR_SIZE_M, dtype=torch.float64), replace(limits, attempts=1)
-    site = Site(beams, ground_z_m, others, ground_map, unlabelled)
     rng, places, outcomes = np.random.default_rng(0), [], []
     for _ in range(limits.attempts):
         draw = drawn_place(rng, whole, 1)

@@ -67,7 +67,7 @@ def crop_vehicles(scene: Scene) -> list[Crop]:
 def _crop(label: int, box: Array, kind: str, points: Array, origins: Array) -> Crop:
     half = box[3:6] / 2.0
     near = _meets(points, origins, box[:3], float(np.linalg.norm(half)))
-    ends, starts = (_to_object(values[near], box) for values in (points, origins))
+    ends, starts = (turned(values[near] - box[:3], -float(box[6])) for values in (points, origins))
     inside: NDArray[np.bool_] = np.all(np.abs(ends) <= half + MARGIN_M, axis=1)
     own = ends[inside & (ends[:, 2] >= FLOOR_M - half[2])]
     own = own[np.lexsort(own.T)]
@@ -86,11 +86,6 @@ def _meets(points: Array, origins: Array, centre: Array, radius_m: float) -> NDA
     apart = np.einsum("ij,ij->i", offset, offset) - along**2
     near: NDArray[np.bool_] = (along > 0.0) & (apart <= (radius_m + MARGIN_M) ** 2) & (length >= along - radius_m)
     return near
-
-
-def _to_object(places: Array, box: Array) -> Array:
-    """Places (N, 3) of the scene in the frame of a box (7,)."""
-    return turned(places - box[:3], -float(box[6]))
 
 
 def _vehicle_size(box: Array) -> bool:

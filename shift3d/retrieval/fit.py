@@ -45,29 +45,21 @@ class Fit:
     uncertainty: Array
 
 
-@dataclass(frozen=True)
 class _Problem:
     """surface, free: (P, 3), (Q, 3), object frame. scale_m: at no stretch. rotation: sdf_R_object (3, 3).
 
     precision: (k + 5,) of a state: coordinates, shift, turn, stretch. share: (P + Q,) of a place in the sum.
     """
 
-    subspace: Subspace
-    surface: Array
-    free: Array
-    scale_m: float
-    rotation: Array
-    precision: Array
-    share: Array
-
-    @staticmethod
-    def of(
-        subspace: Subspace, surface: Array, free: Array, scale_m: float, rotation: Array, noise_m: float
-    ) -> _Problem:
-        nuisances = [SHIFT_M] * 3 + [TURN_RAD, STRETCH]
-        precision = np.concatenate((np.ones(subspace.components), np.array(nuisances) ** -2.0))
+    def __init__(
+        self, subspace: Subspace, surface: Array, free: Array, scale_m: float, rotation: Array, noise_m: float
+    ) -> None:
+        self.subspace, self.surface, self.free = subspace, surface, free
+        self.scale_m, self.rotation = scale_m, rotation
+        nuisances = np.array([SHIFT_M] * 3 + [TURN_RAD, STRETCH])
+        self.precision = np.concatenate((np.ones(subspace.components), nuisances**-2.0))
         parts = [np.full(len(part), min(1.0, COUNTED / max(len(part), 1))) for part in (surface, free)]
-        return _Problem(subspace, surface, free, scale_m, rotation, precision, np.concatenate(parts) / noise_m**2)
+        self.share = np.concatenate(parts) / noise_m**2
 
     def at(self, state: Array) -> _Point:
         """Metric distances of all places, and their derivatives by the state."""
@@ -133,7 +125,7 @@ def fit_shape(
     second-order method (Gauss-Newton with the exact derivative by the coordinates), are our choice.
     """
     rotation = np.eye(3) if sdf_R_object is None else sdf_R_object
-    problem = _Problem.of(subspace, surface, free, length_m * scale_per_length, rotation, noise_m)
+    problem = _Problem(subspace, surface, free, length_m * scale_per_length, rotation, noise_m)
     at, damping, done = problem.at(np.zeros(subspace.components + 5)), 1e-2, 0
     while done < ITERATIONS and damping < _MOST_DAMPING:
         clamp = max(CLAMP_M[1], CLAMP_M[0] * (CLAMP_M[1] / CLAMP_M[0]) ** (done / 3))

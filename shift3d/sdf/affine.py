@@ -15,7 +15,8 @@ def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     asked of, to torch. The two differ by roundings; either gives a row the same value whatever rows stand beside it,
     but for MKL with less than a handful of them. Differentiable.
     """
-    if _plain(x) and has_wide_float32() and not _is_differentiated(x, weight, bias):
+    plain = x.dtype == torch.float32 and x.device.type == "cpu" and type(x) is Tensor
+    if plain and has_wide_float32() and not _is_differentiated(x, weight, bias):
         # Its own ReLU would turn NaN into 0: activations are left to torch.
         result: Tensor = torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
         return result
@@ -31,10 +32,6 @@ def padded_to_bucket(x: Tensor, *parts: Tensor) -> Tensor:
     if not supported or x.device.type != "cpu" or type(x) is not Tensor or _is_differentiated(x, *parts):
         return x
     return torch.nn.functional.pad(x, (0, 0, 0, pad_to_bucket(len(x)) - len(x)))
-
-
-def _plain(x: Tensor) -> bool:
-    return x.dtype == torch.float32 and x.device.type == "cpu" and type(x) is Tensor
 
 
 def _is_differentiated(*parts: Tensor | None) -> bool:

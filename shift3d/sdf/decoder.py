@@ -60,7 +60,8 @@ class Architecture:
         )
 
 
-def _parameters(layer: nn.Module) -> tuple[Tensor, Tensor]:
+def parameters_of(layer: nn.Module) -> tuple[Tensor, Tensor]:
+    """Weight and bias of a linear layer."""
     weight, bias = layer.weight, layer.bias
     assert isinstance(weight, Tensor)
     assert isinstance(bias, Tensor)
@@ -103,7 +104,7 @@ class Decoder(nn.Module):
         x = points.reshape(shapes * count, 3)
         hidden = x
         for index, layer in enumerate(self.layers):
-            weight, bias = _parameters(layer)
+            weight, bias = parameters_of(layer)
             if index in (0, self.architecture.skip_layer):
                 before, at_z, at_x = self._split(index, weight)
                 entry = (codes @ at_z.T + bias)[:, None] + (x @ at_x.T).reshape(shapes, count, -1)
@@ -123,14 +124,12 @@ class Decoder(nn.Module):
         Raises: InputError for a code of another length or with values that are not finite.
         """
         if z.shape != (self.architecture.code_length,):
-            raise InputError(
-                f"shape {tuple(z.shape)}", where="latent code", remedy=f"({self.architecture.code_length},)"
-            )
+            raise InputError(f"shape {tuple(z.shape)}", "latent code", f"({self.architecture.code_length},)")
         if not bool(torch.isfinite(z).all()):
             raise InputError("values that are not finite", where="latent code", remedy="a finite code")
         weights, biases = [], []
         for index, layer in enumerate(self.layers):
-            weight, bias = _parameters(layer)
+            weight, bias = parameters_of(layer)
             if index in (0, self.architecture.skip_layer):
                 before, at_z, at_x = self._split(index, weight)
                 bias = bias + at_z @ z.to(weight.dtype)
@@ -158,7 +157,7 @@ class Decoder(nn.Module):
         """
         with torch.no_grad():
             for index in (0, self.architecture.skip_layer):
-                weight, _ = _parameters(self.layers[index])
+                weight, _ = parameters_of(self.layers[index])
                 self._split(index, weight)[1].div_(factor)
         return self
 
@@ -167,7 +166,7 @@ def save_decoder(decoder: Decoder, path: Path, metadata: dict[str, str] | None =
     """Write the decoder's folded float32 weights to a safetensors file. Raises: InputError, see `write_safetensors`."""
     tensors = {}
     for index, layer in enumerate(decoder.layers):
-        weight, bias = _parameters(layer)
+        weight, bias = parameters_of(layer)
         tensors[f"layers.{index}.weight"] = without_subnormals(weight.detach().float()).contiguous()
         tensors[f"layers.{index}.bias"] = bias.detach().float().contiguous()
     architecture = json.dumps(vars(decoder.architecture), sort_keys=True)
@@ -188,9 +187,7 @@ def _architecture(metadata: dict[str, str], tensors: int, where: str) -> Archite
     try:
         architecture = Architecture(**json.loads(metadata["architecture"]))
     except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise InputError(
-            "no decoder architecture in its metadata", where=where, remedy="a decoder's weights"
-        ) from error
+        raise InputError("no decoder architecture in its metadata", where, "a decoder's weights") from error
     # Before anything of these sizes is made: the file says them, and its tensors are what there is memory for.
     if not architecture.can_be() or 2 * (architecture.hidden_layers + 1) != tensors:
         what = f"no decoder with {tensors} tensors is made like {architecture}"
@@ -205,10 +202,8 @@ def decoder_from_tensors(tensors: dict[str, torch.Tensor], architecture: Archite
         large that values would overflow.
     """
     tensors = checked_tensors(tensors, architecture.shapes(), where)
-    entry = architecture.code_length + 3
-    last = range(architecture.hidden_layers + 1)
-    layers = [(tensors[f"layers.{layer}.weight"], tensors[f"layers.{layer}.bias"]) for layer in last]
-    check_magnitude(layers, [entry if layer in (0, architecture.skip_layer) else 0 for layer in last], {}, where)
+    entry, layers = architecture.code_length + 3, range(architecture.hidden_layers + 1)
+    check_magnitude(tensors, [entry if layer in (0, architecture.skip_layer) else 0 for layer in layers], {}, where)
     decoder = Decoder(architecture).folded()
     decoder.load_state_dict(tensors)
     return decoder.eval().requires_grad_(False)

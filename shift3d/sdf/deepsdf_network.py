@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import Architecture
+from shift3d.sdf.decoder import Architecture, parameters_of
 
 
 @dataclass(frozen=True)
@@ -136,9 +136,7 @@ class DeepSdfNetwork(nn.Module):
             raise InputError(what, where="latent code", remedy=f"a finite code ({self.specs.code_length},)")
         weights, biases = [], []
         for layer, linear in enumerate(self.layers):
-            weight, bias = linear.weight, linear.bias
-            assert isinstance(weight, Tensor)
-            assert isinstance(bias, Tensor)
+            weight, bias = parameters_of(linear)
             if self.specs.entry(layer) == "code":
                 split = weight.shape[1] - self.specs.code_length - 3
                 bias = bias + weight[:, split:-3] @ z.to(weight.dtype)
@@ -152,8 +150,6 @@ class DeepSdfNetwork(nn.Module):
         """Itself for codes that are `factor` times as long, in place: the same shapes up to rounding."""
         with torch.no_grad():
             for layer, linear in enumerate(self.layers):
-                weight = linear.weight
-                assert isinstance(weight, Tensor)
                 if self.specs.entry(layer) == "code":
-                    weight[:, -self.specs.code_length - 3 : -3].div_(factor)
+                    parameters_of(linear)[0][:, -self.specs.code_length - 3 : -3].div_(factor)
         return self

@@ -24,46 +24,6 @@ class Tangent:
     at_bias: tuple[Tensor, ...]
 
 
-@torch.no_grad()
-def tangent(
-    weights: Sequence[Tensor], biases: Sequence[Tensor], skip_layer: int, x: Tensor, layers: Sequence[int] = ()
-) -> Tangent:
-    """Evaluate, and go back once.
-
-    Args:
-        weights, biases: of the folded decoder, see `decoder.Field`. skip_layer: before which x is fed in again.
-        x: (N, 3) points, sdf frame. layers: those by whose bias the derivative is wanted.
-
-    A unit exactly at its switch counts as off, as in autograd. Costs two evaluations.
-    Source: our choice: the paper says what is needed, not how it is had.
-    """
-    count, x = len(x), padded_to_bucket(x)
-    last, hidden, units = len(weights) - 1, x, []
-    for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        if layer == skip_layer:
-            hidden = torch.cat((hidden, x), dim=1)
-        hidden = affine(hidden, weight, bias)
-        if layer < last:
-            hidden = hidden.relu_()
-            units.append(hidden)
-    value = torch.tanh(hidden[:, 0])
-    at_output = (1.0 - value * value)[:, None]
-    at_point, at_bias = torch.zeros_like(x), {}
-    for layer in range(last, -1, -1):
-        if layer < last:
-            at_output = torch.ops.aten.threshold_backward(at_output, units[layer], 0.0)  # 0 where the unit is off
-        at_bias[layer] = at_output
-        at_input = affine(at_output, weights[layer].T, None)
-        if layer == skip_layer:
-            at_input, at_point = at_input[:, :-3], at_point + at_input[:, -3:]
-        at_output = at_input
-    by_bias = tuple(at_bias[layer][:count] for layer in layers)
-    return Tangent(value[:count], (at_point + at_output)[:count], by_bias)
-
-
-_UNITS = 32
-
-
 class Field:
     """g(z, .) of one latent code: weights folded, and everything that depends on z alone computed once.
 
@@ -85,14 +45,29 @@ class Field:
             x_sdf: points (N, 3), sdf frame, unit-sphere units; cast to the field's dtype.
         Returns: (N,), in (-1, 1) because of the tanh.
         """
+        return self._evaluate(x_sdf)
+
+    def survey(self, x_sdf: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Values (N,) at points (N, 3), sdf frame, and which hidden units are on at one of them: a bool mask a layer.
+
+        Not differentiable.
+        """
+        live: list[Tensor] = []
+        with torch.no_grad():
+            return self._evaluate(x_sdf, live), live
+
+    def _evaluate(self, x_sdf: Tensor, live: list[Tensor] | None = None) -> Tensor:
+        """Values (N,); with a list, which is given the masks of `survey`, without a graph."""
         hidden = x = padded_to_bucket(x_sdf.to(self.dtype), *self.weights, *self.biases)
-        last = len(self.weights) - 1
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if layer == self.skip_layer:
                 hidden = torch.cat([hidden, x], dim=1)
             hidden = affine(hidden, weight, bias)
-            if layer < last:
-                hidden = torch.relu(hidden)
+            if layer == len(self.weights) - 1:
+                break
+            hidden = torch.relu(hidden) if live is None else hidden.relu_()
+            if live is not None:
+                live.append((hidden[: len(x_sdf)] != 0).any(0))  # a NaN is on
         return torch.tanh(hidden[: len(x_sdf), 0])
 
     def region(self, x_sdf: Tensor, direction: Tensor) -> LinearRegion:
@@ -107,28 +82,35 @@ class Field:
         """Layers through whose bias a code that requires gradients enters; none where there is no such code."""
         return tuple(layer for layer, bias in enumerate(self.biases) if bias.requires_grad)
 
-    def tangent(self, x_sdf: Tensor, layers: tuple[int, ...] = ()) -> Tangent:
-        """Values and derivatives at points (N, 3) and by the biases of some layers; constants, see `tangent`."""
-        weights, biases = ([part.detach() for part in parts] for parts in (self.weights, self.biases))
-        return tangent(weights, biases, self.skip_layer, x_sdf.detach().to(self.dtype), layers)
+    @torch.no_grad()
+    def tangent(self, x_sdf: Tensor, layers: Sequence[int] = ()) -> Tangent:
+        """Values and derivatives at points (N, 3), sdf frame, and by the biases of some layers: evaluate, go back once.
 
-    def survey(self, x_sdf: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Values (N,) at points (N, 3), sdf frame, and which hidden units are on at one of them: a bool mask a layer.
-
-        Not differentiable.
+        A unit exactly at its switch counts as off, as in autograd. Costs two evaluations.
+        Source: our choice: the paper says what is needed, not how it is had.
         """
-        weights, biases = ([part.detach() for part in parts] for parts in (self.weights, self.biases))
-        with torch.no_grad():
-            hidden = x = padded_to_bucket(x_sdf.detach().to(self.dtype))
-            live = []
-            for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-                if layer == self.skip_layer:
-                    hidden = torch.cat([hidden, x], dim=1)
-                hidden = affine(hidden, weight, bias)
-                if layer < len(weights) - 1:
-                    hidden = hidden.relu_()
-                    live.append((hidden[: len(x_sdf)] != 0).any(0))  # a NaN is on
-        return torch.tanh(hidden[: len(x_sdf), 0]), live
+        count, x = len(x_sdf), padded_to_bucket(x_sdf.to(self.dtype))
+        last, hidden, units = len(self.weights) - 1, x, []
+        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            if layer == self.skip_layer:
+                hidden = torch.cat((hidden, x), dim=1)
+            hidden = affine(hidden, weight, bias)
+            if layer < last:
+                hidden = hidden.relu_()
+                units.append(hidden)
+        value = torch.tanh(hidden[:, 0])
+        at_output = (1.0 - value * value)[:, None]
+        at_point, at_bias = torch.zeros_like(x), {}
+        for layer in range(last, -1, -1):
+            if layer < last:
+                at_output = torch.ops.aten.threshold_backward(at_output, units[layer], 0.0)  # 0 where the unit is off
+            at_bias[layer] = at_output
+            at_input = affine(at_output, self.weights[layer].T, None)
+            if layer == self.skip_layer:
+                at_input, at_point = at_input[:, :-3], at_point + at_input[:, -3:]
+            at_output = at_input
+        by_bias = tuple(at_bias[layer][:count] for layer in layers)
+        return Tangent(value[:count], (at_point + at_output)[:count], by_bias)
 
     def sliced(self, live: Sequence[Tensor]) -> Field:
         """The field without the hidden units that are off: the same values wherever only `live` units are on.
@@ -158,8 +140,11 @@ class Field:
         return Field([w.detach() for w in self.weights], [b.detach() for b in self.biases], self.skip_layer)
 
 
+_UNITS = 32
+
+
 def _round_units(live: Tensor) -> Tensor:
-    """(n,) ascending numbers of the live units, and of as many others as make n a multiple of 32.
+    """(n,) ascending numbers of the live units, and of as many others as make n a multiple of `_UNITS`.
 
     Libraries make code for every size of matrix: few sizes come round again, see `processor.pad_to_bucket`.
     """

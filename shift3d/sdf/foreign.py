@@ -198,9 +198,8 @@ def _network(content: dict[str, Any], specs: NetworkSpecs, path: Path) -> Decode
     tensors = checked_tensors(tensors, specs.shapes(), str(path), called)
     network = DeepSdfNetwork(specs).eval().requires_grad_(False)
     network.load_state_dict(tensors)
-    layers = [(tensors[f"layers.{layer}.weight"], tensors[f"layers.{layer}.bias"]) for layer in range(specs.layers)]
     norms = {int(layer): norm for layer, norm in network.norms.items() if isinstance(norm, nn.LayerNorm)}
-    check_magnitude(layers, specs.entries(), norms, str(path))
+    check_magnitude(tensors, specs.entries(), norms, str(path))
     return network
 
 

@@ -81,18 +81,19 @@ def checked_tensors(
 
 
 def check_magnitude(
-    layers: Sequence[tuple[Tensor, Tensor]], entries: Sequence[int], norms: Mapping[int, nn.LayerNorm], where: str
+    tensors: Mapping[str, Tensor], entries: Sequence[int], norms: Mapping[int, nn.LayerNorm], where: str
 ) -> None:
     """Refuse weights with which a value could overflow float32, whatever the code and the point.
 
     Args:
-        layers: (weight, bias) of every linear layer. entries: how many inputs each reads beside the layer before it.
+        tensors: `layers.<i>.weight|bias`. entries: how many inputs each linear layer reads beside the one before it.
         norms: layer norms by the layer that they follow. where: the file.
     Raises: InputError naming the file and the layer, where some value may exceed 1e30 (1e18 before a layer norm) with
         inputs of at most LARGEST_INPUT. An upper bound: |W| h + |b|, layer by layer, in float64.
     """
     hidden = torch.zeros(0, dtype=torch.float64)
-    for index, ((weight, bias), entry) in enumerate(zip(layers, entries, strict=True)):
+    for index, entry in enumerate(entries):
+        weight, bias = tensors[f"layers.{index}.weight"], tensors[f"layers.{index}.bias"]
         hidden = torch.cat([hidden, torch.full((entry,), LARGEST_INPUT, dtype=torch.float64)])
         hidden = weight.double().abs() @ hidden + bias.double().abs()
         limit = _LARGEST_NORMED if index in norms else _LARGEST_VALUE

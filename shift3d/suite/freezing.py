@@ -19,7 +19,7 @@ from shift3d.progress_bar import progress_bar
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.suite.choosing import Choice, Chosen, choose_solutions
-from shift3d.suite.frozen import FrozenSuite, background_file, blake2b, manifest_bytes, read_manifest, read_suite
+from shift3d.suite.frozen import BOX, FrozenSuite, background_file, blake2b, manifest_bytes, read_manifest, read_suite
 from shift3d.suite.tables import SUITE_SCHEMAS, SUITE_VERSION, read_suite_table, suite_table, suite_table_bytes
 from shift3d.sweep.planning.folder import read_plan
 from shift3d.task.assets import Assets, load_assets, score_precision
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from shift3d.task.spec import TaskSpec
 
 Frames = Literal["copied", "referenced"]
-_BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
 _SCENE = "unfinished-"
 """Begins the names of files that hold the objects of one scene until the suite is whole."""
 _UNFINISHED = {"objects.parquet", "scores.parquet", "backgrounds"}
@@ -250,7 +249,7 @@ def _object(
         "scene_hash": scene.content_hash(),
         "effects": list(spec.effects),
         "ground_z_m": float(problem.ground_z_m),
-        **dict(zip(_BOX, place.tolist(), strict=True)),
+        **dict(zip(BOX, place.tolist(), strict=True)),
         "radius_m": float(radius_m),
         "precision": score_precision(spec),
         "object_points": len(hits),

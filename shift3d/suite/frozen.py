@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from shift3d.scenes.sets import SceneSet
 
 _CHANGED = "Restore it from a copy, or freeze the suite again: scores on other objects cannot be compared"
-_BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
+BOX = ("x_m", "y_m", "z_m", "dx_m", "dy_m", "dz_m", "heading_rad")
+"""Columns of an object's box, scene frame."""
 
 
 def blake2b(content: bytes) -> str:
@@ -82,10 +83,8 @@ class FrozenSuite:
         row = self.objects[self.objects["background"] == name].iloc[0]
         scene = self._frames(int(row["frames"])).load(row["scene"])
         if scene.content_hash() != row["scene_hash"]:
-            what = "is another frame than the suite was frozen with"
-            raise InputError(
-                what, f"scene {row['scene']}", "Give root=PATH of the same data, or freeze the suite again"
-            )
+            remedy = "Give root=PATH of the same data, or freeze the suite again"
+            raise InputError("is another frame than the suite was frozen with", f"scene {row['scene']}", remedy)
         return scene.points
 
     def _frames(self, number: int) -> SceneSet:
@@ -107,7 +106,7 @@ class FrozenSuite:
 
 def box_of(row: Mapping[str, Any]) -> NDArray[np.float64]:
     """The object's box (7,), network frame: z measured from the ground."""
-    box = np.array([float(row[name]) for name in _BOX])
+    box = np.array([float(row[name]) for name in BOX])
     box[2] -= float(row["ground_z_m"])
     return box
 
@@ -122,7 +121,8 @@ def read_suite(folder: LocationLike, root: str | None = None) -> FrozenSuite:
     folder = as_location(folder)
     path = folder / "suite.json"
     manifest = read_manifest(path)
-    if _digest(manifest) != manifest.get("digest") or "objects.parquet" not in manifest.get("files", {}):
+    digest = json.loads(manifest_bytes(manifest))["digest"]
+    if digest != manifest.get("digest") or "objects.parquet" not in manifest.get("files", {}):
         raise InputError("was changed after the suite was frozen", str(path), _CHANGED)
     for name, digest in manifest["files"].items():
         _checked(folder / name, digest)
@@ -147,10 +147,6 @@ def read_manifest(path: Location) -> dict[str, Any]:
         remedy = "Use the version of shift3d that wrote it, or freeze the suite again"
         raise InputError(what, str(path), remedy)
     return dict(manifest)
-
-
-def _digest(manifest: Mapping[str, Any]) -> str:
-    return str(json.loads(manifest_bytes(manifest))["digest"])
 
 
 def _checked(file: Location, digest: str) -> bytes:

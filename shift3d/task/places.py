@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import PlacementLimits
+from shift3d.placement.sampling import PlacementLimits, Site
 from shift3d.placement.survey import Survey, survey
 from shift3d.render.beams import Beams
 from shift3d.scenes.scene import Scene
@@ -34,10 +32,11 @@ def other_vehicles(scene: Scene) -> Tensor:
     return torch.from_numpy(scene.labels.of_class("vehicle").reshape(-1, 7)[:, :2].copy())
 
 
-def unlabelled_points(scene: Scene) -> NDArray[np.float32] | None:
-    """(Z, 2) of the scene's returns where its data set labels nothing; None where it labels everywhere."""
+def site_of(scene: Scene, beams: Beams) -> Site:
+    """What places of a scene are judged by, seen by these beams."""
     zone = scene.in_no_label_zone
-    return None if zone is None else scene.points[zone & scene.has_beam, :2]
+    unlabelled = None if zone is None else scene.points[zone & scene.has_beam, :2]
+    return Site(beams, scene.ground_z_m, other_vehicles(scene), scene.ground_map, unlabelled)
 
 
 def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
@@ -47,9 +46,7 @@ def survey_scene(scenes: SceneSet, name: str, where: PlacementSpec) -> Survey:
     """
     own = scenes.seen_by_own(name) if isinstance(scenes, StreetScenes) else None
     scene = scenes.load(name) if own is None else own[0].load(own[1])
-    beams, others = Beams.of_main_sensor(scene), other_vehicles(scene)
-    limits, constraints, zone = limits_of(where), constraints_of(where), unlabelled_points(scene)
-    return survey(beams, scene.ground_z_m, limits, constraints, others, scene.ground_map, zone)
+    return survey(site_of(scene, Beams.of_main_sensor(scene)), limits_of(where), constraints_of(where))
 
 
 NO_GROUND = (

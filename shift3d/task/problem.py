@@ -14,7 +14,7 @@ from shift3d.render.settings import STANDARD
 from shift3d.scenes.facts import EffectSettings
 from shift3d.seeding import derive_seed, generator
 from shift3d.task.assets import Assets, render_settings, score_precision
-from shift3d.task.places import constraints_of, limits_of, other_vehicles, unlabelled_points
+from shift3d.task.places import constraints_of, limits_of, other_vehicles, site_of
 from shift3d.task.spec import TaskSpec
 
 if TYPE_CHECKING:
@@ -35,11 +35,8 @@ def place_vehicle(spec: TaskSpec, assets: Assets) -> Placement | NoPlacement:
     # than it saves here.
     sdf = assets.decoder_of(STANDARD.dtype).field(torch.from_numpy(vehicle.latent_code).to(STANDARD.dtype))
     rng = generator("placement", replace(spec, scene_hash=scene_hash).placement_seed)
-    limits, constraints, others = limits_of(spec.placement), constraints_of(spec.placement), other_vehicles(scene)
-    zone = unlabelled_points(scene)
-    return place(
-        beams, scene.ground_z_m, sdf, vehicle, rng, limits, constraints, STANDARD, others, scene.ground_map, zone
-    )
+    limits, constraints = limits_of(spec.placement), constraints_of(spec.placement)
+    return place(site_of(scene, beams), sdf, vehicle, rng, limits, constraints)
 
 
 def placed_pose(spec: TaskSpec, assets: Assets) -> Tensor | None:

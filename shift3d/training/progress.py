@@ -17,14 +17,18 @@ Report = Callable[[Sequence[CurvePoint]], None]
 """Called after every checkpoint with the points since the one before: what is reported never has to be taken back."""
 
 
+def mean_values(points: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Mean of each value of the last point over all of them."""
+    return {name: sum(point[name] for point in points) / len(points) for name in points[-1]}
+
+
 def averaged(curve: Sequence[CurvePoint], points: int) -> list[CurvePoint]:
     """The curve by at most about so many points: means of stretches, each at its last step. A single point is noise."""
     length = max(1, -(-len(curve) // max(1, points)))
     found: list[CurvePoint] = []
     for start in range(0, len(curve), length):
         stretch = curve[start : start + length]
-        values = {name: sum(value[name] for _, value in stretch) / len(stretch) for name in stretch[-1][1]}
-        found.append((stretch[-1][0], values))
+        found.append((stretch[-1][0], mean_values([values for _, values in stretch])))
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from tqdm import tqdm
 from shift3d.sdf.samples import bounding_scale, sample_sdf
 from shift3d.seeding import generator
 from shift3d.store.arrays import write_arrays
+from shift3d.training.processes import each
 from shift3d.vehicles.family import VehicleSpec, build_mesh, family
 
 
@@ -52,8 +52,8 @@ def shape_samples(shapes: int, samples: int, seed: int, cache: Path, processes: 
     file = cache / f"shapes-{shapes}-{samples}-{seed}.npz"
     if not file.is_file():
         tasks = [(spec, samples, seed, index) for index, spec in enumerate(family(shapes, seed))]
-        with ProcessPoolExecutor(processes) as pool:
-            parts = list(tqdm(pool.map(_sampled, tasks), total=shapes, desc="sampling shapes", mininterval=5.0))
+        work = each(_sampled, tasks, processes)
+        parts = list(tqdm(work, total=shapes, desc="sampling shapes", mininterval=5.0))
         points, distances, scale_m = (np.array(values) for values in zip(*parts, strict=True))
         write_arrays(file, points=points, distances=distances, scale_m=scale_m)
     with np.load(file, allow_pickle=False) as data:

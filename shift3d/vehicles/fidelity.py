@@ -15,15 +15,11 @@ from shift3d.sdf.decoder import Decoder
 from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.sdf.samples import sample_sdf
 from shift3d.seeding import generator
-from shift3d.vehicles.family import VehicleSpec, build_mesh, family
+from shift3d.vehicles.family import build_mesh, family
 from shift3d.vehicles.vehicle import family_seed, family_vehicles
 
 UNSEEN_SEED_OFFSET = 1_000_003
-
-
-def unseen_specs(count: int, seed: int) -> list[VehicleSpec]:
-    """Vehicles of the same family that a training with this seed never saw."""
-    return family(count, seed + UNSEEN_SEED_OFFSET)
+"""From the seed of a training to that of vehicles of the same family that it never saw."""
 
 
 def decoded_chamfer_m(decoder: Decoder, code: torch.Tensor, scale_m: float, mesh: trimesh.Trimesh, seed: int) -> float:
@@ -48,7 +44,7 @@ def unseen_chamfer_m(decoder: Decoder, count: int) -> NDArray[np.float64]:
     """Chamfer distances (count,) metres of unseen vehicles, each auto-decoded from samples of its mesh."""
     results = []
     seed = family_seed()
-    for index, spec in enumerate(unseen_specs(count, seed)):
+    for index, spec in enumerate(family(count, seed + UNSEEN_SEED_OFFSET)):
         mesh = build_mesh(spec)
         samples = sample_sdf(mesh, 50_000, generator("unseen", seed, index))
         code = autodecode(decoder, samples, seed=index)

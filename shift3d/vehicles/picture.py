@@ -63,24 +63,17 @@ def shaded(
     return np.asarray(np.round(fine * 255), np.uint8)
 
 
-def side_by_side(mesh: trimesh.Trimesh, decoded: trimesh.Trimesh) -> NDArray[np.uint8]:
-    """Side view and view from the front left of the mesh (grey) and, to the right, of the decoded surface (blue).
+def write_side_by_side(path: Path, mesh: trimesh.Trimesh, decoded: trimesh.Trimesh) -> None:
+    """A PNG, 960 pixels wide: side view and view from the front left of a mesh (grey), then of a decoded one (blue).
 
     Args: both meshes in the object frame, metres, about the origin.
-    Returns: (H, 960, 3) uint8.
     """
-    span_m = 1.15 * max(float(np.ptp(mesh.vertices[:, 0])), float(np.ptp(decoded.vertices[:, 0])))
-    views = [
-        shaded(surface, azimuth, 0.22, 240, 132, span_m, **colour)
-        for surface, colour in ((mesh, {"rgb": MESH_RGB}), (decoded, {}))
-        for azimuth in AZIMUTHS_RAD
-    ]
-    return np.concatenate(views, axis=1)
-
-
-def write_side_by_side(path: Path, mesh: trimesh.Trimesh, decoded: trimesh.Trimesh) -> None:
-    """Write that picture as a PNG."""
     from matplotlib.image import imsave
 
-    picture = side_by_side(mesh, decoded)
-    write_atomic(path, lambda file: imsave(file, picture, format="png"))
+    span_m = 1.15 * max(float(np.ptp(mesh.vertices[:, 0])), float(np.ptp(decoded.vertices[:, 0])))
+    views = [
+        shaded(surface, azimuth, 0.22, 240, 132, span_m, rgb)
+        for surface, rgb in ((mesh, MESH_RGB), (decoded, BODY_RGB))
+        for azimuth in AZIMUTHS_RAD
+    ]
+    write_atomic(path, lambda file: imsave(file, np.concatenate(views, axis=1), format="png"))

@@ -79,7 +79,10 @@ def repaired(mesh: trimesh.Trimesh, where: str) -> tuple[trimesh.Trimesh, Repair
     if is_closed(mesh):
         mesh, report = _turned(mesh, report)
         if sided_share(mesh) >= SIDED_SHARE:
-            _check_solid(mesh, where)
+            share = float(mesh.volume / np.prod(np.ptp(mesh.vertices, axis=0)))
+            if share < SOLID_SHARE:
+                what = f"the mesh encloses {100 * share:.0f} % of its box, too little for a vehicle"
+                raise InputError(what, where=where, remedy="leave it out: it is a part, a frame or a scene")
             return mesh, report
     outer, seal_m, off = wrapped(mesh, where)
     return outer, replace(
@@ -159,10 +162,3 @@ def sided_share(mesh: trimesh.Trimesh) -> float:
     outer = winding_number(mesh, np.asarray(points) + 1e-3 * normals)
     inner = winding_number(mesh, np.asarray(points) - 1e-3 * normals)
     return float(((outer < 0.5) & (inner > 0.5)).mean())
-
-
-def _check_solid(mesh: trimesh.Trimesh, where: str) -> None:
-    share = float(mesh.volume / np.prod(np.ptp(mesh.vertices, axis=0)))
-    if share < SOLID_SHARE:
-        what = f"the mesh encloses {100 * share:.0f} % of its box, too little for a vehicle"
-        raise InputError(what, where=where, remedy="leave it out: it is a part, a frame or a scene")

@@ -27,7 +27,6 @@ from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicle
 
 # A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
 if TYPE_CHECKING:
-
     from shift3d.sdf.decoder import Decoder
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 

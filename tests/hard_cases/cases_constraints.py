@@ -18,7 +18,7 @@ from shift3d.attack.problem import AttackProblem
 from shift3d.geometry.se3 import object_from_scene
 from shift3d.placement.constraints import ConstraintCheck, Constraints, check, is_clear, snap_to_ground
 from shift3d.placement.ground import fit_ground
-from shift3d.placement.sampling import NoPlacement, PlacementLimits, place, refusals
+from shift3d.placement.sampling import NoPlacement, PlacementLimits, Site, place, refusals
 from shift3d.render import Beams, preset
 from shift3d.render.field.object_field import ObjectField
 
@@ -259,7 +259,7 @@ def a_scene_without_room_for_the_object() -> None:
     wall = np.stack((30 * np.cos(angle), 30 * np.sin(angle), np.full_like(angle, 2.0)), axis=1).astype(np.float32)
     beams = Beams.from_arrays(wall, np.zeros(3, np.float32))
     limits = PlacementLimits(8.0, 12.0, attempts=7)
-    found = place(beams, -1.73, soft_car(CODE), FRAME, np.random.default_rng(0), limits, settings=SETTINGS)
+    found = place(Site(beams, -1.73), soft_car(CODE), FRAME, np.random.default_rng(0), limits, settings=SETTINGS)
     assert isinstance(found, NoPlacement) and found.rejected == {"ground": 7}
     assert found.attempts == 7 and refusals(found.rejected) == "no ground seen 7"
 

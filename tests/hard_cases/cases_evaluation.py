@@ -12,7 +12,7 @@ from shift3d.evaluation.bev_grid import bev_grid
 from shift3d.evaluation.frames import DetectedFrame, Found, Truth, compare, heading_accuracy
 from shift3d.evaluation.metrics import evaluate
 from shift3d.evaluation.recall_curve import area_under, recall_curve
-from shift3d.evaluation.waymo import WaymoRules, assign, waymo_curve
+from shift3d.evaluation.waymo import assign, waymo_curve
 
 AREA = "evaluation"
 
@@ -191,6 +191,6 @@ def vehicles_on_the_edges_of_cells() -> None:
 )
 def a_vehicle_without_a_point() -> None:
     hidden = frame(cars(10.0), cars(10.0), 0.9, points=0)
-    curve = waymo_curve([assign(compare(hidden, "3D"), 0.5, 0.0, 75.0)], WaymoRules("LEVEL_2"))
+    curve = waymo_curve([assign(compare(hidden, "3D"), 0.5, 0.0, 75.0)], "LEVEL_2")
     assert curve.average_precision is None and curve.num_truth == 0
     assert not curve.recall.any()  # nor is the box there right about anything

@@ -19,13 +19,12 @@ from shift3d.detectors.grid import Grid, cells_of
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.training.detector.pasting import VehicleDatabase, pasted
 from shift3d.training.detector.recipe import Augmentation, Recipe
-from shift3d.training.detector_scenes import TrainingScene
+from shift3d.training.detector_scenes import MARGIN_M, TrainingScene
 
 Floats = npt.NDArray[np.float32]
 STRIDE = 4
 TRIES = 6
 ANYWHERE_M = 45.0
-MARGIN_M = 0.1  # mirrors and antennas stand out of a box
 LINE_SPACING_DEG = (0.25, 0.6)
 
 

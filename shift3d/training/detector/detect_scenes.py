@@ -80,8 +80,7 @@ def _truth(scenes: SceneSet, scene: Scene) -> Truth:
         label_rows = scenes.label_rows(scene.scene_id)
         difficulty = np.array([label_rows[row].difficulty for row in rows], dtype=np.int64)
     boxes = labels.of_class("vehicle").reshape(-1, 7)
-    known: tuple[str, ...] = getattr(labels, "kinds", ())
-    kinds = tuple(known[row] for row in rows) if known else ()
+    kinds = tuple(labels.kinds[row] for row in rows) if labels.kinds else ()
     return Truth(boxes, labels.num_points[mask].astype(np.int64), counts, difficulty, names, kinds)
 
 
@@ -168,10 +167,7 @@ def write_answer(file: Path, answer: Answer, state: str = "") -> None:
         difficulty=truth.difficulty,
         names=np.array(truth.names, dtype=np.str_),
         kinds=np.array(truth.kinds, dtype=np.str_),
-        boxes=found.boxes,
-        scores=found.scores,
-        labelled=found.labelled,
-        image_height_px=found.image_height_px,
+        **vars(found),
         **({"state": np.array(state)} if state else {}),
     )
 

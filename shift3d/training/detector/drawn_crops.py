@@ -57,9 +57,8 @@ class RandomCrops:
             crop = self._cut(load_cached(files[int(rng.integers(len(files)))]), rng)
             if len(crop.points_inside(self.grid)) >= LEAST_POINTS:
                 return crop
-        raise InputError(
-            f"{TRIES} crops in a row hold fewer than {LEAST_POINTS} points", f"step {step}", "Give scenes with points"
-        )
+        what = f"{TRIES} crops in a row hold fewer than {LEAST_POINTS} points"
+        raise InputError(what, f"step {step}", "Give scenes with points")
 
     def _cut(self, scene: TrainingScene, rng: np.random.Generator, around_last: bool = False) -> Crop:
         around = np.asarray(scene.boxes[-1, :2], dtype=np.float64) if around_last else None

@@ -24,7 +24,7 @@ from shift3d.training.detector.objective import batch_loss, each_field, objectiv
 from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle
-from shift3d.training.progress import CurvePoint, Report, stop_on_signal
+from shift3d.training.progress import CurvePoint, Report, mean_values, stop_on_signal
 
 
 def recompute_statistics(net: DetectorNet, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> None:
@@ -84,9 +84,8 @@ class _Run:
         for key, ours, what in (("recipe", repr(self.recipe), "recipe"), ("data", self.data, "set of scenes")):
             # Checkpoints from before `data` was written are of the shipped streets.
             if state.get(key, SHIPPED_DATA) != ours:
-                raise InputError(
-                    f"the checkpoint was trained by another {what}", str(self.file), remedy="choose another folder"
-                )
+                what = f"the checkpoint was trained by another {what}"
+                raise InputError(what, str(self.file), remedy="choose another folder")
         self.net.load_state_dict(state["net"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.done = int(state["steps_done"])
@@ -167,13 +166,12 @@ def train_on_scenes(
             run.steps_by_device[compute.name] = run.steps_by_device.get(compute.name, 0) + 1
             bar.update()
             if run.done % CURVE_STEPS == 0 or run.done == end:
-                run.curve.append((run.done, _mean(recent)))
+                run.curve.append((run.done, mean_values(recent)))
                 recent = []
             if run.done % checkpoint_every == 0 or run.done == end or stop.is_set():
                 run.save(report)
-                shown = "  ".join(
-                    f"{name} {value:.3g}" for name, value in (run.curve[-1][1] if run.curve else {}).items()
-                )
+                last = run.curve[-1][1] if run.curve else {}
+                shown = "  ".join(f"{name} {value:.3g}" for name, value in last.items())
                 tqdm.write(f"step {run.done} of {recipe.all_steps}  {shown}  ({CHECKPOINT} written)")
             if stop.is_set() and run.done < recipe.all_steps:
                 raise KeyboardInterrupt
@@ -182,16 +180,10 @@ def train_on_scenes(
     return run.net.eval().requires_grad_(True)
 
 
-def _mean(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Mean of each value over steps."""
-    return {name: sum(part[name] for part in parts) / len(parts) for name in parts[-1]}
-
-
 def _settle(run: _Run, crops: Iterator[Crop]) -> None:
     """From here on the network is as at inference, but for the heads."""
-    wanted = run.recipe.statistics_crops
-    if wanted and run.done == run.recipe.steps:
-        chosen = list(islice(crops, wanted))
+    if run.recipe.statistics_crops and run.done == run.recipe.steps:
+        chosen = list(islice(crops, run.recipe.statistics_crops))
         clouds = [torch.from_numpy(crop.points).to(run.compute.device) for crop in chosen]
         recompute_statistics(run.net, clouds, [crop.window for crop in chosen])
     run.net.eval().requires_grad_(False)

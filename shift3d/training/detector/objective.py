@@ -4,33 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from shift3d.detectors.grid import Grid
 from shift3d.detectors.models.network import BoxHeads
 from shift3d.training.detector.anchor_objective import AnchorObjective
 from shift3d.training.detector.centre_objective import CentreObjective
-from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.recipe import Recipe
 
-
-class Objective(Protocol):
-    """Targets of one kind of heads, and the loss against them."""
-
-    def targets(self, heads: BoxHeads, grid: Grid, crop: Crop, /) -> Any:
-        """Of one crop."""
-        ...
-
-    def cells(self, heads: BoxHeads, target: Any, /) -> Tensor:
-        """(P,) int64, the cells whose box is trained, one for each target of a box."""
-        ...
-
-    def loss(self, logits: Tensor, box_rows: Tensor, target: Any, /) -> dict[str, Tensor]:
-        """Weighted parts by name, "class" and "box" at least. logits: (A,). box_rows: (P, R) at `cells`."""
-        ...
+Objective = AnchorObjective | CentreObjective
+"""Of one kind of heads: targets of a crop, the cells whose box is trained, and the loss there."""
 
 
 def objective_of(recipe: Recipe) -> Objective:

@@ -17,12 +17,11 @@ import numpy.typing as npt
 
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.training.detector.recipe import Augmentation
-from shift3d.training.detector_scenes import TrainingScene, load_cached
+from shift3d.training.detector_scenes import MARGIN_M, TrainingScene, load_cached
 from shift3d.training.processes import each
 
 Floats = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
-MARGIN_M = 0.1  # mirrors and antennas stand out of a box
 CLEARANCE_M = 0.25  # above the ground: whatever rises higher is in the way
 GROUND_RADIUS_M, GROUND_POINTS = 3.0, 4
 TRIES = 3

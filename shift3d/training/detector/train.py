@@ -65,11 +65,10 @@ def train_detector(
     before = None if begun_with is None else read_provenance(begun_with)
     compute.prepare()
     workers = compute.scene_workers
-    base = (
-        mesh_scene_files(out_dir, recipe.mesh_scenes, workers)
-        if scenes is None
-        else scene_files(out_dir, scenes, workers)
-    )
+    if scenes is None:
+        base = mesh_scene_files(out_dir, recipe.mesh_scenes, workers)
+    else:
+        base = scene_files(out_dir, scenes, workers)
     shared: dict[str, Any] = {"compute": compute, "report": report, "data": data, "start": start}
     train_on_scenes(out_dir, recipe, base, stop_after=recipe.mesh_only_steps, **shared)
     inserted: list[Path] = []

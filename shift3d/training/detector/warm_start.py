@@ -86,15 +86,9 @@ def with_anchor_size(state: Mapping[str, Tensor], size_m: tuple[float, float, fl
 
 def doubled(spec: SstSpec, name: str) -> SstSpec:
     """The sizes with twice the width, heads and blocks."""
-    small = spec.transformer
-    transformer = replace(
-        small,
-        width=2 * small.width,
-        heads=2 * small.heads,
-        feed_forward=2 * small.feed_forward,
-        blocks=2 * small.blocks,
-    )
+    twice = {size: 2 * getattr(spec.transformer, size) for size in ("width", "heads", "feed_forward", "blocks")}
     hidden, channels = 2 * spec.encoder_hidden, 2 * spec.out_channels
+    transformer = replace(spec.transformer, **twice)
     return replace(spec, transformer=transformer, encoder_hidden=hidden, out_channels=channels, name=name)
 
 
@@ -146,9 +140,8 @@ def grown(small: Mapping[str, Tensor], spec: SstSpec, to: SstSpec, seed: int = 0
     for block in range(spec.transformer.blocks):
         before = f"transformer.layers.{4 * block + 1}.norm_feed_forward."
         for layer in (4 * block + 2, 4 * block + 3):
-            state |= _adding_nothing(
-                state, f"transformer.layers.{layer}.", state[before + "weight"], state[before + "bias"]
-            )
+            gain, offset = state[f"{before}weight"], state[f"{before}bias"]
+            state |= _adding_nothing(state, f"transformer.layers.{layer}.", gain, offset)
     columns = token
     for index in range(len(spec.dilations) + 1):
         rows = _duplicates(width if index < len(spec.dilations) else spec.out_channels)

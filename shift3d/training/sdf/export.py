@@ -47,27 +47,24 @@ def typical_indices(specs: list[VehicleSpec], body_type: str) -> list[int]:
     return [own[rank] for rank in np.argsort((offsets**2).sum(axis=1), kind="stable")]
 
 
-def _baseline_facts(decoder: Decoder, code: torch.Tensor, spec: VehicleSpec, scale_m: float) -> dict[str, Any]:
-    mesh = extract_mesh(decoder.field(code), BASELINE_RESOLUTION)
-    low, high = mesh.bounds
-    return {
-        "body_type": spec.body_type,
-        "scale_m": scale_m,
-        "sdf_R_object": np.eye(3).tolist(),
-        "sdf_t_object": ((low + high) / 2.0).tolist(),
-        "size_m": ((high - low) * scale_m).tolist(),
-        "pieces": int(mesh.body_count),
-    }
-
-
 def _baseline(
     decoder: Decoder, codes: torch.Tensor, specs: list[VehicleSpec], scales: NDArray[np.float64], body_type: str
 ) -> dict[str, Any]:
     """The most typical vehicle of a body type that decodes to one piece; of the first few, the one in fewest."""
     tried = []
     for index in typical_indices(specs, body_type)[:BASELINE_CANDIDATES]:
-        facts = _baseline_facts(decoder, codes[index], specs[index], float(scales[index]))
-        tried.append({**facts, "family_index": index})
+        mesh, scale_m = extract_mesh(decoder.field(codes[index]), BASELINE_RESOLUTION), float(scales[index])
+        low, high = mesh.bounds
+        facts = {
+            "body_type": body_type,
+            "scale_m": scale_m,
+            "sdf_R_object": np.eye(3).tolist(),
+            "sdf_t_object": ((low + high) / 2.0).tolist(),
+            "size_m": ((high - low) * scale_m).tolist(),
+            "pieces": int(mesh.body_count),
+            "family_index": index,
+        }
+        tried.append(facts)
         if facts["pieces"] == 1:
             break
     return min(tried, key=lambda facts: int(facts["pieces"]))

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -34,14 +33,7 @@ from shift3d.vehicles.fit import PICTURES
 from shift3d.vehicles.mesh_files import MeshFile, find_meshes, read_mesh_vehicle
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.picture import write_side_by_side
-from shift3d.vehicles.vehicle_set import (
-    FACTS_FILE,
-    RESOLUTION,
-    VEHICLES_FILE,
-    FittedVehicle,
-    fitted,
-    write_vehicle_set,
-)
+from shift3d.vehicles.vehicle_set import FACTS_FILE, RESOLUTION, VEHICLES_FILE, FittedVehicle, fitted, write_vehicle_set
 
 STEPS = 5_000
 POINTS_A_STEP = 2_750
@@ -81,8 +73,8 @@ def mesh_shapes(path: Path | str, frame: MeshFrame, samples: int, seed: int, cac
     kept = cache / f"{source}.npz"
     if not kept.is_file():
         tasks = [(file, frame, samples, seed) for file in files]
-        with ProcessPoolExecutor(min(processes, len(files))) as pool:
-            parts = list(tqdm(pool.map(_sampled, tasks), total=len(tasks), desc="sampling meshes", mininterval=5.0))
+        work = each(_sampled, tasks, processes)
+        parts = list(tqdm(work, total=len(tasks), desc="sampling meshes", mininterval=5.0))
         _keep(kept, parts, files, hashes)
     with np.load(kept, allow_pickle=False) as data:
         facts = json.loads(str(data["facts"]))
@@ -141,12 +133,7 @@ def mesh_recipe(shapes: MeshShapes, steps: int) -> SdfRecipe:
 
 
 def train_on_meshes(
-    path: Path | str,
-    frame: MeshFrame,
-    out: Path,
-    compute: Compute,
-    steps: int = STEPS,
-    report: Report | None = None,
+    path: Path | str, frame: MeshFrame, out: Path, compute: Compute, steps: int = STEPS, report: Report | None = None
 ) -> list[float]:
     """Train a decoder of the published size on the meshes at a path, or go on; leave the vehicle set in `out`.
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,7 +19,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from shift3d.errors import InputError
-from shift3d.sdf.decoder import Architecture, Decoder, load_decoder
+from shift3d.sdf.decoder import Architecture, Decoder, load_decoder, parameters_of
 from shift3d.sdf.meshes import extract_mesh, symmetric_chamfer
 from shift3d.seeding import derive_seed, generator
 from shift3d.training.checkpoints import read_checkpoint
@@ -98,11 +97,9 @@ def _take_weights(decoder: Decoder, start: Decoder) -> None:
     """Let a decoder with weight norm compute what a folded one does."""
     with torch.no_grad():
         for layer, other in zip(decoder.layers, start.layers, strict=True):
-            assert isinstance(other.weight, Tensor)
-            assert isinstance(other.bias, Tensor)
-            layer.weight = other.weight.detach().clone()
-            assert isinstance(layer.bias, Tensor)
-            layer.bias.copy_(other.bias)
+            weight, bias = parameters_of(other)
+            layer.weight = weight.detach().clone()
+            parameters_of(layer)[1].copy_(bias)
 
 
 def train_parametric(
@@ -140,31 +137,22 @@ def train_wide(
     return list(export_parametric(checkpoint, shapes, out).values())
 
 
-def parametric_decoder(checkpoint: Path) -> tuple[Decoder, NDArray[np.float32], dict[str, Any]]:
-    """The folded decoder, the basis (F, code) in its units, and the checkpoint's state.
-
-    Codes are as long as the shipped ones are, see `export.CODE_NORM`, by the recipe's own features.
-    Raises: InputError where there is no checkpoint.
-    """
-    state = read_checkpoint(checkpoint)
-    if state is None:
-        raise InputError("no such checkpoint", str(checkpoint), "shift3d train model=sdf vehicles=wide")
-    decoder = Decoder()
-    decoder.load_state_dict(state["decoder"])
-    return decoder.folded().eval().requires_grad_(False), state["basis"].numpy().astype(np.float32), state
-
-
 def export_parametric(checkpoint: Path, shapes: WideShapes, out: Path) -> dict[str, float]:
     """Write the vehicle set to `out`; returns Chamfer distances in cm by the names of its vehicles.
 
+    Codes are as long as the shipped ones are, see `export.CODE_NORM`.
     Raises: InputError where no kind has enough members, or a code draws no surface.
     Source: our choice.
     """
-    decoder, basis, state = parametric_decoder(checkpoint)
+    state = read_checkpoint(checkpoint)
+    assert state is not None
+    decoder = Decoder()
+    decoder.load_state_dict(state["decoder"])
+    basis = state["basis"].numpy().astype(np.float32)
     codes = shapes.features @ basis
     factor = np.float32(CODE_NORM / np.linalg.norm(codes, axis=1).mean())
     basis, codes = basis * factor, codes * factor
-    decoder.with_code_scale(float(factor))
+    decoder.folded().eval().requires_grad_(False).with_code_scale(float(factor))
     vehicles, boxes = [], {}
     for kind, members in tqdm(members_by_kind(shapes.specs).items(), desc="measuring vehicles", mininterval=5.0):
         index = _typical(shapes.features[members], members)

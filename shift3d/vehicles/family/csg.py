@@ -46,18 +46,16 @@ def _apply(
 
 def add(grid: Grid, field: Array, bounds: Bounds, part: Distance, blend_m: float = 0.0) -> None:
     """Unite a part with the field, in place. bounds: of the part. blend_m: how far the crease between is filled."""
-    union: Callable[[Array, Array], Array] = np.minimum
-    if blend_m > 0.0:
-        union = lambda a, b: smooth_min(a, b, blend_m)  # noqa: E731
-    _apply(grid, field, bounds, part, blend_m, union)
+    _apply(grid, field, bounds, part, blend_m, lambda a, b: smooth_min(a, b, blend_m) if blend_m else np.minimum(a, b))
 
 
 def cut(grid: Grid, field: Array, bounds: Bounds, part: Distance, blend_m: float = 0.0) -> None:
     """Take a part out of the field, in place. blend_m: how far the edge of the hole is rounded."""
-    if blend_m > 0.0:
-        _apply(grid, field, bounds, part, blend_m, lambda a, b: smooth_max(a, -b, blend_m))
-    else:
-        _apply(grid, field, bounds, part, 0.0, lambda a, b: np.maximum(a, -b))
+
+    def without(a: Array, b: Array) -> Array:
+        return smooth_max(a, -b, blend_m) if blend_m else np.maximum(a, -b)
+
+    _apply(grid, field, bounds, part, blend_m, without)
 
 
 def block(low: Point, high: Point, round_m: float = 0.0, pitch_rad: float = 0.0) -> Distance:
@@ -110,7 +108,6 @@ def disc(centre: Point, radius_m: float, half_width_m: float, round_m: float, ax
         offset = [v - np.float32(c) for v, c in zip((x, y, z), centre, strict=True)]
         across = np.hypot(offset[1 - axis], offset[2]) - np.float32(radius_m)
         slab = np.abs(offset[axis]) - np.float32(half_width_m)
-        across, slab = np.broadcast_arrays(across, slab)
         return smooth_max(across, slab, round_m)
 
     return distance
@@ -136,10 +133,8 @@ def wedge(corners: list[tuple[float, float]], y_from: float, y_to: float, round_
             length = float(np.hypot(bx - ax, bz - az))
             normal = np.float32((bz - az) / length), np.float32(-(bx - ax) / length)
             planes.append((x - np.float32(ax)) * normal[0] + (z - np.float32(az)) * normal[1])
-        side = np.maximum.reduce(planes) if len(planes) > 1 else planes[0]
         slab = np.maximum(np.float32(y_from) - y, y - np.float32(y_to))
-        side, slab = np.broadcast_arrays(side, slab)
-        return smooth_max(side, slab, round_m)
+        return smooth_max(np.maximum.reduce(planes), slab, round_m)
 
     return distance
 

@@ -16,8 +16,6 @@ from shift3d.seeding import generator
 from shift3d.vehicles.family.spec import BODY_TYPES, CAB_TYPES, VehicleSpec
 
 Range = tuple[float, float]
-
-
 Ranges = dict[str, Range]
 """Ranges of one body type by name: `_m` in metres, `_of_length` and `_of_height` as shares."""
 
@@ -47,9 +45,7 @@ def sample_spec(body_type: str, rng: np.random.Generator) -> VehicleSpec:
     Source: our choice: the paper takes its vehicles from ShapeNet.
     """
     if body_type not in RANGES:
-        raise InputError(
-            f"unknown body type {body_type!r}", where="body_type", remedy=f"one of {', '.join(BODY_TYPES)}"
-        )
+        raise InputError(f"unknown body type {body_type!r}", "body_type", f"one of {', '.join(BODY_TYPES)}")
     return draw_spec(body_type, RANGES[body_type], rng)
 
 

@@ -59,9 +59,8 @@ def _read() -> dict[str, tuple[PublishedModel, ...]]:
     with (Path(__file__).parent / "published.csv").open(encoding="utf-8", newline="") as file:
         for body_type, name, *sizes, clearance, tyre in list(csv.reader(file))[1:]:
             length, width, height, wheelbase = map(float, sizes)
-            model = PublishedModel(
-                name, length, width, height, wheelbase, float(clearance) if clearance else None, tyre
-            )
+            stated = float(clearance) if clearance else None
+            model = PublishedModel(name, length, width, height, wheelbase, stated, tyre)
             found[body_type] = (*found.get(body_type, ()), model)
     return found
 
@@ -82,11 +81,8 @@ def published_range(body_type: str, quantity: str) -> tuple[float, float]:
     Raises: InputError if unknown.
     """
     if body_type not in PUBLISHED or quantity not in QUANTITIES:
-        raise InputError(
-            f"no published {quantity} of {body_type!r}",
-            where="published dimensions",
-            remedy=f"a body type of {', '.join(PUBLISHED)}; a quantity of {', '.join(QUANTITIES)}",
-        )
+        remedy = f"a body type of {', '.join(PUBLISHED)}; a quantity of {', '.join(QUANTITIES)}"
+        raise InputError(f"no published {quantity} of {body_type!r}", "published dimensions", remedy)
     found = (getattr(model, quantity) for model in PUBLISHED[body_type])
     values = [float(value) for value in found if value is not None]
     tolerance = CLEARANCE_TOLERANCE_M if quantity == "clearance_m" else 0.0

@@ -92,12 +92,7 @@ def cylinder(
 ) -> Array:
     """A wheel-like cylinder along y (A, B, C), its rims rounded."""
     disc = np.hypot(grid.x[:, None] - centre_x, grid.z[None, :] - centre_z).astype(np.float32) - np.float32(radius_m)
-    slab = np.maximum(np.float32(y_from) - grid.y, grid.y - np.float32(y_to))
-    return smooth_max(
-        np.broadcast_to(disc[:, None, :], (len(grid.x), len(grid.y), len(grid.z))),
-        np.broadcast_to(slab[None, :, None], (len(grid.x), len(grid.y), len(grid.z))),
-        round_m,
-    )
+    return prism(grid, disc, y_from, y_to, round_m)
 
 
 def prism(grid: Grid, side_field: Array, y_from: float, y_to: float, round_m: float) -> Array:

@@ -16,7 +16,7 @@ from shift3d.attack.pose import PoseLimits, attack_pose, pose_search, project
 from shift3d.attack.problem import AttackProblem, measure
 from shift3d.attack.shape import attack_shape, on_ground
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, place, refusals
+from shift3d.placement.sampling import NoPlacement, Placement, PlacementLimits, Site, place, refusals
 from shift3d.render import Beams, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
@@ -37,7 +37,7 @@ def beams() -> Beams:
 
 @pytest.fixture(scope="module")
 def placement(beams: Beams) -> Placement:
-    found = place(beams, -1.73, field_of(CODE), FRAME, np.random.default_rng(3), LIMITS, RULES, SETTINGS)
+    found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(3), LIMITS, RULES, SETTINGS)
     assert isinstance(found, Placement)
     return found
 
@@ -57,7 +57,7 @@ def test_a_placement_satisfies_everything(placement: Placement) -> None:
 
 def test_placement_is_decided_by_the_seed(beams: Beams, placement: Placement) -> None:
     def again(seed: int) -> Tensor:
-        found = place(beams, -1.73, field_of(CODE), FRAME, np.random.default_rng(seed), LIMITS, RULES, SETTINGS)
+        found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(seed), LIMITS, RULES, SETTINGS)
         assert isinstance(found, Placement)
         return found.theta
 
@@ -67,14 +67,14 @@ def test_placement_is_decided_by_the_seed(beams: Beams, placement: Placement) ->
 
 def test_the_sector_is_respected(beams: Beams) -> None:
     limits = PlacementLimits(8.0, 12.0, sector=(math.pi / 2, 0.3), attempts=80)
-    found = place(beams, -1.73, field_of(CODE), FRAME, np.random.default_rng(0), limits, RULES, SETTINGS)
+    found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(0), limits, RULES, SETTINGS)
     assert isinstance(found, Placement)
     assert abs(math.atan2(float(found.theta[1]), float(found.theta[0])) - math.pi / 2) <= 0.3
 
 
 def test_a_scene_without_room_says_why(beams: Beams) -> None:
     limits = PlacementLimits(40.0, 50.0, attempts=6)
-    found = place(beams, -1.73, field_of(CODE), FRAME, np.random.default_rng(0), limits, RULES, SETTINGS)
+    found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(0), limits, RULES, SETTINGS)
     assert isinstance(found, NoPlacement)
     assert sum(found.rejected.values()) == 6 and found.attempts == 6 and refusals(found.rejected)
 
@@ -210,7 +210,7 @@ def test_a_changed_shape_keeps_standing_on_the_ground(problem: AttackProblem) ->
 
 def test_placement_stays_clear_of_the_scenes_vehicles(beams: Beams, placement: Placement) -> None:
     others = placement.theta[None, :2].clone()
-    found = place(beams, -1.73, field_of(CODE), FRAME, np.random.default_rng(3), LIMITS, RULES, SETTINGS, others=others)
+    found = place(Site(beams, -1.73, others), field_of(CODE), FRAME, np.random.default_rng(3), LIMITS, RULES, SETTINGS)
     assert isinstance(found, Placement)
     assert float((found.theta[:2] - others[0]).norm()) > RULES.clear_m
     assert found.rejected["neighbour"] >= 1

@@ -20,7 +20,7 @@ from shift3d.attack.shape import shape_search
 from shift3d.attack.space import CodeSpace, free_space, pca_space
 from shift3d.attack.trials import Family, Search, Trials
 from shift3d.placement.constraints import Constraints
-from shift3d.placement.sampling import Placement, PlacementLimits, place
+from shift3d.placement.sampling import Placement, PlacementLimits, Site, place
 from shift3d.render import Beams, preset
 
 FRAME = Frame((4.0, 1.8, 1.4), SHAPENET_FRAME.scale_m, SHAPENET_FRAME.sdf_R_object, SHAPENET_FRAME.sdf_t_object)
@@ -38,7 +38,7 @@ def field_of(code: Tensor) -> Field:
 def problem() -> AttackProblem:
     beams = Beams.from_arrays(*ground_scan(rings=64, columns=900))
     limits = PlacementLimits(8.0, 12.0, attempts=80)
-    found = place(beams, -1.73, field_of(CODE), FRAME, np.random.default_rng(3), limits, RULES, SETTINGS)
+    found = place(Site(beams, -1.73), field_of(CODE), FRAME, np.random.default_rng(3), limits, RULES, SETTINGS)
     assert isinstance(found, Placement)
     return AttackProblem(beams, -1.73, field_of, FRAME, WaveDetector(), found.theta, CODE, RULES, SETTINGS)
 

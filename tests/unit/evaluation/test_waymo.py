@@ -10,7 +10,7 @@ from frames_by_hand import cars, frame, shift_for
 
 from shift3d.evaluation.average_precision import PrecisionRecall
 from shift3d.evaluation.frames import DetectedFrame, compare
-from shift3d.evaluation.waymo import SCORE_CUTOFFS, WaymoRules, area_with_gaps, assign, waymo_curve
+from shift3d.evaluation.waymo import SCORE_CUTOFFS, area_with_gaps, assign, waymo_curve
 
 
 def _curve(
@@ -22,7 +22,7 @@ def _curve(
     range_m: tuple[float, float] = (0.0, 75.0),
 ) -> PrecisionRecall:
     assignments = [assign(compare(item, view), iou_threshold, *range_m) for item in frames]
-    return waymo_curve(assignments, WaymoRules(level, credit_harder))
+    return waymo_curve(assignments, level, credit_harder)
 
 
 def _at(curve: PrecisionRecall, cutoff: float) -> tuple[float, float, float]:

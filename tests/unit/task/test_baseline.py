@@ -14,7 +14,6 @@ from shift3d.task.problem import place_vehicle, placed_pose
 from shift3d.task.run import run_task
 from shift3d.task.spec import PlacementSpec, TransferScene
 
-
 METHODS = ("baseline", "adversarial")
 BOTH = ("pointpillars", "sst_small")
 

@@ -185,7 +185,6 @@ class Canopy:
 
         def part(x: Array, y: Array, z: Array) -> Array:
             flank = np.abs(y) - np.float32(foot) + np.float32(lean) * np.maximum(z - np.float32(low[2]), 0)
-            inside = hull(x, y, z)
-            return smooth_max(inside, np.broadcast_to(flank, inside.shape), 0.12)
+            return smooth_max(hull(x, y, z), flank, 0.12)
 
         add(grid, field, (low, high), part, 0.03)
