@@ -121,8 +121,8 @@ def test_the_commands_read_the_bucket(
 
 
 def test_a_missing_bucket_is_one_clear_line(drivers: Drivers, out: Location) -> None:
-    driver = start(drivers, as_location("s3://nobody-made-this/sweep"), "runner=local")
-    _, errors = driver.communicate(timeout=60)
-    assert driver.returncode == 2
+    words = ["sweep", "default", *QUICK, "runner=local", "out=s3://nobody-made-this/sweep"]
+    code, _, errors = drivers.run_here(words)
+    assert code == 2
     assert "s3://nobody-made-this/sweep" in errors and "there is no such bucket" in errors
     assert len(errors.strip().splitlines()) == 1

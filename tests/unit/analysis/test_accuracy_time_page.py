@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from html.parser import HTMLParser
 from itertools import combinations
@@ -41,6 +42,15 @@ CASES = {
 }
 
 
+@functools.cache
+def as_drawn(case: str) -> tuple[pd.DataFrame, Figure]:
+    """The frame of a case, and its figure as it is drawn: tests only look at it."""
+    frame = frame_of(CASES[case])
+    figure = work_precision_figure(frame)
+    figure.canvas.draw()
+    return frame, figure
+
+
 def boxes(texts: list[Text]) -> list[Bbox]:
     return [Text.get_window_extent(text) for text in texts if text.get_visible() and text.get_text()]
 
@@ -55,9 +65,7 @@ def labels_of(axes: Any) -> list[Text]:
 
 @pytest.mark.parametrize("case", list(CASES))
 def test_no_label_covers_another_and_every_preset_is_named(case: str) -> None:
-    frame = frame_of(CASES[case])
-    figure = work_precision_figure(frame)
-    figure.canvas.draw()
+    frame, figure = as_drawn(case)
     assert len(figure.axes) == 2 * frame["scenes"].nunique()
     for number, axes in enumerate(figure.axes):
         rows = frame[frame["scenes"] == list(dict.fromkeys(frame["scenes"]))[number // 2]]
@@ -80,10 +88,7 @@ def test_no_label_covers_another_and_every_preset_is_named(case: str) -> None:
 
 
 def test_labels_keep_off_the_markers() -> None:
-    frame = frame_of(realistic_rows())
-    figure = work_precision_figure(frame)
-    figure.canvas.draw()
-    for axes in figure.axes:
+    for axes in as_drawn("realistic")[1].axes:
         markers = np.concatenate([axes.transData.transform(line.get_xydata()) for line in marked(axes)])
         for box in boxes(labels_of(axes)):
             inside = (markers > (box.x0, box.y0)) & (markers < (box.x1, box.y1))
@@ -120,7 +125,7 @@ def test_the_scales_are_logarithmic_and_the_ratio_is_one_at_paper() -> None:
 
 
 def test_methods_differ_in_colour_and_in_marker() -> None:
-    figure = work_precision_figure(frame_of(realistic_rows()), "street")
+    _, figure = as_drawn("realistic")
     handles = figure.legends[0].legend_handles[:-2]  # the last ones say what hollow markers and rings are
     methods = {row["method"] for row in realistic_rows()}
     assert len(handles) == len(methods) == 8
@@ -156,9 +161,7 @@ def test_what_is_ready_for_a_gradient_has_panels_of_its_own() -> None:
 
 
 def test_no_leader_runs_through_the_marker_of_another_point() -> None:
-    figure = work_precision_figure(frame_of(CASES["realistic"]))
-    figure.canvas.draw()
-    for axes in figure.axes:
+    for axes in as_drawn("realistic")[1].axes:
         markers = np.concatenate([axes.transData.transform(line.get_xydata()) for line in marked(axes)])
         for leader in [line for line in axes.lines if line.get_gid() == LEADER]:
             end, start = axes.transData.transform(leader.get_xydata())

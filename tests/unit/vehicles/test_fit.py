@@ -71,6 +71,7 @@ def test_an_upside_down_mesh_is_said_to_fit_better_the_right_way_up(
     hatchback: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(vehicle_set, "RESOLUTION", 65)
+    monkeypatch.setattr(orientation, "STEPS", 15)
     out = tmp_path / "set"
     main(["fit", str(hatchback), "unit=mm", "up=-y", "steps=30", f"out={out}"])
     assert "hatchback_of_mine: fits better with up=+y: " in capsys.readouterr().err
