@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -79,17 +79,21 @@ def parquet_bytes(table: pa.Table, **options: Any) -> bytes:
     return content
 
 
+def _whole(source: Any) -> pa.Table:
+    return pq.read_table(source, partitioning=None, page_checksum_verification=True)
+
+
 def read_table(
-    path: LocationLike, name: str, filters: list[tuple[str, str, Any]] | None = None, content: bytes | None = None
+    path: LocationLike, name: str, content: bytes | None = None, read: Callable[[Any], pa.Table] = _whole
 ) -> pa.Table:
     """Read a Parquet file and check that it holds the schema ``name`` of `SCHEMA_VERSION`.
 
-    filters: (column, operator, value) that rows must satisfy, as pyarrow has them. content: the file's bytes, where
-    the caller has them.
+    content: the file's bytes, where the caller has them. read: reads rows, all columns of them, of what pyarrow takes
+    for a file.
 
     Raises: InputError: the file is missing, torn, or of another schema or version.
     """
-    table, found, version = read_parquet(path, _RESTORE, filters, content)
+    table, found, version = read_parquet(path, _RESTORE, content, read)
     if found != name:
         raise InputError(f"is not a {name} table", where=str(path), remedy=_RESTORE)
     if version != str(SCHEMA_VERSION):
@@ -107,21 +111,18 @@ def read_final(folder: LocationLike, name: str) -> pa.Table:
 
 
 def read_parquet(
-    path: LocationLike,
-    remedy: str,
-    filters: list[tuple[str, str, Any]] | None = None,
-    content: bytes | None = None,
+    path: LocationLike, remedy: str, content: bytes | None = None, read: Callable[[Any], pa.Table] = _whole
 ) -> tuple[pa.Table, str, str]:
     """A Parquet file of ours, and the schema and the version that its metadata name.
 
-    filters, content: as of `read_table`. Raises: InputError with the remedy: the file is missing or torn.
+    content, read: as of `read_table`. Raises: InputError with the remedy: the file is missing or torn.
     """
     location = as_location(path)
     try:
         source: Any = pa.BufferReader(content) if content is not None else None
         if source is None:
             source = location.path if isinstance(location, LocalLocation) else pa.BufferReader(location.read_bytes())
-        table = pq.read_table(source, partitioning=None, filters=filters, page_checksum_verification=True)
+        table = read(source)
         table = table.select(table.column_names)  # a damaged name may be no text
     except FileNotFoundError as error:
         raise InputError("is missing", str(path), remedy) from error

@@ -19,10 +19,10 @@ import numpy as np
 import torch
 
 from shift3d.errors import InputError
-from shift3d.store.location import LocalLocation, Location
+from shift3d.store.location import Location
 from shift3d.store.resolve import as_location
+from shift3d.store.rows_by_task import RowsByTask
 from shift3d.store.schemas import POSE_COLUMNS
-from shift3d.store.tables import read_table
 from shift3d.task.assets import Assets, load_assets
 from shift3d.task.exchange import AssetsSpec, Row, TaskResult
 from shift3d.task.follow_ups.rescoring import Problems, Solution, Verified, verify_object
@@ -39,7 +39,7 @@ class VerifyAssets:
 
     assets: Assets
     results: Location
-    _far: dict[str, bytes] = field(default_factory=dict)
+    _tables: dict[str, RowsByTask] = field(default_factory=dict)
     _baselines: dict[tuple[Any, ...], Verified] = field(default_factory=dict)
 
     def solutions(self, spec: TaskSpec) -> list[Solution]:
@@ -72,12 +72,9 @@ class VerifyAssets:
         return None if found.name == spec.vehicle else found
 
     def _rows(self, name: str, task_id: str) -> list[Row]:
-        path = self.results / f"{name}.parquet"
-        if not isinstance(path, LocalLocation) and name not in self._far:
-            self._far[name] = path.read_bytes()  # fetched once, not for every task
-        table = read_table(path, name, [("task_id", "==", task_id)], self._far.get(name))
-        rows: list[Row] = table.to_pylist()
-        return rows
+        if name not in self._tables:
+            self._tables[name] = RowsByTask(self.results / f"{name}.parquet", name)
+        return self._tables[name].of(task_id)
 
     def verified(self, spec: TaskSpec, solution: Solution, problems: Problems) -> tuple[Verified, bool]:
         """`verify_object`, and whether it was done now: tasks of one vehicle in one scene share their baseline."""

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import bootstrap
 
 from shift3d.analysis.html.sections.curves import thresholds
 from shift3d.analysis.statistics.intervals import Interval, mean_interval, recall_band, vehicle_mean_interval
 from shift3d.analysis.statistics.paired import holm
 from shift3d.evaluation.recall_curve import area_under, recall_curve
+from shift3d.seeding import generator
 
 
 def test_a_vehicle_with_more_scores_weighs_no_more_in_the_mean() -> None:
@@ -37,6 +41,24 @@ def test_vehicles_in_few_scenes_do_not_widen_the_interval_of_the_mean() -> None:
     even = rows[rows["vehicle"] != "e"]
     plain = mean_interval(even["score"], list(even["place"]))
     assert vehicle_mean_interval(even).low == pytest.approx(plain.low, abs=1e-12), "a balanced table is no other"
+
+
+def test_an_interval_over_thousands_of_scenes_takes_a_hundred_megabytes() -> None:
+    scenes = 2_000
+    score = np.random.default_rng(0).uniform(size=5 * scenes)
+    rows = pd.DataFrame({"score": score, "vehicle": list("abcde") * scenes, "place": np.repeat(np.arange(scenes), 5)})
+    tracemalloc.start()
+    try:
+        found = vehicle_mean_interval(rows)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    # As many scores a vehicle: the mean of all, whose interval scipy makes in one piece.
+    scene_means = score.reshape(scenes, 5).mean(axis=1)
+    rng = generator("bootstrap", len(rows), scenes)
+    whole = bootstrap((scene_means,), np.mean, n_resamples=4_000, rng=rng).confidence_interval
+    assert (found.low, found.high) == pytest.approx((whole.low, whole.high), abs=1e-9)
+    assert peak < 100e6
 
 
 def test_bands_hold_their_curve_and_its_area_is_the_mean_score() -> None:

@@ -113,7 +113,7 @@ def test_a_real_solution_is_scored_again(finished: tuple[TaskSpec, VerifyAssets]
     # Another task with the same baseline: that is known by then.
     for name in ("scores", "solutions"):
         write_table(tmp_path / f"{name}.parquet", table_from_rows(name, held._rows(name, spec.task_id)[:1]))
-    known = verify_task(spec, replace(held, results=as_location(tmp_path), _far={}))
+    known = verify_task(spec, replace(held, results=as_location(tmp_path), _tables={}))
     assert known.verification == result.verification[:1] and known.timings == []
 
 
