@@ -189,18 +189,18 @@ def _rules(sweep: Sweep) -> Figures:
 
 
 def _edits(sweep: Sweep) -> Figures:
-    """Of a sweep over two values of `attack.edit`: height and mean score at both, and how the score changes."""
+    """Of a sweep over two values of `attack.edit`: size and mean score at both, and how the score changes."""
     rows = sweep.scored[sweep.scored["method"] == "edited"]
     edits = list(dict.fromkeys(rows["search"]))
     if len(edits) != 2:
         return
-    heights = sweep.shapes[sweep.shapes["method"] == "edited"].set_index("task_id")["height_m"]
-    rows = rows.assign(height_m=rows["task_id"].map(heights))
-    wide = rows.pivot_table(index=_OBJECT, columns="search", values=["score", "height_m"])
+    sizes = sweep.shapes[sweep.shapes["method"] == "edited"].set_index("task_id")[["height_m", "width_m"]]
+    rows = rows.join(sizes, on="task_id")
+    wide = rows.pivot_table(index=_OBJECT, columns="search", values=["score", *sizes])
     for (vehicle, detector), pairs in wide.dropna().groupby(_OBJECT[:2], sort=False):
         label, places = f"edits/{vehicle} {detector}", list(pairs.index.get_level_values("place"))
         for number, edit in enumerate(edits):
-            for what, unit in (("score", "score"), ("height_m", "m")):
+            for what, unit in (("score", "score"), *((size, "m") for size in sizes)):
                 yield f"{label}/{what} {number}", _one(float(pairs[what, edit].mean()), unit, n=len(pairs))
         change = mean_interval(pairs["score", edits[1]] - pairs["score", edits[0]], places)
         yield f"{label}/change", _within(change.mean, change, "score", len(pairs))

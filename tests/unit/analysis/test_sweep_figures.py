@@ -134,14 +134,14 @@ def test_an_edit_is_judged_against_the_other_end_of_its_range_at_the_same_place(
     row = sweep.scores[sweep.scores["score"].notna()].iloc[0].to_dict() | {"method": "edited", "vehicle": "van"}
     ends = [("low", 0.8, "a"), ("high", 0.5, "a"), ("low", 0.6, "b"), ("high", 0.6, "b"), ("low", 0.9, "alone")]
     scores = pd.DataFrame([row | {"search": f"edit {end}", "score": score, "scene": at} for end, score, at in ends])
-    height = pd.DataFrame([{"task_id": row["task_id"], "method": "edited", "height_m": 1.9}])
-    found = dict(_edits(dataclasses.replace(sweep, scores=scores, shapes=height)))
+    sizes = pd.DataFrame([{"task_id": row["task_id"], "method": "edited", "height_m": 1.9, "width_m": 2.1}])
+    found = dict(_edits(dataclasses.replace(sweep, scores=scores, shapes=sizes)))
     label = f"edits/van {row['scored_by']}"
     change = found[f"{label}/change"]
     assert change["value"] == pytest.approx(-0.15) and change["n"] == 2, "a place with one end does not count"
     assert change["interval"] == pytest.approx((-0.3, 0.0))
     assert [found[f"{label}/score {end}"]["value"] for end in (0, 1)] == pytest.approx([0.7, 0.55])
-    assert found[f"{label}/height_m 1"]["value"] == 1.9
+    assert (found[f"{label}/height_m 1"]["value"], found[f"{label}/width_m 0"]["value"]) == (1.9, 2.1)
 
 
 def test_a_rule_is_written_with_what_it_takes_in_each_group(sweep: Sweep) -> None:
