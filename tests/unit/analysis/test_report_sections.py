@@ -159,6 +159,7 @@ def test_what_is_unstable_is_counted_and_named(finished: Path) -> None:
     rows = [
         {"task_id": f"task{index}", "vehicle": "suv", "scene": "north", "mode": "shape", "lambda": 1.0}
         | {"scored_by": "pointpillars", "method": "adversarial", "replicate": 0, "score": 0.3, "score_again": 0.3}
+        | {"search": "descent", "alpha": 0.01, "detector": "pointpillars", "accuracy": "standard"}
         | {"robust": index > 1, "margin": 0.5, "least_margin_noise": 0.4, "least_margin_nearby": 0.4}
         | {"score_reference": 0.3 if index else 0.55, "stable": index > 0, "cause": "of <300> hits 9 missed"}
         for index in range(4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,8 @@ KITTI = ["scenes.count=null", "vehicle=suv", "mode=shape", "attack.lambda=1", "r
 def frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The data set's word; afterwards no file of this process may pass 1 kB, so that the write itself fails."""
     monkeypatch.chdir(tmp_path)
+    # Python 3.11 would leave a cut .pyc behind of what is imported meanwhile, and fail at it from then on.
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     valid_frames.write_frame(tmp_path / "kitti")
     before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1024, before[1]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -27,8 +28,10 @@ WRITERS: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.fixture
-def full() -> Iterator[None]:
+def full(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """No file of this process may pass 1 kB: the write itself fails, as on a full disk."""
+    # Python 3.11 would leave a cut .pyc behind of what is imported meanwhile, and fail at it from then on.
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1024, before[1]))
     yield
