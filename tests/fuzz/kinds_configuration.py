@@ -101,5 +101,5 @@ def load_values(folder: Path) -> Any:
 
 SWEEP = ("sweep mine", "accuracy.", "render settings")
 register(InputKind("settings", 300, write_values, mutate_plain, load_values, SWEEP))
-register(InputKind("sweep file", 25, write_installation, mutate_sweep, load_sweep, SWEEP))
-register(InputKind("overrides", 25, write_installation, mutate_words, load_sweep, SWEEP))
+register(InputKind("sweep file", 45, write_installation, mutate_sweep, load_sweep, SWEEP))
+register(InputKind("overrides", 45, write_installation, mutate_words, load_sweep, SWEEP))
