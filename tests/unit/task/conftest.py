@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,11 +20,6 @@ def assets() -> Assets:
     return load_assets(AssetsSpec(scenes=STREET))
 
 
-def another_worker(assets: Assets) -> Assets:
-    """One that holds the same, and has run no task."""
-    return replace(assets, baselines=OrderedDict(), poses={})
-
-
 @pytest.fixture(scope="session")
 def shape(assets: Assets) -> TaskResult:
     return run_task(make_spec(), assets)
@@ -34,19 +27,13 @@ def shape(assets: Assets) -> TaskResult:
 
 @pytest.fixture(scope="session")
 def pose(assets: Assets) -> TaskResult:
-    return run_task(make_spec("pose"), another_worker(assets))
+    return run_task(make_spec("pose"), assets)
 
 
 @pytest.fixture(scope="session")
-def moved_by(assets: Assets) -> tuple[Assets, TaskResult]:
-    """A worker whose only task was the shape task, with what it found put into another scene; and that task."""
-    worker = another_worker(assets)
-    return worker, run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),)), worker)
-
-
-@pytest.fixture(scope="session")
-def moved(moved_by: tuple[Assets, TaskResult]) -> TaskResult:
-    return moved_by[1]
+def moved(assets: Assets) -> TaskResult:
+    """The shape task, and what it found put into another scene."""
+    return run_task(make_spec(transfer_scenes=(TransferScene(THERE, ""),)), assets)
 
 
 @pytest.fixture(scope="session")
