@@ -103,9 +103,8 @@ def draw_random_codes(path: Path, count: int = 40, columns: int = 8) -> None:
     from shift3d.naturalness.measure import Naturalness
     from shift3d.naturalness.sources import WideReference
     from shift3d.seeding import generator
-    from shift3d.vehicles.names import WIDE
     from shift3d.vehicles.picture import BODY_RGB, shaded
-    from shift3d.vehicles.sources import VehicleSet
+    from shift3d.vehicles.sources import WIDE, VehicleSet
     from shift3d.vehicles.vehicle import vehicle_mesh
 
     vehicles = VehicleSet(WIDE)

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.vehicles.measured import decoded_corners, framed
 from shift3d.vehicles.mesh_frame import MeshFrame
 from shift3d.vehicles.parameter_box import BoxOfParameters
 from shift3d.vehicles.sources import VehicleSource, known
-from shift3d.vehicles.vehicle import Vehicle
+from shift3d.vehicles.vehicle import Vehicle, decoded_corners, framed
 
 # A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
 if TYPE_CHECKING:

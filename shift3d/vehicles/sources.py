@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shift3d.errors import InputError
-from shift3d.vehicles.measured import decoded_corners, framed
-from shift3d.vehicles.names import WIDE
 from shift3d.vehicles.parameter_box import (
     BoxOfParameters,
     drawn_box,
@@ -23,7 +21,14 @@ from shift3d.vehicles.parameter_box import (
     parametric_vehicles,
     read_parameters,
 )
-from shift3d.vehicles.vehicle import DEFAULT_VEHICLES, Vehicle, baseline_vehicles, family_vehicles
+from shift3d.vehicles.vehicle import (
+    DEFAULT_VEHICLES,
+    Vehicle,
+    baseline_vehicles,
+    decoded_corners,
+    family_vehicles,
+    framed,
+)
 
 # A plan asks for names and hashes: what draws vehicles is imported where one is drawn.
 if TYPE_CHECKING:
@@ -31,6 +36,8 @@ if TYPE_CHECKING:
     from shift3d.sdf.deepsdf_network import DeepSdfNetwork
 
 _T = TypeVar("_T")
+WIDE = "wide"
+"""The set of the parametric decoder, in `weights/wide`; a user's folder of that name is ./wide."""
 
 
 class VehicleSource(Protocol):

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from shift3d.errors import InputError
-from shift3d.vehicles import measured
+from shift3d.vehicles import vehicle as vehicle_module
 from shift3d.vehicles.deepsdf_vehicles import DeepSdfVehicles
 from shift3d.vehicles.sources import VehicleSet, set_folder, space_hash, vehicle_hash
 from shift3d.vehicles.vehicle import BASELINES, DEFAULT_VEHICLES, vehicle_mesh
@@ -146,7 +146,7 @@ def test_a_real_car_stands_on_its_wheels_nose_first(
     real_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A pickup: its bed, behind, is lower than its cab; its size is a car's."""
-    monkeypatch.setattr(measured, "MEASURED_RESOLUTION", 49)
+    monkeypatch.setattr(vehicle_module, "MEASURED_RESOLUTION", 49)
     source = DeepSdfVehicles(real_data("decoder"))
     (name,) = (name for name in source.names() if name.startswith("pickup_28d"))
     vehicle = source.vehicle(name)

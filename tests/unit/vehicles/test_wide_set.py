@@ -12,8 +12,7 @@ from shift3d.attack.space import parameter_space
 from shift3d.errors import InputError
 from shift3d.sdf.meshes import extract_mesh
 from shift3d.vehicles.family.split import SPLIT
-from shift3d.vehicles.names import WIDE
-from shift3d.vehicles.sources import VehicleSet, set_folder, space_hash, vehicle_hash
+from shift3d.vehicles.sources import WIDE, VehicleSet, set_folder, space_hash, vehicle_hash
 from shift3d.vehicles.vehicle import vehicle_mesh
 
 

@@ -78,7 +78,7 @@ class LeftOut:
         return [node for node in self._ray.nodes() if node["Alive"] and node.get("NodeID") not in self._ids]
 
     def any_other(self, than: str = "") -> bool:
-        """Whether another machine, and another than one that is not left out, has the CPUs for a worker."""
+        """Whether a machine that is not left out has the CPUs for a worker. than: a machine that does not count."""
         others = (node["Resources"] for node in self.others() if node.get("NodeID") != than)
         return any(resources.get("CPU", 0) >= self._cpus for resources in others)
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from shift3d.errors import InputError
 from shift3d.store.atomic import write_atomic
 from shift3d.task.exchange import AssetsSpec
-from shift3d.vehicles.names import WIDE
+from shift3d.vehicles.sources import WIDE
 
 
 @dataclass(frozen=True)
