@@ -7,7 +7,9 @@ every later reduction the same to the bit however the input was ordered.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 import numpy.typing as npt
@@ -78,6 +80,25 @@ def cells_of(
             & (z >= grid.z_min_m) & (z < grid.z_max_m)
         )  # fmt: skip
     return cell_x, cell_y, inside
+
+
+def side_by_side(parts: Sequence[Pillars], sizes: Sequence[int]) -> Pillars:
+    """The pillars of several clouds as those of one cloud, which holds them one after the other.
+
+    sizes: points of each cloud. Cells may then stand for several pillars, one of each cloud.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    pillars_before = accumulate((part.counts.numel() for part in parts), initial=0)
+    return Pillars(
+        order=torch.cat(
+            [part.order + before for part, before in zip(parts, accumulate(sizes, initial=0), strict=False)]
+        ),
+        pillar=torch.cat([part.pillar + before for part, before in zip(parts, pillars_before, strict=False)]),
+        counts=torch.cat([part.counts for part in parts]),
+        cell_x=torch.cat([part.cell_x for part in parts]),
+        cell_y=torch.cat([part.cell_y for part in parts]),
+    )
 
 
 def assign_pillars(points: Tensor, grid: Grid, window: BevWindow) -> Pillars:

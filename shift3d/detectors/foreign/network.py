@@ -226,14 +226,17 @@ class ForeignNet(PillarBackboneNet):
         stride = self.spec.total_strides[-1]
         return max(first, (low - reach) // stride * stride), min(last, -(-(high + reach) // stride) * stride)
 
-    def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
+    def features(
+        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
+    ) -> Tensor:
         """See `DetectorNet`; behind the tower, where there is one."""
         if self.tower is None:
-            return super().features(clouds, windows)
+            return super().features(clouds, windows, pillars)
         y0, x0, height, width = core_in_window(windows[0])
         low_y, high_y = self._before_tower(y0, y0 + height, 0, windows[0].num_y)
         low_x, high_x = self._before_tower(x0, x0 + width, 0, windows[0].num_x)
-        around = self.core_features(clouds, windows, (low_y, low_x, high_y - low_y, high_x - low_x))
+        canvas = self.canvas(clouds, windows, pillars)
+        around = self.core_features(canvas, (low_y, low_x, high_y - low_y, high_x - low_x))
         step = self.spec.out_stride
         top, left = (y0 - low_y) // step, (x0 - low_x) // step
         result: Tensor = self.tower(around)[:, :, top : top + height // step, left : left + width // step]

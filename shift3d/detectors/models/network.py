@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from itertools import accumulate
 from typing import Literal, Self
 
 import torch
@@ -12,7 +11,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from shift3d.detectors.base import BevWindow
-from shift3d.detectors.grid import Grid, Pillars, assign_pillars, core_cells
+from shift3d.detectors.grid import Grid, Pillars, assign_pillars, core_cells, side_by_side
 
 Precision = Literal["float32", "bfloat16", "float64"]
 
@@ -117,21 +116,24 @@ class DetectorNet(nn.Module, ABC):
     def encode(self, decorated: Tensor, pillars: Pillars) -> Tensor:
         """(K, inputs) -> one feature a pillar (P, channels). Differentiable w.r.t. decorated."""
 
-    def batch_features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> tuple[list[Pillars], Tensor]:
+    def batch_features(
+        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
+    ) -> tuple[list[Pillars], Tensor]:
         """The pillars that hold a point of each window, and the features (P, channels) of all, window by window.
 
-        clouds: (N_b, 3), network frame, metres. Differentiable w.r.t. the points.
+        clouds: (N_b, 3), network frame, metres. pillars: those of each window, where they are at hand. Differentiable
+        w.r.t. the points.
         """
-        pillars = [assign_pillars(points, self.grid, window) for points, window in zip(clouds, windows, strict=True)]
-        decorated = torch.cat([self.decorated(points, found) for points, found in zip(clouds, pillars, strict=True)])
-        counts = torch.cat([found.counts for found in pillars])
-        if not len(counts):
-            return pillars, decorated.new_zeros(0, self.channels)
-        before = [0, *accumulate(found.counts.numel() for found in pillars)]
-        owner = torch.cat([found.pillar + first for found, first in zip(pillars, before, strict=False)])
-        empty = torch.empty(0, dtype=torch.int64)
+        if pillars is None:
+            pillars = [
+                assign_pillars(points, self.grid, window) for points, window in zip(clouds, windows, strict=True)
+            ]
+        together = side_by_side(pillars, [len(points) for points in clouds])
+        decorated = self.decorated(clouds[0] if len(clouds) == 1 else torch.cat(list(clouds)), together)
+        if not len(together.counts):
+            return list(pillars), decorated.new_zeros(0, self.channels)
         with torch.autocast(decorated.device.type, enabled=False):  # bfloat16 knows a coordinate to 0.3 m at 70 m
-            return pillars, self.encode(decorated, Pillars(empty, owner, counts, empty, empty))
+            return list(pillars), self.encode(decorated, together)
 
     def pillar_features(self, points: Tensor, window: BevWindow) -> tuple[Pillars, Tensor]:
         """`batch_features` of one window."""
@@ -139,10 +141,12 @@ class DetectorNet(nn.Module, ABC):
         return pillars, features
 
     @abstractmethod
-    def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
+    def features(
+        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
+    ) -> Tensor:
         """(B, C, h, w) of the windows' cores; windows of equal shape. clouds: (N_b, 3), network frame, metres.
 
-        Differentiable w.r.t. points and weights.
+        pillars: those of each window, where they are at hand. Differentiable w.r.t. points and weights.
         """
 
     @abstractmethod

@@ -77,13 +77,15 @@ class PillarBackboneNet(DetectorNet):
     def encode(self, decorated: Tensor, pillars: Pillars) -> Tensor:
         return self.pillar_net(decorated, pillars)
 
-    def canvas(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
+    def canvas(
+        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
+    ) -> Tensor:
         """Pillar features on the dense grid: (B, C, H, W), channels last in memory, zero where no point is.
 
         clouds: (N_b, 3) each, network frame. Differentiable w.r.t. the points.
         """
         height, width = windows[0].num_y, windows[0].num_x
-        pillars, features = self.batch_features(clouds, windows)
+        pillars, features = self.batch_features(clouds, windows, pillars)
         cells = [
             (found.cell_y - window.y0 + index * height) * width + found.cell_x - window.x0
             for index, (found, window) in enumerate(zip(pillars, windows, strict=True))
@@ -103,15 +105,14 @@ class PillarBackboneNet(DetectorNet):
         low = max(0, (core_low - margin) // stride * stride)
         return low, min(cells, -(-(core_high + margin) // stride) * stride)
 
-    def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
-        """(B, 384, h, w) of the windows' cores; windows of equal shape. Differentiable w.r.t. points and weights."""
-        return self.core_features(clouds, windows, core_in_window(windows[0]))
-
-    def core_features(
-        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], core: tuple[int, int, int, int]
+    def features(
+        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
     ) -> Tensor:
-        """As `features`, of another core (y0, x0, height, width) in the windows' own cells, aligned to the stride."""
-        canvas = self.canvas(clouds, windows)
+        """(B, 384, h, w) of the windows' cores, see `DetectorNet`."""
+        return self.core_features(self.canvas(clouds, windows, pillars), core_in_window(windows[0]))
+
+    def core_features(self, canvas: Tensor, core: tuple[int, int, int, int]) -> Tensor:
+        """Of a canvas, another core (y0, x0, height, width) in the windows' own cells, aligned to the stride."""
         weight: Tensor = self.backbone.blocks[0][0].weight  # type: ignore[index]
         canvas = canvas.to(weight.dtype)
         if not weight.is_contiguous(memory_format=torch.channels_last):

@@ -90,13 +90,14 @@ class SstNet(DetectorNet):
         reach = sum(self.spec.dilations)
         return max(0, core_low - reach), min(cells, core_high + reach)
 
-    def features(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> Tensor:
-        """(B, out_channels, h, w) of the windows' cores. clouds: (N_b, 3), network frame.
+    def features(
+        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
+    ) -> Tensor:
+        """(B, out_channels, h, w) of the windows' cores, see `DetectorNet`.
 
-        Windows of a batch have the same shape; cores that are only a part of theirs, the same place too.
-        Differentiable w.r.t. points and weights.
+        Cores that are only a part of their windows have the same place in a batch.
         """
-        encoded, tokens = self._encoded(clouds, windows)
+        encoded, tokens = self._encoded(clouds, windows, pillars)
         # Tokens are let go by place on the grid, which differs within a batch: only a single scene is cut.
         span_x, span_y = (
             self.core_spans(windows[0]) if len(windows) == 1 else ((0, self.grid.num_x), (0, self.grid.num_y))
@@ -131,9 +132,11 @@ class SstNet(DetectorNet):
         features: Tensor = self.encoder(decorated, pillars)
         return features
 
-    def _encoded(self, clouds: Sequence[Tensor], windows: Sequence[BevWindow]) -> tuple[Tensor, Tokens]:
+    def _encoded(
+        self, clouds: Sequence[Tensor], windows: Sequence[BevWindow], pillars: Sequence[Pillars] | None = None
+    ) -> tuple[Tensor, Tokens]:
         """Features (P, width) of every pillar of the batch, and where they lie."""
-        pillars, features = self.batch_features(clouds, windows)
+        pillars, features = self.batch_features(clouds, windows, pillars)
         batch = np.repeat(np.arange(len(pillars)), [found.counts.numel() for found in pillars])
         cells = (torch.cat([getattr(found, axis) for found in pillars]).cpu().numpy() for axis in ("cell_x", "cell_y"))
         return features, Tokens(batch, *cells)

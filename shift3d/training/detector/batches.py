@@ -1,6 +1,6 @@
-"""Crops and targets of each step, made while the network computes: in a thread beside a CPU, in processes beside a GPU.
+"""Examples of each step, made while the network computes: in a thread beside a CPU, in processes beside a GPU.
 
-A core makes some twenty crops a second.
+A core makes some twenty a second. What needs no network is made there, so that a GPU waits for little.
 """
 
 from __future__ import annotations
@@ -11,17 +11,41 @@ import signal
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
+from torch import Tensor
 
+from shift3d.detectors.base import BevWindow
+from shift3d.detectors.grid import Pillars, assign_pillars
 from shift3d.detectors.models.network import DetectorNet
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.drawn_crops import RandomCrops
 from shift3d.training.detector.objective import Objective, each_field
 
-Batch = tuple[int, list[Crop], list[Any]]
-"""A step, its crops, and their targets on the CPU."""
+
+@dataclass(frozen=True)
+class Example:
+    """One crop as a network takes it, and what it should answer.
+
+    points: (K, 3) float32, network frame, metres: those that fall into a pillar, sorted by it. targets: the
+    objective's.
+    """
+
+    points: Tensor
+    pillars: Pillars
+    window: BevWindow
+    targets: Any
+
+    def each(self, change: Callable[[Any], Any]) -> Example:
+        """With all of its tensors changed alike: put on a device, or made arrays."""
+        pillars, targets = each_field(self.pillars, change), each_field(self.targets, change)
+        return Example(change(self.points), pillars, self.window, targets)
+
+
+Batch = tuple[int, list[Example]]
+"""A step and its examples, on the CPU."""
 AHEAD = 2
 """Batches in the making, a worker."""
 
@@ -35,8 +59,14 @@ class BatchMaker:
 
     def of(self, step: int) -> Batch:
         """Raises: InputError where the scenes hold next to no points."""
-        crops = [self.crops.of(step, slot) for slot in range(self.crops.recipe.batch)]
-        return step, crops, [self.objective.targets(self.heads, self.grid, crop) for crop in crops]
+        return step, [self._example(self.crops.of(step, slot)) for slot in range(self.crops.recipe.batch)]
+
+    def _example(self, crop: Crop) -> Example:
+        points = torch.from_numpy(crop.points)
+        pillars = assign_pillars(points, self.grid, crop.window)
+        in_order = replace(pillars, order=torch.arange(len(pillars.order)))
+        targets = self.objective.targets(self.heads, self.grid, crop)
+        return Example(points[pillars.order], in_order, crop.window, targets)
 
 
 def batches(maker: BatchMaker, steps: range, workers: int) -> Iterator[Batch]:
@@ -44,8 +74,8 @@ def batches(maker: BatchMaker, steps: range, workers: int) -> Iterator[Batch]:
     if workers:
         context = multiprocessing.get_context("spawn")  # a fork would copy CUDA's state and the locks of threads
         pool = ProcessPoolExecutor(workers, context, _open, (maker,))
-        for step, crops, targets in _in_order(pool, _made_arrays, steps, AHEAD * workers):
-            yield step, crops, [each_field(target, torch.from_numpy) for target in targets]
+        for step, examples in _in_order(pool, _made_arrays, steps, AHEAD * workers):
+            yield step, [example.each(torch.from_numpy) for example in examples]
     else:
         yield from _in_order(ThreadPoolExecutor(1), maker.of, steps, 1)
 
@@ -74,7 +104,7 @@ def _open(maker: BatchMaker) -> None:
 
 
 def _made_arrays(step: int) -> Batch:
-    """Targets as arrays: a tensor that is sent to another process holds a file open."""
+    """Examples as arrays: a tensor that is sent to another process holds a file open."""
     assert _maker is not None
-    step, crops, targets = _maker.of(step)
-    return step, crops, [each_field(target, torch.Tensor.numpy) for target in targets]
+    step, examples = _maker.of(step)
+    return step, [example.each(torch.Tensor.numpy) for example in examples]

@@ -17,10 +17,10 @@ from shift3d.detectors.models.network import DetectorNet
 from shift3d.errors import InputError
 from shift3d.training.checkpoints import read_checkpoint, write_checkpoint
 from shift3d.training.compute import Compute, choose_compute
-from shift3d.training.detector.batches import BatchMaker, batches
+from shift3d.training.detector.batches import BatchMaker, Example, batches
 from shift3d.training.detector.crops import Crop
 from shift3d.training.detector.drawn_crops import RandomCrops
-from shift3d.training.detector.objective import batch_loss, each_field, objective_of
+from shift3d.training.detector.objective import batch_loss, objective_of
 from shift3d.training.detector.pasting import VehicleDatabase
 from shift3d.training.detector.recipe import Recipe
 from shift3d.training.detector.recipes import one_cycle
@@ -158,10 +158,10 @@ def train_on_scenes(
     maker = BatchMaker(crops, run.objective, run.net)
     bar = tqdm(initial=run.done, total=recipe.all_steps, desc=recipe.detector, mininterval=5.0)
     with stop_on_signal() as stop, bar:
-        for step, made, targets in batches(maker, range(run.done, end), compute.crop_workers):
+        for step, examples in batches(maker, range(run.done, end), compute.crop_workers):
             if step >= recipe.steps:
                 _settle(run, crops.of_statistics())
-            recent.append(_train_step(run, step, made, targets))
+            recent.append(_train_step(run, step, examples))
             run.done = step + 1
             run.steps_by_device[compute.name] = run.steps_by_device.get(compute.name, 0) + 1
             bar.update()
@@ -190,17 +190,17 @@ def _settle(run: _Run, crops: Iterator[Crop]) -> None:
     run.net.heads.requires_grad_(True)
 
 
-def _train_step(run: _Run, step: int, crops: list[Crop], targets: list[Any]) -> dict[str, float]:
+def _train_step(run: _Run, step: int, examples: list[Example]) -> dict[str, float]:
     """One optimiser step; returns the weighted parts of the loss and the learning rate."""
     recipe, device = run.recipe, run.compute.device
     rate, momentum = one_cycle(step, recipe)
     for group in run.optimiser.param_groups:
         group["lr"], group["betas"] = rate, (momentum, 0.99)
-    clouds, windows = [torch.from_numpy(crop.points).to(device) for crop in crops], [crop.window for crop in crops]
+    examples = [example.each(lambda part: part.to(device)) for example in examples]
+    clouds, windows, pillars = zip(*((own.points, own.window, own.pillars) for own in examples), strict=True)
     with run.compute.autocast(recipe.bfloat16):
-        features = run.net.features(clouds, windows)
-        on_device = [each_field(target, lambda part: part.to(device)) for target in targets]
-        loss, parts = batch_loss(run.objective, run.net.heads, features, on_device)
+        features = run.net.features(clouds, windows, pillars)
+        loss, parts = batch_loss(run.objective, run.net.heads, features, [own.targets for own in examples])
     run.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), recipe.clip_norm)

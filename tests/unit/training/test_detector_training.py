@@ -12,6 +12,7 @@ from shift3d.detectors.base import BevWindow
 from shift3d.detectors.grid import WAYMO_GRID
 from shift3d.detectors.models.anchor_heads import WAYMO_ANCHORS, anchor_boxes, decode_boxes
 from shift3d.detectors.models.backbone import BackboneSpec
+from shift3d.detectors.models.sst import SST_SMALL_SPEC
 from shift3d.errors import InputError
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.training.detector.anchor_objective import (
@@ -214,14 +215,27 @@ def test_processes_make_the_batches_of_a_thread(tmp_path: Path) -> None:
         crops = RandomCrops(recipe, net.grid, files, [], VehicleDatabase.of(files, recipe.min_points))
         maker = BatchMaker(crops, objective_of(recipe), net)
         made, again = (list(batches(maker, range(3, 9), number)) for number in (0, workers))
-        for (step, ours, targets), (same_step, same, same_targets) in zip(made, again, strict=True):
+        for (step, ours), (same_step, same) in zip(made, again, strict=True):
             assert step == same_step
-            for crop, other in zip(ours, same, strict=True):
-                assert crop.window == other.window and np.array_equal(crop.points, other.points)
-            for target, other in zip(targets, same_targets, strict=True):
-                assert type(target) is type(other)
-                for item in fields(target):
-                    assert torch.equal(getattr(target, item.name), getattr(other, item.name)), item.name
+            for example, other in zip(ours, same, strict=True):
+                assert example.window == other.window and torch.equal(example.points, other.points)
+                for part, like in ((example.pillars, other.pillars), (example.targets, other.targets)):
+                    assert type(part) is type(like)
+                    for item in fields(part):
+                        assert torch.equal(getattr(part, item.name), getattr(like, item.name)), item.name
+
+
+@pytest.mark.parametrize("recipe", [TINY, replace(TINY, heads="centres"), replace(TINY, network=SST_SMALL_SPEC)])
+def test_examples_give_the_features_of_their_crops(recipe: Recipe, tmp_path: Path) -> None:
+    """Points sorted by pillars beforehand, and several clouds side by side: to the bit what each crop gives."""
+    files = cache_scenes(tmp_path, ["0", "1"], _scene)
+    net = recipe.new_network().eval()
+    crops = RandomCrops(recipe, net.grid, files, [], None)
+    _, examples = BatchMaker(crops, objective_of(recipe), net).of(3)
+    drawn = [crops.of(3, slot) for slot in range(recipe.batch)]
+    clouds, windows = [torch.from_numpy(crop.points) for crop in drawn], [crop.window for crop in drawn]
+    made = net.features([example.points for example in examples], windows, [example.pillars for example in examples])
+    assert torch.equal(made, net.features(clouds, windows))
 
 
 def test_a_step_that_cannot_be_made_ends_the_training(tmp_path: Path) -> None:
