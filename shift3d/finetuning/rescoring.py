@@ -21,7 +21,7 @@ from shift3d.training.provenance import refuse_tuned_scenes
 METHODS = ("baseline", "adversarial")
 """Methods whose objects are scored."""
 RESCORED = schema_of_columns("rescored", 1, "task_id vehicle place settings method score:float64")
-"""A row an object. place: data set and scene. settings: what else tells objects of a sweep apart."""
+"""A row an object. place: data set and street or frame. settings: what else tells objects of a sweep apart."""
 
 
 def object_scores(folder: LocationLike, detector: str) -> pa.Table:
@@ -37,7 +37,7 @@ def rescored(folder: LocationLike, detector: str, weights: Path) -> pa.Table:
         InputError: as `scored_objects`; weights that cannot be loaded, or that were fine-tuned on a scene of the sweep.
     """
     found = scored_objects(folder, detector, METHODS)
-    refuse_tuned_scenes(weights, found.scenes)
+    refuse_tuned_scenes(weights, found.scenes.items())
     scores = []
     judges: dict[str, Detector] = {}
     for row in tqdm(found.objects, desc=f"objects scored by {weights.parent.name}", mininterval=5.0):

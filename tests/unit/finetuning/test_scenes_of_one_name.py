@@ -48,6 +48,22 @@ def test_each_is_trained_on_and_refused_afterwards(tmp_path: Path) -> None:
     assert list(found.scenes.values()) == ["aa", "bb", "cc"] and NAME in found.scenes
 
 
+def test_a_street_under_two_weathers_is_one_place_and_two_scenes() -> None:
+    """Intervals redraw places whole; a gain is of the objects that vehicle, place and settings name."""
+    dry, fog = (
+        SweepObject(
+            TaskSpec("suv", f"street-test-hdl64-000000{tag}", f"street-hdl64{tag}", "shape", 1.0, 0.1, "sst", "draft"),
+            0,
+            {"method": "adversarial", "replicate": 0},
+            0.5,
+            True,
+        )
+        for tag in ("", "-fog50")
+    )
+    assert dry.place == fog.place == "street-hdl64/street-test-hdl64-000000"
+    assert dry.settings != fog.settings
+
+
 def test_one_scene_keeps_its_name(tmp_path: Path) -> None:
     (file,) = natural_scenes(tmp_path, _found(("kitti", "aa")))
     assert file.name == f"{NAME}.npz"
