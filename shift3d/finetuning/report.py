@@ -118,7 +118,7 @@ def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd
         for tuned in models:
             yield _named(pd.read_parquet(tuned.scores_file(sweep)), tuned.model, tuned.seed, sweep)
             if (tuned.folder / sweep / "final" / "solutions.parquet").is_file():
-                own = object_scores(tuned.folder / sweep, detector).to_pandas()
+                own = object_scores(tuned.folder / sweep, detector, tuned.weights).to_pandas()
                 own = own[own["method"] == METHODS[1]]
                 yield _named(own.assign(method=ADAPTIVE), tuned.model, tuned.seed, sweep)
 
