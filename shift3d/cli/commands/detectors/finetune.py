@@ -38,7 +38,7 @@ examples:
   shift3d finetune size=small                  100 objects, 3 seeds: an evening on two cores
   shift3d finetune                             the paper's size, 2,000 objects: days on two cores, or runner.address=
   shift3d finetune --quick                     a few minutes: the same path; its numbers mean nothing
-  shift3d finetune size=small control=true     beside it a model tuned on the unchanged objects of the same scenes
+  shift3d finetune size=small control=true     beside it a model tuned on the unchanged vehicles of the same tasks
   shift3d finetune size=small rate=3e-6 adaptive=false    another rate: what was found before is used again, and
                                                the tuned detector is not attacked
   shift3d finetune size=small detector=sst streets=20 others=camper,trailer
