@@ -28,7 +28,8 @@ class BreakdownRow:
     """A number: of which group, what it measures, its 95 % interval over resampled frames, and how many it is of.
 
     measure: AP, APH (Waymo's, LEVEL_1, IoU 0.7), recall, flips, or error_ and a name of ERRORS. statistic: of AP and
-    APH the view, of recall view and IoU, of errors median, mean or std. value: None without a vehicle.
+    APH the view, of recall view and IoU, of errors median, mean or std. value: None without a vehicle. low, high: None
+    where these vehicles stand in fewer than two frames.
     """
 
     by: str
@@ -43,7 +44,7 @@ class BreakdownRow:
 
 @dataclass(frozen=True)
 class Area:
-    """AP or APH, its values over resampled frames, empty where there is nothing to resample, and of how many."""
+    """AP or APH, its values over resampled frames, empty where vehicles stand in fewer than two, and of how many."""
 
     value: float | None
     drawn: Sequence[float | None]
@@ -111,7 +112,8 @@ def _group_areas(group: Group, assignments: Sequence[Assignment], weights: Float
         return curve.average_precision, curve.average_precision_heading
 
     values, number = areas(np.ones(len(counts))), int(numbers.sum())
-    drawn = list(zip(*map(areas, weights))) if number and len(weights) else [(), ()]
+    # Of vehicles in one frame every draw would say the same.
+    drawn = list(zip(*map(areas, weights))) if np.count_nonzero(numbers) > 1 else [(), ()]
     return {name: Area(value, own, number) for name, value, own in zip(("AP", "APH"), values, drawn)}
 
 
@@ -121,10 +123,11 @@ def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floa
     eligible &= (rows.range_m >= low) & (rows.range_m < high)
     found = eligible & rows.matched
 
-    def row(measure: str, statistic: str, number: int, of: Callable[[Floats], float | None]) -> BreakdownRow:
-        value = of(np.ones(num_frames)) if number else None
-        low, high = interval(map(of, weights) if number else ())
-        return BreakdownRow(group.by, group.name, measure, statistic, value, low, high, number)
+    def row(measure: str, statistic: str, owner: Ints, of: Callable[[Floats], float | None]) -> BreakdownRow:
+        """owner: (N,) frame of each vehicle."""
+        value = of(np.ones(num_frames)) if len(owner) else None
+        low, high = interval(map(of, weights) if len(np.unique(owner)) > 1 else ())
+        return BreakdownRow(group.by, group.name, measure, statistic, value, low, high, len(owner))
 
     def share(measure: str, statistic: str, hit: Flags, of: Flags) -> BreakdownRow:
         above = np.bincount(rows.frame[hit & of], minlength=num_frames)
@@ -133,10 +136,10 @@ def _of_vehicles(group: Group, rows: VehicleRows, num_frames: int, weights: Floa
         def fraction(drawn: Floats) -> float | None:
             return float(drawn @ above / (drawn @ below)) if drawn @ below > 0 else None
 
-        return row(measure, statistic, int(of.sum()), fraction)
+        return row(measure, statistic, rows.frame[of], fraction)
 
     def spread(name: str, statistic: str, of_errors: Statistic, errors: Floats, owner: Ints) -> BreakdownRow:
-        return row(f"error_{name}", statistic, len(errors), lambda drawn: of_errors(errors, drawn[owner]))
+        return row(f"error_{name}", statistic, owner, lambda drawn: of_errors(errors, drawn[owner]))
 
     for text, overlap in (("BEV 0.7", rows.iou_bev), ("3D 0.7", rows.iou_3d)):
         yield share("recall", text, rows.matched & (overlap >= IOU), eligible)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 from shift3d.errors import InputError
+from shift3d.scenes.sets import place_of
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.store.tables import read_final
@@ -38,16 +39,16 @@ class SweepObject:
 
     @property
     def place(self) -> str:
-        """Its scene with the data set."""
-        return f"{self.spec.dataset}/{self.spec.scene}"
+        """Where it stands, which intervals redraw whole, see `scenes.sets.place_of`."""
+        return place_of(self.spec.dataset, self.spec.scene)
 
     @property
     def settings(self) -> str:
-        """What tells it from others of its vehicle, scene and method."""
+        """What tells it from others of its vehicle and method, its scene first."""
         spec = self.spec
         effects = "+".join(spec.effects) or "none"
-        found = (spec.mode, spec.lambda_, spec.alpha, spec.search, spec.accuracy, effects, spec.replicate,
-                 spec.attack.steps, spec.base_seed)  # fmt: skip
+        found = (spec.dataset, spec.scene, spec.mode, spec.lambda_, spec.alpha, spec.search, spec.accuracy, effects,
+                 spec.replicate, spec.attack.steps, spec.base_seed)  # fmt: skip
         return " ".join(map(str, (*found, self.solution["replicate"])))
 
 
@@ -123,30 +124,47 @@ def _objects(
                 yield SweepObject(task.spec, task.assets, solution, row["score"], row["stable"], searched)
 
 
+def refuse_other_weights(found: SweepObjects, weights_hash: str, whose: str, remedy: str) -> None:
+    """Refuse a sweep that attacked other weights than those of a hash. whose: what these are. Raises: InputError."""
+    detector = found.objects[0].spec.detector
+    if any(row.spec.detector_hashes.get(detector) != weights_hash for row in found.objects):
+        raise InputError(f"attacked other weights of {detector} than {whose}", str(found.folder), remedy)
+
+
+def refuse_other_splits(specs: Iterable[TaskSpec], where: str) -> None:
+    """Refuse tasks to tune on that are on streets of another split than train. Raises: InputError naming a street."""
+    for spec in specs:
+        made = spec.scene_arguments
+        if made.get("kind") == "street" and made.get("split") != "train":
+            what = f"holds {spec.scene}, a street of split {made.get('split')}, not train"
+            raise InputError(what, where=where, remedy="Run the sweep with scenes.split=train")
+
+
 def stable_objects(folder: LocationLike, detector: str, weights_hash: str, method: str) -> SweepObjects:
-    """The objects of a method that a detector may be fine-tuned on: those that are still hard at reference accuracy.
+    """The objects of a method that a detector may be fine-tuned on: of the tasks whose adversarial object is still hard
+    at reference accuracy.
+
+    So a control, which is tuned on what stood there before, sees the same scenes as often.
 
     weights_hash: of the weights that the tuning starts from, `settings.catalogue.detector_files.detector_hash`.
+    method: "adversarial", or "baseline" for the unchanged vehicles.
     Raises: InputError: as `scored_objects`; the sweep is not verified, has no stable object, attacked other weights, or
     ran on streets of another split than train.
     """
-    found = scored_objects(folder, detector, (method,))
+    found = scored_objects(folder, detector, ("adversarial",))
     where = str(found.folder)
     if any(row.stable is None for row in found.objects):
         remedy = f"shift3d verify {where}"
         raise InputError("is not verified: which objects are stable is not known", where=where, remedy=remedy)
-    for row in found.objects:
-        if row.spec.detector_hashes.get(detector) != weights_hash:
-            what = f"attacked other weights of {detector} than the tuning starts from"
-            raise InputError(what, where=where, remedy="Give start_from= the weights that the sweep attacked")
-        made = row.spec.scene_arguments
-        if made.get("kind") == "street" and made.get("split") != "train":
-            what = f"holds {row.spec.scene}, a street of split {made.get('split')}, not train"
-            raise InputError(what, where=where, remedy="Run the sweep with scenes.split=train")
+    refuse_other_weights(found, weights_hash, "the tuning starts from", "Give start_from= the weights it attacked")
+    refuse_other_splits((row.spec for row in found.objects), where)
     searched = [row for row in found.objects if row.searched]
     stable = tuple(row for row in searched if row.stable)
     if not stable:
-        raise InputError(f"no {method} object is stable", where=where, remedy="See final/stability.html")
+        raise InputError("no adversarial object is stable", where=where, remedy="See final/stability.html")
     left_out = Counter(found.left_out)
     left_out.update({"no_valid_step": len(found.objects) - len(searched), "unstable": len(searched) - len(stable)})
+    if method != "adversarial":
+        tasks = {row.spec.task_id for row in stable}
+        stable = tuple(row for row in scored_objects(folder, detector, (method,)).objects if row.spec.task_id in tasks)
     return SweepObjects(found.folder, found.plan, stable, {why: number for why, number in left_out.items() if number})

@@ -30,9 +30,10 @@ PAPER_NATURAL = {"APH BEV": (0.810, 0.812), "AP BEV": (0.823, 0.826), "APH 3D": 
 _MEANINGS = {
     "vanilla": "the detector before.",
     "fine-tuned": "after one epoch on the adversarial objects; the mean over its seeds.",
-    "control": "after the same epoch on the unchanged objects in the same scenes.",
+    "control": "after the same epoch on the unchanged vehicles of the same tasks.",
     "gain": "over vanilla, on the same objects or scenes; [95 %, scenes resampled].",
-    **{f"objects {name}": f"{text}." for name, text in zip(("unchanged", "found against"), ("as placed", "searched"))},
+    "objects unchanged": "as placed.",
+    "objects found against": "searched.",
 }
 
 

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from shift3d.analysis.mlflow.measured import mirror_measured
 from shift3d.evaluation.breakdown import Area, overall_areas
 from shift3d.finetuning.page import finetune_page, gains_table
-from shift3d.finetuning.rescoring import METHODS, object_scores, rescored
+from shift3d.finetuning.rescoring import METHODS, RESCORED, object_scores, rescored
 from shift3d.finetuning.table import ADAPTIVE, TUNED, VANILLA, finetune_table, natural_rows
 from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.atomic import write_atomic
@@ -24,7 +24,7 @@ HELD_OUT = ("held_out", "other_vehicles")
 """Folders of the sweeps over held-out streets: of vanilla in the fine-tuning's folder, of a tuned model in its own."""
 NATURAL = "natural"
 _TABLE, _PAGE = "finetune.parquet", "report.html"
-_OBJECT = ["task_id", "method"]
+_OBJECT = [name for name in RESCORED.names if name != "score"]
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _scores(folder: Path, detector: str, models: Sequence[Tuned]) -> Iterator[pd
         for tuned in models:
             yield _named(pd.read_parquet(tuned.scores_file(sweep)), tuned.model, tuned.seed, sweep)
             if (tuned.folder / sweep / "final" / "solutions.parquet").is_file():
-                own = object_scores(tuned.folder / sweep, detector).to_pandas()
+                own = object_scores(tuned.folder / sweep, detector, tuned.weights).to_pandas()
                 own = own[own["method"] == METHODS[1]]
                 yield _named(own.assign(method=ADAPTIVE), tuned.model, tuned.seed, sweep)
 

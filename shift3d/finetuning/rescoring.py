@@ -10,7 +10,8 @@ from tqdm import tqdm
 
 from shift3d.detectors.base import Detector
 from shift3d.detectors.loading import detector_of
-from shift3d.finetuning.objects import SweepObject, scored_objects
+from shift3d.finetuning.objects import SweepObject, refuse_other_weights, scored_objects
+from shift3d.settings.catalogue.detector_files import file_hash
 from shift3d.store.resolve import LocationLike
 from shift3d.store.schemas import schema_of_columns
 from shift3d.task.assets import score_precision
@@ -21,12 +22,18 @@ from shift3d.training.provenance import refuse_tuned_scenes
 METHODS = ("baseline", "adversarial")
 """Methods whose objects are scored."""
 RESCORED = schema_of_columns("rescored", 1, "task_id vehicle place settings method score:float64")
-"""A row an object. place: data set and scene. settings: what else tells objects of a sweep apart."""
+"""A row an object. place: data set and street or frame. settings: what else tells objects of a sweep apart."""
 
 
-def object_scores(folder: LocationLike, detector: str) -> pa.Table:
-    """What the attacked detector scored a sweep's objects, as `RESCORED`. Raises: InputError as `scored_objects`."""
-    return _table([(row, row.score) for row in scored_objects(folder, detector, METHODS).objects])
+def object_scores(folder: LocationLike, detector: str, weights: Path | None = None) -> pa.Table:
+    """What the attacked detector scored a sweep's objects, as `RESCORED`.
+
+    Raises: InputError: as `scored_objects`; the sweep attacked others than these weights.
+    """
+    found = scored_objects(folder, detector, METHODS)
+    if weights is not None:
+        refuse_other_weights(found, file_hash(weights), f"{weights} holds", "Remove the folder, and run it again")
+    return _table([(row, row.score) for row in found.objects])
 
 
 def rescored(folder: LocationLike, detector: str, weights: Path) -> pa.Table:
@@ -37,7 +44,7 @@ def rescored(folder: LocationLike, detector: str, weights: Path) -> pa.Table:
         InputError: as `scored_objects`; weights that cannot be loaded, or that were fine-tuned on a scene of the sweep.
     """
     found = scored_objects(folder, detector, METHODS)
-    refuse_tuned_scenes(weights, found.scenes)
+    refuse_tuned_scenes(weights, found.scenes.items())
     scores = []
     judges: dict[str, Detector] = {}
     for row in tqdm(found.objects, desc=f"objects scored by {weights.parent.name}", mininterval=5.0):

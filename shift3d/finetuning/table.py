@@ -18,7 +18,7 @@ VANILLA, TUNED = "vanilla", "finetuned"
 ADAPTIVE = "adversarial_adaptive"
 _KEY = ["vehicle", "place", "settings"]
 
-# model: vanilla, finetuned, or control: tuned on the unchanged objects of the same scenes. seed: of the tuning; null:
+# model: vanilla, finetuned, or control: tuned on the unchanged vehicles of the same tasks. seed: of the tuning; null:
 # of no tuning, or the mean over its seeds. objects: baseline | adversarial (found against vanilla) |
 # adversarial_adaptive (found against this model); null: labels. scene_set: held_out | other_vehicles | natural. metric:
 # auc | AP BEV | AP 3D | APH BEV | APH 3D. low, high: 95 %, scenes resampled; null: a single scene. gain: over vanilla,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,6 +16,7 @@ import shift3d
 from shift3d.attack.objective import object_box
 from shift3d.errors import InputError
 from shift3d.progress_bar import progress_bar
+from shift3d.scenes.sets import place_of
 from shift3d.store.location import Location
 from shift3d.store.resolve import LocationLike, as_location
 from shift3d.suite.choosing import Choice, Chosen, choose_solutions
@@ -121,7 +122,7 @@ def freeze_suite(sweep: LocationLike, to: LocationLike, choice: Choice, frames: 
     to.check_writable()
     writing = _Writing(to, frames, blake2b(json.dumps([made, frames], sort_keys=True).encode()))
     objects, left_out, largest = _objects(plan, chosen, writing)
-    if not objects:
+    if all(row["role"] == "control" for row in objects):
         raise InputError("no object has the score that the sweep reports", str(sweep), "Run the sweep again")
     writing.write("objects.parquet", suite_table_bytes(suite_table("objects", objects)))
     writing.write("scores.parquet", suite_table_bytes(_sweep_scores(plan, chosen.scores, objects)))
@@ -137,6 +138,11 @@ def _forget_scenes(to: Location) -> None:
             (to / name).delete()
 
 
+def number_of_scenes(objects: Iterable[Mapping[str, Any]]) -> int:
+    """How many independent scenes objects stand in, as a gate counts them: a street seen by two sensors is one."""
+    return len({place_of(row["dataset"], row["scene"]) for row in objects})
+
+
 def _manifest(plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]], writing: _Writing) -> dict[str, Any]:
     """suite.json without its digest."""
     return {
@@ -149,7 +155,7 @@ def _manifest(plan: Plan, made: Mapping[str, Any], objects: list[dict[str, Any]]
         "vehicles": sorted({row["vehicle"] for row in objects}),
         "attacked": sorted({template.detector for template in plan.tasks.templates}),
         **{f"{role}_objects": sum(row["role"] == role for row in objects) for role in ("hard", "control")},
-        "scenes": len({row["background"] for row in objects}),
+        "scenes": number_of_scenes(objects),
         "files": dict(sorted(writing.digests.items())),
     }
 

@@ -61,7 +61,7 @@ def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> 
 
     folder, pool = as_location(folder), as_location(pool)
     plan = solved_tasks(folder)
-    _check_decoders(plan, pool)
+    check_decoders(plan, read_plan(pool), str(pool))
     content, final = _pool_bytes(pool), folder / "final"
     kept = final / f"{_POOL}.parquet"
     if kept.is_file() and kept.read_bytes() != content:
@@ -72,13 +72,13 @@ def retrieve(folder: LocationLike, pool: LocationLike, runner: RunnerConfig) -> 
     return follow_up(folder, plan, runner, kind, folder / FOLDER / digest, _RETRIEVED)
 
 
-def _check_decoders(plan: Plan, pool: Location) -> None:
-    """Raises InputError where the pool's codes are of another decoder than the sweep's."""
-    ours = {assets.hashes.get("decoder") for assets in plan.assets}
-    theirs = {assets.hashes.get("decoder") for assets in read_plan(pool).assets}
+def check_decoders(plan: Plan, pool: Plan, where: str) -> None:
+    """Raises InputError where a pool's codes are of another decoder than the sweep's. where: the pool's folder."""
+    ours, theirs = ({assets.hashes.get("decoder") for assets in one.assets} for one in (plan, pool))
     if ours != theirs:
-        what = "its codes are of another decoder than the sweep's"
-        raise InputError(what, where=str(pool), remedy="Give vehicle= as the sweep has it")
+        raise InputError(
+            "its codes are of another decoder than the sweep's", where, "Give vehicle= as the sweep has it"
+        )
 
 
 def _pool_bytes(pool: Location) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import torch
 
 from shift3d import __version__
 from shift3d.errors import InputError
+from shift3d.scenes.sets import street_of
 from shift3d.store.atomic import write_atomic
 
 
@@ -55,20 +56,26 @@ def read_provenance(weights_file: Path) -> dict[str, Any] | None:
     return facts
 
 
-def refuse_tuned_scenes(weights_file: Path, scenes: Mapping[str, str]) -> None:
+def shared_scenes(seen: Collection[tuple[str, str]], measured: Collection[tuple[str, str]]) -> list[str]:
+    """Names of the measured scenes that are seen ones: by their name, by their content, or of the same street.
+
+    Scenes: name and content hash, which is empty where it is not known. A street in other weather is the same street.
+    """
+    streets, hashes = {street_of(name) for name, _ in seen}, {value for _, value in seen if value}
+    return sorted({name for name, value in measured if street_of(name) in streets or value in hashes})
+
+
+def refuse_tuned_scenes(weights_file: Path, scenes: Collection[tuple[str, str]]) -> None:
     """Refuse to measure weights on scenes that they, or weights that they started from, were fine-tuned on.
 
-    scenes: content hash by name; an empty hash is any. Weights without provenance, or that were trained otherwise,
-    pass.
+    scenes: as of `shared_scenes`. Weights without provenance, or that were trained otherwise, pass.
     Raises: InputError naming the scenes, or a provenance that cannot be read.
     """
-    tuned: dict[str, str] = {}
+    tuned: set[tuple[str, str]] = set()
     facts = read_provenance(weights_file)
     while facts:
-        tuned |= (facts.get("finetuned_on") or {}).get("scenes", {})
+        tuned.update((facts.get("finetuned_on") or {}).get("scenes", {}).items())
         facts = facts.get("before")
-    hashes = {value for value in tuned.values() if value}
-    both = sorted(name for name, value in scenes.items() if name in tuned or value in hashes)
-    if both:
+    if both := shared_scenes(tuned, scenes):
         what = f"was fine-tuned on {', '.join(both[:5])}{' and others' if len(both) > 5 else ''}"
         raise InputError(what, where=str(weights_file), remedy="Measure it on scenes that it has not seen")

@@ -151,5 +151,6 @@ def test_what_cannot_be_retrieved_is_said(
     assert "is not the output folder of a sweep" in capsys.readouterr().err
     assert main([*retrieval(out, root, tmp_path / "wide"), "vehicle=wide", "vehicle.name=sedan"]) == 2
     assert "of another decoder" in capsys.readouterr().err
+    assert not (tmp_path / "wide").exists(), "known before any vehicle is fitted"
     assert main(["patterns", str(out), "attack.steps=3"]) == 2
     assert "Only the runner can be set" in capsys.readouterr().err

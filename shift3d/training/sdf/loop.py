@@ -27,7 +27,7 @@ WARM_STEPS = 200
 
 
 class DecoderRun(ABC):
-    """The state of one training: decoder, table, optimiser, step, losses, seconds.
+    """The state of one training: decoder, table, optimiser, step, losses, those since the last mean of them, seconds.
 
     table_name: of the table in the checkpoint. rates: of the network and of the table, see `set_rates`.
     mixed: bfloat16 in the wide layers, where it pays.
@@ -45,6 +45,7 @@ class DecoderRun(ABC):
         self.optimizer = torch.optim.Adam(groups, fused=True)
         self.step = 0
         self.losses: list[float] = []
+        self.recent: list[float] = []
         self.began_s = time.monotonic()  # as if there had been no interruption
 
     @abstractmethod
@@ -85,6 +86,7 @@ class DecoderRun(ABC):
             self.table_name: self.table.detach(),
             "optimizer": self.optimizer.state_dict(),
             "losses": self.losses,
+            "recent": self.recent,
             "seconds": time.monotonic() - self.began_s,
             "compute": self.compute.facts(self.mixed),
         }
@@ -98,6 +100,7 @@ class DecoderRun(ABC):
             self.table.copy_(state[self.table_name])
         self.optimizer.load_state_dict(state["optimizer"])
         self.step, self.losses = int(state["step"]), list(state["losses"])
+        self.recent = list(state.get("recent", []))
         self.began_s = time.monotonic() - float(state.get("seconds", 0.0))
 
 
@@ -110,19 +113,18 @@ def run_to_end(run: DecoderRun, file: Path, every: int, report: Report | None) -
     if state is not None:
         run.restore(state, str(file))
     steps: int = run.recipe.steps
-    recent: list[float] = []
     curve: list[CurvePoint] = []
     bar = tqdm(total=steps, initial=run.step, desc="training sdf", mininterval=10.0)
     with stop_on_signal() as stop, bar:
         while run.step < steps:
-            recent.append(run.advance())
+            run.recent.append(run.advance())
             bar.update()
             if run.step % CURVE_STEPS == 0:
-                run.losses.append(float(np.mean(recent)))
+                run.losses.append(float(np.mean(run.recent)))
+                run.recent = []
                 rate = float(run.optimizer.param_groups[0]["lr"])
                 curve.append((run.step, {"loss": run.losses[-1], "learning_rate": rate}))
                 bar.set_postfix(loss=f"{run.losses[-1]:.5f}", refresh=False)
-                recent = []
             if run.step % every == 0 or run.step == steps or stop.is_set():
                 write_checkpoint(file, run.state())
                 loss = run.losses[-1] if run.losses else None

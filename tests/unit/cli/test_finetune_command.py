@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from shift3d.cli.commands.detectors import finetune
 from shift3d.cli.commands.detectors.finetune import read_request
 from shift3d.cli.main import main
+from shift3d.detectors.models.weights import WEIGHTS_FOLDER
 from shift3d.errors import InputError
+from shift3d.training.provenance import write_provenance
 
 LOCAL = ("runner=local", "tracking=none", "scenes.count=1", "scenes.sensor=hdl64", "scenes.traffic=family",
          "vehicle=suv")  # fmt: skip
@@ -33,6 +36,7 @@ def test_words_go_to_the_sweeps_that_they_are_for() -> None:
     ("word", "message"),
     [
         ("seeds=0,0", "no different whole numbers"),
+        ("seeds=0,00", "no different whole numbers"),
         ("seeds=a", "no different whole numbers"),
         ("streets=0", "not a whole number from 1"),
         ("control=yes", "control='yes' is neither true nor false"),
@@ -77,6 +81,32 @@ def test_scenes_that_are_trained_on_and_held_out_are_refused_by_name(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "street-val-hdl64-000000" in line and "finetune_held_out share" in line
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["rate=fast"], "recipe.peak_rate='fast'"),
+        (["rate=0"], "peak_rate=0.0"),
+        (["scenes.split=val", "held_out.scenes.split=test"], "holds street-val-hdl64-000000, a street of split val"),
+        (["held_out.scenes.split=train", "held_out.scenes.weather=fog"], "share street-train-hdl64-000000-fog"),
+    ],
+)
+def test_what_the_training_would_refuse_is_refused_before_anything_is_attacked(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["finetune", "--steps", *LOCAL, *words, f"out={tmp_path / 'out'}"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert message in line
+
+
+def test_weights_that_were_tuned_on_what_is_held_out_are_refused_before_anything_is_attacked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weights = Path(shutil.copy(WEIGHTS_FOLDER / "pointpillars.safetensors", tmp_path))
+    write_provenance(weights, {"finetuned_on": {"scenes": {"street-test-hdl64-000000": "aa"}}})
+    assert main(["finetune", "--steps", *LOCAL, f"detector.weights={weights}", f"out={tmp_path / 'out'}"]) == 2
+    assert f"{weights}: was fine-tuned on street-test-hdl64-000000" in capsys.readouterr().err
 
 
 def test_it_is_one_detector_that_is_tuned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

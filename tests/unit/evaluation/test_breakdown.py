@@ -138,6 +138,19 @@ def test_intervals_hold_the_value_and_are_the_same_again() -> None:
     assert alone.low is None and alone.high is None
 
 
+def test_vehicles_of_one_frame_have_no_interval_however_many_frames_there_are() -> None:
+    """Whatever is drawn, their number is that of the one frame: it would look certain."""
+    seen, across = frame(cars(20.0), cars(20.0), [0.9]), cars(40.0, 50.0, heading=pi / 2)
+    frames = [seen, frame(across, across[:1], [0.8]), seen]
+    rows = _rows(frames)
+    side = [row for row in rows.values() if (row.by, row.group) == ("heading", "side") and row.value is not None]
+    assert {"AP", "APH", "recall", "flips", "error_x_m"} <= {row.measure for row in side}
+    assert all(row.low is None and row.high is None for row in side)
+    twice = _rows([*frames, frames[1]])
+    assert twice["heading", "side", "AP", "BEV"].low is not None
+    assert twice["heading", "side", "error_x_m", "mean"].low is not None
+
+
 def test_resampled_frames_are_as_many_as_there_are() -> None:
     weights = frame_weights(20)
     assert (weights.sum(axis=1) == 20).all() and np.array_equal(weights, frame_weights(20))

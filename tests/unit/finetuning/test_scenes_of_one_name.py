@@ -7,12 +7,14 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 import valid_sweeps
 
 from shift3d.finetuning.objects import SweepObject, SweepObjects
 from shift3d.finetuning.tune import natural_scenes
 from shift3d.task.spec import TaskSpec
 from shift3d.training.detector_scenes import load_cached
+from shift3d.training.provenance import shared_scenes
 
 NAME = "000000"
 
@@ -46,6 +48,38 @@ def test_each_is_trained_on_and_refused_afterwards(tmp_path: Path) -> None:
     files = natural_scenes(tmp_path, found)
     assert [len(load_cached(file).points) for file in files] == [1, 2, 3]
     assert list(found.scenes.values()) == ["aa", "bb", "cc"] and NAME in found.scenes
+
+
+def test_a_street_under_two_weathers_is_one_place_and_two_scenes() -> None:
+    """Intervals redraw places whole; a gain is of the objects that vehicle, place and settings name."""
+    dry, fog = (
+        SweepObject(
+            TaskSpec("suv", f"street-test-hdl64-000000{tag}", f"street-hdl64{tag}", "shape", 1.0, 0.1, "sst", "draft"),
+            0,
+            {"method": "adversarial", "replicate": 0},
+            0.5,
+            True,
+        )
+        for tag in ("", "-fog50")
+    )
+    assert dry.place == fog.place == "street-hdl64/street-test-hdl64-000000"
+    assert dry.settings != fog.settings
+
+
+@pytest.mark.parametrize(
+    ("seen", "measured", "shared"),
+    [
+        (("street-train-hdl64-000001", "aa"), ("street-train-hdl64-000001-fog50", "bb"), True),
+        (("street-train-hdl64-000001-fog50", "aa"), ("street-train-hdl64-000001-seed3", "bb"), False),
+        (("000000", "aa"), ("000001", "aa"), True),
+        (("000000", ""), ("000001", ""), False),
+        (("000000", "aa"), ("000000", ""), True),
+    ],
+)
+def test_a_scene_is_seen_by_its_name_its_street_or_its_content(
+    seen: tuple[str, str], measured: tuple[str, str], shared: bool
+) -> None:
+    assert shared_scenes([seen], [measured]) == ([measured[0]] if shared else [])
 
 
 def test_one_scene_keeps_its_name(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from shift3d.finetuning.rescoring import object_scores, rescored
 from shift3d.finetuning.tune import RATE, object_scenes, tuning_recipe
 from shift3d.geometry.boxes import points_in_boxes
 from shift3d.settings.catalogue.detector_files import file_hash
+from shift3d.store.tables import read_table, table_from_rows, write_table
 from shift3d.training.command import TrainOptions
 from shift3d.training.detector.recipes import RECIPES
 from shift3d.training.detector_scenes import load_cached
@@ -104,7 +105,28 @@ def test_a_training_scene_holds_the_object_as_it_was_attacked(attacked: Path, tm
 
 
 def test_weights_of_the_sweep_give_its_own_scores(held_out: Path) -> None:
-    assert rescored(held_out, "pointpillars", SHIPPED).equals(object_scores(held_out, "pointpillars"))
+    assert rescored(held_out, "pointpillars", SHIPPED).equals(object_scores(held_out, "pointpillars", SHIPPED))
+
+
+def test_an_adaptive_attack_on_weights_that_were_replaced_since_is_no_score_of_theirs(held_out: Path) -> None:
+    other = SHIPPED.with_name("sst_small.safetensors")
+    with pytest.raises(InputError, match=f"attacked other weights of pointpillars than {other} holds"):
+        object_scores(held_out, "pointpillars", other)
+
+
+def test_a_control_is_tuned_on_the_tasks_that_the_tuning_is(attacked: Path) -> None:
+    """A suv whose found shape is unstable is in neither, however stable the unchanged one is."""
+    path = attacked / "final" / "scores.parquet"
+    table = read_table(path, "scores").to_pylist()
+    rows = [row | {"stable": row["vehicle"] == "suv" or row["method"] == "baseline"} for row in table]
+    write_table(path, table_from_rows("scores", rows))
+    tuned_on, control = (
+        stable_objects(attacked, "pointpillars", file_hash(SHIPPED), method) for method in ("adversarial", "baseline")
+    )
+    assert [row.spec.vehicle for row in control.objects] == ["suv"]
+    assert [row.spec.task_id for row in control.objects] == [row.spec.task_id for row in tuned_on.objects]
+    assert {row.solution["method"] for row in control.objects} == {"baseline"}
+    assert control.left_out == tuned_on.left_out == {"unstable": 1}
 
 
 def test_scenes_that_were_tuned_on_are_refused_by_name(attacked: Path, weights: Path, tmp_path: Path) -> None:

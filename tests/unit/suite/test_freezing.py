@@ -132,6 +132,25 @@ def test_referenced_frames_are_made_again_and_must_be_the_same(frozen: Frozen, s
         read_suite(tmp_path, root=str(tmp_path / "elsewhere")).background(name)
 
 
+def test_controls_alone_are_no_suite(sweep: Path, tmp_path: Path) -> None:
+    """A gate would score them all, and find nothing to say."""
+    other = Path(shutil.copytree(sweep, tmp_path / "other"))
+    path = other / "final" / "scores.parquet"
+    rows = read_table(path, "scores").to_pylist()
+    changed = [row | {"score": 1.0} if row["method"] == "adversarial" else row for row in rows]
+    write_table(path, table_from_rows("scores", changed))
+    with pytest.raises(InputError, match="no object has the score that the sweep reports"):
+        freeze_suite(other, tmp_path / "suite", Choice())
+    assert not (tmp_path / "suite" / "suite.json").exists()
+
+
+def test_a_street_seen_by_two_sensors_counts_as_one_scene() -> None:
+    street = {"dataset": "street-mixed", "scene": "street-test-hdl64-000000"}
+    other = {"dataset": "street-mixed-hdl32", "scene": "street-test-hdl64-000000-hdl32"}
+    assert freezing.number_of_scenes([street, other]) == 1
+    assert freezing.number_of_scenes([street, street | {"scene": "street-test-waymo_top-000001"}]) == 2
+
+
 def test_what_is_eligible_and_which_are_taken(sweep: Path, tmp_path: Path) -> None:
     scores = read_table(sweep / "final" / "scores.parquet", "scores").to_pandas()
     one = scores[scores["method"] == "adversarial"].iloc[0].to_dict()

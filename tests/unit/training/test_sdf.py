@@ -34,6 +34,7 @@ def prepared(folder: Path, shapes: Path) -> Path:
 def test_training_that_was_interrupted_ends_in_the_same_weights(
     tmp_path: Path, shapes: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(loop, "CURVE_STEPS", 2)
     whole = read_checkpoint(sdf.train_sdf(prepared(tmp_path / "whole", shapes), TINY, checkpoint_every=3))
     assert whole is not None
     cut = prepared(tmp_path / "cut", shapes)
@@ -43,13 +44,13 @@ def test_training_that_was_interrupted_ends_in_the_same_weights(
         write(path, state)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(loop, "write_checkpoint", write_then_die)
-    with pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as killed, pytest.raises(KeyboardInterrupt):
+        killed.setattr(loop, "write_checkpoint", write_then_die)
         sdf.train_sdf(cut, TINY, checkpoint_every=3)
-    monkeypatch.undo()
     resumed = read_checkpoint(sdf.train_sdf(cut, TINY, checkpoint_every=3))
     assert resumed is not None
     assert resumed["step"] == whole["step"] == 6
+    assert resumed["losses"] == whole["losses"] and len(whole["losses"]) == 3, "each the mean of two steps"
     assert torch.equal(resumed["codes"], whole["codes"])
     assert all(torch.equal(resumed["decoder"][name], value) for name, value in whole["decoder"].items())
 

@@ -38,7 +38,7 @@ examples:
   shift3d finetune size=small                  100 objects, 3 seeds: an evening on two cores
   shift3d finetune                             the paper's size, 2,000 objects: days on two cores, or runner.address=
   shift3d finetune --quick                     a few minutes: the same path; its numbers mean nothing
-  shift3d finetune size=small control=true     beside it a model tuned on the unchanged objects of the same scenes
+  shift3d finetune size=small control=true     beside it a model tuned on the unchanged vehicles of the same tasks
   shift3d finetune size=small rate=3e-6 adaptive=false    another rate: what was found before is used again, and
                                                the tuned detector is not attacked
   shift3d finetune size=small detector=sst streets=20 others=camper,trailer
@@ -113,10 +113,10 @@ def read_request(words: Sequence[str], quick: bool = False) -> FinetuneRequest:
     rest = [*(_QUICK if quick else []), *rest]
     size = "small" if "size=small" in rest else "full"
     seeds, streets = values.get("seeds", "0,1,2"), whole_number(values, "streets", _STREETS[size], "finetune")
-    if not all(part.isdecimal() for part in seeds.split(",")) or len(set(seeds.split(","))) < len(seeds.split(",")):
+    numbers = [int(part) if part.isdecimal() else -1 for part in seeds.split(",")]
+    if min(numbers) < 0 or len(set(numbers)) < len(numbers):
         raise InputError(f"seeds={seeds!r} are no different whole numbers", "finetune", "Give seeds=0,1,2")
     on = {name: flag(values, name, default, "finetune") for name, default in _FLAGS.items()}
-    numbers = [int(part) for part in seeds.split(",")]
     rate, others, out = (values.get(name) for name in ("rate", "others", "out"))
     return FinetuneRequest(rest, held_out, numbers, streets, rate, others, **on, out=out)
 
@@ -150,13 +150,17 @@ def _run(arguments: argparse.Namespace) -> int:
 def _checked(request: FinetuneRequest) -> tuple[Config, str]:
     """The settings and the hash of what is attacked for training.
 
-    Raises: InputError naming scenes that are held out and trained on at once, more than one detector, or one that
-        cannot be trained.
+    Raises: InputError naming scenes that are held out and trained on at once, or streets that are not to be trained on;
+        more than one detector, or one that cannot be trained; a rate that is none.
     """
+    from shift3d.finetuning.objects import refuse_other_splits
+    from shift3d.finetuning.tune import tuning_recipe
     from shift3d.settings.compose import compose_sweep
     from shift3d.settings.expand import expand
     from shift3d.sweep.planning.kind import shift3d_kind
     from shift3d.sweep.planning.plan import make_plan
+    from shift3d.training.command import TrainOptions
+    from shift3d.training.provenance import refuse_tuned_scenes, shared_scenes
 
     catalogue, plans, config = shift3d_kind().catalogue, [], None
     for name in _SWEEPS:
@@ -166,15 +170,19 @@ def _checked(request: FinetuneRequest) -> tuple[Config, str]:
         if (detector := composed.base["detector"]["name"]) not in DETECTOR_NAMES:
             remedy = f"Give one of {', '.join(DETECTOR_NAMES)}"
             raise InputError(f"there is no training of {detector}", where=f"sweep {name}", remedy=remedy)
+        tuning_recipe(detector, 1, TrainOptions(Path(), recipe={"peak_rate": request.rate} if request.rate else {}))
         plan, own = make_plan(composed, catalogue)
         plans.append(plan)
         config = config or own
-    tuned, *held_out = ({task.spec.scene_hash: task.spec.scene for task in plan.tasks} for plan in plans)
+    assert config is not None
+    tuned, *held_out = ({(task.spec.scene, task.spec.scene_hash) for task in plan.tasks} for plan in plans)
     for name, scenes in zip(_SWEEPS[1:], held_out, strict=True):
-        if both := sorted(tuned[key] for key in tuned.keys() & scenes.keys()):
+        if both := shared_scenes(tuned, scenes):
             what = f"fine-tuning and {name} share {', '.join(both[:5])}{' and others' if len(both) > 5 else ''}"
             raise InputError(what, where="finetune", remedy="Hold out others: held_out.scenes.KEY=VALUE")
-    assert config is not None
+        if config.detector.weights:
+            refuse_tuned_scenes(Path(config.detector.weights).expanduser(), scenes)
+    refuse_other_splits((task.spec for task in plans[0].tasks), f"sweep {_SWEEPS[0]}")
     return config, plans[0].spec_hash
 
 

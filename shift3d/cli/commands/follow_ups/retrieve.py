@@ -40,15 +40,16 @@ def _run(arguments: argparse.Namespace) -> int:
     from shift3d.sweep.follow_up import solved_tasks
     from shift3d.sweep.planning.folder import default_folder
     from shift3d.sweep.planning.plan import make_plan
-    from shift3d.sweep.retrieval import build_pool, pool_plan, retrieve
+    from shift3d.sweep.retrieval import build_pool, check_decoders, pool_plan, retrieve
 
     configure_runtime()
     folder = as_location(arguments.out)
-    solved_tasks(folder)  # whether it has finished, before anything is made
+    sweep = solved_tasks(folder)  # whether it has finished, before anything is made
     named, words = take_folders("pool", arguments.words)
     made, config = make_plan(compose_sweep("retrieval", words), read_catalogue)
     plan = pool_plan(made)
     pool = named[-1] if named else default_folder(plan)
+    check_decoders(sweep, plan, str(pool))
     print(f"fitting the labelled vehicles of {counted(len(plan.tasks), 'scene')} into {pool}", flush=True)
     fitted = build_pool(pool, plan, config.runner)
     if fitted.final is None:
